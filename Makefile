@@ -1,0 +1,83 @@
+# What can be done with this repository; `make help` lists it.
+# Everything happens in .venv, which holds exactly what requirements.lock says.
+
+SHELL = /bin/sh
+BIN = .venv/bin
+WORKERS = 2
+UV = uv==0.13.8
+
+# The newest Python that is really there: the first name that also runs, and can make virtual environments.
+PYTHON = $(shell for python in python3.13 python3.12 python3.11 python3; do \
+	"$$python" -c 'import ensurepip, sys, venv; sys.exit(sys.version_info < (3, 11))' >/dev/null 2>&1 \
+		&& { echo "$$python"; break; }; done)
+
+# Only wheels: building from source would fetch build tools that nobody has locked. Without bytecode, which Python
+# writes for what is really imported, installing takes half as long.
+PIP = $(BIN)/python -m pip --disable-pip-version-check --quiet
+LOCKED = --no-compile --only-binary :all: --require-hashes --requirement requirements.lock
+
+.DEFAULT_GOAL = help
+.DELETE_ON_ERROR:
+.PHONY: help install demo test check format bench schemas lock system dist clean
+
+help: ## list the targets
+	@sed -n 's/^\([a-z]*\):.*## /\1	/p' Makefile | expand -t 10
+
+install: .venv/installed ## make .venv: the locked packages, and this project, editable
+	@:
+
+# Two stamps, so that a change to pyproject.toml alone does not install all packages again.
+.venv/locked: requirements.lock
+	@test -n "$(PYTHON)" || { echo "Python 3.11 or newer, with venv, is needed; name it: make PYTHON=..." >&2; exit 3; }
+	"$(PYTHON)" -m venv --clear .venv
+	$(PIP) install $(LOCKED)
+	@touch $@
+
+.venv/installed: .venv/locked pyproject.toml
+	$(PIP) install --no-index --no-deps --no-build-isolation --editable .
+	@touch $@
+
+demo: install ## copy the example to ./demo, unless it is there, and run a query in it
+	test -e demo || $(BIN)/sierra init --example swarm demo
+	cd demo && ../$(BIN)/sierra run population_size.Log8 --runs 10
+
+test: install ## all tests; more at once with WORKERS=8
+	$(BIN)/python -m pytest --numprocesses $(WORKERS)
+
+check: install ## style, types, and the layers of the design
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+	$(BIN)/mypy sierra
+	$(BIN)/lint-imports --no-logo
+
+format: install ## rewrite the code in the project's style
+	$(BIN)/ruff check --fix
+	$(BIN)/ruff format
+
+bench: install ## measure what SIERRA itself costs
+	$(BIN)/python bench/run.py
+
+schemas: install ## write schemas/ from the code
+	$(BIN)/sierra schema --write schemas
+
+# An existing lock's versions stay unless pyproject.toml rules them out; UPGRADE=--upgrade takes the newest.
+lock: ## write requirements.lock from pyproject.toml
+	@test -n "$(PYTHON)" || { echo "Python 3.11 or newer, with venv, is needed; name it: make PYTHON=..." >&2; exit 3; }
+	"$(PYTHON)" -m venv --clear .venv-lock
+	.venv-lock/bin/python -m pip --disable-pip-version-check --quiet install $(UV)
+	.venv-lock/bin/uv pip compile --quiet --universal --python-version 3.11 --fork-strategy fewest --extra all \
+		--generate-hashes --no-header --no-emit-index-url --no-emit-find-links $(UPGRADE) \
+		--output-file requirements.lock pyproject.toml
+	rm -rf .venv-lock
+
+system: ## install the programs that SIERRA calls: git
+	@if command -v git >/dev/null; then echo "git is there; nothing else is needed"; \
+	elif test "$$(id -u)" -eq 0 && command -v apt-get >/dev/null; then \
+		apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -qq --no-install-recommends git; \
+	else echo "git is needed: install it, or run make system as root on Debian or Ubuntu" >&2; exit 3; fi
+
+dist: install ## build the sdist and the wheel into dist/
+	$(BIN)/python -m build --no-isolation
+
+clean: ## remove what make made, except ./demo
+	rm -rf .venv .venv-lock .mypy_cache .pytest_cache .ruff_cache .import_linter_cache .hypothesis build dist

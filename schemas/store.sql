@@ -1,0 +1,166 @@
+-- What a query expands to: an ordered set of experiments.
+CREATE TABLE batches (
+    "batch" VARCHAR,  -- the batch's id: a Merkle hash over its experiments
+    "created" TIMESTAMP WITH TIME ZONE,  -- when it was first asked for
+    "query" VARCHAR,  -- the criteria as they were first asked for
+    "axes" VARCHAR[],  -- names of the independent variables, in order
+    "controller" VARCHAR,  -- the controller, where one was named
+    "scenario" VARCHAR,  -- the scenario, where one was named
+    "platform" VARCHAR,  -- how the simulator is driven
+    "experiments" BIGINT,  -- experiments in it [1]
+    "runs" BIGINT,  -- runs in it, all experiments together [1]
+    "base_seed" BIGINT,  -- the number that all seeds derive from
+    "recipe" VARCHAR,  -- what all its runs have in common
+    "template" VARCHAR,  -- the template's path in the project
+    "template_sha256" VARCHAR  -- SHA-256 of the template file
+);
+
+-- Points in the space of the independent variables; each of those is a further column here.
+CREATE TABLE experiments (
+    "experiment" VARCHAR,  -- the experiment's id: a Merkle hash over its values and runs
+    "batch" VARCHAR,  -- the batch it belongs to
+    "ordinal" BIGINT  -- its place in the batch, from 0
+);
+
+-- Which run belongs to which experiment of which batch; a run may belong to many.
+CREATE TABLE members (
+    "batch" VARCHAR,  -- the batch
+    "ordinal" BIGINT,  -- the experiment's place in the batch, from 0
+    "number" BIGINT,  -- the run's number in the experiment, from 0
+    "run" VARCHAR,  -- the run
+    "seed" BIGINT,  -- its seed
+    "input" VARCHAR,  -- SHA-256 of its first input file; the file itself is in objects
+    "recipe" VARCHAR  -- what it has in common with the other runs of the batch
+);
+
+-- What runs have in common: with an input and a seed, a recipe makes a run.
+CREATE TABLE recipes (
+    "recipe" VARCHAR,  -- the recipe's id
+    "platform" VARCHAR,  -- how the simulator is driven
+    "command" VARCHAR[],  -- program and arguments, before paths of a machine are filled in
+    "variables" VARCHAR,  -- declared environment variables, as JSON
+    "source" VARCHAR,  -- the tree of the code (an SWHID); NULL where no source counts
+    "image" VARCHAR,  -- content identity of the container image; NULL without one
+    "files" VARCHAR[]  -- names of the input files that each run gets
+);
+
+-- One time that a run was executed: when, where, by what, and how it ended.
+CREATE TABLE executions (
+    "execution" VARCHAR,  -- the execution's id
+    "run" VARCHAR,  -- the run
+    "session" VARCHAR,  -- the asking that executed it
+    "batch" VARCHAR,  -- the batch that it was executed for
+    "started" TIMESTAMP WITH TIME ZONE,  -- when its program was started
+    "ended" TIMESTAMP WITH TIME ZONE,  -- when its program had ended
+    "status" VARCHAR,  -- ok, failed, timeout, memory, cpu, output, mismatch or interrupted
+    "reason" VARCHAR,  -- why it is not ok, in a line
+    "exit_code" BIGINT,  -- the program's exit status; NULL where a signal ended it
+    "signal" BIGINT,  -- the signal that ended it
+    "wall" DOUBLE,  -- from start to end [s]
+    "user" DOUBLE,  -- CPU time in user mode, of all its processes that ended [s]
+    "system" DOUBLE,  -- CPU time in the kernel, likewise [s]
+    "max_rss" BIGINT,  -- greatest resident size of its greatest process (the worker's own size at least) [bytes]
+    "host" VARCHAR,  -- host name
+    "slot" BIGINT,  -- the slot of the worker that executed it
+    "result" VARCHAR,  -- Merkle hash of its outputs' names and digests
+    "log" VARCHAR,  -- the end of its standard error, or of its standard output where that is empty
+    "environment" VARCHAR,  -- what was around it
+    "programs" VARCHAR,  -- fingerprint of the programs outside source and image
+    "reading" VARCHAR,  -- hash of what the project declares of outputs and success
+    "purpose" VARCHAR  -- run, or what else it was executed for; only those of run count in statistics
+);
+
+-- What was found out about an execution after it was recorded; it is not ok from then on.
+CREATE TABLE findings (
+    "execution" VARCHAR,  -- the execution
+    "found" TIMESTAMP WITH TIME ZONE,  -- when
+    "status" VARCHAR,  -- what it is now
+    "reason" VARCHAR  -- why, in a line
+);
+
+-- Every file that an execution left, and its logs.
+CREATE TABLE artifacts (
+    "execution" VARCHAR,  -- the execution
+    "run" VARCHAR,  -- the run
+    "path" VARCHAR,  -- path in the output folder; for logs, stdout or stderr
+    "kind" VARCHAR,  -- table, file or log
+    "output" VARCHAR,  -- the declared or found output that it belongs to: the table's name
+    "size" BIGINT,  -- its size [bytes]
+    "sha256" VARCHAR,  -- SHA-256 of its bytes
+    "rows" BIGINT  -- rows it gave its table [1]
+);
+
+-- One asking of one query by one process, once it has ended.
+CREATE TABLE sessions (
+    "session" VARCHAR,  -- the session's id
+    "batch" VARCHAR,  -- the batch asked for
+    "query" VARCHAR,  -- as it was asked
+    "started" TIMESTAMP WITH TIME ZONE,  -- when it was asked
+    "ended" TIMESTAMP WITH TIME ZONE,  -- when it was answered
+    "runner" VARCHAR,  -- where runs were executed
+    "engine" VARCHAR,  -- what contained them
+    "slots" BIGINT,  -- runs at a time [1]
+    "executed" BIGINT,  -- runs executed [1]
+    "reused" BIGINT,  -- runs whose recorded execution was good [1]
+    "failed" BIGINT,  -- runs of the batch without a good execution, of those executed [1]
+    "missing" BIGINT,  -- runs of the batch that were not executed [1]
+    "interrupted" BOOLEAN,  -- whether the user ended it
+    "sierra" VARCHAR,  -- SIERRA's version
+    "environment" VARCHAR,  -- what was around it
+    "source" VARCHAR  -- the source's full state
+);
+
+-- What was around executions, recorded once.
+CREATE TABLE environments (
+    "environment" VARCHAR,  -- hash of all below
+    "host" VARCHAR,  -- host name
+    "os" VARCHAR,  -- operating system, as it calls itself
+    "kernel" VARCHAR,  -- the kernel's release
+    "machine" VARCHAR,  -- the processor's architecture
+    "cpu" VARCHAR,  -- the processor's model
+    "cores" BIGINT,  -- cores that could be used [1]
+    "memory" BIGINT,  -- main memory [bytes]
+    "libc" VARCHAR,  -- C library and its version
+    "python" VARCHAR,  -- version of the Python that ran SIERRA
+    "sierra" VARCHAR  -- SIERRA's version
+);
+
+-- States of the code that runs were made from, recorded once.
+CREATE TABLE sources (
+    "source" VARCHAR,  -- hash of all below
+    "tree" VARCHAR,  -- the tree that counts, as an SWHID
+    "vcs" VARCHAR,  -- git, or none
+    "commit" VARCHAR,  -- the commit checked out
+    "branch" VARCHAR,  -- the branch checked out
+    "dirty" BOOLEAN,  -- whether files differ from the commit
+    "remote" VARCHAR,  -- the remote's address, without credentials
+    "files" VARCHAR  -- SHA-256 of the list of files in objects: a mode, a hash and a path a line
+);
+
+-- Programs outside source and image, by their fingerprint.
+CREATE TABLE programs (
+    "programs" VARCHAR,  -- hash of the set that was used together
+    "name" VARCHAR,  -- as the command calls it
+    "path" VARCHAR,  -- where it was found
+    "sha256" VARCHAR  -- SHA-256 of the file
+);
+
+-- Files by the hash of their content, in parts of at most 8 MiB.
+CREATE TABLE objects (
+    "sha256" VARCHAR,  -- SHA-256 of the whole file
+    "part" BIGINT,  -- place of this part, from 0
+    "size" BIGINT,  -- size of the whole file [bytes]
+    "content" BLOB  -- the part's bytes
+);
+
+-- Runs, one row each; the independent variables are further columns.
+CREATE TABLE runs (
+    "run" VARCHAR,  -- the run's id
+    "seed" BIGINT,  -- its seed
+    "number" BIGINT,  -- its number in its experiment, from 0 (the least, where it belongs to several)
+    "input" VARCHAR,  -- SHA-256 of its first input file; the file itself is in objects
+    "recipe" VARCHAR,  -- what it has in common with other runs
+    "status" VARCHAR,  -- ok where one execution is; else that of the last; missing where there is none
+    "execution" VARCHAR,  -- the execution that counts: the last that is ok
+    "executions" BIGINT  -- how many times it was executed [1]
+);

@@ -1,0 +1,31 @@
+"""SIERRA: from a research query to evidence that a stranger can check.
+
+    import sierra
+    project = sierra.open(".")
+    project.run("population_size.Log8", runs=10)
+    project.sql("SELECT population_size, avg(coverage) FROM swarm GROUP BY ALL").to_pandas()
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from sierra.version import __version__
+
+if TYPE_CHECKING:
+    import os
+
+    from sierra.api import Project
+
+
+def open(path: str | os.PathLike[str] = ".") -> Project:
+    """The project that `path` lies in, with its store; see `sierra.api.Project`.
+
+    Raises sierra.errors.Missing where there is no `sierra.toml` in that folder or above it.
+    """
+    from sierra.api import Project
+
+    return Project(path)
+
+
+__all__ = ["__version__", "open"]

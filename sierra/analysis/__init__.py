@@ -1,0 +1,337 @@
+"""Statistics in SQL: each column of an output, for each experiment, over its runs.
+
+Each statistic is one file in `statistics/`: an expression over `x`, the sorted finite values, and over the statistics
+before it. Each measure, what a run is reduced to, is one file in `measures/`. A statement is put together from them:
+
+    observations    one value per run (a measure), or per run and time
+    grouped         the values of all runs of an experiment (`by_experiment`), or at one time (`by_time`), as the list x
+    SELECT          the statistics, from n onwards
+
+No value is averaged silently: what is missing (NULL or NaN) or infinite is left out and counted, and so is a run that
+never reached a threshold. One run has a mean but no interval.
+
+The statements run on a `Frame`, which knows one relation, made by the store from one column of one output of one batch:
+
+    samples(experiment INTEGER, run VARCHAR, number INTEGER, t DOUBLE, value DOUBLE)
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any, Protocol
+
+from sierra.analysis import student_t
+from sierra.config import Figure
+from sierra.errors import SierraError, UsageError
+from sierra.model import Axis
+
+HERE = Path(__file__).parent
+LEVEL = 0.95
+GRID = 500
+"""The most points of a common time axis, where the runs' own times differ."""
+
+STATISTICS: Mapping[str, tuple[str, ...]] = {
+    "n": (),
+    "mean": ("n",),
+    "sd": ("n",),
+    "interval": ("mean", "sd"),
+    "median": ("n",),
+    "quartiles": ("n",),
+    "whiskers": ("quartiles",),
+    "range": ("n",),
+    "iqm": ("n",),
+    "iqm_interval": ("iqm",),
+}
+"""The statistics, and which others each one's formula uses."""
+
+CENTERS: Mapping[str, tuple[str, str]] = {
+    "mean": ("mean", "interval"),
+    "median": ("median", "quartiles"),
+    "iqm": ("iqm", "iqm_interval"),
+}
+"""The centers of a figure: its statistic, and the one that says how far it spreads."""
+
+
+class Frame(Protocol):
+    """Where statements run: it knows the relation `samples`."""
+
+    def sql(self, text: str, /, **params: Any) -> Any:
+        """The rows of a statement as a pyarrow.Table; `$name` in it stands for the parameter of that name."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Coverage:
+    """What there is to compute with: the same for all columns of an output."""
+
+    runs: Mapping[int, int]
+    """The number of runs that wrote anything, by experiment."""
+    rows: int
+    """Of all runs."""
+    most: int
+    """The most rows of one run."""
+    first: float
+    last: float
+    untimed: int
+    """Rows whose time is not a finite number; they are left out."""
+
+
+@dataclass(frozen=True, slots=True)
+class Computed:
+    """What a figure shows, computed.
+
+    `tables` holds, by column of the output, a pyarrow.Table with a row per experiment (and per time `t`): `experiment`,
+    `missing`, `infinite`, for measures `never`, and the statistics under the names in their files. `runs` is the
+    values that the runs were reduced to (`experiment`, `run`, `value`, finite only), where a figure shows them.
+    """
+
+    tables: Mapping[str, Any]
+    runs: Any
+    sql: str
+    note: str
+
+
+def coverage(frame: Frame) -> Coverage:
+    """What `samples` holds. Raises SierraError if nothing, UsageError if runs have several rows at one time."""
+    rows = frame.sql(_file("coverage")).to_pylist()
+    if not rows or all(row["first"] is None for row in rows):
+        raise SierraError("no run has written any row of this output yet; there is nothing to compute")
+    if doubled := sum(row["doubled"] for row in rows):
+        raise UsageError(
+            f"{_count(doubled, 'run')} with more than one row at the same time; statistics over runs need one value"
+            " per run and time: name the right column as `time`, or let the run write its own mean"
+        )
+    timed = [row for row in rows if row["first"] is not None]
+    return Coverage(
+        runs={row["experiment"]: row["runs"] for row in rows},
+        rows=sum(row["rows"] for row in rows),
+        most=max(row["most"] for row in rows),
+        first=min(row["first"] for row in timed),
+        last=max(row["last"] for row in timed),
+        untimed=sum(row["untimed"] for row in rows),
+    )
+
+
+def compute(
+    figure: Figure,
+    axes: Sequence[Axis],
+    frames: Mapping[str, Frame],
+    *,
+    planned: Mapping[int, int] | None = None,
+    known: Coverage | None = None,
+) -> Computed:
+    """What `figure` shows of the columns in `frames` (column's name → its samples).
+
+    `planned` is how many runs each experiment should have, so that absent ones are said; `known` spares the time to
+    look at the same output again. Raises SierraError where there is nothing to show, UsageError where the figure does
+    not fit the batch.
+    """
+    _check(figure, axes, frames)
+    seen = known or coverage(next(iter(frames.values())))
+    statistics = needed(figure)
+    notes: dict[str, None] = {}
+    tables, texts = {}, []
+    for column, frame in frames.items():
+        if over_time(figure, axes, seen):
+            table, text, how = _by_time(frame, statistics, seen)
+            notes |= dict.fromkeys(how)
+        else:
+            table, text = by_experiment(frame, figure.measure, statistics, seen, figure.threshold)
+        tables[column] = table
+        texts.append(text)
+    if not any(_total(table, "n") for table in tables.values()):
+        raise SierraError(f"no finite value in {', '.join(frames)}; there is nothing to draw")
+    runs = None
+    if figure.kind in ("box", "violin"):
+        runs = reduced(next(iter(frames.values())), figure.measure, figure.threshold)
+    counted = _note(figure, tables.values(), seen, planned)
+    return Computed(tables, runs, "\n\n".join(dict.fromkeys(texts)), "; ".join([*counted, *notes]))
+
+
+def default_figures(table: str, columns: Iterable[str], axes: Sequence[Axis], *, series: bool) -> dict[str, Figure]:
+    """The figures of an output for which none is asked: by name, two for each numeric column.
+
+    `series`: whether runs write more than one row, so that there is something to show over time.
+    """
+    kinds = ["timeseries"] if series else []
+    kinds.append("heatmap" if len(axes) == 2 else "summary")
+    return {
+        f"{table}_{column}_{kind}": Figure.model_validate({"kind": kind, "table": table, "column": column})
+        for column in columns
+        for kind in kinds
+    }
+
+
+def needed(figure: Figure) -> tuple[str, ...]:
+    """The statistics that a figure of this kind shows, each after those that its formula uses."""
+    match figure.kind:
+        case "box" | "violin":
+            wanted = ["median", "whiskers"]
+        case "stacked":
+            wanted = [CENTERS[figure.center][0]]
+        case _:
+            wanted = list(CENTERS[figure.center])
+    return _ordered(wanted)
+
+
+def over_time(figure: Figure, axes: Sequence[Axis], seen: Coverage) -> bool:
+    """Whether a figure has time as its axis; a stacked one has, if there is time and few enough experiments."""
+    if figure.kind == "stacked":
+        return seen.most > 1 and (len(seen.runs) <= 9 or not axes)
+    return figure.kind == "timeseries"
+
+
+def by_experiment(
+    frame: Frame, measure: str, statistics: Iterable[str], seen: Coverage, threshold: float | None = None
+) -> tuple[Any, str]:
+    """Statistics over the runs of each experiment, each run reduced by `measure`; and the statement."""
+    text = statement(_file(f"measures/{measure}"), "by_experiment", _ordered(statistics))
+    return _run(frame, text, seen, threshold=threshold)
+
+
+def by_time(frame: Frame, statistics: Iterable[str], seen: Coverage) -> tuple[Any, str]:
+    """Statistics over the runs of each experiment at each of their times; and the statement."""
+    text = statement("SELECT experiment, t, value FROM samples", "by_time", _ordered(statistics))
+    return _run(frame, text, seen)
+
+
+def resampled(
+    frame: Frame, grid: Sequence[float], statistics: Iterable[str], seen: Coverage, *, linear: bool = False
+) -> tuple[Any, str]:
+    """As `by_time`, at the times of `grid`, which need not be times of any run; and the statement."""
+    text = statement(_file("resample"), "by_time", _ordered(statistics))
+    return _run(frame, text, seen, grid=list(grid), linear=linear)
+
+
+def reduced(frame: Frame, measure: str, threshold: float | None = None) -> Any:
+    """The finite values that the runs are reduced to: `experiment`, `run`, `value`."""
+    text = (
+        f"WITH observations AS (\n{_file(f'measures/{measure}')})\n"
+        "SELECT experiment, run, value FROM observations WHERE isfinite(value) ORDER BY experiment, value, run"
+    )
+    return frame.sql(text, **_used(text, threshold=threshold))
+
+
+def statement(observations: str, grouping: str, statistics: Iterable[str]) -> str:
+    """A whole statement: the statistics of what `observations` selects, grouped `by_time` or `by_experiment`."""
+    keys = ("experiment", "t") if grouping == "by_time" else ("experiment",)
+    counts = ("missing", "infinite") if grouping == "by_time" else ("missing", "infinite", "never")
+    columns = ",\n".join([", ".join((*keys, *counts)), *(_file(f"statistics/{name}").rstrip() for name in statistics)])
+    return (
+        f"WITH observations AS (\n{observations.rstrip()}\n),\n"
+        f"grouped AS (\n{_file(grouping)})\n"
+        f"SELECT {columns}\nFROM grouped\nORDER BY {', '.join(keys)}"
+    )
+
+
+def _by_time(frame: Frame, statistics: Iterable[str], seen: Coverage) -> tuple[Any, str, list[str]]:
+    """At the runs' own times where most runs share them, else on a common time axis; and what to say of it."""
+    table, text = by_time(frame, statistics, seen)
+    mean_runs = sum(seen.runs.values()) / len(seen.runs)
+    if max(seen.runs.values()) == 1 or seen.rows / max(1, table.num_rows) >= mean_runs / 2:
+        return table, text, []
+    points = max(2, min(seen.most, GRID))
+    grid = [seen.first + (seen.last - seen.first) * k / (points - 1) for k in range(points)]
+    table, text = resampled(frame, grid, statistics, seen)
+    return table, text, [f"times differ: last values carried forward to {points} common ones"]
+
+
+def _run(frame: Frame, text: str, seen: Coverage, **params: Any) -> tuple[Any, str]:
+    most = max(seen.runs.values())
+    return frame.sql(text, **_used(text, t=_t(most), **params)), _documented(text, most, **params)
+
+
+def _used(text: str, **params: Any) -> dict[str, Any]:
+    return {name: value for name, value in params.items() if re.search(rf"\${name}\b", _code(text))}
+
+
+def _documented(text: str, most: int, **params: Any) -> str:
+    """The statement, after comments that say what its parameters stand for."""
+    said = {"t": f"quantiles of Student's t, p = {(1 + LEVEL) / 2}, for 1 … {max(1, most - 1)} degrees of freedom"}
+    for name, value in params.items():
+        said[name] = f"{len(value)} times from {value[0]} to {value[-1]}" if isinstance(value, list) else str(value)
+    return "".join(f"-- ${name}: {said[name]}\n" for name in _used(text, **said)) + text
+
+
+@cache
+def _t(most: int) -> list[float]:
+    """The quantiles for samples of up to `most` values; never empty, so that it has a type in SQL."""
+    return student_t.quantiles((1 + LEVEL) / 2, max(1, most - 1))
+
+
+def _ordered(wanted: Iterable[str]) -> tuple[str, ...]:
+    """The wanted statistics and those that their formulas use, in the order of `STATISTICS`; n always."""
+    found = {"n"}
+    queue = list(wanted)
+    while queue:
+        name = queue.pop()
+        found.add(name)
+        queue += STATISTICS[name]
+    return tuple(name for name in STATISTICS if name in found)
+
+
+@cache
+def _file(name: str) -> str:
+    return (HERE / f"{name}.sql").read_text(encoding="utf-8")
+
+
+def _code(text: str) -> str:
+    return re.sub(r"--[^\n]*", "", text)
+
+
+def _check(figure: Figure, axes: Sequence[Axis], frames: Mapping[str, Frame]) -> None:
+    if not frames:
+        raise UsageError(f"a {figure.kind} figure needs a column; name one with `column`")
+    if figure.kind == "heatmap" and len(axes) != 2:
+        raise UsageError(f"a heatmap needs two independent variables, this batch has {len(axes)}; use a summary")
+    if figure.kind != "stacked" and len(frames) != 1:
+        raise UsageError(f"a {figure.kind} figure shows one column, not {len(frames)}: {', '.join(frames)}")
+
+
+def _note(figure: Figure, tables: Iterable[Any], seen: Coverage, planned: Mapping[int, int] | None) -> list[str]:
+    """What a reader must know: n, and everything that is not in the numbers."""
+    tables = list(tables)
+    counts = [table.column("n").to_numpy() for table in tables]
+    low, high = int(min(n.min() for n in counts)), int(max(n.max() for n in counts))
+    notes = [f"n = {low}" if low == high else f"n = {low}–{high}"]
+    notes[0] = f"{_shown(figure, several=high > 1)}, {notes[0]}"
+    wanted = sum((planned or {}).values())
+    absent = sum(max(0, count - seen.runs.get(experiment, 0)) for experiment, count in (planned or {}).items())
+    if absent:
+        notes.append(f"{absent} of {_count(wanted, 'run')} absent")
+    for name, what in (("missing", "missing value"), ("infinite", "infinite value")):
+        if count := sum(_total(table, name) for table in tables):
+            notes.append(f"{_count(count, what)} left out")
+    mark = " (hollow)" if figure.kind == "summary" else ""
+    if never := sum(_total(table, "never") for table in tables if "never" in table.column_names):
+        notes.append(f"threshold never reached in {never} of {_count(sum(seen.runs.values()), 'run')}{mark}")
+    if seen.untimed:
+        notes.append(f"{_count(seen.untimed, 'row')} without a time left out")
+    return notes
+
+
+def _shown(figure: Figure, *, several: bool) -> str:
+    """What the marks of a figure stand for."""
+    center = figure.center.replace("iqm", "interquartile mean")
+    spread = "quartiles" if figure.center == "median" else "95 % CI"
+    match figure.kind:
+        case "box":
+            return "median, quartiles, whiskers to at most 1.5 IQR"
+        case "violin":
+            return "median, quartiles, each dot a run"
+        case "heatmap" | "stacked":
+            return center
+        case _:
+            return f"{center}, {spread if several else 'no interval'}"
+
+
+def _total(table: Any, column: str) -> int:
+    return int(table.column(column).to_numpy().sum())
+
+
+def _count(number: int, noun: str) -> str:
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"

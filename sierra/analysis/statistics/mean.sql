@@ -1,0 +1,2 @@
+-- mean = (x₁ + … + xₙ) / n
+list_avg(x) AS mean

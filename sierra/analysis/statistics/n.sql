@@ -1,0 +1,2 @@
+-- n: how many finite values there are
+len(x) AS n

@@ -1,0 +1,4 @@
+-- q1, q3: linear interpolation in the sorted values at position 1 + (n − 1) · p for p = ¼, ¾
+-- (type 7 of Hyndman and Fan 1996, numpy's default)
+x[1 + (n - 1) // 4] + (n - 1) % 4 / 4.0 * (x[least(n, 2 + (n - 1) // 4)] - x[1 + (n - 1) // 4]) AS q1,
+x[1 + 3 * (n - 1) // 4] + 3 * (n - 1) % 4 / 4.0 * (x[least(n, 2 + 3 * (n - 1) // 4)] - x[1 + 3 * (n - 1) // 4]) AS q3

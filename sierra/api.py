@@ -1,0 +1,147 @@
+"""SIERRA from Python: what the command line does, as functions that return values.
+
+    project = sierra.open(".")
+    summary = project.run("population_size.Log8", runs=10)
+    frame = project.sql("SELECT * FROM swarm WHERE batch = $b", b=summary.batch).to_pandas()
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from sierra import config
+from sierra.errors import Missing, NotFound, UsageError
+from sierra.paths import ProjectPaths
+from sierra.store import Store
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+    from sierra.pipeline import Plan, Summary, Watch
+
+
+class Project:
+    """One project: its `sierra.toml`, and the store beside it."""
+
+    def __init__(self, path: str | os.PathLike[str] = ".") -> None:
+        self._loaded = config.load(Path(path))
+        self.paths = ProjectPaths(self._loaded.root)
+
+    @property
+    def root(self) -> Path:
+        """The project's folder, absolute."""
+        return self._loaded.root
+
+    @property
+    def config(self) -> config.Project:
+        """What `sierra.toml` says."""
+        return self._loaded.config
+
+    @property
+    def store(self) -> Store:
+        """The project's store. Raises Missing where nothing has been run yet."""
+        return Store(self.paths.store)
+
+    def stored(self) -> Store | None:
+        """The project's store, if there is one yet."""
+        return self.store if self.paths.store.exists() else None
+
+    def plan(
+        self,
+        *query: str,
+        runs: int | None = None,
+        controller: str | None = None,
+        scenario: str | None = None,
+        sets: Sequence[tuple[str, str]] = (),
+    ) -> Plan:
+        """What a query would execute: the batch with all ids. `sets` are pairs of XPath and value."""
+        from sierra import pipeline
+
+        asked = pipeline.ask(self._loaded, query, runs=runs, controller=controller, scenario=scenario, sets=sets)
+        return pipeline.plan(self._loaded, asked)
+
+    def run(
+        self,
+        *query: str,
+        runs: int | None = None,
+        controller: str | None = None,
+        scenario: str | None = None,
+        sets: Sequence[tuple[str, str]] = (),
+        jobs: int | None = None,
+        fail_fast: bool = False,
+        figures: bool = True,
+        watch: Watch | None = None,
+    ) -> Summary:
+        """Answer a query: execute what is missing, record it, draw the figures.
+
+        `jobs` is how many runs execute at a time (default: usable cores). `watch` hears of the progress.
+        """
+        plan = self.plan(*query, runs=runs, controller=controller, scenario=scenario, sets=sets)
+        return self.execute(plan, jobs=jobs, fail_fast=fail_fast, figures=figures, watch=watch)
+
+    def execute(
+        self,
+        plan: Plan,
+        *,
+        jobs: int | None = None,
+        fail_fast: bool = False,
+        figures: bool = True,
+        watch: Watch | None = None,
+    ) -> Summary:
+        """Answer a query that is planned already."""
+        from sierra import pipeline
+        from sierra.provenance.environment import usable_cores
+
+        slots = usable_cores() if jobs is None else jobs
+        if slots < 1:
+            raise UsageError(f"{slots} runs at a time; ask for 1 or more")
+        store = Store.create(self.paths.store)
+        summary = pipeline.run(plan, store, slots=slots, fail_fast=fail_fast, watch=watch or (lambda progress: None))
+        if not figures or summary.interrupted or summary.missing + summary.failed == summary.runs:
+            return summary
+        drawn, notes = self._deliver(summary.batch)
+        return replace(summary, figures=tuple(map(str, drawn)), notes=(*summary.notes, *notes))
+
+    def sql(self, text: str, **parameters: Any) -> pa.Table:
+        """The answer to one SQL statement as an Arrow table (`.to_pandas()` makes it a data frame).
+
+        `$name` in the statement takes its value from the keyword. Raises SqlError.
+        """
+        return self.store.sql(text, **parameters)
+
+    @property
+    def batches(self) -> list[dict[str, Any]]:
+        """All batches, the last asked for last; see `sierra.listing.batches`."""
+        from sierra import listing
+
+        return listing.batches(self.store)
+
+    def show(self, prefix: str) -> dict[str, Any]:
+        """What is recorded of a batch, an experiment, a run or an execution, by a beginning of its id."""
+        from sierra import listing
+
+        return listing.show(self.store, prefix)
+
+    def figures(self, prefix: str | None = None, name: str | None = None) -> list[Path]:
+        """Draw a batch's figures again (all, or the one called `name`); the files. Default: the last batch."""
+        if prefix is None:
+            known = self.batches
+            if not known:
+                raise Missing("no batch is recorded yet; sierra run makes one")
+            batch = known[-1]["batch"]
+        else:
+            found = self.store.resolve(prefix)
+            if found.batch is None or found.kind != "batch":
+                raise NotFound(f"{prefix!r} is a {found.kind}; figures are of a batch")
+            batch = found.id
+        drawn, _ = self._deliver(batch, name)
+        return drawn
+
+    def _deliver(self, batch: str, name: str | None = None) -> tuple[list[Path], list[str]]:
+        from sierra import deliver
+
+        return deliver.figures(self._loaded, self.store, batch, name)

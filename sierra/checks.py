@@ -1,0 +1,101 @@
+"""What SIERRA needs and can use on this machine and in this project, and what to do where it is not there."""
+
+from __future__ import annotations
+
+import os
+import platform
+import shutil
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+from typing import Literal
+
+from sierra.errors import SierraError
+from sierra.provenance.environment import usable_cores
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """One thing that was looked at. `missing` is needed, `absent` is optional."""
+
+    name: str
+    state: Literal["ok", "absent", "missing"]
+    found: str
+    remedy: str = ""
+
+
+LIBRARIES = ("duckdb", "pyarrow", "lxml", "pydantic", "matplotlib", "seaborn", "typer", "rich")
+
+
+def all_checks() -> list[Check]:
+    """Everything, the machine first."""
+    return [check for part in (_machine, _libraries, _programs, _project) for check in part()]
+
+
+def _machine() -> Iterator[Check]:
+    version = platform.python_version()
+    fits = sys.version_info >= (3, 11)
+    yield Check("python", "ok" if fits else "missing", f"{version} ({sys.executable})", "" if fits else "install 3.11 or newer")
+    yield Check("cores", "ok", f"{usable_cores()} usable")
+    free = shutil.disk_usage(Path.cwd()).free
+    room = free > 1 << 30
+    yield Check("disk", "ok" if room else "missing", f"{free / 1e9:.1f} GB free here", "" if room else "free some room")
+    reaper = Path(f"/proc/self/task/{os.getpid()}/children").exists()
+    yield Check(
+        "process supervision",
+        "ok" if reaper else "absent",
+        "escaped processes are found and ended" if reaper else "processes that leave their group are not found",
+        "" if reaper else "Linux with CONFIG_PROC_CHILDREN",
+    )
+
+
+def _libraries() -> Iterator[Check]:
+    for name in LIBRARIES:
+        try:
+            yield Check(name, "ok", metadata.version(name))
+        except metadata.PackageNotFoundError:
+            yield Check(name, "missing", "not installed", f"pip install {name}")
+    try:
+        yield Check("mujoco", "ok", metadata.version("mujoco"))
+    except metadata.PackageNotFoundError:
+        yield Check("mujoco", "absent", "not installed", "needed for the example: pip install 'mujoco>=4,<4.1'")
+
+
+def _programs() -> Iterator[Check]:
+    path = shutil.which("git")
+    remedy = "" if path else "projects in git need it: install git"
+    yield Check("git", "ok" if path else "absent", path or "not installed", remedy)
+
+
+def _project() -> Iterator[Check]:
+    import sierra
+    from sierra import inputs, jobs, platforms
+    from sierra.provenance import programs
+
+    try:
+        project = sierra.open()
+    except SierraError as error:
+        yield Check("project", "absent" if error.exit_code == 3 else "missing", str(error))
+        return
+    yield Check("project", "ok", str(project.root / "sierra.toml"))
+
+    def find_program() -> str:
+        platform = platforms.find(project.config.platform, project.config)
+        words = jobs.fill(jobs.command(platform, project.root), project.root)
+        path = jobs.search_path(jobs.environment(platform, project.config))
+        return programs.find(words, path, project.root).all[0].path
+
+    template = project.config.template
+    yield _tried("template", lambda: f"{template}, {inputs.read(project.root / template).sha256[:10]}")
+    yield _tried("command", find_program)
+    if project.paths.store.exists():
+        yield _tried("store", lambda: f"{len(project.batches)} batches")
+
+
+def _tried(name: str, what: Callable[[], str]) -> Check:
+    try:
+        return Check(name, "ok", what())
+    except SierraError as error:
+        return Check(name, "missing", str(error))

@@ -1,0 +1,55 @@
+"""The command line: each command parses, calls one function, prints."""
+
+from __future__ import annotations
+
+import os
+import sys
+from typing import NoReturn
+
+from sierra.cli.app import app
+from sierra.errors import SierraError
+
+
+def main() -> NoReturn:
+    """The program `sierra`. Ends with the exit codes of `sierra.errors`; no traceback reaches a user."""
+    try:
+        code = app(standalone_mode=False)
+    except SierraError as error:
+        code = _say(str(error), error.exit_code)
+    except KeyboardInterrupt:
+        code = _say("interrupted", 130)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        code = 0
+    except Exception as error:
+        code = _other(error)
+    sys.exit(code if isinstance(code, int) else 0)
+
+
+def _other(error: Exception) -> int:
+    """What typer raises of its own, and what nobody foresaw."""
+    if hasattr(error, "show") and hasattr(error, "exit_code"):
+        error.show()
+        return int(error.exit_code)
+    if type(error).__name__ == "Abort":
+        return _say("interrupted", 130)
+    if isinstance(error, OSError):
+        where = f"{error.filename}: " if error.filename else ""
+        return _say(f"{where}{error.strerror or error}", 3)
+    return _unforeseen(error)
+
+
+def _unforeseen(error: Exception) -> int:
+    import tempfile
+    import traceback
+
+    if os.environ.get("SIERRA_DEBUG"):
+        raise error
+    with tempfile.NamedTemporaryFile("w", prefix="sierra-error-", suffix=".txt", delete=False) as file:
+        traceback.print_exception(error, file=file)
+    return _say(f"a fault in SIERRA itself: {type(error).__name__}: {error}; please report it with {file.name}", 1)
+
+
+def _say(message: str, code: int) -> int:
+    print("sierra: " + " ".join(message.split("\n")), file=sys.stderr)
+    return code

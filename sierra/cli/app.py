@@ -1,0 +1,44 @@
+"""All commands, by name. Nothing heavy is imported before a command runs."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from sierra.cli import deliver, doctor, init, look, run, schema, sql
+
+app = typer.Typer(
+    name="sierra",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+    help="From a research query to evidence that a stranger can check.",
+    epilog="Exit codes: 0 fine; 1 a run failed, or results differ; 2 usage; 3 something needed is missing; 130 interrupted.",
+)
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        from sierra.version import __version__
+
+        typer.echo(f"sierra {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[bool, typer.Option("--version", help="Say the version.", callback=_version, is_eager=True)] = False,
+) -> None:
+    """From a research query to evidence that a stranger can check."""
+
+
+app.command()(init.init)
+app.command()(run.run)
+app.command(name="ls")(look.ls)
+app.command()(look.show)
+app.command()(sql.sql)
+app.command()(deliver.figures)
+app.command()(doctor.doctor)
+app.command()(schema.schema)

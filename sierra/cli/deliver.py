@@ -1,0 +1,31 @@
+"""`sierra figures`: draw again."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+
+def figures(
+    prefix: Annotated[str | None, typer.Argument(metavar="[HASH]", help="The batch [default: the last asked for].")] = None,
+    name: Annotated[str | None, typer.Argument(metavar="[NAME]", help="One figure [default: all].")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print a JSON list of files instead.")] = False,
+) -> None:
+    """Draw the figures of a batch again, from what is recorded; nothing executes.
+
+    Examples:
+
+      sierra figures
+
+      sierra figures 3f9a1c coverage
+    """
+    import sierra
+    from sierra.cli.output import print_json
+
+    drawn = [str(path) for path in sierra.open().figures(prefix, name)]
+    if as_json:
+        print_json(drawn)
+    else:
+        for path in drawn:
+            print(path)

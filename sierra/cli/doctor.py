@@ -1,0 +1,31 @@
+"""`sierra doctor`: what is installed, what is missing, and what to do about it."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+
+def doctor(
+    as_json: Annotated[bool, typer.Option("--json", help="Print a JSON list instead.")] = False,
+) -> None:
+    """Say what is installed, what is missing, and what to do about it. Exit code 3 if something needed is missing.
+
+    Example:
+
+      sierra doctor
+    """
+    from dataclasses import asdict
+
+    from sierra import checks
+    from sierra.cli.output import print_json
+
+    found = checks.all_checks()
+    if as_json:
+        print_json([asdict(check) for check in found])
+    else:
+        for check in found:
+            print(f"{check.state:8} {check.name}: {check.found}{f' -> {check.remedy}' if check.remedy else ''}")
+    if any(check.state == "missing" for check in found):
+        raise typer.Exit(3)

@@ -1,0 +1,105 @@
+"""`sierra ls` and `sierra show`: what is in the store."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from sierra.api import Project
+
+
+def ls(
+    as_json: Annotated[bool, typer.Option("--json", help="Print a JSON list instead.")] = False,
+) -> None:
+    """List the batches, the last asked for last.
+
+    Example:
+
+      sierra ls
+    """
+    import sierra
+    from sierra.cli.output import print_json, table
+    from sierra.hashing import short
+
+    batches = sierra.open().batches
+    if as_json:
+        print_json(batches)
+        return
+    columns = ("batch", "asked", "query", "controller", "scenario", "experiments", "runs", "state")
+    rows = [
+        (
+            short(row["batch"]),
+            row["answered"] or row["created"],
+            row["query"],
+            row["controller"],
+            row["scenario"],
+            row["experiments"],
+            row["runs"],
+            _state(row),
+        )
+        for row in batches
+    ]
+    table(columns, rows, right=("experiments", "runs"))
+
+
+def show(
+    prefix: Annotated[str, typer.Argument(metavar="HASH", help="The beginning of an id, as `sierra ls` shows them.")],
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead.")] = False,
+) -> None:
+    """Show what is recorded of a batch, an experiment, a run or an execution.
+
+    Example:
+
+      sierra show 3f9a1c
+    """
+    import sierra
+    from sierra.cli.output import print_json
+
+    shown = sierra.open().show(prefix)
+    if as_json:
+        print_json(shown)
+    else:
+        _print(shown)
+
+
+def print_experiments(project: Project, batch: str) -> None:
+    """The experiments of a batch, with how many of their runs are good."""
+    from sierra.cli.output import table
+
+    experiments = project.show(batch)["experiments"]
+    columns = [name for name in experiments[0] if name not in ("experiment", "ordinal")]
+    table(columns, [[row.get(name) for name in columns] for row in experiments], right=("runs", "good", "failed"))
+
+
+def _state(row: dict[str, Any]) -> str:
+    parts = [f"{row[name]} {name}" for name in ("failed", "missing") if row[name]]
+    return ", ".join(parts) or "complete"
+
+
+def _print(shown: dict[str, Any]) -> None:
+    """Plain values first, then tables and logs."""
+    from sierra.cli.output import fields, table
+
+    plain = {name: value for name, value in shown.items() if not isinstance(value, dict | list) and name != "log"}
+    fields(plain)
+    for name, value in shown.items():
+        if isinstance(value, dict):
+            print(f"\n{name}:")
+            fields(value, "  ")
+        elif isinstance(value, list) and value:
+            print(f"\n{name}:")
+            if isinstance(value[0], dict):
+                columns = list(dict.fromkeys(key for row in value for key in row if key != "log"))
+                table(columns, [[_short(row.get(column)) for column in columns] for row in value])
+            else:
+                print("  " + ", ".join(map(str, value)))
+    if shown.get("log"):
+        print("\nlog:\n" + shown["log"])
+
+
+def _short(value: Any) -> Any:
+    """Ids in tables as people read them."""
+    is_id = isinstance(value, str) and len(value) == 64 and not value.strip("0123456789abcdef")
+    return value[:10] if is_id else value

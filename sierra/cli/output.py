@@ -1,0 +1,62 @@
+"""How answers are printed: tables for people, JSON for programs."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterable, Mapping, Sequence
+from datetime import datetime
+from typing import Any
+
+
+def print_json(value: Any) -> None:
+    """One JSON value; times as ISO 8601."""
+    print(json.dumps(value, indent=2, default=_plain))
+
+
+def table(columns: Sequence[str], rows: Iterable[Sequence[Any]], *, right: Iterable[str] = ()) -> None:
+    """A table without lines, as wide as its content; long texts are not cut when nobody watches."""
+    texts = [[cell(value) for value in row] for row in rows]
+    widths = [max([len(column), *(len(row[place]) for row in texts)]) for place, column in enumerate(columns)]
+    to_the_right = set(right)
+    for row in ([*columns], *texts):
+        padded = [
+            text.rjust(width) if column in to_the_right else text.ljust(width)
+            for text, width, column in zip(row, widths, columns, strict=True)
+        ]
+        print("  ".join(padded).rstrip())
+
+
+def cell(value: Any) -> str:
+    """A value in a table: numbers short, times to the second, one line."""
+    match value:
+        case None:
+            return ""
+        case bool():
+            return "yes" if value else "no"
+        case float():
+            return f"{value:.6g}"
+        case datetime():
+            return value.strftime("%Y-%m-%d %H:%M:%S")
+        case _:
+            return " ".join(str(value).split("\n"))
+
+
+def fields(record: Mapping[str, Any], indent: str = "") -> None:
+    """Names and values, a line each."""
+    width = max((len(name) for name in record), default=0)
+    for name, value in record.items():
+        print(f"{indent}{name.ljust(width)}  {cell(value)}")
+
+
+def note(message: str) -> None:
+    """Something that a user should know, and no answer."""
+    print(f"note: {message}", file=sys.stderr)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, datetime):
+        return value.isoformat()
+    if isinstance(value, bytes):
+        return value.decode("utf-8", "replace")
+    return str(value)

@@ -1,0 +1,96 @@
+"""How far an asking has come, while it is answered: a bar on a terminal, a line now and then elsewhere."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+from sierra.pipeline import Progress
+
+PLAIN_S = 5.0
+
+
+@contextlib.contextmanager
+def watching(*, quiet: bool) -> Iterator[Callable[[Progress], None]]:
+    """What to tell progress to; it is shown on standard error."""
+    if quiet:
+        yield lambda progress: None
+    elif sys.stderr.isatty():
+        with _Bar() as bar:
+            yield bar.show
+    else:
+        yield _Lines().show
+
+
+class _Lines:
+    """Plain lines, for logs."""
+
+    def __init__(self) -> None:
+        self._began = self._said = time.monotonic()
+        self._last = ""
+
+    def show(self, progress: Progress) -> None:
+        now = time.monotonic()
+        if now - self._said >= PLAIN_S:
+            line = text(progress, now - self._began)
+            if line != self._last:
+                print(line, file=sys.stderr, flush=True)
+            self._said, self._last = now, line
+
+
+class _Bar:
+    """One line that is drawn again and again."""
+
+    def __init__(self) -> None:
+        from rich.console import Console
+        from rich.progress import BarColumn, TextColumn
+        from rich.progress import Progress as Bars
+
+        self._began = time.monotonic()
+        self._bars: Any = Bars(
+            BarColumn(bar_width=24), TextColumn("{task.description}"), console=Console(stderr=True), transient=True
+        )
+        self._task: Any = None
+
+    def __enter__(self) -> _Bar:
+        self._bars.start()
+        self._task = self._bars.add_task("", total=None)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._bars.stop()
+
+    def show(self, progress: Progress) -> None:
+        self._bars.update(
+            self._task,
+            total=progress.total,
+            completed=progress.reused + progress.done,
+            description=text(progress, time.monotonic() - self._began),
+        )
+
+
+def text(progress: Progress, seconds: float) -> str:
+    """Progress in words: how many are done, failed, running; how fast; how much longer."""
+    done = progress.reused + progress.done
+    parts = [f"{done}/{progress.total} runs"]
+    if progress.failed:
+        parts.append(f"{progress.failed} failed")
+    if progress.running:
+        parts.append(f"{progress.running} running")
+    if progress.elsewhere:
+        parts.append(f"{progress.elsewhere} in another session")
+    if progress.done and seconds > 0:
+        rate = progress.done / seconds
+        parts.append(f"{rate:.1f}/s")
+        parts.append(f"{_duration((progress.total - done) / rate)} left")
+    return ", ".join(parts)
+
+
+def _duration(seconds: float) -> str:
+    whole = round(seconds)
+    hours, rest = divmod(whole, 3600)
+    minutes, seconds_left = divmod(rest, 60)
+    return f"{hours}:{minutes:02}:{seconds_left:02}" if hours else f"{minutes}:{seconds_left:02}"

@@ -1,0 +1,170 @@
+"""`sierra run`: answer a research query."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from sierra.errors import UsageError
+
+if TYPE_CHECKING:
+    from sierra.api import Project
+    from sierra.pipeline import Plan, State, Summary
+
+EXAMPLES = """Examples:
+
+  sierra run population_size.Log8 --runs 10
+
+  sierra run noise=0:1:5 scenario=open,cluttered -j 4
+
+  sierra run scalability --explain
+"""
+
+
+def run(
+    query: Annotated[
+        list[str],
+        typer.Argument(metavar="QUERY...", help="Criteria (population_size.Log8, noise=0:1:5, …), or a query of sierra.toml."),
+    ],
+    runs: Annotated[int | None, typer.Option("--runs", metavar="N", help="Runs per experiment.")] = None,
+    controller: Annotated[str | None, typer.Option("--controller", help="The controller of all experiments.")] = None,
+    scenario: Annotated[str | None, typer.Option("--scenario", help="The scenario of all experiments.")] = None,
+    sets: Annotated[
+        list[str] | None, typer.Option("--set", metavar="XPATH=VALUE", help="Change the template in all runs. May be repeated.")
+    ] = None,
+    jobs: Annotated[int | None, typer.Option("-j", "--jobs", metavar="N", help="Runs at a time [default: cores].")] = None,
+    dry_run: Annotated[bool, typer.Option("-n", "--dry-run", help="Say what would execute, and execute nothing.")] = False,
+    explain: Annotated[bool, typer.Option("--explain", help="Say why runs execute or are reused.")] = False,
+    fail_fast: Annotated[bool, typer.Option("--fail-fast", help="End all at the first run that fails.")] = False,
+    no_figures: Annotated[bool, typer.Option("--no-figures", help="Draw nothing.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead.")] = False,
+) -> None:
+    """Answer a research query: execute what is missing, record it, draw the figures."""
+    import sierra
+    from sierra.cli.output import note, print_json
+    from sierra.cli.progress import watching
+
+    project = sierra.open()
+    plan = project.plan(*query, runs=runs, controller=controller, scenario=scenario, sets=[split(text) for text in sets or ()])
+    if dry_run or explain:
+        told = _preview(project, plan, explain=explain, as_json=as_json and dry_run)
+        if dry_run:
+            if as_json:
+                print_json(told)
+            return
+    with watching(quiet=as_json) as watch:
+        summary = project.execute(plan, jobs=jobs, fail_fast=fail_fast, figures=not no_figures, watch=watch)
+    for text in summary.notes:
+        note(text)
+    if as_json:
+        print_json(_answer(summary))
+    else:
+        _print(project, summary)
+    if summary.interrupted:
+        raise typer.Exit(130)
+    if summary.failed or summary.missing:
+        raise typer.Exit(1)
+
+
+run.__doc__ = f"{run.__doc__}\n\n{EXAMPLES}"
+
+
+def split(text: str) -> tuple[str, str]:
+    """XPATH=VALUE at the first `=` that is not within brackets or quotes. Raises UsageError."""
+    depth, quote = 0, ""
+    for place, character in enumerate(text):
+        if quote:
+            quote = "" if character == quote else quote
+        elif character in "'\"":
+            quote = character
+        elif character in "[(":
+            depth += 1
+        elif character in ")]":
+            depth -= 1
+        elif character == "=" and depth == 0 and place:
+            return text[:place], text[place + 1 :]
+    raise UsageError(f"--set {text!r}: write it as XPATH=VALUE, as in --set \"//numeric[@name='noise']/@data=0.5\"")
+
+
+def _answer(summary: Summary) -> dict[str, Any]:
+    names = ("batch", "query", "experiments", "runs", "executed", "reused", "failed", "missing", "interrupted")
+    answer: dict[str, Any] = {name: getattr(summary, name) for name in names}
+    answer["figures"] = list(summary.figures)
+    answer["failures"] = [asdict(failure) for failure in summary.failures]
+    answer["notes"] = list(summary.notes)
+    return answer
+
+
+def _preview(project: Project, plan: Plan, *, explain: bool, as_json: bool) -> dict[str, Any]:
+    """What would execute, and (with `explain`) why."""
+    from sierra import pipeline
+    from sierra.cli.output import table
+    from sierra.explain import why_new
+    from sierra.hashing import short
+
+    store = project.stored()
+    states = pipeline.states(plan, store)
+    todo = sum(not state.good for state in states.values())
+    reasons = Counter(state.why for state in states.values())
+    told: dict[str, Any] = {
+        "batch": plan.batch.id,
+        "query": plan.text,
+        "experiments": len(plan.batch.experiments),
+        "runs": len(states),
+        "to_execute": todo,
+        "reused": len(states) - todo,
+        "reasons": dict(reasons),
+        "new_because": why_new(plan, store) if explain and reasons["new"] else [],
+    }
+    if as_json:
+        return told
+    print(f"batch {short(plan.batch.id)}: {plan.text}")
+    axes = [axis.name for axis in plan.batch.axes]
+    rows = [_row(experiment.values, [states[run.id] for run in experiment.runs]) for experiment in plan.batch.experiments]
+    table([*axes, "runs", "to execute"], rows, right=["runs", "to execute"])
+    if explain:
+        for reason, count in reasons.most_common():
+            print(f"{count} runs: {reason}")
+        for line in told["new_because"]:
+            print(f"  {line}")
+    else:
+        print(f"{todo} of {len(states)} runs would execute")
+    return told
+
+
+def _row(values: Mapping[str, Any], states: list[State]) -> list[Any]:
+    return [*values.values(), len(states), sum(not state.good for state in states)]
+
+
+def _print(project: Project, summary: Summary) -> None:
+    from sierra.cli.look import print_experiments
+    from sierra.hashing import short
+
+    print(f"batch {short(summary.batch)}: {summary.query}")
+    print_experiments(project, summary.batch)
+    failed = f", {summary.failed} failed" if summary.failed else ""
+    missing = f", {summary.missing} not executed" if summary.missing else ""
+    print(f"{summary.runs} runs: {summary.executed} executed, {summary.reused} reused{failed}{missing}")
+    _print_failures(summary)
+    if summary.figures:
+        print("figures:")
+        for path in summary.figures:
+            if path.endswith(".png"):
+                print(f"  {path} (and .pdf, .svg)")
+
+
+def _print_failures(summary: Summary) -> None:
+    from sierra.hashing import short
+
+    for failure in summary.failures:
+        values = ", ".join(f"{name}={value}" for name, value in failure.experiment.items())
+        print(f"failed: {short(failure.run)} ({values}, run {failure.number}): {failure.reason}")
+        for line in (failure.log or "").splitlines()[-5:]:
+            print(f"    {line}")
+    more = summary.failed - len(summary.failures)
+    if more > 0:
+        print(f"and {more} more: sierra show {short(summary.batch)}")

@@ -1,0 +1,49 @@
+"""`sierra schema`: what `sierra.toml` may hold, and what the store's tables mean."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def schema(
+    name: Annotated[str | None, typer.Argument(metavar="[TABLE]", help="One table of the store [default: all].")] = None,
+    toml: Annotated[bool, typer.Option("--toml", help="The JSON Schema of sierra.toml instead.")] = False,
+    write: Annotated[
+        Path | None, typer.Option("--write", metavar="FOLDER", help="Write both there, as in the project's schemas/.")
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="The tables as JSON.")] = False,
+) -> None:
+    """Say what the store's tables and columns mean, with their units; or what sierra.toml may hold.
+
+    Examples:
+
+      sierra schema executions
+
+      sierra schema --toml > sierra.toml.schema.json
+    """
+    from dataclasses import asdict
+
+    from sierra import schemas
+    from sierra.cli.output import print_json, table
+    from sierra.errors import NotFound
+
+    if write is not None:
+        schemas.write(write)
+        return
+    if toml:
+        print(schemas.toml(), end="")
+        return
+    tables = schemas.tables()
+    if name is not None and name not in tables:
+        raise NotFound(f"the store has no table {name!r} of its own; it has {', '.join(tables)} (sierra sql 'SHOW TABLES')")
+    chosen = [tables[name]] if name else list(tables.values())
+    if as_json:
+        print_json([asdict(one) for one in chosen])
+        return
+    for one in chosen:
+        print(f"{one.name}: {one.meaning}")
+        table(("column", "type", "unit", "meaning"), [(c.name, c.type, c.unit, c.meaning) for c in one.columns])
+        print()

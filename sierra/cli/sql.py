@@ -1,0 +1,174 @@
+"""`sierra sql`: ask the store."""
+
+from __future__ import annotations
+
+import sys
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from sierra.errors import SqlError, UsageError
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+    from sierra.store import Store
+
+SHOWN_ROWS = 200
+
+
+class Format(StrEnum):
+    """How the answer is written."""
+
+    table = "table"
+    csv = "csv"
+    json = "json"
+    markdown = "markdown"
+    parquet = "parquet"
+
+
+def sql(
+    statement: Annotated[
+        str | None, typer.Argument(help="One SQL statement; `-` reads it from standard input; without: a prompt.")
+    ] = None,
+    format: Annotated[Format, typer.Option("--format", "-f", help="How the answer is written.")] = Format.table,
+    output: Annotated[Path | None, typer.Option("--output", "-o", metavar="FILE", help="Write it to a file.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Short for --format json.")] = False,
+) -> None:
+    """Ask the store in SQL (DuckDB's). Nothing is changed, and nothing but the store can be read.
+
+    Examples:
+
+      sierra sql "SELECT population_size, avg(coverage) FROM swarm GROUP BY ALL ORDER BY ALL"
+
+      sierra sql "SHOW TABLES"
+
+      sierra sql "DESCRIBE executions"
+
+      sierra sql "FROM runs" --format parquet -o runs.parquet
+    """
+    import sierra
+
+    store = sierra.open().store
+    if statement is None:
+        _prompt(store)
+        return
+    text = sys.stdin.read() if statement == "-" else statement
+    if not text.strip():
+        raise UsageError('no statement; ask something, as in: sierra sql "SHOW TABLES"')
+    write(store.sql(text), Format.json if as_json else format, output)
+
+
+def write(answer: pa.Table, format: Format, output: Path | None) -> None:
+    """An answer in a format, to a file or to standard output."""
+    if output is None and format is Format.parquet and sys.stdout.isatty():
+        raise UsageError("Parquet is not for a terminal; say where with -o FILE")
+    data = FORMATS[format](answer)
+    if output is not None:
+        output.write_bytes(data)
+        return
+    sys.stdout.flush()
+    sys.stdout.buffer.write(data)
+    sys.stdout.buffer.flush()
+
+
+def _rows(answer: pa.Table) -> list[dict[str, Any]]:
+    rows: list[dict[str, Any]] = answer.to_pylist()
+    return rows
+
+
+def _table(answer: pa.Table) -> bytes:
+    import contextlib
+    import io
+
+    from sierra.cli.output import table
+
+    text = io.StringIO()
+    right = [field.name for field in answer.schema if str(field.type).startswith(("int", "double", "uint", "decimal"))]
+    with contextlib.redirect_stdout(text):
+        table(answer.column_names, [list(row.values()) for row in _rows(answer.slice(0, SHOWN_ROWS))], right=right)
+        if answer.num_rows > SHOWN_ROWS:
+            print(f"({answer.num_rows} rows, {SHOWN_ROWS} of them shown; --format csv writes all)")
+    return text.getvalue().encode()
+
+
+def _csv(answer: pa.Table) -> bytes:
+    import csv
+    import io
+
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(answer.column_names)
+    writer.writerows(row.values() for row in _rows(answer))
+    return text.getvalue().encode()
+
+
+def _json(answer: pa.Table) -> bytes:
+    import json
+
+    from sierra.cli.output import _plain
+
+    return json.dumps(_rows(answer), indent=2, default=_plain).encode() + b"\n"
+
+
+def _markdown(answer: pa.Table) -> bytes:
+    from sierra.cli.output import cell
+
+    lines = [answer.column_names, ["---"] * answer.num_columns]
+    lines += [[cell(value).replace("|", "\\|") for value in row.values()] for row in _rows(answer)]
+    return "".join("| " + " | ".join(line) + " |\n" for line in lines).encode()
+
+
+def _parquet(answer: pa.Table) -> bytes:
+    import io
+
+    import pyarrow.parquet as pq
+
+    data = io.BytesIO()
+    pq.write_table(answer, data, compression="zstd")
+    return data.getvalue()
+
+
+FORMATS = {
+    Format.table: _table,
+    Format.csv: _csv,
+    Format.json: _json,
+    Format.markdown: _markdown,
+    Format.parquet: _parquet,
+}
+
+
+def _prompt(store: Store) -> None:
+    """Statements, one after the other, each ended by a semicolon or an empty line."""
+    import contextlib
+
+    with contextlib.suppress(ImportError):
+        import readline  # noqa: F401
+    interactive = sys.stdin.isatty()
+    if interactive:
+        print("One statement, then ; or an empty line. SHOW TABLES lists tables, Ctrl-D ends.")
+    lines: list[str] = []
+    while True:
+        try:
+            line = input(("sql> " if not lines else "...> ") if interactive else "")
+        except EOFError:
+            line, ended = "", True
+        else:
+            ended = False
+        lines.append(line)
+        if ended or not line.strip() or line.rstrip().endswith(";"):
+            _answer(store, "\n".join(lines))
+            lines = []
+        if ended:
+            return
+
+
+def _answer(store: Store, text: str) -> None:
+    if not text.strip(" ;\n"):
+        return
+    try:
+        write(store.sql(text), Format.table, None)
+    except SqlError as error:
+        print(f"sierra: {error}", file=sys.stderr)

@@ -1,0 +1,354 @@
+"""`sierra.toml`: what people write, parsed once and trusted from there on.
+
+The same table may stand in `pyproject.toml` as `[tool.sierra]`. Unknown keys are errors that name the
+nearest right one. `schemas/sierra.toml.schema.json` is generated from these classes.
+"""
+
+from __future__ import annotations
+
+import difflib
+import re
+import shlex
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeVar
+
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    PositiveFloat,
+    PositiveInt,
+    StringConstraints,
+    ValidationError,
+    model_validator,
+)
+
+from sierra.errors import ConfigError, Missing
+from sierra.paths import CONFIG, PYPROJECT
+
+Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z_][A-Za-z0-9_]*$")]
+"""A name that is also a column in SQL."""
+Scalar = str | int | float
+OptionsT = TypeVar("OptionsT", bound=BaseModel)
+
+
+def _as_words(value: Any) -> Any:
+    """A command may be written as one line; it is split as a shell would, but never runs in one."""
+    return shlex.split(value) if isinstance(value, str) else value
+
+
+def _as_text(value: Any) -> Any:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    return str(value) if isinstance(value, int | float) else value
+
+
+Text = Annotated[str, BeforeValidator(_as_text)]
+
+
+class Table(BaseModel):
+    """A table of `sierra.toml`: no unknown key, and nothing changes after reading."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class ChangeTable(Table):
+    """One change to the template: exactly one of `set`, `add`, `remove`, `rename`, each an XPath."""
+
+    set: str | None = Field(None, description="XPath of attributes or elements to give `value` to")
+    add: str | None = Field(None, description="XPath of the parents that `xml` is put into")
+    remove: str | None = Field(None, description="XPath of elements or attributes to take away")
+    rename: str | None = Field(None, description="XPath of elements to give the tag `to`")
+    value: Text | None = Field(
+        None, description="for `set`: the new value; `{…}` is an expression of axes, as in `{population_size * 2}`; `{{` is a brace"
+    )
+    attribute: str | None = Field(None, description="for `set`: the attribute, added where it is absent")
+    xml: str | None = Field(None, description="for `add`: the element, as XML")
+    at: int | None = Field(None, ge=0, description="for `add`: the index among the children; last where absent")
+    to: str | None = Field(None, description="for `rename`: the new tag")
+    expect: PositiveInt | None = Field(None, description="how many matches there must be; at least one where absent")
+
+    @model_validator(mode="after")
+    def _one_operation(self) -> ChangeTable:
+        needs = {
+            "set": {"value", "attribute"},
+            "add": {"xml", "at"},
+            "remove": set[str](),
+            "rename": {"to"},
+        }
+        given = [name for name in needs if getattr(self, name) is not None]
+        if len(given) != 1:
+            raise ValueError("a change has exactly one of set, add, remove, rename")
+        operation = given[0]
+        for other in ("value", "attribute", "xml", "at", "to"):
+            if getattr(self, other) is not None and other not in needs[operation]:
+                raise ValueError(f"{other!r} does not go with {operation!r}")
+        required = {"add": "xml", "rename": "to"}.get(operation)
+        if required and getattr(self, required) is None:
+            raise ValueError(f"{operation!r} needs {required!r}")
+        return self
+
+
+class Variable(Table):
+    """An independent variable: what one value of it changes in the template.
+
+    The short form `name = "XPATH"` sets what the XPath selects to the value.
+    """
+
+    set: str | None = Field(None, description="XPath of what gets the value itself")
+    changes: tuple[ChangeTable, ...] = Field((), description="further changes; `{name}` is the value")
+    label: str = Field("", description="what figures call it")
+    unit: str = Field("", description="its unit, for figures")
+
+    @model_validator(mode="after")
+    def _something(self) -> Variable:
+        if not self.set and not self.changes:
+            raise ValueError('a variable needs "set" or "changes"')
+        if any(change.set and change.value is None for change in self.changes):
+            raise ValueError('a "set" in "changes" needs a "value"')
+        return self
+
+
+class Seed(Table):
+    """Where the seed goes and where it comes from. The short form is the XPath alone."""
+
+    set: str | None = Field(None, description="XPath of what gets the seed")
+    base: int = Field(0, ge=0, description="the number that all seeds derive from")
+    independent: bool = Field(False, description="other seeds in each experiment (default: the same, common random numbers)")
+
+
+class Group(Table):
+    """A controller or a scenario: a named group of changes."""
+
+    changes: tuple[ChangeTable, ...] = ()
+    label: str = ""
+
+
+class Output(Table):
+    """One kind of file that runs write, and the table that it becomes."""
+
+    file: str = Field(description="path or glob, relative to the run's output folder")
+    format: Literal["csv", "parquet", "jsonl", "file"] | None = Field(None, description="by the file's ending where absent")
+    delimiter: str = Field("", description="of a CSV; found out where absent")
+    header: bool = Field(True, description="whether a CSV's first line holds the columns' names")
+    columns: tuple[Name, ...] = Field((), description="the columns' names of a CSV without header")
+    time: str = Field("", description="the column that is the time axis; the row's number where there is none")
+    required: bool = Field(True, description="whether a run without it has failed")
+    min_rows: int = Field(0, ge=0, description="a run with fewer has failed")
+    mismatch: Literal["strict", "ragged"] = Field(
+        "strict", description="other row counts than its siblings: fail the run, or keep it and report n per tick"
+    )
+    units: Mapping[str, str] = Field(default_factory=dict, description="the unit of each column")
+
+    @property
+    def kind(self) -> str:
+        if self.format:
+            return self.format
+        ending = self.file.rsplit(".", 1)[-1].lower()
+        return {"csv": "csv", "tsv": "csv", "parquet": "parquet", "jsonl": "jsonl", "ndjson": "jsonl"}.get(ending, "file")
+
+
+class Success(Table):
+    """How a run shows that it succeeded, beyond exit status 0 and its required outputs."""
+
+    marker: str = Field("", description="a file in the output folder (or `stdout`, `stderr`) that must be there")
+    contains: str = Field("", description="a text that the marker file must contain")
+    exit_status: tuple[int, ...] = Field((0,), description="exit statuses that are success")
+
+
+class LimitsTable(Table):
+    """What one execution may use."""
+
+    wall: PositiveFloat | None = Field(None, description="seconds")
+    cpu: PositiveFloat | None = Field(None, description="seconds of CPU, of all its processes")
+    memory: str | int | None = Field(None, description="resident bytes of all its processes, as in `2 GiB`")
+    output: str | int | None = Field(None, description="bytes written to its folder, as in `500 MB`")
+    grace: PositiveFloat = Field(5.0, description="seconds between SIGTERM and SIGKILL")
+
+
+class Environment(Table):
+    """The variables that a run sees beside SIERRA's own."""
+
+    set: Mapping[str, Text] = Field(default_factory=dict, description="given to every run; part of its identity")
+    pass_: tuple[str, ...] = Field(
+        (), alias="pass", description="taken from the caller's environment, by name; part of its identity"
+    )
+
+
+class Source(Table):
+    """What of the project counts as the code that a run was made from."""
+
+    paths: tuple[str, ...] = Field((), description="files and folders; the whole project where absent")
+
+
+class QueryTable(Table):
+    """A research query with a name, for `sierra run NAME`."""
+
+    criteria: Annotated[tuple[str, ...], BeforeValidator(lambda v: v.split() if isinstance(v, str) else v)]
+    runs: PositiveInt | None = None
+    controller: str | None = None
+    scenario: str | None = None
+
+
+class Figure(Table):
+    """One figure. Without any, each numeric column of each output gets a time series and a summary."""
+
+    kind: Literal["timeseries", "summary", "box", "violin", "heatmap", "stacked"] = "timeseries"
+    table: str = Field("", description="the output; may be left out where there is only one")
+    columns: Annotated[tuple[str, ...], BeforeValidator(lambda v: [v] if isinstance(v, str) else v)] = Field(
+        (), alias="column", description="the column (for `stacked`: the columns)"
+    )
+    measure: Literal["final", "mean", "time_to"] = Field(
+        "final", description="what a run is reduced to: its last value, its mean over time, the time until `threshold`"
+    )
+    threshold: float | None = Field(None, description="for `time_to`")
+    center: Literal["mean", "median", "iqm"] = "mean"
+    title: str = ""
+    xlabel: str = ""
+    ylabel: str = ""
+    log_x: bool = False
+    log_y: bool = False
+
+    @model_validator(mode="after")
+    def _threshold(self) -> Figure:
+        if self.measure == "time_to" and self.threshold is None:
+            raise ValueError('measure "time_to" needs a "threshold"')
+        return self
+
+
+class Project(Table):
+    """`sierra.toml`."""
+
+    template: str = Field(description="the XML file that every run's input is made from")
+    command: Annotated[tuple[str, ...], BeforeValidator(_as_words)] = Field(
+        (),
+        description="the program and its arguments; {input}, {output}, {seed}, {project}, {python} stand for the run's own",
+    )
+    platform: str = Field("command", description="how the simulator is driven")
+    runs: PositiveInt = Field(10, description="runs per experiment")
+    controller: str | None = Field(None, description="the controller, where none is asked for")
+    scenario: str | None = Field(None, description="the scenario, where none is asked for")
+    seed: Annotated[Seed, BeforeValidator(lambda v: {"set": v} if isinstance(v, str) else v)] = Seed()
+    variables: Mapping[Name, Annotated[Variable, BeforeValidator(lambda v: {"set": v} if isinstance(v, str) else v)]] = Field(
+        default_factory=dict
+    )
+    changes: tuple[ChangeTable, ...] = Field((), description="made in every run of every batch")
+    per_run: Mapping[Name, tuple[Scalar, ...]] = Field(
+        default_factory=dict, description="lists: run number n may use item n, as `{name}` in `run_changes`"
+    )
+    run_changes: tuple[ChangeTable, ...] = Field(
+        (), description="made in each run; may use {seed}, {run} and the lists of per_run"
+    )
+    controllers: Mapping[Name, Group] = Field(default_factory=dict)
+    scenarios: Mapping[Name, Group] = Field(default_factory=dict)
+    outputs: Mapping[Name, Output] = Field(default_factory=dict)
+    success: Success = Success()
+    limits: LimitsTable = LimitsTable()
+    environment: Environment = Environment()
+    source: Source = Source()
+    queries: Mapping[Name, QueryTable] = Field(default_factory=dict)
+    figures: Mapping[Name, Figure] = Field(default_factory=dict)
+    platforms: Mapping[str, Mapping[str, Any]] = Field(default_factory=dict, description="options of platforms, by name")
+
+
+@dataclass(frozen=True, slots=True)
+class LoadedProject:
+    """A project: its root (absolute), the file it was read from, and what stands there."""
+
+    root: Path
+    file: Path
+    config: Project
+
+
+def load(folder: Path) -> LoadedProject:
+    """The project that `folder` lies in: the nearest `sierra.toml` or `[tool.sierra]` here or above.
+
+    Raises ConfigError for what is wrong in it, Missing where there is none.
+    """
+    folder = folder.resolve()
+    for root in (folder, *folder.parents):
+        file = root / CONFIG
+        if file.is_file():
+            return LoadedProject(root, file, parse(_read_toml(file), str(file)))
+        file = root / PYPROJECT
+        if file.is_file() and (table := _read_toml(file).get("tool", {}).get("sierra")) is not None:
+            return LoadedProject(root, file, parse(table, f"{file} [tool.sierra]"))
+    raise Missing(f"no {CONFIG} in {folder} or above it; make one with: sierra init")
+
+
+def parse(table: Mapping[str, Any], origin: str) -> Project:
+    """A table as TOML gives it, validated; `origin` names it in messages."""
+    try:
+        return Project.model_validate(table)
+    except ValidationError as error:
+        raise ConfigError(f"{origin}: {_explain(error)}") from error
+
+
+def options(model: type[OptionsT], table: Mapping[str, Any], origin: str) -> OptionsT:
+    """A platform's own table, validated by the platform's own class."""
+    try:
+        return model.model_validate(table)
+    except ValidationError as error:
+        raise ConfigError(f"{origin}: {_explain(error, model)}") from error
+
+
+def size(text: str | int | None) -> int | None:
+    """Bytes: `500 MB`, `2 GiB`, or a plain number. Raises ConfigError."""
+    if text is None or isinstance(text, int):
+        return text
+    match = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([kKMGT]?i?)B?\s*", text)
+    if not match:
+        raise ConfigError(f"{text!r} is not a size; write it as 500 MB or 2 GiB")
+    number, prefix = match.groups()
+    base = 1024 if prefix.endswith("i") else 1000
+    return int(float(number) * base ** " kmgt".index(prefix[:1].lower() or " "))
+
+
+def _read_toml(file: Path) -> dict[str, Any]:
+    try:
+        with file.open("rb") as stream:
+            return tomllib.load(stream)
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{file}: not TOML: {error}") from error
+    except OSError as error:
+        raise Missing(f"{file}: {error.strerror}") from error
+
+
+def _explain(error: ValidationError, model: type[BaseModel] = Project) -> str:
+    """The first complaint, in one line, with the nearest right key where a key is unknown."""
+    complaint = error.errors()[0]
+    where = ".".join(str(part) for part in complaint["loc"])
+    if complaint["type"] == "extra_forbidden":
+        return f"unknown key {where!r}{_nearest(model, complaint['loc'])}"
+    if complaint["type"] == "missing":
+        return f"{where!r} is missing"
+    message = complaint["msg"].removeprefix("Value error, ")
+    return f"{where or 'table'}: {message}"
+
+
+def _nearest(model: type[BaseModel], location: tuple[int | str, ...]) -> str:
+    """The known keys of the table that `location` lies in, the most similar first."""
+    known = sorted(_keys(model, location[:-1]))
+    close = difflib.get_close_matches(str(location[-1]), known, 1, cutoff=0.5)
+    if close:
+        return f"; did you mean {close[0]!r}?"
+    return f"; known are {', '.join(known)}" if known else ""
+
+
+def _keys(model: type[BaseModel], location: tuple[int | str, ...]) -> set[str]:
+    found = _models(model)
+    current: Any = model
+    for part in location:
+        if not (isinstance(current, type) and issubclass(current, BaseModel)):
+            break
+        inner = next((f.annotation for n, f in current.model_fields.items() if part in (n, f.alias)), None)
+        current = next((m for m in found if inner is not None and m.__name__ in str(inner)), current)
+    return {field.alias or name for name, field in current.model_fields.items()}
+
+
+def _models(model: type[BaseModel]) -> list[type[BaseModel]]:
+    return [m for m in Table.__subclasses__() if m is not model]

@@ -1,0 +1,171 @@
+"""From the store to figures: what is asked for in `sierra.toml`, or else one of each kind that fits.
+
+Figures are drawn from aggregates that SQL computes; the project adds labels and units. A figure that cannot be
+drawn (no such column in this batch, nothing finite in it) is said, and does not keep the others from being drawn.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from sierra import analysis
+from sierra.config import Figure, LoadedProject
+from sierra.errors import Missing, NotFound, SierraError
+from sierra.figures import Drawing, draw
+from sierra.hashing import short
+from sierra.model import Axis
+from sierra.paths import ProjectPaths
+from sierra.store import Store
+from sierra.store.frame import Frame, OutputTable
+
+TIMES = ("clock", "time", "tick", "t", "step", "iteration", "generation", "seconds")
+"""Names under which a first column is taken for the time axis, where the project does not say."""
+AT_MOST = 24
+"""Default figures of one batch; further columns are said, and drawn when they are asked for."""
+
+
+def figures(project: LoadedProject, store: Store, batch: str, name: str | None = None) -> tuple[list[Path], list[str]]:
+    """Draw a batch's figures, or the one of that name: the files, and what could not be drawn and why.
+
+    Raises NotFound for a name that no figure has, SierraError where the one asked for cannot be drawn.
+    """
+    with Frame(store, batch) as frame:
+        gallery = _Gallery(project, frame)
+        wanted, notes = gallery.wanted(name)
+        folder = ProjectPaths(project.root).figures / short(batch)
+        drawn: list[Path] = []
+        for figure_name, figure in wanted.items():
+            try:
+                drawn += draw(gallery.drawing(figure_name, figure), folder)
+            except Missing:
+                raise
+            except SierraError as error:
+                if name is not None:
+                    raise
+                notes.append(f"figure {figure_name}: {error}")
+    return drawn, notes
+
+
+@dataclass(frozen=True, slots=True)
+class _Column:
+    """One column of one output, as statistics see it."""
+
+    frame: Frame
+    table: str
+    column: str
+    time: str
+
+    def sql(self, text: str, /, **params: Any) -> Any:
+        self.frame.samples(self.table, self.column, self.time)
+        return self.frame.sql(text, **params)
+
+
+class _Gallery:
+    """All that the figures of one batch have in common."""
+
+    def __init__(self, project: LoadedProject, frame: Frame) -> None:
+        self._config = project.config
+        self._frame = frame
+        self._outputs = {output.name: output for output in frame.outputs()}
+        self._axes = tuple(map(self._labelled, frame.axes()))
+        self._cells = frame.cells()
+        self._planned = {ordinal: runs for ordinal, (_, runs) in frame.counts().items()}
+        self._seen: dict[str, analysis.Coverage] = {}
+
+    def wanted(self, name: str | None) -> tuple[Mapping[str, Figure], list[str]]:
+        """The figures to draw, by name, and what is to be said about them."""
+        declared = self._config.figures
+        found = dict(declared) or self._default()
+        if name is not None:
+            everything = {**self._default(), **declared}
+            if name not in everything:
+                raise NotFound(f"no figure {name!r} of this batch; there is {', '.join(everything) or 'none'}")
+            return {name: everything[name]}, []
+        if not declared and len(found) > AT_MOST:
+            left = list(found)[AT_MOST:]
+            kept = {name: found[name] for name in list(found)[:AT_MOST]}
+            return kept, [f"{len(left)} more figures can be drawn, as in: sierra figures HASH {left[0]}"]
+        return found, []
+
+    def _default(self) -> dict[str, Figure]:
+        found: dict[str, Figure] = {}
+        for output in self._outputs.values():
+            time = self.time(output)
+            columns = [column for column in output.columns if column != time]
+            if self._drawable(output):
+                found |= analysis.default_figures(output.name, columns, self._axes, series=output.rows > 1)
+        return found
+
+    def _drawable(self, output: OutputTable) -> bool:
+        """Whether a run has one row at a time in it; poses of many robots, say, are no curve."""
+        if not output.columns:
+            return False
+        try:
+            self._coverage(output)
+        except SierraError:
+            return False
+        return True
+
+    def drawing(self, name: str, figure: Figure) -> Drawing:
+        """What a figure shows, computed."""
+        output = self._output(figure)
+        time = self.time(output)
+        columns = figure.columns or tuple(column for column in output.columns if column != time)[:1]
+        for column in columns:
+            if column not in output.columns:
+                raise NotFound(f"output {output.name!r} has no numeric column {column!r}; it has {', '.join(output.columns)}")
+        frames = {column: _Column(self._frame, output.name, column, time) for column in columns}
+        computed = analysis.compute(
+            figure, self._axes, frames, planned=self._planned, known=self._coverage(output)
+        )
+        declared = self._config.outputs.get(output.name)
+        return Drawing(
+            name=name,
+            figure=replace_columns(figure, columns),
+            axes=self._axes,
+            cells=self._cells,
+            tables=computed.tables,
+            runs=computed.runs,
+            note=computed.note,
+            sql=computed.sql,
+            batch=self._frame.batch,
+            time=time or "row",
+            units=dict(declared.units) if declared else {},
+        )
+
+    def time(self, output: OutputTable) -> str:
+        """The time column: the declared one, or the first if it is called like one; else none."""
+        declared = self._config.outputs.get(output.name)
+        if declared and declared.time:
+            return declared.time
+        first = output.all_columns[0] if output.all_columns else ""
+        return first if first.lower().rstrip("_") in TIMES and first in output.columns else ""
+
+    def _coverage(self, output: OutputTable) -> analysis.Coverage:
+        if output.name not in self._seen:
+            time = self.time(output)
+            column = next((c for c in output.columns if c != time), output.columns[0])
+            self._seen[output.name] = analysis.coverage(_Column(self._frame, output.name, column, time))
+        return self._seen[output.name]
+
+    def _output(self, figure: Figure) -> OutputTable:
+        if figure.table:
+            if figure.table not in self._outputs:
+                raise NotFound(f"no output {figure.table!r} in this batch; it has {', '.join(self._outputs) or 'none'}")
+            return self._outputs[figure.table]
+        having = [o for o in self._outputs.values() if all(column in o.columns for column in figure.columns)]
+        if len(having) != 1:
+            raise NotFound(f"say which output it is of: table = one of {', '.join(self._outputs) or '(none was written)'}")
+        return having[0]
+
+    def _labelled(self, axis: Axis) -> Axis:
+        variable = self._config.variables.get(axis.name)
+        return replace(axis, label=variable.label, unit=variable.unit) if variable else axis
+
+
+def replace_columns(figure: Figure, columns: tuple[str, ...]) -> Figure:
+    """The same figure, with its columns said."""
+    return figure if figure.columns == columns else figure.model_copy(update={"columns": columns})

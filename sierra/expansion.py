@@ -1,0 +1,100 @@
+"""From a design to a batch with ids, and to the input files of its runs.
+
+The expansion of a design is a pure function: it gives the same bytes, and so the same ids, each time. So ids
+are made first, for all runs, and input files again, lazily, only for the runs that execute.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+
+from sierra import seeds
+from sierra.errors import QueryError
+from sierra.hashing import canonical, digest, merkle, sha256
+from sierra.inputs import Renderer, Template
+from sierra.model import Axis, Batch, Cell, Design, Experiment, Recipe, Run, Value
+from sierra.platforms import Platform
+
+STREAM = 1 << 16
+STREAMS = (1 << 15) - 1
+"""Run numbers that one stream of seeds has; a `montecarlo` experiment takes a stream of its own."""
+
+Files = tuple[tuple[str, bytes], ...]
+
+
+class Expansion:
+    """A design with all that its runs are made from."""
+
+    def __init__(self, design: Design, template: Template, platform: Platform, recipe: Recipe) -> None:
+        self._design = design
+        self._template = template
+        self._platform = platform
+        self._recipe = recipe
+        self.recipe_id = digest("recipe", recipe.preimage())
+        if any(cell.stream for cell in design.cells):
+            _check_streams(max(cell.stream for cell in design.cells), design.query.runs)
+
+    def batch(self, tick: Callable[[], None] = lambda: None) -> Batch:
+        """The batch, with all ids. Raises TemplateError for a change that does not fit the template."""
+        experiments = []
+        for cell in self._design.cells:
+            experiments.append(self._experiment(cell))
+            tick()
+        identity = merkle("batch", (experiment.id for experiment in experiments))
+        return Batch(identity, self._design.axes, tuple(experiments), self._recipe, self.recipe_id)
+
+    def files(self, batch: Batch, wanted: Callable[[Run], bool]) -> Iterator[tuple[Run, Files]]:
+        """The input files of the runs that are wanted, in the batch's order, each made when it is asked for."""
+        for cell, experiment in zip(self._design.cells, batch.experiments, strict=True):
+            runs = [run for run in experiment.runs if wanted(run)]
+            if runs:
+                render = self._renderer(cell)
+                for run in runs:
+                    yield run, self._files(cell, render, run.number)
+
+    def _experiment(self, cell: Cell) -> Experiment:
+        render = self._renderer(cell)
+        runs = tuple(self._run(cell, render, number) for number in range(self._design.query.runs))
+        values = {axis.name: cell.values[axis.name] for axis in self._design.axes}
+        shown = {name: exact(value) for name, value in values.items()}
+        return Experiment(merkle("experiment", (run.id for run in runs), {"values": shown}), cell.ordinal, values, runs)
+
+    def _run(self, cell: Cell, render: Renderer, number: int) -> Run:
+        inputs = tuple((name, sha256(content)) for name, content in self._files(cell, render, number))
+        seed = self._seed(cell, number)
+        return Run(run_id(self.recipe_id, inputs, seed), cell.ordinal, number, seed, inputs)
+
+    def _renderer(self, cell: Cell) -> Renderer:
+        return self._template.changed(cell.changes, cell.values).per_run(self._design.per_run)
+
+    def _files(self, cell: Cell, render: Renderer, number: int) -> Files:
+        lists = {name: values[number % len(values)] for name, values in self._design.lists.items()}
+        return self._platform.files(render({**cell.values, **lists, "seed": self._seed(cell, number), "run": number}))
+
+    def _seed(self, cell: Cell, number: int) -> int:
+        stream = ""
+        if self._design.independent_seeds:
+            stream = canonical({axis.name: exact(cell.values[axis.name]) for axis in self._design.axes}).decode()
+        return seeds.seed(self._design.query.base_seed, cell.stream * STREAM + number, stream)
+
+
+def _check_streams(last: int, runs: int) -> None:
+    if runs > STREAM:
+        raise QueryError(f"montecarlo takes at most {STREAM} runs an experiment; this asks for {runs}")
+    if last >= STREAMS:
+        raise QueryError(f"montecarlo takes at most {STREAMS} experiments; this asks for {last + 1}")
+
+
+def run_id(recipe: str, inputs: Iterable[tuple[str, str]], seed: int) -> str:
+    """A run's id: of what it has in common with its batch, its input files, and its seed."""
+    return digest("run", {"recipe": recipe, "inputs": [list(item) for item in inputs], "seed": seed})
+
+
+def exact(value: Value) -> Value:
+    """A value as a pre-image holds it: numbers that JSON cannot hold exactly as text."""
+    return str(value) if isinstance(value, int) and abs(value) > 2**53 else value
+
+
+def label(axes: Iterable[Axis], values: Iterable[Value]) -> str:
+    """An experiment's values, for people."""
+    return ", ".join(f"{axis.name}={value}" for axis, value in zip(axes, values, strict=True))

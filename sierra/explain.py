@@ -1,0 +1,71 @@
+"""Why runs are new: what differs between a plan and the batch most like it that is recorded."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+from sierra.pipeline import Plan
+from sierra.provenance.source import changed
+from sierra.store import Store
+
+LIKE = """
+SELECT b.*, r.command, r.variables, r.source, r.image
+FROM batches b JOIN recipes r USING (recipe) LEFT JOIN (SELECT batch, max(ended) AS answered FROM sessions GROUP BY batch) s
+USING (batch)
+WHERE b.axes = $axes AND b.batch <> $batch
+ORDER BY coalesce(s.answered, b.created) DESC LIMIT 1
+"""
+SHOWN = 10
+
+
+def why_new(plan: Plan, store: Store | None) -> list[str]:
+    """What makes the runs of a plan others than those of the last batch over the same axes, a line each."""
+    if store is None:
+        return ["nothing is recorded here yet"]
+    rows = store.rows(LIKE, axes=[axis.name for axis in plan.batch.axes], batch=plan.batch.id)
+    if not rows:
+        return ["no batch over these variables is recorded"]
+    before = rows[0]
+    lines = [f"compared with batch {before['batch'][:10]} ({before['query']}):"]
+    lines += _recipe(plan, before)
+    if before["source"] != plan.batch.recipe.source:
+        lines += _source(plan, store, before["source"])
+    if before["template_sha256"] != plan.template_sha256:
+        lines.append(f"the template {plan.project.config.template} has changed")
+    lines += _asked(plan, before)
+    return lines if len(lines) > 1 else [*lines, "other values, runs or changes are asked for"]
+
+
+def _recipe(plan: Plan, before: dict[str, Any]) -> list[str]:
+    recipe = plan.batch.recipe
+    lines = []
+    if before["command"] != list(recipe.command):
+        lines.append(f"the command was {' '.join(before['command'])!r} and is {' '.join(recipe.command)!r}")
+    variables = json.loads(before["variables"])
+    for name in sorted(variables.keys() | recipe.environment.keys()):
+        if variables.get(name) != recipe.environment.get(name):
+            lines.append(f"the variable {name} was {variables.get(name)!r} and is {recipe.environment.get(name)!r}")
+    if before["platform"] != recipe.platform:
+        lines.append(f"the platform was {before['platform']} and is {recipe.platform}")
+    if before["image"] != recipe.image:
+        lines.append(f"the image was {before['image']} and is {recipe.image}")
+    return lines
+
+
+def _source(plan: Plan, store: Store, tree: str) -> list[str]:
+    rows = store.rows("SELECT files FROM sources WHERE tree = $t LIMIT 1", t=tree)
+    if not rows:
+        return ["the source has changed"]
+    files = changed(store.object(rows[0]["files"]), plan.source.manifest)
+    more = f" and {len(files) - SHOWN} more" if len(files) > SHOWN else ""
+    return [f"the source has changed: {', '.join(files[:SHOWN])}{more}"]
+
+
+def _asked(plan: Plan, before: dict[str, Any]) -> list[str]:
+    now = {
+        "controller": plan.query.controller or plan.project.config.controller,
+        "scenario": plan.query.scenario or plan.project.config.scenario,
+        "base_seed": plan.query.base_seed,
+    }
+    return [f"{name} was {before[name]!r} and is {value!r}" for name, value in now.items() if before[name] != value]

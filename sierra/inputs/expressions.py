@@ -1,0 +1,254 @@
+"""The small arithmetic that a change's value may hold: `{population_size * 2}`.
+
+A text is literal but for `{expression}`; `{{` and `}}` are literal braces. An expression knows numbers, the
+names it is given, `+ - * / // % **`, parentheses, the functions in FUNCTIONS, and `pi` (unless a name is called
+that). It means what it means in Python, with two differences: a division of whole numbers that comes out whole
+is whole (`{8 / 2}` is `4`, `{7 / 2}` is `3.5`), and no value on the way may be infinite, not a number, complex,
+or a whole number of more than MAX_BITS bits. Whole numbers are written with all their digits, others as
+Python's `repr`. A name alone may also stand for a text: `{scenario}`.
+
+Nothing is handed to Python's `eval`: the syntax tree is walked, and what is not listed here is refused.
+"""
+
+from __future__ import annotations
+
+import ast
+import difflib
+import math
+import operator
+import re
+import warnings
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+from sierra.errors import ConfigError
+from sierra.model import Value
+
+MAX_LENGTH = 200
+"""Characters of one expression: bounds how deeply it can nest."""
+MAX_BITS = 1024
+"""Bits of a whole number: about as large as a float can be."""
+
+Number = int | float
+
+_PIECE = re.compile(r"\{\{|\}\}|\{([^{}]*)\}|[{}]")
+_CONSTANTS: Mapping[str, Number] = {"pi": math.pi}
+
+
+@dataclass(frozen=True, slots=True)
+class _Expression:
+    text: str
+    tree: ast.expr
+
+
+def fill(text: str, values: Mapping[str, Value]) -> str:
+    """`text` with the value of each `{expression}` in its place.
+
+    Raises ConfigError, in one line, for what cannot be read, for unknown names, and for what has no finite value.
+    """
+    if "{" not in text and "}" not in text:
+        return text
+    return "".join([piece if isinstance(piece, str) else _text(piece, values) for piece in _parse(text)])
+
+
+def names(text: str) -> frozenset[str]:
+    """The names that a text's expressions use, without functions and `pi`. Raises ConfigError as `fill` does."""
+    trees = (piece.tree for piece in _parse(text) if not isinstance(piece, str))
+    return frozenset(name for tree in trees for name in _names(tree)) - _CONSTANTS.keys()
+
+
+@lru_cache(maxsize=4096)
+def _parse(text: str) -> tuple[str | _Expression, ...]:
+    """The literal texts and the expressions of a text, in order."""
+    pieces: list[str | _Expression] = []
+    end = 0
+    for match in _PIECE.finditer(text):
+        pieces.append(text[end : match.start()])
+        pieces.append(_piece(match, text))
+        end = match.end()
+    pieces.append(text[end:])
+    return tuple(piece for piece in pieces if piece != "")
+
+
+def _piece(match: re.Match[str], text: str) -> str | _Expression:
+    found = match.group()
+    if found in ("{{", "}}"):
+        return found[0]
+    if match[1] is None:
+        raise ConfigError(f"{text!r} has a brace without its partner; write {found * 2} for a literal {found}")
+    return _Expression(found, _tree(match[1], found))
+
+
+def _tree(source: str, shown: str) -> ast.expr:
+    source = " ".join(source.split())
+    if not source:
+        raise ConfigError(f"{shown!r} holds no expression; write {{{{ and }}}} for literal braces")
+    if len(source) > MAX_LENGTH:
+        raise ConfigError(f"{shown[:40] + '…'!r} is longer than {MAX_LENGTH} characters")
+    if source.isidentifier():  # so that a variable may be called `lambda`
+        return ast.Name(source)
+    try:
+        with warnings.catch_warnings(action="ignore"):  # of Python's own, on odd literals
+            tree = ast.parse(source, mode="eval").body
+    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
+        raise ConfigError(
+            f"{shown!r} is not an expression; write one as {{n * 2}}, or {{{{ and }}}} for braces"
+        ) from error
+    _allow(tree, shown)
+    return tree
+
+
+def _allow(node: ast.expr, shown: str) -> None:
+    """Refuse all but what this module's docstring lists."""
+    match node:
+        case ast.Name():
+            return
+        case ast.Constant(value=int() | float()) if not isinstance(node.value, bool):
+            return
+        case ast.UnaryOp(op=ast.USub() | ast.UAdd()):
+            _allow(node.operand, shown)
+        case ast.BinOp() if type(node.op) in _OPERATORS:
+            _allow(node.left, shown)
+            _allow(node.right, shown)
+        case ast.Call(func=ast.Name(id=name), keywords=[]):
+            if name not in FUNCTIONS:
+                raise ConfigError(f"unknown function {name!r} in {shown!r}{_nearest(name, FUNCTIONS)}")
+            for argument in node.args:
+                _allow(argument, shown)
+        case _:
+            allowed = f"numbers, names, + - * / // % ** and {', '.join(FUNCTIONS)}"
+            raise ConfigError(f"{ast.unparse(node)!r} is not allowed in {shown!r}; allowed are {allowed}")
+
+
+def _names(node: ast.expr) -> Iterable[str]:
+    match node:
+        case ast.Name():
+            yield node.id
+        case ast.Call():
+            for argument in node.args:
+                yield from _names(argument)
+        case ast.UnaryOp():
+            yield from _names(node.operand)
+        case ast.BinOp():
+            yield from _names(node.left)
+            yield from _names(node.right)
+
+
+def _text(expression: _Expression, values: Mapping[str, Value]) -> str:
+    tree = expression.tree
+    if isinstance(tree, ast.Name) and isinstance(text := values.get(tree.id), str):
+        return text
+    try:
+        return repr(_value(tree, values))
+    except ArithmeticError as error:
+        raise ConfigError(f"{expression.text!r} has no value: {_reason(error)}") from error
+    except (ValueError, TypeError) as error:
+        raise ConfigError(f"{expression.text!r} has no value: {error}") from error
+    except LookupError as error:
+        name = str(error.args[0])
+        raise ConfigError(f"unknown name {name!r} in {expression.text!r}{_nearest(name, values)}") from None
+
+
+def _reason(error: ArithmeticError) -> str:
+    return "division by zero" if isinstance(error, ZeroDivisionError) else "it is too large"
+
+
+def _value(node: ast.expr, values: Mapping[str, Value]) -> Number:
+    """What an allowed tree is worth. Raises LookupError for a name, ArithmeticError, ValueError, TypeError."""
+    match node:
+        case ast.Name():
+            return _bounded(_named(node.id, values))
+        case ast.Constant():
+            return _bounded(node.value)
+        case ast.UnaryOp(op=op):
+            inner = _value(node.operand, values)
+            return -inner if isinstance(op, ast.USub) else inner
+        case ast.BinOp():
+            return _bounded(_OPERATORS[type(node.op)](_value(node.left, values), _value(node.right, values)))
+        case ast.Call(func=ast.Name(id=name)):
+            return _bounded(FUNCTIONS[name](*[_value(argument, values) for argument in node.args]))
+    raise TypeError(f"{ast.unparse(node)!r} is not allowed")
+
+
+def _named(name: str, values: Mapping[str, Value]) -> Number:
+    value = values[name] if name in values else _CONSTANTS[name]
+    if isinstance(value, str):
+        raise TypeError(f"{name!r} is the text {value!r}, not a number")
+    return value
+
+
+def _bounded(value: Any) -> Number:
+    if type(value) is int:
+        if value.bit_length() > MAX_BITS:
+            raise OverflowError
+        return value
+    if isinstance(value, complex):
+        raise ValueError("it is a complex number")
+    if not math.isfinite(value):
+        raise OverflowError
+    return float(value)
+
+
+def _divide(left: Number, right: Number) -> Number:
+    if isinstance(left, int) and isinstance(right, int) and left % right == 0:
+        return left // right
+    return left / right
+
+
+def _power(base: Number, exponent: Number) -> Any:
+    """Refuses what would be large before it is calculated."""
+    whole = isinstance(base, int) and isinstance(exponent, int)
+    if whole and exponent * (int(abs(base)).bit_length() - 1) > MAX_BITS:
+        raise OverflowError
+    return base**exponent
+
+
+def _round(value: Number, digits: Number | None = None) -> Number:
+    """Python's: whole without digits. More digits than a float can have are refused: they would take for ever."""
+    if digits is not None and (not isinstance(digits, int) or abs(digits) > 400):
+        raise ValueError(f"cannot round to {digits!r} digits")
+    return round(value, digits)
+
+
+def _extreme(choose: Callable[..., Number]) -> Callable[..., Number]:
+    def extreme(*of: Number) -> Number:
+        if not of:
+            raise TypeError("min() and max() need a number")
+        return choose(of)
+
+    return extreme
+
+
+FUNCTIONS: Mapping[str, Callable[..., Number]] = {
+    "min": _extreme(min),
+    "max": _extreme(max),
+    "round": _round,
+    "floor": math.floor,
+    "ceil": math.ceil,
+    "sqrt": math.sqrt,
+    "abs": abs,
+    "log": math.log,
+    "exp": math.exp,
+    "sin": math.sin,
+    "cos": math.cos,
+}
+"""What an expression may call; `log(x, base)` and `round(x, digits)` as in Python."""
+
+_OPERATORS: Mapping[type[ast.operator], Callable[[Any, Any], Any]] = {
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: operator.mul,
+    ast.Div: _divide,
+    ast.FloorDiv: operator.floordiv,
+    ast.Mod: operator.mod,
+    ast.Pow: _power,
+}
+
+
+def _nearest(name: str, known: Iterable[str]) -> str:
+    known = sorted(known)
+    close = difflib.get_close_matches(name, known, 1)
+    hint = f"; did you mean {close[0]!r}?" if close else ";"
+    return f"{hint} known are {', '.join(known)}" if known else "; no names are known here"

@@ -1,0 +1,124 @@
+"""From a run to a job: the command and the environment of one execution, with placeholders filled in.
+
+Placeholders of a command: `{input}` the first input file, `{output}` the folder to write to (also the working
+directory), `{run}` the run's own folder, `{seed}`, `{project}` the project's root, `{python}` the Python that
+runs SIERRA. A word that names a file of the project stands for `{project}/word`.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import sys
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+from sierra import config
+from sierra.config import Project
+from sierra.engines import Engine
+from sierra.errors import ConfigError
+from sierra.hashing import digest
+from sierra.model import Job, Limits, Recipe, Run
+from sierra.paths import RUN_HOME, RUN_OUTPUT, RUN_TMP
+from sierra.platforms import Platform
+
+PLACEHOLDER = re.compile(r"\{([a-z_]+)\}")
+KNOWN = ("input", "output", "run", "seed", "project", "python")
+FIXED = {
+    "PYTHONHASHSEED": "0",
+    "PYTHONDONTWRITEBYTECODE": "1",
+    "TZ": "UTC",
+    "LC_ALL": "C.UTF-8",
+    "LANG": "C.UTF-8",
+    "OMP_NUM_THREADS": "1",
+    "OPENBLAS_NUM_THREADS": "1",
+    "MKL_NUM_THREADS": "1",
+    "VECLIB_MAXIMUM_THREADS": "1",
+    "NUMEXPR_NUM_THREADS": "1",
+}
+"""What every run sees, whoever asks; part of its identity."""
+HERE = "\0"
+"""The run's folder, which only the worker knows."""
+
+
+def command(platform: Platform, root: Path) -> tuple[str, ...]:
+    """The command as a run's identity holds it. Raises ConfigError for an unknown placeholder."""
+    words = tuple(_in_project(word, root) for word in platform.command())
+    for word in words:
+        for name in PLACEHOLDER.findall(word):
+            if name not in KNOWN:
+                known = ", ".join("{" + known + "}" for known in KNOWN)
+                raise ConfigError(f"command: unknown placeholder {{{name}}} in {word!r}; known are {known}")
+    return words
+
+
+def environment(platform: Platform, project: Project) -> dict[str, str]:
+    """The declared variables of a run: SIERRA's fixed ones, the platform's, the project's."""
+    passed = {name: os.environ[name] for name in project.environment.pass_ if name in os.environ}
+    return {**FIXED, **platform.environment(), **passed, **project.environment.set}
+
+
+def search_path(variables: Mapping[str, str]) -> str:
+    """The PATH of runs: the declared one, or the caller's."""
+    return variables.get("PATH", os.environ.get("PATH", os.defpath))
+
+
+def fill(words: Iterable[str], root: Path, values: Mapping[str, str] | None = None) -> tuple[str, ...]:
+    """The placeholders of the machine filled in; those of a run too, where `values` are given."""
+    known = {"project": str(root), "python": sys.executable, **(values or {})}
+    return tuple(PLACEHOLDER.sub(lambda match: known.get(match[1], match[0]), word) for word in words)
+
+
+def limits(project: Project) -> Limits:
+    """The limits of each execution. Raises ConfigError for a size that is none."""
+    table = project.limits
+    return Limits(table.wall, table.cpu, config.size(table.memory), config.size(table.output), table.grace)
+
+
+class Maker:
+    """Makes the jobs of one session."""
+
+    def __init__(self, recipe: Recipe, root: Path, engine: Engine, bounds: Limits, session: str) -> None:
+        self._recipe = recipe
+        self._root = root
+        self._engine = engine
+        self._bounds = bounds
+        self._session = session
+        declared = {name: fill((value,), root)[0] for name, value in recipe.environment.items()}
+        self._environment = {
+            **declared,
+            "PATH": search_path(declared),
+            "HOME": f"{HERE}/{RUN_HOME}",
+            "TMPDIR": f"{HERE}/{RUN_TMP}",
+            "SIERRA_RUN_DIR": HERE,
+            "SIERRA_SESSION": session,
+        }
+
+    def job(self, run: Run, files: tuple[tuple[str, bytes], ...]) -> Job:
+        """The job that executes a run in this session."""
+        execution = digest("execution", {"session": self._session, "run": run.id})
+        values = {
+            "input": f"{HERE}/{files[0][0]}",
+            "output": f"{HERE}/{RUN_OUTPUT}",
+            "run": HERE,
+            "seed": str(run.seed),
+        }
+        own = {"SIERRA_RUN_ID": run.id, "SIERRA_SEED": str(run.seed), "SIERRA_EXECUTION": execution}
+        argv = self._engine.argv(fill(self._recipe.command, self._root, values))
+        return Job(run.id, execution, argv, {**self._environment, **own}, files, self._bounds)
+
+
+def uses_seed(words: Iterable[str]) -> bool:
+    """Whether a command mentions the seed."""
+    return any("{seed}" in word for word in words)
+
+
+def _in_project(word: str, root: Path) -> str:
+    """`sim.py` is `{project}/sim.py` where there is such a file."""
+    if "{" in word or not word or word.startswith(("/", "-")):
+        return word
+    try:
+        inside = (root / word).is_file() and (root / word).resolve().is_relative_to(root)
+    except (OSError, ValueError):
+        return word
+    return "{project}/" + word.removeprefix("./") if inside else word

@@ -1,0 +1,139 @@
+"""What is in the store, for people: lists of batches, and all about one thing by its id."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from sierra.store import Found, Question, Store
+
+BATCHES = """
+WITH last AS (
+    SELECT batch, max(ended) AS answered, arg_max(failed, ended) AS failed, arg_max(missing, ended) AS missing,
+           arg_max(query, ended) AS query
+    FROM sessions GROUP BY batch
+)
+SELECT b.batch, b.created, coalesce(l.query, b.query) AS query, b.controller, b.scenario, b.experiments, b.runs,
+       l.answered, l.failed, l.missing
+FROM batches b LEFT JOIN last l USING (batch)
+ORDER BY coalesce(l.answered, b.created), b.batch
+"""
+
+COUNTS = """
+WITH members_of AS (SELECT DISTINCT batch, run FROM members WHERE list_contains($batches, batch)),
+good AS (SELECT run, bool_or(status = 'ok' AND purpose = 'run') AS ok FROM executions GROUP BY run)
+SELECT m.batch, count(*) FILTER (g.ok) AS good, count(*) FILTER (NOT g.ok) AS failed
+FROM members_of m LEFT JOIN good g USING (run) GROUP BY m.batch
+"""
+
+
+def batches(store: Store) -> list[dict[str, Any]]:
+    """All batches in the order in which they were last asked for.
+
+    `failed` and `missing` are runs without a good execution, tried or not; where the last asking ended well,
+    both are 0 and nothing is counted again.
+    """
+    with store.ask() as question:
+        rows: list[dict[str, Any]] = question.sql(BATCHES).to_pylist()
+        open_ones = [row["batch"] for row in rows if row["failed"] != 0 or row["missing"] != 0]
+        counted = {}
+        if open_ones:
+            counted = {row["batch"]: row for row in question.sql(COUNTS, batches=open_ones).to_pylist()}
+    for row in rows:
+        count = counted.get(row["batch"])
+        if count is not None:
+            row["failed"] = count["failed"]
+            row["missing"] = row["runs"] - count["good"] - count["failed"]
+    return rows
+
+
+def show(store: Store, prefix: str) -> dict[str, Any]:
+    """All that is recorded of what a beginning of an id names; `kind` says what it is."""
+    found = store.resolve(prefix)
+    with store.ask() as question:
+        return {"kind": found.kind, **SHOWN[found.kind](question, found)}
+
+
+def _batch(question: Question, found: Found) -> dict[str, Any]:
+    row: dict[str, Any]
+    [row] = question.sql("SELECT * FROM batches WHERE batch = $b", b=found.id).to_pylist()
+    [recipe] = question.sql("SELECT * FROM recipes WHERE recipe = $r", r=row["recipe"]).to_pylist()
+    row["recipe"] = recipe
+    row["source"] = _source(question, found.id, recipe["source"])
+    row["experiments"] = _experiments(question, found.id)
+    row["sessions"] = question.sql("SELECT * FROM sessions WHERE batch = $b ORDER BY ended", b=found.id).to_pylist()
+    return row
+
+
+def _source(question: Question, batch: str, tree: str | None) -> dict[str, Any] | None:
+    rows: list[dict[str, Any]] = question.sql(
+        "SELECT s.* FROM sources s LEFT JOIN sessions n ON n.source = s.source AND n.batch = $b "
+        "WHERE s.tree = $t ORDER BY n.ended NULLS LAST LIMIT 1",
+        b=batch,
+        t=tree,
+    ).to_pylist()
+    return rows[0] if rows else None
+
+
+def _experiments(question: Question, batch: str) -> list[dict[str, Any]]:
+    rows: list[dict[str, Any]] = question.sql(
+        "WITH good AS (SELECT run, bool_or(status = 'ok' AND purpose = 'run') AS ok FROM executions GROUP BY run), "
+        "counted AS (SELECT ordinal, count(*) AS runs, count(*) FILTER (g.ok) AS good, count(*) FILTER (NOT g.ok) AS failed "
+        "FROM (SELECT DISTINCT ordinal, run FROM members WHERE batch = $b) LEFT JOIN good g USING (run) GROUP BY ordinal) "
+        "SELECT x.* EXCLUDE (batch), c.runs, c.good, c.failed FROM experiments x JOIN counted c USING (ordinal) "
+        "WHERE x.batch = $b ORDER BY ordinal",
+        b=batch,
+    ).to_pylist()
+    return [_without_nulls(row) for row in rows]
+
+
+def _experiment(question: Question, found: Found) -> dict[str, Any]:
+    [row] = question.sql(
+        "SELECT * FROM experiments WHERE experiment = $x AND batch = $b", x=found.id, b=found.batch
+    ).to_pylist()
+    row = _without_nulls(row)
+    row["runs"] = question.sql(
+        "SELECT m.number, m.run, m.seed, count(e.execution) AS executions, "
+        "coalesce(CASE WHEN bool_or(e.status = 'ok') THEN 'ok' ELSE arg_max(e.status, e.ended) END, 'missing') AS status, "
+        "arg_max(e.reason, e.ended) AS reason "
+        "FROM (SELECT DISTINCT number, run, seed FROM members WHERE batch = $b AND ordinal = $o) m "
+        "LEFT JOIN executions e USING (run) GROUP BY ALL ORDER BY m.number",
+        b=found.batch,
+        o=row["ordinal"],
+    ).to_pylist()
+    return row
+
+
+def _run(question: Question, found: Found) -> dict[str, Any]:
+    [row] = question.sql("SELECT * FROM runs WHERE run = $r", r=found.id).to_pylist()
+    row = _without_nulls(row)
+    [row["recipe"]] = question.sql("SELECT * FROM recipes WHERE recipe = $r", r=row["recipe"]).to_pylist()
+    row["batches"] = [
+        row[0] for row in question.run("SELECT DISTINCT batch FROM members WHERE run = $r ORDER BY 1", {"r": found.id})
+    ]
+    row["executions"] = question.sql(
+        "SELECT * EXCLUDE (run) FROM executions WHERE run = $r ORDER BY ended", r=found.id
+    ).to_pylist()
+    return row
+
+
+def _execution(question: Question, found: Found) -> dict[str, Any]:
+    [row] = question.sql("SELECT * FROM executions WHERE execution = $e", e=found.id).to_pylist()
+    row = _without_nulls(row)
+    row["artifacts"] = question.sql(
+        "SELECT * EXCLUDE (execution, run) FROM artifacts WHERE execution = $e ORDER BY path", e=found.id
+    ).to_pylist()
+    row["programs"] = question.sql(
+        "SELECT DISTINCT name, path, sha256 FROM programs WHERE programs = $p ORDER BY ALL", p=row.get("programs")
+    ).to_pylist()
+    around = question.sql("SELECT * FROM environments WHERE environment = $e", e=row.get("environment")).to_pylist()
+    row["environment"] = around[0] if around else row.get("environment")
+    return row
+
+
+def _without_nulls(row: dict[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in row.items() if value is not None}
+
+
+Shower = Callable[[Question, Found], dict[str, Any]]
+SHOWN: Mapping[str, Shower] = {"batch": _batch, "experiment": _experiment, "run": _run, "execution": _execution}

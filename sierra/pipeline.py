@@ -1,0 +1,563 @@
+"""The order of things: query → design → inputs → execute → record → analyse → deliver.
+
+`plan` and `run` read as that list. Each step turns values into values and knows nothing of the others; what they
+left behind is in the store. Everything is idempotent: asking again executes only what has no good execution.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Set as AbstractSet
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from typing import Any
+
+from sierra import engines, inputs, jobs, platforms, query, sessions
+from sierra.config import LoadedProject
+from sierra.design import design
+from sierra.engines import Engine
+from sierra.errors import ConfigError, Missing, UsageError
+from sierra.expansion import Expansion
+from sierra.model import Batch, Job, Limits, Query, Recipe, Result, Run, Set, Status
+from sierra.paths import CONFIG, FIGURES, PYPROJECT, STORE, ProjectPaths, SessionPaths
+from sierra.provenance import environment, programs, source
+from sierra.record import Context, Recorder, find_odd
+from sierra.runners import Runner
+from sierra.runners.journal import Journal, marked, orphans
+from sierra.runners.local import Local
+from sierra.sessions import Session
+from sierra.store import Store
+from sierra.store.objects import Objects
+from sierra.store.tables import check_name
+from sierra.version import __version__
+
+POLL_S = 0.05
+JOIN_S = 0.2
+SHOWN_FAILURES = 20
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """A query with all that its answer depends on, and nothing executed yet."""
+
+    project: LoadedProject
+    query: Query
+    text: str
+    batch: Batch
+    expansion: Expansion
+    source: source.Source
+    programs: programs.Programs
+    environment: Mapping[str, Any]
+    engine: Engine
+    limits: Limits
+    template_sha256: str
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class State:
+    """What the store has of a run: good, or why it must execute."""
+
+    good: bool
+    why: str
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """How far an asking has come."""
+
+    total: int
+    reused: int
+    done: int
+    failed: int
+    running: int
+    elsewhere: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Failure:
+    """A run without a good execution, and the end of its log."""
+
+    run: str
+    experiment: Mapping[str, Any]
+    number: int
+    status: str
+    reason: str
+    log: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class Summary:
+    """The answer to a query, as far as it went. `failed` and `missing` are runs without a good execution."""
+
+    batch: str
+    query: str
+    experiments: int
+    runs: int
+    executed: int
+    reused: int
+    failed: int
+    missing: int
+    interrupted: bool
+    failures: tuple[Failure, ...] = ()
+    notes: tuple[str, ...] = ()
+    figures: tuple[str, ...] = field(default=())
+
+
+Watch = Callable[[Progress], None]
+
+
+def ask(
+    project: LoadedProject,
+    words: Sequence[str],
+    *,
+    runs: int | None = None,
+    controller: str | None = None,
+    scenario: str | None = None,
+    sets: Sequence[tuple[str, str]] = (),
+) -> Query:
+    """The query that these words are: criteria, or the name of one in `sierra.toml`.
+
+    `sets` are pairs of an XPath and a value. Raises QueryError, UsageError.
+    """
+    if runs is not None and runs < 1:
+        raise UsageError(f"{runs} runs per experiment; ask for 1 or more")
+    config = project.config
+    named = config.queries.get(words[0]) if len(words) == 1 else None
+    criteria = query.parse_all(named.criteria if named else words)
+    return Query(
+        criteria=criteria,
+        runs=runs or (named and named.runs) or config.runs,
+        controller=controller or (named and named.controller) or None,
+        scenario=scenario or (named and named.scenario) or None,
+        sets=tuple(Set(path, value, why=f"--set {path}") for path, value in sets),
+        base_seed=config.seed.base,
+    )
+
+
+def plan(project: LoadedProject, asked: Query, *, engine: str = "none") -> Plan:
+    """All that a query's answer depends on. Nothing is executed or written (but the source's tree, by git).
+
+    Raises what is wrong with project, query, template, source or programs.
+    """
+    config, root = project.config, project.root
+    _check_outputs(project)
+    template = inputs.read(root / config.template)
+    platform = platforms.find(config.platform, config)
+    contained = engines.find(engine)
+    command = jobs.command(platform, root)
+    variables = jobs.environment(platform, config)
+    own = (STORE, FIGURES, CONFIG, PYPROJECT if project.file.name == PYPROJECT else CONFIG, config.template)
+    code = source.capture(root, paths=config.source.paths, without=own)
+    recipe = Recipe(config.platform, command, variables, code.tree, contained.image())
+    designed = design(asked, config, platform, template)
+    expansion = Expansion(designed, template, platform, recipe)
+    notes = []
+    if asked.runs > 1 and not designed.per_run and not jobs.uses_seed(command):
+        notes.append('the seed goes nowhere: say where with seed = "XPATH", or {seed} in the command (SIERRA_SEED has it too)')
+    return Plan(
+        project=project,
+        query=asked,
+        text=" ".join(query.text(criterion) for criterion in asked.criteria),
+        batch=expansion.batch(),
+        expansion=expansion,
+        source=code,
+        programs=programs.find(jobs.fill(command, root), jobs.search_path(variables), root),
+        environment=environment.capture(__version__),
+        engine=contained,
+        limits=jobs.limits(config),
+        template_sha256=template.sha256,
+        notes=tuple(notes),
+    )
+
+
+def run(plan: Plan, store: Store, *, slots: int, fail_fast: bool = False, watch: Watch = lambda progress: None) -> Summary:
+    """Execute what has no good execution yet, record it, and say how it went.
+
+    Ends what runs, and keeps what has finished, when interrupted (KeyboardInterrupt).
+    """
+    finish_dead(store)
+    began = datetime.now(UTC)
+    session = Session(store.paths)
+    try:
+        keep(plan, store, session.paths)
+        asking = _Asking(plan, store, session, slots, fail_fast, watch)
+        asking.answer()
+        return _close(asking, began)
+    finally:
+        session.close()
+
+
+def states(plan: Plan, store: Store | None) -> dict[str, State]:
+    """What the store has of each run of the batch."""
+    runs = {run.id: State(False, "new") for run in plan.batch.runs}
+    if store is None:
+        return runs
+    import pyarrow as pa
+
+    with store.ask() as question:
+        question.register("asked", pa.table({"run": list(runs)}))
+        question.views.make(("executions",))
+        rows = question.run(
+            "SELECT run, bool_or(ok AND programs = $programs AND reading = $reading), bool_or(ok AND reading = $reading), "
+            "bool_or(ok), arg_max(reason, ended) FROM (SELECT *, status = 'ok' AS ok FROM executions) e JOIN asked USING (run) "
+            "WHERE purpose = 'run' GROUP BY run",
+            {"programs": plan.programs.id, "reading": _context(plan, "").reading},
+        )
+    for run, good, same_reading, ever, reason in rows:
+        why = (
+            "reused"
+            if good
+            else "executed with other programs"
+            if same_reading
+            else "[outputs] or [success] have changed"
+            if ever
+            else f"failed: {reason}"
+        )
+        runs[run] = State(good, why)
+    return runs
+
+
+def keep(plan: Plan, store: Store, session: SessionPaths) -> None:
+    """Record what is asked, before anything executes: the batch, its runs, and their input files.
+
+    What the store has already is not recorded again.
+    """
+    batch = plan.batch
+    if store.rows("SELECT 1 FROM batches WHERE batch = $b LIMIT 1", b=batch.id):
+        return
+    writer = store.writer(session.segment, batch.id)
+    known = _known_inputs(plan, store)
+    objects = Objects(writer.path("objects"))
+    for _, files in plan.expansion.files(batch, lambda run: run.id not in known):
+        for _, content in files:
+            objects.add(content)
+    listing = objects.add(plan.source.manifest)
+    objects.close()
+    recipe = batch.recipe
+    first = batch.experiments[0].runs[0]
+    writer.rows("batches", [_batch_row(plan)])
+    writer.rows(
+        "recipes",
+        [
+            {
+                "recipe": batch.recipe_id,
+                "platform": recipe.platform,
+                "command": list(recipe.command),
+                "variables": _json(recipe.environment),
+                "source": recipe.source,
+                "image": recipe.image,
+                "files": [name for name, _ in first.inputs],
+            }
+        ],
+    )
+    writer.rows("sources", [plan.source.row(listing)])
+    writer.rows("environments", [plan.environment])
+    writer.rows("programs", plan.programs.rows())
+    writer.table("experiments", _experiments(batch))
+    writer.table("members", _members(batch))
+    store.publish(writer)
+
+
+def finish_dead(store: Store) -> int:
+    """End what dead sessions left running, and record what had finished there; how many executions that were."""
+    recovered = 0
+    with sessions.dead(store.paths) as found:
+        if found:
+            sessions.end(_left_running(found))
+        for paths in found:
+            recovered += _recover(store, paths)
+    return recovered
+
+
+def _left_running(found: Sequence[SessionPaths]) -> list[int]:
+    marks = marked("SIERRA_SESSION", {paths.root.name for paths in found})
+    return marks + [pid for paths in found for pid in orphans(paths.journal)]
+
+
+def _recover(store: Store, paths: SessionPaths) -> int:
+    if not paths.context.exists():
+        return 0
+    context = Context.load(paths.context)
+    results = [event for event in Journal(paths.journal).read() if isinstance(event, Result)]
+    if not results:
+        return 0
+    rows = store.rows("SELECT execution FROM executions WHERE session = $s", s=context.session)
+    recorded = {row["execution"] for row in rows}
+    recorder = Recorder(store, paths, context)
+    missing = [result for result in results if result.execution not in recorded]
+    for result in missing:
+        recorder.add(result)
+    recorder.flush()
+    find_odd(store, paths, context.batch, context.outputs)
+    return len(missing)
+
+
+class _Asking:
+    """One asking while it is answered: what is done, what failed, what others do."""
+
+    def __init__(self, plan: Plan, store: Store, session: Session, slots: int, fail_fast: bool, watch: Watch) -> None:
+        self.plan = plan
+        self.store = store
+        self.session = session
+        self.slots = slots
+        self.interrupted = False
+        self.attempted: set[str] = set()
+        self.failed: set[str] = set()
+        self._fail_fast = fail_fast
+        self._watch = watch
+        self.reused: set[str] = set()
+        self._total = len({run.id for run in plan.batch.runs})
+        self._context = _context(plan, session.id)
+
+    def answer(self) -> None:
+        """Execute what is missing; wait for what other sessions execute, and take over what they leave."""
+        first = True
+        while not self.interrupted:
+            wanted = {run for run, state in states(self.plan, self.store).items() if not state.good}
+            if first:
+                self.reused = {run.id for run in self.plan.batch.runs} - wanted
+                first = False
+            wanted -= self.attempted
+            if not wanted or (self._fail_fast and self.failed):
+                return
+            mine = self.session.claim(wanted)
+            if mine:
+                self._execute(mine)
+            else:
+                self._wait(wanted)
+
+    def _execute(self, wanted: AbstractSet[str]) -> None:
+        self._context.save(self.session.paths.context)
+        recorder = Recorder(self.store, self.session.paths, self._context)
+        runner: Runner = Local(self.slots)
+        try:
+            runner.submit(self._jobs(wanted), self.session.paths)
+            self._follow(runner, recorder)
+        except BaseException:
+            runner.stop()
+            with contextlib.suppress(Exception):
+                self._drain(runner, recorder)
+            raise
+        if self.attempted:
+            find_odd(self.store, self.session.paths, self.plan.batch.id, self._context.outputs)
+
+    def _jobs(self, wanted: AbstractSet[str]) -> Iterator[Job]:
+        maker = jobs.Maker(
+            self.plan.batch.recipe, self.plan.project.root, self.plan.engine, self.plan.limits, self.session.id
+        )
+        sent: set[str] = set()
+        for run, files in self.plan.expansion.files(self.plan.batch, lambda run: run.id in wanted):
+            if run.id not in sent:
+                sent.add(run.id)
+                yield maker.job(run, files)
+
+    def _follow(self, runner: Runner, recorder: Recorder) -> None:
+        """Look again and again until all has ended; Ctrl-C and the first failure (with `fail_fast`) end it early."""
+        alive = True
+        while alive:
+            try:
+                look = runner.look()
+                self._take(look.results, recorder)
+                if recorder.due():
+                    self._flushed(recorder)
+                self._tell(look.running)
+                if self._fail_fast and self.failed:
+                    runner.stop()
+                alive = look.alive
+                if alive:
+                    time.sleep(POLL_S)
+            except KeyboardInterrupt:
+                self.interrupted = True
+                runner.stop()
+        self._flushed(recorder)
+        self._tell(0)
+
+    def _drain(self, runner: Runner, recorder: Recorder) -> None:
+        while (look := runner.look()).alive:
+            time.sleep(POLL_S)
+        self._take(look.results, recorder)
+        recorder.flush()
+
+    def _take(self, results: Sequence[Result], recorder: Recorder) -> None:
+        for result in results:
+            status = recorder.add(result)
+            if status is not Status.INTERRUPTED:
+                self.attempted.add(result.run)
+                if status is not Status.OK:
+                    self.failed.add(result.run)
+
+    def _flushed(self, recorder: Recorder) -> None:
+        self.failed |= {run for run, _, _ in recorder.flush()}
+
+    def _wait(self, wanted: AbstractSet[str]) -> None:
+        """Other sessions execute what is wanted: until one of them ends, or has recorded something."""
+        known = len(self.store.segments())
+        try:
+            while sessions.others(self.session.store, self.session.id) & wanted:
+                self._tell(0, elsewhere=len(wanted))
+                time.sleep(JOIN_S)
+                if len(self.store.segments()) != known:
+                    return
+        except KeyboardInterrupt:
+            self.interrupted = True
+
+    def _tell(self, running: int, elsewhere: int = 0) -> None:
+        self._watch(
+            Progress(self._total, len(self.reused), len(self.attempted), len(self.failed), running, elsewhere)
+        )
+
+
+def _close(asking: _Asking, began: datetime) -> Summary:
+    """Count by what the store says now, record the session, and sum up."""
+    plan, store = asking.plan, asking.store
+    now = states(plan, store)
+    bad = {run for run, state in now.items() if not state.good}
+    failed = bad & asking.attempted
+    missing = bad - asking.attempted
+    record = {
+        "session": asking.session.id,
+        "batch": plan.batch.id,
+        "query": plan.text,
+        "started": began,
+        "ended": datetime.now(UTC),
+        "runner": "local",
+        "engine": plan.engine.name,
+        "slots": asking.slots,
+        "executed": len(asking.attempted),
+        "reused": len(now) - len(asking.attempted) - len(missing),
+        "failed": len(failed),
+        "missing": len(missing),
+        "interrupted": asking.interrupted,
+        "sierra": plan.environment["sierra"],
+        "environment": plan.environment["environment"],
+        "source": plan.source.id,
+    }
+    writer = store.writer(asking.session.paths.segment, plan.batch.id)
+    writer.rows("sessions", [record])
+    if asking.attempted:
+        writer.rows("environments", [plan.environment])
+        writer.rows("programs", plan.programs.rows())
+    store.publish(writer)
+    return Summary(
+        batch=plan.batch.id,
+        query=plan.text,
+        experiments=len(plan.batch.experiments),
+        runs=len(now),
+        executed=record["executed"],
+        reused=record["reused"],
+        failed=len(failed),
+        missing=len(missing),
+        interrupted=asking.interrupted,
+        failures=tuple(failures(plan, store, failed)),
+        notes=plan.notes,
+    )
+
+
+def failures(plan: Plan, store: Store, failed: AbstractSet[str]) -> Iterator[Failure]:
+    """The first failed runs of a batch, with why and the end of their logs."""
+    shown: list[tuple[Run, Mapping[str, Any]]] = []
+    for experiment in plan.batch.experiments:
+        shown += [(run, experiment.values) for run in experiment.runs if run.id in failed]
+    shown = shown[:SHOWN_FAILURES]
+    if not shown:
+        return
+    rows = store.rows(
+        "SELECT run, arg_max(status, ended) AS status, arg_max(reason, ended) AS reason, "
+        "arg_max(coalesce(log, ''), ended) AS log FROM executions WHERE list_contains($runs, run) GROUP BY run",
+        runs=[run.id for run, _ in shown],
+    )
+    said = {row["run"]: row for row in rows}
+    for run, values in shown:
+        row = said[run.id]
+        yield Failure(run.id, values, run.number, row["status"], row["reason"] or "", row["log"] or None)
+
+
+def _context(plan: Plan, session: str) -> Context:
+    config = plan.project.config
+    return Context(
+        session=session,
+        batch=plan.batch.id,
+        purpose="run",
+        environment=plan.environment["environment"],
+        programs=plan.programs.id,
+        outputs=config.outputs,
+        success=config.success,
+    )
+
+
+def _check_outputs(project: LoadedProject) -> None:
+    for name in project.config.outputs:
+        if not check_name(name):
+            raise ConfigError(f"{project.file}: [outputs.{name}]: the store has a table {name!r} of its own; take another name")
+    root = ProjectPaths(project.root)
+    if root.store.exists() and not root.store.is_dir():
+        raise Missing(f"{root.store} is a file; the store is to be a folder there")
+
+
+def _known_inputs(plan: Plan, store: Store) -> set[str]:
+    """Runs of the batch whose input files the store has: those that belong to an earlier batch."""
+    import pyarrow as pa
+
+    with store.ask() as question:
+        question.register("asked", pa.table({"run": [run.id for run in plan.batch.runs]}))
+        question.views.make(("members",))
+        return {row[0] for row in question.run("SELECT DISTINCT run FROM members JOIN asked USING (run)")}
+
+
+def _batch_row(plan: Plan) -> dict[str, Any]:
+    return {
+        "batch": plan.batch.id,
+        "created": datetime.now(UTC),
+        "query": plan.text,
+        "axes": [axis.name for axis in plan.batch.axes],
+        "controller": plan.query.controller or plan.project.config.controller,
+        "scenario": plan.query.scenario or plan.project.config.scenario,
+        "platform": plan.batch.recipe.platform,
+        "experiments": len(plan.batch.experiments),
+        "runs": len({run.id for run in plan.batch.runs}),
+        "base_seed": plan.query.base_seed,
+        "recipe": plan.batch.recipe_id,
+        "template": plan.project.config.template,
+        "template_sha256": plan.template_sha256,
+    }
+
+
+def _experiments(batch: Batch) -> Any:
+    import pyarrow as pa
+
+    columns: dict[str, Any] = {
+        "experiment": [experiment.id for experiment in batch.experiments],
+        "batch": [batch.id] * len(batch.experiments),
+        "ordinal": [experiment.ordinal for experiment in batch.experiments],
+    }
+    for axis in batch.axes:
+        values = [experiment.values[axis.name] for experiment in batch.experiments]
+        kind = pa.string() if not axis.numeric else pa.int64() if all(isinstance(v, int) for v in values) else pa.float64()
+        columns[axis.name] = pa.array(values, kind)
+    return pa.table(columns)
+
+
+def _members(batch: Batch) -> Any:
+    import pyarrow as pa
+
+    runs = batch.runs
+    return pa.table(
+        {
+            "batch": pa.array([batch.id]).take(pa.array([0] * len(runs))),
+            "ordinal": [run.experiment for run in runs],
+            "number": [run.number for run in runs],
+            "run": [run.id for run in runs],
+            "seed": [run.seed for run in runs],
+            "input": [run.inputs[0][1] for run in runs],
+            "recipe": pa.array([batch.recipe_id]).take(pa.array([0] * len(runs))),
+        }
+    )
+
+
+def _json(value: Mapping[str, str]) -> str:
+    import json
+
+    return json.dumps(dict(value), sort_keys=True)

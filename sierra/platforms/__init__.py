@@ -1,0 +1,99 @@
+"""How one simulator or robot stack is driven: the Platform contract, and the door to find one by name.
+
+Shipped: `command` (any program) and `argos`. Others come as entry points of the group `sierra.platforms`,
+each naming a class that fulfils `Platform`; `sierra.platforms.conformance` holds them to it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from importlib import import_module
+from typing import Any, Protocol
+
+from sierra.config import Project
+from sierra.errors import ConfigError
+from sierra.model import Axis, Change, Criterion, Point
+
+SHIPPED = {
+    "command": "sierra.platforms.command:Command",
+    "argos": "sierra.platforms.argos:Argos",
+}
+
+
+class Reader(Protocol):
+    """What a platform may ask of a template."""
+
+    def find(self, path: str) -> tuple[str, ...]:
+        """The text of each attribute, text or element that an XPath 1.0 expression selects, in document order."""
+        ...
+
+
+class Platform(Protocol):
+    """One way to drive a simulator. Made once per batch from the project; holds no state of a run.
+
+    All methods may be called many times and must give the same answer for the same project and template:
+    what they return becomes part of what a run's identity is made from.
+    """
+
+    def __init__(self, project: Project) -> None:
+        """Raises ConfigError where the project's options for this platform are not as they should be."""
+        ...
+
+    def changes(self, template: Reader) -> tuple[Change, ...]:
+        """What this platform changes in every run's input, before anybody else does."""
+        ...
+
+    def seed_changes(self) -> tuple[Change, ...]:
+        """Where the seed (`{seed}`) goes by this platform's own rules; may be none."""
+        ...
+
+    def criterion(self, criterion: Criterion, template: Reader) -> tuple[Axis, tuple[Point, ...]] | None:
+        """What a criterion of this platform's own means, or None where it has none of that name.
+
+        A variable of the project of the same name goes first. Raises QueryError where the criterion is the
+        platform's, but its scale does not fit. `sierra.scales.values` gives a scale's numbers.
+        """
+        ...
+
+    def criteria(self) -> Mapping[str, str]:
+        """The names of the criteria that `criterion` knows, each with a sentence."""
+        ...
+
+    def command(self) -> tuple[str, ...]:
+        """The program and its arguments, with placeholders: `{input}`, `{output}`, `{seed}`, `{project}`, …"""
+        ...
+
+    def files(self, document: bytes) -> tuple[tuple[str, bytes], ...]:
+        """The input files that one generated document becomes, by name; the first is `{input}`."""
+        ...
+
+    def environment(self) -> Mapping[str, str]:
+        """Variables that this simulator needs; part of a run's identity, so without paths of this machine."""
+        ...
+
+
+def find(name: str, project: Project) -> Platform:
+    """The platform of that name, made for a project. Raises ConfigError where there is none."""
+    made: Platform = _load(name)(project)
+    return made
+
+
+def names() -> tuple[str, ...]:
+    """All platforms that can be named here, the shipped ones first."""
+    return (*SHIPPED, *sorted({point.name for point in _entry_points()} - SHIPPED.keys()))
+
+
+def _load(name: str) -> Any:
+    if name in SHIPPED:
+        module, _, attribute = SHIPPED[name].partition(":")
+        return getattr(import_module(module), attribute)
+    for point in _entry_points():
+        if point.name == name:
+            return point.load()
+    raise ConfigError(f"unknown platform {name!r}; known are {', '.join(names())}")
+
+
+def _entry_points() -> Any:
+    from importlib.metadata import entry_points
+
+    return entry_points(group="sierra.platforms")

@@ -1,0 +1,600 @@
+"""ARGoS 3: one configuration, whose seed, length, controller, arena and population SIERRA knows how to set.
+
+What of the template is replaced in every run, and then left to the project's own changes:
+
+- `framework/experiment` gets `random_seed`; `length` and `ticks_per_second` where the options say so. A
+  length of 0 (or less than a tick) makes ARGoS run for ever, so such a template is refused.
+- `framework/system/@threads` becomes the option `threads`. The results are the same for any number; many
+  runs side by side are faster than many threads, hence 0. With two or more, `method="balance_length"` hangs.
+- The placeholder `__CONTROLLER__`, as a tag and as an attribute, becomes the controller's name.
+- `visualization` is taken out. So `argos3` needs no `-z`, and a camera is no part of a run's identity.
+
+*The arena.* `arena = "10x10"` (or `10x10x2`, in metres) sets `arena/@size`. The arena keeps its centre, and
+the floor its height. What belongs to its shape follows; all else stays where it is (and ends a run with an error
+of ARGoS's where a smaller arena leaves a light outside):
+
+- The walls are the boxes whose ids begin with `wall`, or what the option `walls` selects: none, or one on
+  each side. Which side a wall is on is told by its longer dimension and by where it stands among the walls, not by
+  its name. Each keeps its thickness and height, is made as long as the side, and is put inside the arena with its
+  outer face on the edge: ARGoS ends a run as soon as a lit LED is outside `arena/@size`, so they can't stand on it.
+- The boxes of `distribute/position[@method="uniform"]` are stretched as the space between the walls is (or,
+  without walls, the arena), and cut at the walls. A nest along one wall remains a nest along that wall.
+
+*Densities* are percent of robots per m² of `arena/@size`: a population is ⌊area · density / 100⌋.
+`population_constant_density.5p0.I16.C4` starts with the arena as it is and makes both sides of each next one
+16 m longer; `population_variable_density.1p0.5p0.C4` keeps the arena. Populations are the values of both axes.
+Two equal ones, or less than one robot, are errors. Both fix `arena/@size`, so that no other criterion may.
+
+*Libraries.* ARGoS looks for them in `ARGOS_PLUGIN_PATH`, and the loader in `LD_LIBRARY_PATH`. A path of one
+machine would be a part of every run's id, so name those inside the project by placeholder,
+
+    [environment]
+    set = { ARGOS_PLUGIN_PATH = "{project}/build/lib" }
+
+and let ARGoS itself be installed where its loader finds it: in an image, or by `make install` and ldconfig.
+`pass = ["ARGOS_PLUGIN_PATH"]` works as well, but makes the value a part of the ids.
+
+An `output_dir` in the template is relative to where the run starts, its output folder; the worker keeps stdout and
+stderr, so neither `-l` nor `-e` is needed.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Annotated
+
+from pydantic import Field, NonNegativeInt, PositiveInt, StringConstraints
+
+from sierra import scales
+from sierra.config import Project, Table, options
+from sierra.errors import ConfigError, QueryError, TemplateError
+from sierra.model import (
+    Add,
+    Axis,
+    Change,
+    ConstantDensity,
+    Criterion,
+    Listed,
+    MonteCarlo,
+    Point,
+    Remove,
+    Rename,
+    Scale,
+    Set,
+    Value,
+    VariableDensity,
+)
+from sierra.platforms import Reader
+
+TABLE = "[platforms.argos]"
+PLACEHOLDER = "__CONTROLLER__"
+WHY_CONTROLLER = f"{PLACEHOLDER} in the template needs a controller"
+COMMAND = ("argos3", "-n", "-c", "{input}")
+INPUT = "input.argos"
+
+ROOT = "/argos-configuration"
+EXPERIMENT = f"{ROOT}/framework/experiment"
+SYSTEM = f"{ROOT}/framework/system"
+ARENA = f"{ROOT}/arena"
+ROBOTS = f"{ARENA}//*[controller]"
+"""All that has a controller, wherever it is placed."""
+POPULATION = f"{ARENA}/distribute/entity[*/controller]/@quantity"
+WALLS = f"{ARENA}/box[starts-with(@id, 'wall')]"
+BOXES = f"{ARENA}/distribute/position[@method='uniform']"
+BOUNDARIES = f"{ROOT}/physics_engines/*/boundaries"
+
+LARGEST = 2**32 - 1
+"""What ARGoS can hold of ticks and of robots."""
+LABEL = "Population size"
+CRITERIA: Mapping[str, str] = {
+    "population_size": "how many robots are distributed in the arena",
+    "population_constant_density": "robots in arenas that grow, at one density in percent of robots per m²",
+    "population_variable_density": "robots in one arena, at densities in percent of robots per m²",
+    "arena": "the arena's size in metres, as in arena=10x10,20x10",
+}
+
+_SIDE = r"([0-9]{1,9}(?:\.[0-9]{1,9})?)"
+_SIZE = f"{_SIDE}x{_SIDE}(?:x{_SIDE})?"
+_NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]{1,2})?")
+_MICROMETRE = Fraction(1, 10**6)
+
+Vector = tuple[Fraction, Fraction, Fraction]
+
+
+class ArgosOptions(Table):
+    """`[platforms.argos]`."""
+
+    length: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = Field(
+        None, description="seconds that are simulated; as in the template where absent"
+    )
+    ticks_per_second: PositiveInt | None = Field(None, description="as in the template where absent")
+    threads: NonNegativeInt = Field(0, description="threads of one run beside the main one; 0 is none")
+    visualization: bool = Field(False, description="whether the template's visualization is kept")
+    arena: Annotated[str, StringConstraints(pattern=f"^{_SIZE}$")] | None = Field(
+        None, description="the arena's size in metres, as in 10x10 or 10x10x2; as in the template where absent"
+    )
+    walls: str = Field(WALLS, description="XPath of the four boxes that bound the arena")
+    population: str | None = Field(
+        None, description="XPath of what population_size sets; the quantity of the one distributed robot where absent"
+    )
+    label: Annotated[str, StringConstraints(pattern=r"^[A-Za-z_][A-Za-z0-9_.-]*$")] | None = Field(
+        None, description=f"the tag that {PLACEHOLDER} becomes; the controller's name where absent"
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Size:
+    """The sides of an arena in metres; without `z`, its height stays."""
+
+    x: Fraction
+    y: Fraction
+    z: Fraction | None = None
+
+    @property
+    def area(self) -> Fraction:
+        return self.x * self.y
+
+    def __str__(self) -> str:
+        return "x".join(_plain(side) for side in (self.x, self.y, self.z) if side is not None)
+
+
+@dataclass(frozen=True, slots=True)
+class Wall:
+    """A box on one side of the arena: which one, and what of it doesn't change."""
+
+    id: str
+    axis: int
+    """What it bounds: 0 is x, 1 is y."""
+    high: bool
+    """Whether it bounds that from above."""
+    position: Vector
+    thickness: Fraction
+    height: Fraction
+
+
+@dataclass(frozen=True, slots=True)
+class Space:
+    """From where to where robots can be, along x and y."""
+
+    low: tuple[Fraction, Fraction]
+    high: tuple[Fraction, Fraction]
+
+    def __post_init__(self) -> None:
+        if not all(low < high for low, high in zip(self.low, self.high, strict=True)):
+            raise TemplateError("the walls leave no space between them; use an arena that is larger")
+
+
+class Argos:
+    """The platform `argos`."""
+
+    def __init__(self, project: Project) -> None:
+        self._options = options(ArgosOptions, project.platforms.get("argos", {}), TABLE)
+        if project.command and not any("{input}" in word for word in project.command):
+            raise ConfigError('platform "argos" needs {input} in its command, as in: command = "argos3 -n -c {input}"')
+        self._command = project.command or COMMAND
+        self._arena = _size(self._options.arena) if self._options.arena else None
+        if self._arena and not all((self._arena.x, self._arena.y, self._arena.z != 0)):
+            raise ConfigError(f"{TABLE}: arena: {self._options.arena!r} is empty; write it as 10x10")
+
+    def changes(self, template: Reader) -> tuple[Change, ...]:
+        resized = self._resized(template, self._arena, f"{TABLE} arena") if self._arena else ()
+        return (
+            *self._length(template),
+            *self._threads(template),
+            *self._controller(template),
+            *self._visualization(template),
+            *resized,
+        )
+
+    def seed_changes(self) -> tuple[Change, ...]:
+        return (Set(EXPERIMENT, "{seed}", attribute="random_seed", expect=1, why="the seed"),)
+
+    def criterion(self, criterion: Criterion, template: Reader) -> tuple[Axis, tuple[Point, ...]] | None:
+        match criterion.name:
+            case "population_size":
+                return self._population_size(criterion, template)
+            case "population_constant_density":
+                return self._constant_density(criterion, template)
+            case "population_variable_density":
+                return self._variable_density(criterion, template)
+            case "arena":
+                return self._arenas(criterion, template)
+        return None
+
+    def criteria(self) -> Mapping[str, str]:
+        return CRITERIA
+
+    def command(self) -> tuple[str, ...]:
+        return self._command
+
+    def files(self, document: bytes) -> tuple[tuple[str, bytes], ...]:
+        return ((INPUT, document),)
+
+    def environment(self) -> Mapping[str, str]:
+        return {}
+
+    def _length(self, template: Reader) -> tuple[Change, ...]:
+        wanted = {"length": self._options.length, "ticks_per_second": self._options.ticks_per_second}
+        changes = tuple(
+            Set(EXPERIMENT, repr(value).removesuffix(".0"), attribute=name, expect=1, why=f"{TABLE} {name}")
+            for name, value in wanted.items()
+            if value is not None
+        )
+        given = {change.attribute: change.value for change in changes}
+        if len(template.find(EXPERIMENT)) != 1:
+            raise TemplateError(f"the template has not one {EXPERIMENT}; ARGoS needs it")
+        length = given.get("length") or _at_most_one(template, f"{EXPERIMENT}/@length") or "0"
+        ticks = given.get("ticks_per_second") or _at_most_one(template, f"{EXPERIMENT}/@ticks_per_second")
+        if ticks is None:
+            raise TemplateError(f"{EXPERIMENT} has no ticks_per_second; add it, or set it in {TABLE}")
+        _check_ticks(
+            _number(length, f"{EXPERIMENT}/@length") * _number(ticks, f"{EXPERIMENT}/@ticks_per_second"), length
+        )
+        return changes
+
+    def _threads(self, template: Reader) -> tuple[Change, ...]:
+        threads, why = str(self._options.threads), f"{TABLE} threads"
+        if not template.find(SYSTEM):
+            added = Add(f"{ROOT}/framework", f'<system threads="{threads}"/>', at=0, expect=1, why=why)
+            return (added,) if self._options.threads else ()
+        if self._options.threads > 1 and _at_most_one(template, f"{SYSTEM}/@method") == "balance_length":
+            raise TemplateError(
+                f'{SYSTEM} has method="balance_length", which hangs with {threads} threads; use balance_quantity'
+            )
+        return (Set(SYSTEM, threads, attribute="threads", expect=1, why=why),)
+
+    def _controller(self, template: Reader) -> tuple[Change, ...]:
+        if stray := template.find(f"//@*[contains(., '{PLACEHOLDER}') and . != '{PLACEHOLDER}']"):
+            raise TemplateError(f"{stray[0]!r} holds {PLACEHOLDER} among other text; use it as a whole attribute")
+        tags, attributes = f"//{PLACEHOLDER}", f"//@*[. = '{PLACEHOLDER}']"
+        changes: list[Change] = []
+        if template.find(attributes):
+            changes.append(Set(attributes, "{controller}", why=WHY_CONTROLLER))
+        if template.find(tags):
+            changes.append(Rename(tags, self._options.label or "{controller}", why=WHY_CONTROLLER))
+        return tuple(changes)
+
+    def _visualization(self, template: Reader) -> tuple[Change, ...]:
+        path = f"{ROOT}/visualization"
+        if self._options.visualization or not template.find(path):
+            return ()
+        return (Remove(path, why=f"{TABLE} visualization"),)
+
+    def _population_size(self, criterion: Criterion, template: Reader) -> tuple[Axis, tuple[Point, ...]]:
+        if isinstance(criterion.scale, MonteCarlo):
+            raise QueryError(f"{criterion.name} has a range; use {criterion.name}.Log8")
+        populations = tuple(_whole(criterion.name, value) for value in scales.values(criterion.scale))
+        path = self._population(template)
+        points = tuple(Point(n, (_quantity(path, n, criterion.name),)) for n in populations)
+        return Axis(criterion.name, populations, label=LABEL), points
+
+    def _constant_density(self, criterion: Criterion, template: Reader) -> tuple[Axis, tuple[Point, ...]]:
+        scale, name = criterion.scale, criterion.name
+        if not isinstance(scale, ConstantDensity):
+            raise QueryError(f"{name} has a density, an increment in metres and a count; use {name}.5p0.I16.C4")
+        first, path = self._size(template), self._population(template)
+        sizes = tuple(Size(first.x + longer, first.y + longer) for longer in scales.growths(scale))
+        populations = tuple(_agents(name, size.area, scale.density) for size in sizes)
+        if len(set(populations)) < len(populations):
+            raise QueryError(_too_slow(name, first, scale, populations))
+        points = tuple(
+            Point(n, (*self._resized(template, size, name), _quantity(path, n, name)))
+            for n, size in zip(populations, sizes, strict=True)
+        )
+        return Axis(name, populations, label=LABEL), points
+
+    def _variable_density(self, criterion: Criterion, template: Reader) -> tuple[Axis, tuple[Point, ...]]:
+        scale, name = criterion.scale, criterion.name
+        if not isinstance(scale, VariableDensity):
+            raise QueryError(f"{name} has two densities and a count; use {name}.1p0.5p0.C4")
+        size, path = self._size(template), self._population(template)
+        if self._arena is None:
+            self._check_walls(template, size)
+        populations = tuple(_agents(name, size.area, density) for density in scales.densities(scale))
+        if len(set(populations)) < len(populations):
+            raise QueryError(_too_close(name, size, scale, populations))
+        fixed = Set(f"{ARENA}/@size", self._sides(template, size), expect=1, why=name)
+        points = tuple(Point(n, (fixed, _quantity(path, n, name))) for n in populations)
+        return Axis(name, populations, label=LABEL), points
+
+    def _arenas(self, criterion: Criterion, template: Reader) -> tuple[Axis, tuple[Point, ...]]:
+        sizes = _sizes(criterion.scale)
+        points = tuple(Point(text, self._resized(template, size, f"arena={text}")) for text, size in sizes.items())
+        return Axis(criterion.name, tuple(sizes), label="Arena", unit="m"), points
+
+    def _population(self, template: Reader) -> str:
+        """The XPath of the one attribute that holds how many robots there are."""
+        path = self._options.population or POPULATION
+        found = len(template.find(path))
+        if found != 1 or (not self._options.population and len(template.find(ROBOTS)) != 1):
+            raise TemplateError(
+                f"the template has not one kind of robots, and that distributed ({path} selects {found}); "
+                f"set population in {TABLE} to the XPath of one quantity"
+            )
+        if template.find(f"({path})/self::*"):
+            raise ConfigError(
+                f"{TABLE}: population: {path!r} selects an element; use an attribute, as in {path}/@quantity"
+            )
+        return path
+
+    def _size(self, template: Reader) -> Size:
+        """The arena's size, as it is before a criterion changes it."""
+        return self._arena or _template_size(template)
+
+    def _sides(self, template: Reader, size: Size) -> str:
+        z = size.z
+        if z is None and self._arena:
+            z = self._arena.z
+        return _joined((size.x, size.y, _vector(template, f"{ARENA}/@size")[2] if z is None else z))
+
+    def _resized(self, template: Reader, size: Size, why: str) -> tuple[Change, ...]:
+        """All that makes the arena, its walls and what is distributed in it fit a size."""
+        if template.find(BOUNDARIES):
+            raise TemplateError(f"{why}: {BOUNDARIES} would not follow the arena; use changes of your own")
+        walls = self._walls(template)
+        center = _center(template)
+        arena = _space(center, size)
+        inner = _between(arena, walls)
+        before = _within(walls) if walls else _space(center, _template_size(template))
+        return (
+            Set(f"{ARENA}/@size", self._sides(template, size), expect=1, why=why),
+            *_lifted(template, center, size, why),
+            *(change for wall in walls for change in self._moved(wall, arena, why)),
+            *_stretched(template, before, inner, why),
+        )
+
+    def _walls(self, template: Reader) -> tuple[Wall, ...]:
+        """The four walls, or none. Raises TemplateError where what is selected is neither."""
+        path = self._options.walls
+        ids = template.find(f"({path})/@id")
+        sizes = tuple(_parsed(text, "a wall's size") for text in template.find(f"({path})/@size"))
+        positions = tuple(_parsed(text, "a wall's position") for text in template.find(f"({path})/body/@position"))
+        turned = any(any(_parsed(text, "an orientation")) for text in template.find(f"({path})/body/@orientation"))
+        if turned or not len(template.find(path)) == len(ids) == len(sizes) == len(positions):
+            raise TemplateError(f"{path} selects what is not a wall: a box with id, size and position, and not turned")
+        walls = tuple(_wall(*facts, positions) for facts in zip(ids, sizes, positions, strict=True))
+        if walls and sorted((wall.axis, wall.high) for wall in walls) != [(0, False), (0, True), (1, False), (1, True)]:
+            raise TemplateError(
+                f"{', '.join(map(repr, ids))}: not one wall on each of four sides; "
+                f"set walls in {TABLE} to the XPath of four boxes"
+            )
+        return walls
+
+    def _check_walls(self, template: Reader, size: Size) -> None:
+        """The walls are the arena's edges, within their thickness; otherwise its area is not what robots have."""
+        arena = _space(_center(template), size)
+        for wall in self._walls(template):
+            outside = _face(wall, outer=True)
+            edge = (arena.high if wall.high else arena.low)[wall.axis]
+            if abs(outside - edge) > wall.thickness:
+                raise TemplateError(
+                    f"{wall.id!r} is {_plain(abs(outside - edge))} m off the edge of the {size} arena, so that robots "
+                    f'don\'t have its area; set arena = "{size}" in {TABLE}, which moves the walls'
+                )
+
+    def _moved(self, wall: Wall, arena: Space, why: str) -> tuple[Change, ...]:
+        """Onto the edge of the arena, from inside, along the whole side."""
+        across, along = wall.axis, 1 - wall.axis
+        size, position = [Fraction()] * 2, [Fraction()] * 2
+        size[across] = wall.thickness
+        size[along] = arena.high[along] - arena.low[along]
+        half = wall.thickness / 2
+        position[across] = arena.high[across] - half if wall.high else arena.low[across] + half
+        position[along] = (arena.low[along] + arena.high[along]) / 2
+        path = f"({self._options.walls})[@id={_literal(wall.id)}]"
+        return (
+            Set(f"{path}/@size", _joined((*size, wall.height)), expect=1, why=why),
+            Set(f"{path}/body/@position", _joined((*position, wall.position[2])), expect=1, why=why),
+        )
+
+
+def _check_ticks(ticks: Fraction, length: str) -> None:
+    if ticks < 1:
+        raise TemplateError(
+            f"{EXPERIMENT}/@length is {length!r}, less than a tick, and would run for ever; set length = 300 in {TABLE}"
+        )
+    if ticks > LARGEST:
+        raise TemplateError(
+            f"{EXPERIMENT}/@length is {length!r}, more ticks than the {LARGEST} that ARGoS counts; use fewer"
+        )
+
+
+def _quantity(path: str, population: int, why: str) -> Set:
+    return Set(path, str(population), expect=1, why=why)
+
+
+def _whole(name: str, value: Value) -> int:
+    if isinstance(value, str):
+        raise QueryError(f"{name}: {value!r} is not a number of robots; use {name}=1,2,4")
+    number = Fraction(value)
+    if number.denominator > 1 or not 1 <= number <= LARGEST:
+        raise QueryError(f"{name}: {value} is not a whole number of robots from 1 to {LARGEST}; use {name}=1,2,4")
+    return int(number)
+
+
+def _agents(name: str, area: Fraction, density: Fraction) -> int:
+    """How many robots a density means. Raises QueryError where it is less than one."""
+    exact = area * density / 100
+    if exact < 1:
+        least = _step(100 / area)
+        raise QueryError(
+            f"{name}: {_plain(density)} % of {_plain(area)} m² are {_plain(exact)} robots, less than one; "
+            f"use a density of {least} or more, or a larger arena"
+        )
+    return int(exact)
+
+
+def _too_slow(name: str, first: Size, scale: ConstantDensity, populations: tuple[int, ...]) -> str:
+    """Two arenas with as many robots; from the increment named, each has at least one more than the last."""
+    twice = next(n for n in populations if populations.count(n) > 1)
+    around = float(first.x + first.y)
+    enough = (math.sqrt(around**2 + 400 / float(scale.density)) - around) / 2
+    return (
+        f"{name}: arenas that grow by {_plain(scale.increment)} m have {twice} robots twice; "
+        f"use an increment of I{_step(Fraction(enough))} or more"
+    )
+
+
+def _too_close(name: str, size: Size, scale: VariableDensity, populations: tuple[int, ...]) -> str:
+    twice = next(n for n in populations if populations.count(n) > 1)
+    count = int(abs(scale.end - scale.start) * size.area / 100) + 1
+    right = f"use C{count}" if count > 1 else "use densities that are further apart"
+    return f"{name}: two of the densities are {twice} robots on {_plain(size.area)} m²; {right}, or a larger arena"
+
+
+def _sizes(scale: Scale) -> dict[str, Size]:
+    values = scales.values(scale) if isinstance(scale, Listed) else ()
+    matches = {text: re.fullmatch(_SIZE, text) for text in values if isinstance(text, str)}
+    if not values or len(matches) < len(values) or not all(matches.values()):
+        raise QueryError("an arena is its sides in metres; use arena=10x10,20x10")
+    sizes = {text: _size(text) for text in matches}
+    for text, size in sizes.items():
+        if not (size.x and size.y and size.z != 0):
+            raise QueryError(f"arena: {text!r} is empty; use arena=10x10,20x10")
+    if len({(size.x, size.y, size.z) for size in sizes.values()}) < len(sizes):
+        raise QueryError(f"arena: two of {', '.join(sizes)} are the same; use each once")
+    return sizes
+
+
+def _size(text: str) -> Size:
+    x, y, z = re.fullmatch(_SIZE, text).groups()  # type: ignore[union-attr]
+    return Size(Fraction(x), Fraction(y), Fraction(z) if z else None)
+
+
+def _template_size(template: Reader) -> Size:
+    x, y, _ = _vector(template, f"{ARENA}/@size")
+    if min(x, y) <= 0:
+        raise TemplateError(f"{ARENA}/@size is empty; use a size as 10,10,2")
+    return Size(x, y)
+
+
+def _center(template: Reader) -> Vector:
+    path = f"{ARENA}/@center"
+    return _vector(template, path) if template.find(path) else (Fraction(), Fraction(), Fraction())
+
+
+def _space(center: Vector, size: Size) -> Space:
+    x, y, _ = center
+    return Space((x - size.x / 2, y - size.y / 2), (x + size.x / 2, y + size.y / 2))
+
+
+def _between(arena: Space, walls: Iterable[Wall]) -> Space:
+    """What the walls leave of an arena, once they stand inside its edges."""
+    low, high = list(arena.low), list(arena.high)
+    for wall in walls:
+        if wall.high:
+            high[wall.axis] -= wall.thickness
+        else:
+            low[wall.axis] += wall.thickness
+    return Space((low[0], low[1]), (high[0], high[1]))
+
+
+def _within(walls: Iterable[Wall]) -> Space:
+    """What four walls enclose where they stand."""
+    faces = {(wall.axis, wall.high): _face(wall, outer=False) for wall in walls}
+    return Space((faces[0, False], faces[1, False]), (faces[0, True], faces[1, True]))
+
+
+def _face(wall: Wall, *, outer: bool) -> Fraction:
+    half = wall.thickness / 2
+    return wall.position[wall.axis] + (half if wall.high == outer else -half)
+
+
+def _wall(identity: str, size: Vector, position: Vector, positions: tuple[Vector, ...]) -> Wall:
+    """The side is that of the walls' common middle on which this one stands."""
+    axis = 0 if size[0] < size[1] else 1
+    places = [place[axis] for place in positions]
+    middle = (min(places) + max(places)) / 2
+    if size[0] == size[1] or position[axis] == middle:
+        raise TemplateError(f"{identity!r} is no wall of one side; set walls in {TABLE} to the XPath of four boxes")
+    return Wall(identity, axis, position[axis] > middle, position, size[axis], size[2])
+
+
+def _lifted(template: Reader, center: Vector, size: Size, why: str) -> tuple[Change, ...]:
+    """The centre, where the arena becomes higher: its floor stays."""
+    if size.z is None:
+        return ()
+    z = center[2] + (size.z - _vector(template, f"{ARENA}/@size")[2]) / 2
+    return (Set(ARENA, _joined((center[0], center[1], z)), attribute="center", expect=1, why=why),)
+
+
+def _stretched(template: Reader, before: Space, after: Space, why: str) -> tuple[Change, ...]:
+    """Each box of uniform positions, as the space around it is stretched, and within it."""
+    changes: list[Change] = []
+    corners = zip(template.find(f"{BOXES}/@min"), template.find(f"{BOXES}/@max"), strict=True)
+    for number, (least, most) in enumerate(corners, 1):
+        low, high = _parsed(least, f"{BOXES}/@min"), _parsed(most, f"{BOXES}/@max")
+        new_low, new_high = _mapped(low, before, after), _mapped(high, before, after)
+        if any(low[axis] < high[axis] and new_low[axis] == new_high[axis] for axis in (0, 1)):
+            raise TemplateError(
+                f"{why}: robots are distributed from {least!r} to {most!r}, outside the walls; move one of them"
+            )
+        for attribute, corner in (("min", new_low), ("max", new_high)):
+            changes.append(Set(f"({BOXES})[{number}]/@{attribute}", _joined(corner), expect=1, why=why))
+    return tuple(changes)
+
+
+def _mapped(corner: Vector, before: Space, after: Space) -> Vector:
+    x, y = (_mapped_along(axis, corner[axis], before, after) for axis in (0, 1))
+    return x, y, corner[2]
+
+
+def _mapped_along(axis: int, place: Fraction, before: Space, after: Space) -> Fraction:
+    share = (place - before.low[axis]) / (before.high[axis] - before.low[axis])
+    exact = after.low[axis] + share * (after.high[axis] - after.low[axis])
+    return min(max(round(exact / _MICROMETRE) * _MICROMETRE, after.low[axis]), after.high[axis])
+
+
+def _at_most_one(template: Reader, path: str) -> str | None:
+    found = template.find(path)
+    if len(found) > 1:
+        raise TemplateError(f"{path} is there {len(found)} times; use it once")
+    return found[0] if found else None
+
+
+def _vector(template: Reader, path: str) -> Vector:
+    text = _at_most_one(template, path)
+    if text is None:
+        raise TemplateError(f"the template has no {path}; add it")
+    return _parsed(text, path)
+
+
+def _parsed(text: str, what: str) -> Vector:
+    """Three numbers with commas between them, as ARGoS writes a vector."""
+    parts = text.split(",")
+    if len(parts) != 3:
+        raise TemplateError(f"{what}: {text!r} is not three numbers; use one as 10,10,2")
+    return _number(parts[0], what), _number(parts[1], what), _number(parts[2], what)
+
+
+def _number(text: str, what: str) -> Fraction:
+    if len(text) > 60 or not _NUMBER.fullmatch(text.strip()):
+        raise TemplateError(f"{what}: {text!r} is not a number; use one as 10 or 0.5")
+    return Fraction(text.strip())
+
+
+def _joined(numbers: Iterable[Fraction]) -> str:
+    return ",".join(scales.plain(number) for number in numbers)
+
+
+def _plain(number: Fraction) -> str:
+    """For people: at most four decimals."""
+    return scales.plain(round(number, 4))
+
+
+def _step(number: Fraction) -> str:
+    """At least that, as criteria write it: 6p25."""
+    return scales.plain(Fraction(math.ceil(number * 100), 100)).replace(".", "p")
+
+
+def _literal(text: str) -> str:
+    """A text within an XPath 1.0 expression, which has no escapes."""
+    if "'" not in text:
+        return f"'{text}'"
+    if '"' not in text:
+        return f'"{text}"'
+    return "concat(" + ', "\'", '.join(f"'{part}'" for part in text.split("'")) + ")"

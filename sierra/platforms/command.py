@@ -1,0 +1,47 @@
+"""Any program: it reads the generated file, and writes into its output folder."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import PurePosixPath
+
+from sierra.config import Project, Table, options
+from sierra.errors import ConfigError
+from sierra.model import Axis, Change, Criterion, Point
+from sierra.platforms import Reader
+
+
+class Options(Table):
+    """`[platforms.command]`: there is nothing to say."""
+
+
+class Command:
+    """The platform `command`: argv with placeholders, all else as the project says."""
+
+    def __init__(self, project: Project) -> None:
+        options(Options, project.platforms.get("command", {}), "[platforms.command]")
+        if not project.command:
+            raise ConfigError('platform "command" needs a command, as in: command = "python3 sim.py {input}"')
+        self._command = project.command
+        self._file = "input" + (PurePosixPath(project.template).suffix or ".xml")
+
+    def changes(self, template: Reader) -> tuple[Change, ...]:
+        return ()
+
+    def seed_changes(self) -> tuple[Change, ...]:
+        return ()
+
+    def criterion(self, criterion: Criterion, template: Reader) -> tuple[Axis, tuple[Point, ...]] | None:
+        return None
+
+    def criteria(self) -> Mapping[str, str]:
+        return {}
+
+    def command(self) -> tuple[str, ...]:
+        return self._command
+
+    def files(self, document: bytes) -> tuple[tuple[str, bytes], ...]:
+        return ((self._file, document),)
+
+    def environment(self) -> Mapping[str, str]:
+        return {}

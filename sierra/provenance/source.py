@@ -1,0 +1,240 @@
+"""The code that runs are made from, as one tree with one id.
+
+The id is that of the tree as git hashes it, written as an SWHID (`swh:1:dir:…`): in a git repository git makes
+it, of the files as they are now (changed and untracked ones too, ignored ones not); outside, the same hash is
+made here, so that a project has one id wherever it lies. The user's index, files, branches and stash are not
+touched: git works on a copy of the index, and the tree is kept from being pruned by a ref, `refs/sierra/<tree>`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+import shutil
+import stat
+import subprocess
+import tempfile
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from sierra.errors import ConfigError, Missing
+from sierra.hashing import digest
+
+LEFT_OUT = frozenset(
+    (".git", ".hg", ".svn", "__pycache__", ".venv", "venv", "node_modules", ".mypy_cache", ".pytest_cache", ".ruff_cache")
+)
+"""Folders that are never code, in a project outside git."""
+
+SWHID = "swh:1:dir:"
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """One file of a tree: git's mode and blob hash, and its path from the project's root."""
+
+    mode: str
+    blob: str
+    path: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """The state of the code at one time."""
+
+    tree: str
+    vcs: str
+    commit: str | None
+    branch: str | None
+    dirty: bool | None
+    remote: str | None
+    manifest: bytes
+    """A line for each file: mode, blob hash, path."""
+
+    @property
+    def id(self) -> str:
+        return digest("source", {name: getattr(self, name) for name in ("tree", "vcs", "commit", "branch", "dirty", "remote")})
+
+    def row(self, files: str) -> dict[str, Any]:
+        """Its record; `files` is the SHA-256 under which the manifest is kept."""
+        names = ("tree", "vcs", "commit", "branch", "dirty", "remote")
+        return {"source": self.id, "files": files, **{name: getattr(self, name) for name in names}}
+
+
+def capture(root: Path, *, paths: Sequence[str], without: Iterable[str]) -> Source:
+    """The code in the project `root`: all of it or what `paths` names, without some files and folders.
+
+    Raises ConfigError for a path that is not there, Missing where git is needed and cannot tell.
+    """
+    for path in paths:
+        if not (root / path).exists():
+            raise ConfigError(f"[source] paths: there is no {path!r} in {root}")
+    wanted = _Chosen([os.fsencode(Path(path).as_posix()) for path in paths], [os.fsencode(path) for path in without])
+    if any((folder / ".git").exists() for folder in (root, *root.parents)):
+        return _git(root, wanted)
+    entries = [entry for entry in _walk(root) if wanted(entry.path)]
+    tree = tree_hash(entries)
+    return Source(SWHID + tree, "none", None, None, None, None, _manifest(entries))
+
+
+def changed(before: bytes, after: bytes) -> list[str]:
+    """The paths in which two manifests differ."""
+    old, new = _read_manifest(before), _read_manifest(after)
+    differing = {path for path in old.keys() | new.keys() if old.get(path) != new.get(path)}
+    return [path.decode("utf-8", "replace") for path in sorted(differing)]
+
+
+def tree_hash(entries: Sequence[Entry]) -> str:
+    """The hash that git gives to a tree with these files."""
+    below: dict[bytes, list[Entry]] = {}
+    items: list[tuple[bytes, str, bytes, str]] = []
+    for entry in entries:
+        name, slash, rest = entry.path.partition(b"/")
+        if slash:
+            below.setdefault(name, []).append(Entry(entry.mode, entry.blob, rest))
+        else:
+            items.append((name, entry.mode, name, entry.blob))
+    items += [(name + b"/", "40000", name, tree_hash(inside)) for name, inside in below.items()]
+    content = b"".join(
+        mode.encode() + b" " + name + b"\0" + bytes.fromhex(blob) for _, mode, name, blob in sorted(items)
+    )
+    return _git_hash(b"tree", content)
+
+
+class _Chosen:
+    """Which paths count."""
+
+    def __init__(self, only: Sequence[bytes], without: Sequence[bytes]) -> None:
+        self._only = [path for path in only if path != b"."]
+        self._without = without
+
+    def __call__(self, path: bytes) -> bool:
+        if any(path == left or path.startswith(left + b"/") for left in self._without):
+            return False
+        return not self._only or any(path == kept or path.startswith(kept + b"/") for kept in self._only)
+
+
+def _walk(root: Path) -> Iterator[Entry]:
+    pending = [(os.fsencode(root), b"")]
+    while pending:
+        folder, prefix = pending.pop()
+        with os.scandir(folder) as entries:
+            for entry in entries:
+                path = prefix + entry.name
+                if entry.is_dir(follow_symlinks=False):
+                    if os.fsdecode(entry.name) not in LEFT_OUT:
+                        pending.append((entry.path, path + b"/"))
+                elif not entry.name.endswith(b".pyc"):
+                    yield from _entry(entry, path)
+
+
+def _entry(entry: os.DirEntry[bytes], path: bytes) -> Iterator[Entry]:
+    status = entry.stat(follow_symlinks=False)
+    if stat.S_ISLNK(status.st_mode):
+        yield Entry("120000", _git_hash(b"blob", os.readlink(entry.path)), path)  # noqa: PTH115 - bytes
+    elif stat.S_ISREG(status.st_mode):
+        mode = "100755" if status.st_mode & 0o100 else "100644"
+        try:
+            yield Entry(mode, _git_hash(b"blob", Path(os.fsdecode(entry.path)).read_bytes()), path)
+        except OSError as error:
+            raise Missing(f"cannot read {os.fsdecode(entry.path)}: {error.strerror}") from error
+
+
+def _git_hash(kind: bytes, content: bytes) -> str:
+    return hashlib.sha1(kind + b" " + str(len(content)).encode() + b"\0" + content, usedforsecurity=False).hexdigest()
+
+
+def _manifest(entries: Iterable[Entry]) -> bytes:
+    ordered = sorted(entries, key=lambda entry: entry.path)
+    return b"".join(b"%s %s\t%s\0" % (e.mode.encode(), e.blob.encode(), e.path) for e in ordered)
+
+
+def _read_manifest(manifest: bytes) -> dict[bytes, bytes]:
+    lines = (line.partition(b"\t") for line in manifest.split(b"\0") if line)
+    return {path: what for what, _, path in lines}
+
+
+def _git(root: Path, wanted: _Chosen) -> Source:
+    git = _Git(root)
+    state = git("status", "--porcelain=v2", "--branch", "-z", "--untracked-files=normal", "--", ".").split(b"\0")
+    commit, branch, dirty = _state(state, git.prefix(), wanted)
+    with tempfile.TemporaryDirectory(prefix="sierra-") as scratch:
+        index = Path(scratch, "index")
+        own = root / os.fsdecode(git("rev-parse", "--git-path", "index").strip())
+        if own.exists():
+            shutil.copy2(own, index)
+        git("add", "--all", "--", ".", index=index)
+        listed = git("ls-files", "--stage", "-z", index=index)
+        entries = [entry for entry in _staged(listed) if wanted(entry.path)]
+        second = Path(scratch, "chosen")
+        lines = b"".join(b"%s %s\t%s\0" % (e.mode.encode(), e.blob.encode(), e.path) for e in entries)
+        git("update-index", "-z", "--index-info", index=second, given=lines, at_top=True)
+        tree = git("write-tree", index=second).decode().strip()
+    git("update-ref", f"refs/sierra/{tree}", tree)
+    remote = _without_credentials(git("config", "--get", "remote.origin.url", optional=True).decode().strip())
+    return Source(SWHID + tree, "git", commit, branch, dirty, remote or None, _manifest(entries))
+
+
+def _staged(listed: bytes) -> Iterator[Entry]:
+    for line in listed.split(b"\0"):
+        if line:
+            what, _, path = line.partition(b"\t")
+            mode, blob, _ = what.decode().split(" ")
+            yield Entry(mode, blob, path)
+
+
+def _state(lines: Sequence[bytes], prefix: bytes, wanted: _Chosen) -> tuple[str | None, str | None, bool]:
+    """Commit, branch, and whether a file that counts differs from the commit."""
+    commit = branch = None
+    dirty = False
+    for line in lines:
+        if line.startswith(b"# branch.oid ") and not line.endswith(b"(initial)"):
+            commit = line.split(b" ")[2].decode()
+        elif line.startswith(b"# branch.head ") and not line.endswith(b"(detached)"):
+            branch = line.split(b" ", 2)[2].decode("utf-8", "replace")
+        elif line[:2] in (b"1 ", b"2 ", b"u ", b"? "):
+            fields = {b"1": 8, b"2": 9, b"u": 10, b"?": 1}[line[:1]]
+            path = line.split(b" ", fields)[fields].removeprefix(prefix)
+            dirty = dirty or wanted(path.rstrip(b"/"))
+    return commit, branch, dirty
+
+
+def _without_credentials(address: str) -> str:
+    return re.sub(r"(?<=://)[^/@]*@", "", address)
+
+
+class _Git:
+    """Git in one folder; never asks, never locks, says its errors in one line."""
+
+    def __init__(self, root: Path) -> None:
+        self._root = root
+        self._program = shutil.which("git")
+        if self._program is None:
+            raise Missing(f"{root} is in a git repository, but git is not installed; install it")
+
+    def prefix(self) -> bytes:
+        """The project's folder as the repository sees it, with a slash at its end (or empty)."""
+        return self("rev-parse", "--show-prefix").strip()
+
+    def __call__(
+        self, *arguments: str, index: Path | None = None, given: bytes = b"", optional: bool = False, at_top: bool = False
+    ) -> bytes:
+        environment = {
+            name: value for name, value in os.environ.items() if not name.startswith("GIT_") or name == "GIT_CONFIG_GLOBAL"
+        }
+        environment |= {"GIT_OPTIONAL_LOCKS": "0", "GIT_TERMINAL_PROMPT": "0", "LC_ALL": "C"}
+        if index is not None:
+            environment["GIT_INDEX_FILE"] = str(index)
+        cwd = self._top() if at_top else self._root
+        done = subprocess.run(
+            [str(self._program), *arguments], cwd=cwd, env=environment, input=given, capture_output=True, check=False
+        )
+        if done.returncode and not optional:
+            complaint = done.stderr.decode("utf-8", "replace").strip().splitlines() or ["no reason given"]
+            raise Missing(f"git {arguments[0]} in {self._root}: {complaint[0].removeprefix('fatal: ')}")
+        return done.stdout
+
+    def _top(self) -> Path:
+        return Path(os.fsdecode(self("rev-parse", "--show-toplevel").rstrip(b"\n")))

@@ -1,0 +1,42 @@
+"""Where runs execute: the Runner contract. `local` is the only one so far."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Protocol
+
+from sierra.model import Job, Result
+from sierra.paths import SessionPaths
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """What has happened since the last look."""
+
+    results: tuple[Result, ...]
+    running: int
+    """Runs in flight now."""
+    alive: bool
+    """Whether more may come."""
+
+
+class Runner(Protocol):
+    """One place where runs execute. What it says of a run is only ever what the run's worker recorded."""
+
+    name: str
+
+    def submit(self, jobs: Iterable[Job], session: SessionPaths) -> None:
+        """Start executing. `jobs` is read as slots become free, perhaps in another thread; called once."""
+        ...
+
+    def look(self) -> Look:
+        """What has happened; returns at once and may be called at any time after `submit`.
+
+        Raises Missing where the runner itself cannot go on (a full disk, no worker).
+        """
+        ...
+
+    def stop(self) -> None:
+        """Start nothing more and end what runs; `look` tells the end of those too. May be called again."""
+        ...

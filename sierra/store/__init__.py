@@ -1,0 +1,222 @@
+"""The store: immutable segments of records, read as SQL.
+
+Truth is files that are only ever added (see `sierra.store.segments`); DuckDB reads them through views that are
+made anew for each question, so that any number of processes write at once and none waits for another. There is
+no catalogue to get out of step.
+"""
+
+from __future__ import annotations
+
+import re
+import tempfile
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from sierra.errors import Damaged, Missing, NotFound, SqlError
+from sierra.paths import StorePaths
+from sierra.store.segments import OUTPUT, Segment, Writer, disk_errors, listed
+from sierra.store.views import Views, outputs, read_parquet, tables_of
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+FORMAT = "sierra store 1\n"
+CACHEDIR = (
+    "Signature: 8a477f597d28d172789f06886806bc55\n"
+    "# This folder was made by SIERRA and holds recorded experiments: do not delete it as if it were a cache.\n"
+)
+PREFIX = re.compile(r"[0-9a-f]{4,64}")
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """What an id names: `kind` is batch, experiment, run or execution."""
+
+    kind: str
+    id: str
+    batch: str | None
+    """The batch that it belongs to (the last asked for, where there are several)."""
+
+
+class Store:
+    """One store; cheap to make, holds nothing open. Any number of them may be used at once."""
+
+    def __init__(self, root: Path) -> None:
+        """Open the store in the folder `root`. Raises Missing where there is none, Damaged where it is of another format."""
+        self.paths = StorePaths(root)
+        try:
+            found = self.paths.format.read_text()
+        except OSError as error:
+            raise Missing(f"no store in {root}: nothing has been run here yet (sierra run makes one)") from error
+        if found != FORMAT:
+            raise Damaged(f"{self.paths.format}: this is {found.strip()!r}, and this SIERRA reads {FORMAT.strip()!r}")
+
+    @classmethod
+    def create(cls, root: Path) -> Store:
+        """The store in `root`, made there if there is none. Any number of processes may do so at once."""
+        paths = StorePaths(root)
+        if not paths.format.exists():
+            with disk_errors(root):
+                paths.segments.mkdir(parents=True, exist_ok=True)
+                paths.work.mkdir(exist_ok=True)
+                paths.gitignore.write_text("*\n")
+                paths.cachedir_tag.write_text(CACHEDIR)
+                with tempfile.NamedTemporaryFile("w", dir=root, delete=False) as file:
+                    file.write(FORMAT)
+                Path(file.name).replace(paths.format)
+        return cls(root)
+
+    def segments(self, batches: Iterable[str] | None = None) -> list[Segment]:
+        """All segments, or those of some batches."""
+        found = list(listed(self.paths.segments))
+        if batches is None:
+            return found
+        wanted = {batch[:12] for batch in batches}
+        return [segment for segment in found if segment.batch in wanted]
+
+    def writer(self, folder: Path, batch: str) -> Writer:
+        """A segment to be written in `folder` (in this store's file system) and then published."""
+        return Writer(folder, batch)
+
+    def publish(self, writer: Writer) -> bool:
+        """Make a written segment part of the store, whole; False if there was nothing in it."""
+        return writer.publish(self.paths.segments)
+
+    # ------------------------------------------------------------ SQL
+
+    def sql(self, text: str, **parameters: Any) -> pa.Table:
+        """The answer to one statement as an Arrow table. Nothing but this store can be read, and nothing written.
+
+        `$name` in the statement takes its value from the keyword `name`. Raises SqlError.
+        """
+        with self.ask() as question:
+            return question.sql(text, **parameters)
+
+    def ask(self) -> Question:
+        """A connection for several statements that all see the same state of the store."""
+        return Question(self.paths.root, self.segments())
+
+    def rows(self, text: str, **parameters: Any) -> list[dict[str, Any]]:
+        """The answer to one statement, as a list of rows."""
+        rows: list[dict[str, Any]] = self.sql(text, **parameters).to_pylist()
+        return rows
+
+    def outputs(self) -> list[str]:
+        """The names of all tables that runs wrote."""
+        return outputs(self.segments())
+
+    # ------------------------------------------------------------ ids
+
+    def resolve(self, prefix: str) -> Found:
+        """What a beginning of an id (at least 4 digits) names. Raises NotFound."""
+        text = prefix.lower()
+        if not PREFIX.fullmatch(text):
+            raise NotFound(f"{prefix!r} is not an id: 4 to 64 hexadecimal digits, as `sierra ls` shows them")
+        with self.ask() as question:
+            found = question.sql(
+                "SELECT 'batch' AS kind, batch AS id, batch FROM batches WHERE starts_with(batch, $p) UNION "
+                "SELECT 'experiment', experiment, max(batch) FROM experiments WHERE starts_with(experiment, $p) GROUP BY ALL "
+                "UNION SELECT 'run', run, max(batch) FROM members WHERE starts_with(run, $p) GROUP BY ALL "
+                "UNION SELECT 'execution', execution, batch FROM executions WHERE starts_with(execution, $p) "
+                "ORDER BY 1, 2 LIMIT 20",
+                p=text,
+            ).to_pylist()
+        if not found:
+            raise NotFound(f"no batch, experiment, run or execution begins with {prefix!r}; sierra ls shows what there is")
+        if len(found) > 1:
+            shown = ", ".join(f"{row['id'][:16]} ({row['kind']})" for row in found[:6])
+            raise NotFound(f"{prefix!r} is ambiguous: {shown}{', …' if len(found) > 6 else ''}")
+        return Found(**found[0])
+
+    def object(self, digest: str) -> bytes:
+        """The content of a recorded file, by its SHA-256. Raises NotFound, Damaged."""
+        from sierra.hashing import sha256
+
+        rows = self.rows("SELECT DISTINCT ON (part) content FROM objects WHERE sha256 = $d ORDER BY part", d=digest)
+        if not rows:
+            raise NotFound(f"no recorded file has the SHA-256 {digest}")
+        content: bytes = b"".join(row["content"] for row in rows)
+        if sha256(content) != digest:
+            raise Damaged(f"the recorded file {digest} has other content than was recorded; sierra fsck tells more")
+        return content
+
+
+class Question:
+    """One connection, on one state of the store; a context manager."""
+
+    def __init__(self, root: Path, segments: Sequence[Segment]) -> None:
+        self._bare = connect()
+        self.connection = connect()
+        self.segments = segments
+        self.views = Views(self.connection, segments)
+        self._lock(root)
+
+    def __enter__(self) -> Question:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.connection.close()
+        self._bare.close()
+
+    def _lock(self, root: Path) -> None:
+        self.connection.execute("SET allowed_directories = $folders", {"folders": [f"{root}/segments/"]})
+        self.connection.execute("SET enable_external_access = false")
+
+    def sql(self, text: str, **parameters: Any) -> pa.Table:
+        """The answer to one statement that only reads. Raises SqlError."""
+        import duckdb
+
+        try:
+            self._only_reads(text)
+            self.views.make(tables_of(self._bare, text))
+            answer = self.connection.sql(text, params=parameters) if parameters else self.connection.sql(text)
+            if answer is None:
+                raise SqlError("that statement has no answer; ask with SELECT, DESCRIBE, SUMMARIZE or SHOW TABLES")
+            return answer.to_arrow_table()
+        except duckdb.Error as error:
+            raise SqlError(explain(error)) from error
+
+    def _only_reads(self, text: str) -> None:
+        import duckdb
+
+        statements = self._bare.extract_statements(re.sub(r"(?is)^\s*explain\s+(analyze\s+)?", "", text))
+        if len(statements) != 1:
+            raise SqlError(f"ask one statement at a time; this is {len(statements)}")
+        if statements[0].type != duckdb.StatementType.SELECT:
+            raise SqlError(f"the store is only read here; {statements[0].type.name} is not a question")
+
+    def register(self, name: str, table: Any) -> None:
+        """Make an Arrow table known to this connection by a name."""
+        self.connection.register(name, table)
+
+    def run(self, statement: str, parameters: Mapping[str, Any] | None = None) -> list[tuple[Any, ...]]:
+        """A statement of SIERRA's own, which may make temporary tables."""
+        rows: list[tuple[Any, ...]] = self.connection.execute(statement, parameters or {}).fetchall()
+        return rows
+
+
+def connect() -> Any:
+    """A DuckDB connection in memory that never reaches for the network."""
+    import duckdb
+
+    return duckdb.connect(
+        ":memory:",
+        config={
+            "autoinstall_known_extensions": "false",
+            "autoload_known_extensions": "false",
+            "temp_directory": tempfile.gettempdir(),
+            "python_enable_replacements": "false",
+        },
+    )
+
+
+def explain(error: Exception) -> str:
+    """DuckDB's complaint, in one line."""
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    kept = [line for line in lines if not line.startswith(("LINE ", "^"))]
+    return " ".join(kept)[:400]
+
+
+__all__ = ["OUTPUT", "Found", "Question", "Store", "connect", "read_parquet"]

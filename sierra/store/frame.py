@@ -1,0 +1,160 @@
+"""One batch, ready for statistics: who belongs to it, and its output columns as samples over time.
+
+Only one execution of a run counts: the last good one that a `sierra run` made. Where the batch's runs were
+executed with different programs, only those with the programs of the last execution count; the others are
+missing, and are said to be.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from sierra.errors import NotFound, SqlError
+from sierra.model import Axis, Value
+from sierra.store import Question, Store, explain, read_parquet
+from sierra.store.reading import identifier
+from sierra.store.segments import OUTPUT
+from sierra.store.tables import RECORDED
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+NUMERIC = ("BIGINT", "DOUBLE", "FLOAT", "INTEGER", "DECIMAL", "SMALLINT", "TINYINT", "UBIGINT", "UINTEGER", "HUGEINT")
+
+
+@dataclass(frozen=True, slots=True)
+class OutputTable:
+    """An output of a batch: its numeric columns, and how many rows its longest run has."""
+
+    name: str
+    columns: tuple[str, ...]
+    all_columns: tuple[str, ...]
+    rows: int
+
+
+class Frame:
+    """What statistics are computed on. A context manager; see `sierra.analysis.Frame` for the contract."""
+
+    def __init__(self, store: Store, batch: str) -> None:
+        self.batch = batch
+        self._question: Question = store.ask()
+        self._loaded: set[str] = set()
+        self._question.views.make(("members", "executions", "experiments", "batches"))
+        self._members()
+        self._files = self._output_files()
+
+    def __enter__(self) -> Frame:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._question.__exit__()
+
+    def _members(self) -> None:
+        run = self._question.run
+        run(
+            "CREATE TEMP TABLE wanted AS SELECT DISTINCT ordinal, number, run FROM members WHERE batch = $b",
+            {"b": self.batch},
+        )
+        run(
+            "CREATE TEMP TABLE good AS SELECT run, execution, batch, programs, ended FROM executions "
+            "WHERE status = 'ok' AND purpose = 'run' AND run IN (SELECT run FROM wanted)"
+        )
+        run(
+            "CREATE TEMP TABLE membership AS SELECT w.ordinal::INTEGER AS experiment, w.run, w.number::INTEGER AS number, "
+            "g.execution, g.batch FROM wanted w JOIN (SELECT run, arg_max(execution, ended) AS execution, "
+            "arg_max(batch, ended) AS batch FROM good "
+            "WHERE programs IS NOT DISTINCT FROM (SELECT arg_max(programs, ended) FROM good) GROUP BY run) g USING (run)"
+        )
+
+    def _output_files(self) -> dict[str, list[str]]:
+        batches = {row[0][:12] for row in self._question.run("SELECT DISTINCT batch FROM membership")}
+        files: dict[str, list[str]] = {}
+        for segment in self._question.segments:
+            if segment.batch in batches:
+                for name, path in segment.files.items():
+                    if name.startswith(OUTPUT):
+                        files.setdefault(name.removeprefix(OUTPUT), []).append(path)
+        return files
+
+    def axes(self) -> tuple[Axis, ...]:
+        """The batch's axes with their values in order (labels and units are the project's)."""
+        found = self._question.run("SELECT axes FROM batches WHERE batch = $b", {"b": self.batch})
+        if not found:
+            raise NotFound(f"no batch {self.batch[:12]}")
+        values = self.cells()
+        axes = []
+        for name in found[0][0]:
+            seen = dict.fromkeys(cell[name] for cell in values.values())
+            axes.append(Axis(name, tuple(seen)))
+        return tuple(axes)
+
+    def cells(self) -> dict[int, dict[str, Value]]:
+        """The values of the axes of each experiment, by its place in the batch."""
+        fixed = {column.name for column in RECORDED["experiments"].columns}
+        table = self._question.connection.sql(
+            "SELECT * FROM experiments WHERE batch = $b ORDER BY ordinal", params={"b": self.batch}
+        ).to_arrow_table()
+        return {
+            row["ordinal"]: {name: value for name, value in row.items() if name not in fixed and value is not None}
+            for row in table.to_pylist()
+        }
+
+    def counts(self) -> dict[int, tuple[int, int]]:
+        """For each experiment, by its place: runs that count, and runs that there are."""
+        rows = self._question.run(
+            "SELECT w.ordinal, count(m.run), count(*) FROM wanted w LEFT JOIN membership m "
+            "ON m.run = w.run AND m.experiment = w.ordinal GROUP BY w.ordinal"
+        )
+        return {row[0]: (row[1], row[2]) for row in rows}
+
+    def outputs(self) -> tuple[OutputTable, ...]:
+        """The tables that the batch's runs wrote."""
+        found = []
+        for name, files in sorted(self._files.items()):
+            source = read_parquet(files, union=True)
+            described = self._question.run(f"DESCRIBE SELECT * FROM {source}")
+            columns = [(row[0], row[1]) for row in described if row[0] not in ("run", "execution", "file")]
+            [(rows,)] = self._question.run(
+                f"SELECT coalesce(max(n), 0) FROM (SELECT count(*) AS n FROM {source} GROUP BY execution)"
+            )
+            numeric = tuple(c for c, kind in columns if kind.startswith(NUMERIC))
+            found.append(OutputTable(name, numeric, tuple(c for c, _ in columns), rows))
+        return tuple(found)
+
+    def samples(self, table: str, column: str, time: str = "") -> None:
+        """Make `samples` be one column of one output. Raises NotFound for what the batch does not have."""
+        files = self._files.get(table)
+        if files is None:
+            raise NotFound(f"no output {table!r} in this batch; it has {', '.join(sorted(self._files)) or 'none'}")
+        if table not in self._loaded:
+            self._load(table, files)
+        t = f"{identifier(time)}::DOUBLE" if time else "place::DOUBLE"
+        self._question.run("DROP VIEW IF EXISTS samples")
+        try:
+            self._question.run(
+                f"CREATE TEMP VIEW samples AS SELECT experiment, run, number, {t} AS t, {identifier(column)}::DOUBLE AS value "
+                f"FROM {identifier('data ' + table)}"
+            )
+        except Exception as error:
+            where = f"output {table!r}, column {column!r} over {time or 'its rows'!r}"
+            raise NotFound(f"{where}: {explain(error)}") from error
+
+    def _load(self, table: str, files: list[str]) -> None:
+        source = read_parquet(files, union=True, rows=True)
+        self._question.run(
+            f"CREATE TEMP TABLE {identifier('data ' + table)} AS SELECT m.experiment, m.number, "
+            "row_number() OVER (PARTITION BY o.execution, m.experiment ORDER BY o.filename, o.file_row_number) - 1 AS place, "
+            "o.* EXCLUDE (execution, filename, file_row_number) "
+            f"FROM {source} o JOIN membership m ON o.execution = m.execution"
+        )
+        self._loaded.add(table)
+
+    def sql(self, text: str, **parameters: Any) -> pa.Table:
+        """The answer to a statement on `samples`. Raises SqlError."""
+        import duckdb
+
+        try:
+            return self._question.connection.sql(text, params=parameters).to_arrow_table()
+        except duckdb.Error as error:
+            raise SqlError(explain(error)) from error

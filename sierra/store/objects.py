@@ -1,0 +1,71 @@
+"""Files by the hash of their content, many to a Parquet file, large ones in parts.
+
+A file of any size is written with bounded memory: rows of at most 8 MiB, gathered to row groups of at most
+32 MiB. What is the same is kept once in a segment.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from sierra.hashing import sha256
+from sierra.store.segments import disk_errors
+from sierra.store.tables import arrow_schema
+
+PART = 8 << 20
+GROUP = 32 << 20
+
+
+class Objects:
+    """Writes one `objects.parquet`; `close` finishes it."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._known: set[str] = set()
+        self._rows: list[tuple[str, int, int, bytes]] = []
+        self._held = 0
+        self._writer: Any = None
+
+    def add(self, content: bytes) -> str:
+        """Keep `content`; its SHA-256."""
+        digest = sha256(content)
+        self._add(digest, len(content), (content[at : at + PART] for at in range(0, max(len(content), 1), PART)))
+        return digest
+
+    def add_file(self, path: Path, digest: str, size: int) -> None:
+        """Keep a file whose SHA-256 is known already."""
+        with path.open("rb") as file:
+            self._add(digest, size, iter(lambda: file.read(PART), b""))
+
+    def _add(self, digest: str, size: int, parts: Iterable[bytes]) -> None:
+        if digest in self._known:
+            return
+        self._known.add(digest)
+        for number, part in enumerate(parts):
+            self._rows.append((digest, number, size, part))
+            self._held += len(part)
+            if self._held >= GROUP:
+                self._flush()
+
+    def _flush(self) -> None:
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        if not self._rows:
+            return
+        schema = arrow_schema("objects")
+        columns = zip(*self._rows, strict=True)
+        table = pa.table([pa.array(column, field.type) for column, field in zip(columns, schema, strict=True)], schema)
+        with disk_errors(self._path.parent):
+            if self._writer is None:
+                self._writer = pq.ParquetWriter(self._path, schema, compression="zstd")
+            self._writer.write_table(table)
+        self._rows, self._held = [], 0
+
+    def close(self) -> None:
+        self._flush()
+        if self._writer is not None:
+            with disk_errors(self._path.parent):
+                self._writer.close()

@@ -1,0 +1,267 @@
+"""What the store's tables mean: each column with its type, its unit and a sentence.
+
+`sierra schema` prints this, `schemas/store.sql` is generated from it, and every segment is written with it.
+The tables of the runs' own outputs are not here: their columns are the runs'.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    name: str
+    type: str
+    meaning: str
+    unit: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    name: str
+    meaning: str
+    columns: tuple[Column, ...]
+
+
+ID, TEXT, INT, REAL, FLAG, TIME, LIST, BYTES = (
+    "VARCHAR",
+    "VARCHAR",
+    "BIGINT",
+    "DOUBLE",
+    "BOOLEAN",
+    "TIMESTAMP WITH TIME ZONE",
+    "VARCHAR[]",
+    "BLOB",
+)
+
+
+def _table(name: str, meaning: str, *columns: tuple[str, ...]) -> Table:
+    return Table(name, meaning, tuple(Column(*column) for column in columns))
+
+
+RECORDED = {
+    table.name: table
+    for table in (
+        _table(
+            "batches",
+            "What a query expands to: an ordered set of experiments.",
+            ("batch", ID, "the batch's id: a Merkle hash over its experiments"),
+            ("created", TIME, "when it was first asked for"),
+            ("query", TEXT, "the criteria as they were first asked for"),
+            ("axes", LIST, "names of the independent variables, in order"),
+            ("controller", TEXT, "the controller, where one was named"),
+            ("scenario", TEXT, "the scenario, where one was named"),
+            ("platform", TEXT, "how the simulator is driven"),
+            ("experiments", INT, "experiments in it", "1"),
+            ("runs", INT, "runs in it, all experiments together", "1"),
+            ("base_seed", INT, "the number that all seeds derive from"),
+            ("recipe", ID, "what all its runs have in common"),
+            ("template", TEXT, "the template's path in the project"),
+            ("template_sha256", ID, "SHA-256 of the template file"),
+        ),
+        _table(
+            "experiments",
+            "Points in the space of the independent variables; each of those is a further column here.",
+            ("experiment", ID, "the experiment's id: a Merkle hash over its values and runs"),
+            ("batch", ID, "the batch it belongs to"),
+            ("ordinal", INT, "its place in the batch, from 0"),
+        ),
+        _table(
+            "members",
+            "Which run belongs to which experiment of which batch; a run may belong to many.",
+            ("batch", ID, "the batch"),
+            ("ordinal", INT, "the experiment's place in the batch, from 0"),
+            ("number", INT, "the run's number in the experiment, from 0"),
+            ("run", ID, "the run"),
+            ("seed", INT, "its seed"),
+            ("input", ID, "SHA-256 of its first input file; the file itself is in objects"),
+            ("recipe", ID, "what it has in common with the other runs of the batch"),
+        ),
+        _table(
+            "recipes",
+            "What runs have in common: with an input and a seed, a recipe makes a run.",
+            ("recipe", ID, "the recipe's id"),
+            ("platform", TEXT, "how the simulator is driven"),
+            ("command", LIST, "program and arguments, before paths of a machine are filled in"),
+            ("variables", TEXT, "declared environment variables, as JSON"),
+            ("source", ID, "the tree of the code (an SWHID); NULL where no source counts"),
+            ("image", ID, "content identity of the container image; NULL without one"),
+            ("files", LIST, "names of the input files that each run gets"),
+        ),
+        _table(
+            "executions",
+            "One time that a run was executed: when, where, by what, and how it ended.",
+            ("execution", ID, "the execution's id"),
+            ("run", ID, "the run"),
+            ("session", ID, "the asking that executed it"),
+            ("batch", ID, "the batch that it was executed for"),
+            ("started", TIME, "when its program was started"),
+            ("ended", TIME, "when its program had ended"),
+            ("status", TEXT, "ok, failed, timeout, memory, cpu, output, mismatch or interrupted"),
+            ("reason", TEXT, "why it is not ok, in a line"),
+            ("exit_code", INT, "the program's exit status; NULL where a signal ended it"),
+            ("signal", INT, "the signal that ended it"),
+            ("wall", REAL, "from start to end", "s"),
+            ("user", REAL, "CPU time in user mode, of all its processes that ended", "s"),
+            ("system", REAL, "CPU time in the kernel, likewise", "s"),
+            ("max_rss", INT, "greatest resident size of its greatest process (the worker's own size at least)", "bytes"),
+            ("host", TEXT, "host name"),
+            ("slot", INT, "the slot of the worker that executed it"),
+            ("result", ID, "Merkle hash of its outputs' names and digests"),
+            ("log", TEXT, "the end of its standard error, or of its standard output where that is empty"),
+            ("environment", ID, "what was around it"),
+            ("programs", ID, "fingerprint of the programs outside source and image"),
+            ("reading", ID, "hash of what the project declares of outputs and success"),
+            ("purpose", TEXT, "run, or what else it was executed for; only those of run count in statistics"),
+        ),
+        _table(
+            "findings",
+            "What was found out about an execution after it was recorded; it is not ok from then on.",
+            ("execution", ID, "the execution"),
+            ("found", TIME, "when"),
+            ("status", TEXT, "what it is now"),
+            ("reason", TEXT, "why, in a line"),
+        ),
+        _table(
+            "artifacts",
+            "Every file that an execution left, and its logs.",
+            ("execution", ID, "the execution"),
+            ("run", ID, "the run"),
+            ("path", TEXT, "path in the output folder; for logs, stdout or stderr"),
+            ("kind", TEXT, "table, file or log"),
+            ("output", TEXT, "the declared or found output that it belongs to: the table's name"),
+            ("size", INT, "its size", "bytes"),
+            ("sha256", ID, "SHA-256 of its bytes"),
+            ("rows", INT, "rows it gave its table", "1"),
+        ),
+        _table(
+            "sessions",
+            "One asking of one query by one process, once it has ended.",
+            ("session", ID, "the session's id"),
+            ("batch", ID, "the batch asked for"),
+            ("query", TEXT, "as it was asked"),
+            ("started", TIME, "when it was asked"),
+            ("ended", TIME, "when it was answered"),
+            ("runner", TEXT, "where runs were executed"),
+            ("engine", TEXT, "what contained them"),
+            ("slots", INT, "runs at a time", "1"),
+            ("executed", INT, "runs executed", "1"),
+            ("reused", INT, "runs whose recorded execution was good", "1"),
+            ("failed", INT, "runs of the batch without a good execution, of those executed", "1"),
+            ("missing", INT, "runs of the batch that were not executed", "1"),
+            ("interrupted", FLAG, "whether the user ended it"),
+            ("sierra", TEXT, "SIERRA's version"),
+            ("environment", ID, "what was around it"),
+            ("source", ID, "the source's full state"),
+        ),
+        _table(
+            "environments",
+            "What was around executions, recorded once.",
+            ("environment", ID, "hash of all below"),
+            ("host", TEXT, "host name"),
+            ("os", TEXT, "operating system, as it calls itself"),
+            ("kernel", TEXT, "the kernel's release"),
+            ("machine", TEXT, "the processor's architecture"),
+            ("cpu", TEXT, "the processor's model"),
+            ("cores", INT, "cores that could be used", "1"),
+            ("memory", INT, "main memory", "bytes"),
+            ("libc", TEXT, "C library and its version"),
+            ("python", TEXT, "version of the Python that ran SIERRA"),
+            ("sierra", TEXT, "SIERRA's version"),
+        ),
+        _table(
+            "sources",
+            "States of the code that runs were made from, recorded once.",
+            ("source", ID, "hash of all below"),
+            ("tree", ID, "the tree that counts, as an SWHID"),
+            ("vcs", TEXT, "git, or none"),
+            ("commit", ID, "the commit checked out"),
+            ("branch", TEXT, "the branch checked out"),
+            ("dirty", FLAG, "whether files differ from the commit"),
+            ("remote", TEXT, "the remote's address, without credentials"),
+            ("files", ID, "SHA-256 of the list of files in objects: a mode, a hash and a path a line"),
+        ),
+        _table(
+            "programs",
+            "Programs outside source and image, by their fingerprint.",
+            ("programs", ID, "hash of the set that was used together"),
+            ("name", TEXT, "as the command calls it"),
+            ("path", TEXT, "where it was found"),
+            ("sha256", ID, "SHA-256 of the file"),
+        ),
+        _table(
+            "objects",
+            "Files by the hash of their content, in parts of at most 8 MiB.",
+            ("sha256", ID, "SHA-256 of the whole file"),
+            ("part", INT, "place of this part, from 0"),
+            ("size", INT, "size of the whole file", "bytes"),
+            ("content", BYTES, "the part's bytes"),
+        ),
+    )
+}
+
+DERIVED = {
+    table.name: table
+    for table in (
+        _table(
+            "runs",
+            "Runs, one row each; the independent variables are further columns.",
+            ("run", ID, "the run's id"),
+            ("seed", INT, "its seed"),
+            ("number", INT, "its number in its experiment, from 0 (the least, where it belongs to several)"),
+            ("input", ID, "SHA-256 of its first input file; the file itself is in objects"),
+            ("recipe", ID, "what it has in common with other runs"),
+            ("status", TEXT, "ok where one execution is; else that of the last; missing where there is none"),
+            ("execution", ID, "the execution that counts: the last that is ok"),
+            ("executions", INT, "how many times it was executed", "1"),
+        ),
+    )
+}
+
+RESERVED = frozenset(
+    ("batch", "experiment", "run", "number", "seed", "execution", "row", "file", "session", "ordinal")
+) | {column.name for table in DERIVED.values() for column in table.columns}
+"""Names that no axis may have, because a column of the store has them."""
+
+BESIDE_OUTPUTS = frozenset(("run", "execution", "file", "number"))
+"""Names that no column of an output has in the store: there it gets a trailing underscore."""
+
+TABLE_NAMES = frozenset(RECORDED) | frozenset(DERIVED)
+
+
+def check_name(name: str) -> bool:
+    """Whether an output may be called so: no table of the store's own may be shadowed."""
+    return name not in TABLE_NAMES
+
+
+@cache
+def arrow_schema(name: str) -> Any:
+    """A recorded table's schema, as pyarrow has it."""
+    import pyarrow as pa
+
+    types = {
+        "VARCHAR": pa.string(),
+        "BIGINT": pa.int64(),
+        "DOUBLE": pa.float64(),
+        "BOOLEAN": pa.bool_(),
+        "TIMESTAMP WITH TIME ZONE": pa.timestamp("us", tz="UTC"),
+        "VARCHAR[]": pa.list_(pa.string()),
+        "BLOB": pa.large_binary(),
+    }
+    return pa.schema([(column.name, types[column.type]) for column in RECORDED[name].columns])
+
+
+def sql() -> str:
+    """The whole schema as SQL with comments: what `schemas/store.sql` holds."""
+    parts = []
+    for table in (*RECORDED.values(), *DERIVED.values()):
+        lines = [f"-- {table.meaning}", f"CREATE TABLE {table.name} ("]
+        for column in table.columns:
+            unit = f" [{column.unit}]" if column.unit else ""
+            comma = "" if column is table.columns[-1] else ","
+            lines.append(f'    "{column.name}" {column.type}{comma}  -- {column.meaning}{unit}')
+        parts.append("\n".join([*lines, ");"]))
+    return "\n\n".join(parts) + "\n"

@@ -1,0 +1,131 @@
+"""The store as SQL sees it: views over the segments' files, made only for the tables that a statement names."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+from sierra.store.reading import identifier, quote
+from sierra.store.segments import OUTPUT, Segment
+from sierra.store.tables import RECORDED
+
+NEEDS = {
+    "executions": ("findings",),
+    "runs": ("members", "experiments", "executions"),
+}
+ONCE = {
+    "batches": "batch",
+    "experiments": "batch, ordinal",
+    "recipes": "recipe",
+    "environments": "environment",
+    "sources": "source",
+    "sessions": "session",
+    "findings": "execution",
+}
+"""Records that two writers may both have made: what makes them the same."""
+
+FIRST = {"batches": "created", "findings": "found"}
+
+
+def outputs(segments: Iterable[Segment]) -> list[str]:
+    """The names of the tables that runs wrote."""
+    return sorted({name.removeprefix(OUTPUT) for s in segments for name in s.files if name.startswith(OUTPUT)})
+
+
+class Views:
+    """Makes views on one connection; each once."""
+
+    def __init__(self, connection: Any, segments: Sequence[Segment]) -> None:
+        self._sql = connection
+        self._files: dict[str, list[str]] = {}
+        for segment in segments:
+            for name, path in segment.files.items():
+                self._files.setdefault(name, []).append(path)
+        self._made: set[str] = set()
+        self._outputs = set(outputs(segments))
+
+    def make(self, names: Iterable[str] | None = None) -> None:
+        """Views of these tables and of what they need; of all where no names are given."""
+        for name in (*RECORDED, "runs", *sorted(self._outputs)) if names is None else names:
+            self._make(name)
+
+    def axes(self) -> list[str]:
+        """The independent variables of all batches, as columns of `experiments`."""
+        self._make("experiments")
+        fixed = {column.name for column in RECORDED["experiments"].columns}
+        rows = self._sql.execute("DESCRIBE experiments").fetchall()
+        return [row[0] for row in rows if row[0] not in fixed]
+
+    def _make(self, name: str) -> None:
+        if name in self._made:
+            return
+        self._made.add(name)
+        for needed in NEEDS.get(name, ()):
+            self._make(needed)
+        if name == "runs":
+            body = self._runs()
+        elif name in RECORDED:
+            body = self._recorded(name)
+        elif name in self._outputs:
+            body = self._output(name)
+        else:
+            return
+        self._sql.execute(f"CREATE VIEW {identifier(name)} AS {body}")
+
+    def _recorded(self, name: str) -> str:
+        files = self._files.get(name)
+        if files is None:
+            columns = ", ".join(f"NULL::{c.type} AS {identifier(c.name)}" for c in RECORDED[name].columns)
+            return f"SELECT {columns} WHERE false"
+        source = read_parquet(files, union=name == "experiments")
+        if name in ONCE:
+            order = f" ORDER BY {FIRST[name]}" if name in FIRST else ""
+            return f"SELECT DISTINCT ON ({ONCE[name]}) * FROM {source}{order}"
+        if name == "executions" and "findings" in self._files:
+            return (
+                "SELECT e.* REPLACE (coalesce(f.status, e.status) AS status, coalesce(f.reason, e.reason) AS reason) "
+                f"FROM {source} e LEFT JOIN findings f USING (execution)"
+            )
+        return f"SELECT * FROM {source}"
+
+    def _runs(self) -> str:
+        axes = "".join(f"max(x.{identifier(axis)}) AS {identifier(axis)}, " for axis in self.axes())
+        return (
+            "WITH state AS (SELECT run, count(*) AS executions, arg_max(status, ended) AS last, "
+            "arg_max(execution, ended) FILTER (status = 'ok' AND purpose = 'run') AS execution "
+            "FROM executions GROUP BY run) "
+            f"SELECT m.run, {axes}any_value(m.seed) AS seed, min(m.number) AS number, any_value(m.input) AS input, "
+            "any_value(m.recipe) AS recipe, "
+            "CASE WHEN any_value(s.execution) IS NOT NULL THEN 'ok' "
+            "ELSE coalesce(any_value(s.last), 'missing') END AS status, "
+            "any_value(s.execution) AS execution, coalesce(any_value(s.executions), 0) AS executions "
+            "FROM members m JOIN experiments x USING (batch, ordinal) LEFT JOIN state s USING (run) GROUP BY m.run"
+        )
+
+    def _output(self, name: str) -> str:
+        self._make("runs")
+        source = read_parquet(self._files[OUTPUT + name], union=True)
+        axes = self.axes()
+        theirs = [row[0] for row in self._sql.execute(f"DESCRIBE SELECT * FROM {source}").fetchall()]
+        renamed = ", ".join(f"{identifier(c)} AS {identifier(c + '_')}" for c in theirs if c in axes)
+        rename = f" RENAME ({renamed})" if renamed else ""
+        ours = "".join(f"r.{identifier(axis)}, " for axis in axes)
+        return f"SELECT {ours}r.number, o.*{rename} FROM {source} o JOIN runs r ON o.execution = r.execution"
+
+
+def read_parquet(files: Sequence[str], *, union: bool = False, rows: bool = False) -> str:
+    """The table function that reads these files; with `rows`, also each row's place in its file."""
+    listed = ", ".join(map(quote, files))
+    options = ", union_by_name = true" if union else ""
+    options += ", file_row_number = true, filename = true" if rows else ""
+    return f"read_parquet([{listed}]{options})"
+
+
+def tables_of(connection: Any, text: str) -> set[str] | None:
+    """The tables that a statement names, or None where that cannot be told. The connection must have no views."""
+    import duckdb
+
+    try:
+        return set(connection.get_table_names(text)) or None
+    except duckdb.Error:
+        return None

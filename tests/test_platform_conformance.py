@@ -1,0 +1,237 @@
+"""The shipped platforms hold to the conformance suite, and the suite notices what breaks each of its claims."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import pytest
+
+from sierra import config, jobs, query
+from sierra.inputs.xml import XmlTemplate
+from sierra.model import Add, Axis, Change, Criterion, Point, Remove, Rename, Set
+from sierra.platforms import Platform, Reader, conformance
+from sierra.platforms.argos import Argos
+from sierra.platforms.command import Command
+
+TEMPLATE = XmlTemplate(
+    b"""<argos-configuration>
+  <framework><experiment length="60" ticks_per_second="10"/></framework>
+  <controllers><__CONTROLLER__ id="__CONTROLLER__" library="libx"/></controllers>
+  <arena size="10,10,2" center="0,0,1">
+    <distribute>
+      <position method="uniform" min="-4,-4,0" max="4,4,0"/>
+      <entity quantity="1" max_trials="100"><foot-bot id="fb"><controller config="__CONTROLLER__"/></foot-bot></entity>
+    </distribute>
+  </arena>
+  <visualization/>
+</argos-configuration>""",
+    "t.argos",
+)
+EXAMPLES = {
+    criterion.name: criterion
+    for criterion in map(
+        query.parse,
+        (
+            "population_size.Log8",
+            "population_constant_density.5p0.I16.C4",
+            "population_variable_density.1p0.5p0.C4",
+            "arena=10x10,20x10",
+        ),
+    )
+}
+OPTIONS = {"length": 30, "ticks_per_second": 5, "threads": 2, "arena": "12x10x2", "label": "foraging"}
+
+
+def argos(options: Mapping[str, object] | None = None) -> config.Project:
+    table = {"template": "t.argos", "platform": "argos", "platforms": {"argos": options or {}}}
+    return config.parse(table, "sierra.toml")
+
+
+def test_argos_conforms() -> None:
+    conformance.check(Argos, argos(), TEMPLATE, EXAMPLES)
+
+
+def test_argos_conforms_with_all_its_options() -> None:
+    conformance.check(Argos, argos(OPTIONS), TEMPLATE, EXAMPLES)
+
+
+def test_command_conforms() -> None:
+    project = config.parse({"template": "t.xml", "command": "python3 sim.py {input} {seed}"}, "sierra.toml")
+    conformance.gives_the_same_answers(Command, project, TEMPLATE, {})
+    conformance.changes_are_well_formed(Command(project), TEMPLATE)
+    conformance.seed_changes_are_well_formed(Command(project))
+    conformance.says_none_for_unknown_criteria(Command(project), TEMPLATE)
+    conformance.describes_its_criteria(Command(project), {})
+    conformance.command_is_argv_with_known_placeholders(Command(project))
+    conformance.environment_is_of_no_machine(Command(project))
+    conformance.files_are_safe(Command(project))
+
+
+def test_the_suite_knows_the_placeholders_that_are_filled() -> None:
+    assert set(jobs.KNOWN) == conformance.COMMAND_PLACEHOLDERS
+
+
+SPEED = query.parse("speed=1,2")
+CHANGE = Set("/a/@b", "1", why="test")
+Span = tuple[Axis, tuple[Point, ...]]
+
+
+def span(*values: Any, name: str = "speed", changes: tuple[Change, ...] | None = None) -> Span:
+    """An axis, whose points set their value unless it is said what they change."""
+    own = {value: (Set("/a/@speed", str(value), why="speed"),) if changes is None else changes for value in values}
+    return Axis(name, values), tuple(Point(value, own[value]) for value in values)
+
+
+class Sound:
+    """A platform that conforms; the tests break one answer of it each."""
+
+    def __init__(self, project: config.Project) -> None:
+        config.options(config.Table, project.platforms.get("sound", {}), "[platforms.sound]")
+
+    def changes(self, template: Reader) -> tuple[Change, ...]:
+        return (CHANGE,)
+
+    def seed_changes(self) -> tuple[Change, ...]:
+        return (Set("/a", "{seed}", attribute="seed", why="seed"),)
+
+    def criterion(self, criterion: Criterion, template: Reader) -> Span | None:
+        return span(1, 2) if criterion.name == "speed" else None
+
+    def criteria(self) -> Mapping[str, str]:
+        return {"speed": "how fast"}
+
+    def command(self) -> tuple[str, ...]:
+        return ("sound", "{input}")
+
+    def files(self, document: bytes) -> tuple[tuple[str, bytes], ...]:
+        return (("input.xml", document), ("copy.xml", document))
+
+    def environment(self) -> Mapping[str, str]:
+        return {"SOUND_PATH": "{project}/lib"}
+
+
+def check(make: Callable[[config.Project], Platform]) -> None:
+    project = config.parse({"template": "t.xml", "platform": "sound"}, "sierra.toml")
+    conformance.check(make, project, TEMPLATE, {"speed": SPEED})
+
+
+def test_a_sound_platform_conforms() -> None:
+    check(Sound)
+
+
+@pytest.mark.parametrize(
+    ("method", "answer", "complaint"),
+    [
+        ("changes", [CHANGE], "not <class 'tuple'>"),
+        ("changes", ("/a/@b",), "'/a/@b' is str"),
+        ("changes", (Set("", "1", why="x"),), "has no path"),
+        ("changes", (Set("/a/@b", "1"),), "does not say why"),
+        ("changes", (Set("/a/@b", "1", why="two\nlines"),), "is not one line"),
+        ("changes", (Set("/a/@b", 1, why="x"),), "1 is int"),  # type: ignore[arg-type]
+        ("changes", (Remove("/a", expect=0, why="x"),), "expects less than one"),
+        ("changes", (Set("/a/@b", "{seed + 1}", why="x"),), "uses the seed or the run"),
+        ("changes", (Add("/a", "<b c='{run}'/>", why="x"),), "uses the seed or the run"),
+        ("seed_changes", (CHANGE,), r"no seed change holds \{seed\}"),
+        ("seed_changes", (Rename("/a", "b", why="x"),), "is no Set"),
+        ("criterion", span(1, 2), "not None"),
+        ("criteria", {"speed": ""}, "has no sentence"),
+        ("criteria", {"speed": "a\nb"}, "is not one line"),
+        ("criteria", {"speed": "how fast", "top-speed": "how fast at most"}, "can't be a column's name"),
+        ("criteria", {"speed": "how fast", "mass": "how heavy"}, "but the examples are of"),
+        ("criteria", {}, "but the examples are of"),
+        ("command", ["sound"], "not a tuple of texts"),
+        ("command", "sound {input}", "not a tuple of texts"),
+        ("command", ("sound", "a\0b"), "not a tuple of texts"),
+        ("command", (), "names no program"),
+        ("command", ("sound", "{inputs}"), "unknown placeholders"),
+        ("environment", {"A B": "1"}, "not the name of a variable"),
+        ("environment", {"A": 1}, "not a tuple of texts"),
+        ("environment", {"A": "{output}"}, "unknown placeholders"),
+        ("files", (), "are none"),
+        ("files", [("a", b"")], "not <class 'tuple'>"),
+        ("files", (("../a", b""),), "not a safe file name"),
+        ("files", (("/a", b""),), "not a safe file name"),
+        ("files", (("a\n", b""),), "not a safe file name"),
+        ("files", (("..", b""),), "not a safe file name"),
+        ("files", (("a", "text"),), "'text' is str"),
+        ("files", (("a", b""), ("A", b"")), "two files have one name"),
+    ],
+)
+def test_an_answer_that_is_not_right_is_noticed(method: str, answer: object, complaint: str) -> None:
+    broken = type("Broken", (Sound,), {method: lambda self, *args: answer})
+    with pytest.raises(AssertionError, match=complaint):
+        check(broken)
+
+
+@pytest.mark.parametrize(
+    ("answer", "complaint"),
+    [
+        (None, "says None"),
+        (span(1, 2, name="velocity"), "is called 'velocity'"),
+        (span(), "has no values"),
+        (span(1, "fast"), "mixes numbers and names"),
+        (span(1, True), "a value twice"),
+        (span(0, True), "is no int, float or str"),
+        (span(1, 2, changes=()), "change nothing"),
+        (span(1, 2, changes=(CHANGE,)), "change the same"),
+        ((Axis("speed", (2, 1)), span(1, 2)[1]), "in their order"),
+        ((Axis("speed", [1, 2]), span(1, 2)[1]), "not <class 'tuple'>"),  # type: ignore[arg-type]
+    ],
+)
+def test_an_axis_that_is_not_right_is_noticed(answer: Span | None, complaint: str) -> None:
+    class Broken(Sound):
+        def criterion(self, criterion: Criterion, template: Reader) -> Span | None:
+            return answer if criterion.name == "speed" else None
+
+    with pytest.raises(AssertionError, match=complaint):
+        conformance.spans_an_axis(Broken(config.parse({"template": "t.xml"}, "sierra.toml")), TEMPLATE, SPEED)
+
+
+def test_a_path_of_this_machine_is_noticed(monkeypatch: pytest.MonkeyPatch, tmp_path: Any) -> None:
+    monkeypatch.chdir(tmp_path)
+
+    class Broken(Sound):
+        def environment(self) -> Mapping[str, str]:
+            return {"SOUND_PATH": f"{tmp_path}/lib"}
+
+    with pytest.raises(AssertionError, match="a path of this machine"):
+        check(Broken)
+
+
+def test_options_that_nobody_reads_are_noticed() -> None:
+    class Broken(Sound):
+        def __init__(self, project: config.Project) -> None:
+            pass
+
+    with pytest.raises(AssertionError, match="is no ConfigError"):
+        check(Broken)
+
+
+def test_answers_that_change_are_noticed() -> None:
+    counter = itertools.count()
+
+    class Asked(Sound):
+        def command(self) -> tuple[str, ...]:
+            return ("sound", str(next(counter)))
+
+    with pytest.raises(AssertionError, match="when asked again"):
+        check(Asked)
+
+    class Made(Sound):
+        def __init__(self, project: config.Project) -> None:
+            super().__init__(project)
+            self._number = next(counter)
+
+        def environment(self) -> Mapping[str, str]:
+            return {"NUMBER": str(self._number)}
+
+    with pytest.raises(AssertionError, match="when made again"):
+        check(Made)
+
+
+def test_an_example_of_something_else_is_noticed() -> None:
+    project = config.parse({"template": "t.xml", "platform": "sound"}, "sierra.toml")
+    with pytest.raises(AssertionError, match="is one of 'mass'"):
+        conformance.describes_its_criteria(Sound(project), {"speed": query.parse("mass=1,2")})
