@@ -2,6 +2,8 @@
 # Everything happens in .venv, which holds exactly what requirements.lock says.
 
 SHELL = /bin/sh
+# Where Python is told to keep no bytecode, every command would compile all that it imports.
+unexport PYTHONDONTWRITEBYTECODE
 BIN = .venv/bin
 WORKERS = 2
 UV = uv==0.13.8
@@ -55,7 +57,7 @@ format: install ## rewrite the code in the project's style
 	$(BIN)/ruff format
 
 bench: install ## measure what SIERRA itself costs
-	$(BIN)/python bench/run.py
+	$(BIN)/python tests/bench/run.py
 
 schemas: install ## write schemas/ from the code
 	$(BIN)/sierra schema --write schemas

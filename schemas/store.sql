@@ -87,7 +87,8 @@ CREATE TABLE artifacts (
     "output" VARCHAR,  -- the declared or found output that it belongs to: the table's name
     "size" BIGINT,  -- its size [bytes]
     "sha256" VARCHAR,  -- SHA-256 of its bytes
-    "rows" BIGINT  -- rows it gave its table [1]
+    "rows" BIGINT,  -- rows it gave its table [1]
+    "form" VARCHAR  -- what its table looks like, as JSON: its file, what each column holds, whether its last line is whole
 );
 
 -- One asking of one query by one process, once it has ended.

@@ -1,8 +1,8 @@
 """SIERRA from Python: what the command line does, as functions that return values.
 
-    project = sierra.open(".")
-    summary = project.run("population_size.Log8", runs=10)
-    frame = project.sql("SELECT * FROM swarm WHERE batch = $b", b=summary.batch).to_pandas()
+project = sierra.open(".")
+summary = project.run("population_size.Log8", runs=10)
+frame = project.sql("SELECT * FROM swarm WHERE batch = $b", b=summary.batch).to_pandas()
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from sierra import config
 from sierra.errors import Missing, NotFound, UsageError
-from sierra.paths import ProjectPaths
+from sierra.paths import ProjectPaths, StorePaths
 from sierra.store import Store
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ class Project:
 
     def stored(self) -> Store | None:
         """The project's store, if there is one yet."""
-        return self.store if self.paths.store.exists() else None
+        return self.store if StorePaths(self.paths.store).format.exists() else None
 
     def plan(
         self,
@@ -103,7 +103,10 @@ class Project:
         summary = pipeline.run(plan, store, slots=slots, fail_fast=fail_fast, watch=watch or (lambda progress: None))
         if not figures or summary.interrupted or summary.missing + summary.failed == summary.runs:
             return summary
-        drawn, notes = self._deliver(summary.batch)
+        try:
+            drawn, notes = self._deliver(summary.batch, again=False)
+        except Missing as error:
+            return replace(summary, undrawn=str(error))
         return replace(summary, figures=tuple(map(str, drawn)), notes=(*summary.notes, *notes))
 
     def sql(self, text: str, **parameters: Any) -> pa.Table:
@@ -141,7 +144,7 @@ class Project:
         drawn, _ = self._deliver(batch, name)
         return drawn
 
-    def _deliver(self, batch: str, name: str | None = None) -> tuple[list[Path], list[str]]:
+    def _deliver(self, batch: str, name: str | None = None, *, again: bool = True) -> tuple[list[Path], list[str]]:
         from sierra import deliver
 
-        return deliver.figures(self._loaded, self.store, batch, name)
+        return deliver.figures(self._loaded, self.store, batch, name, again=again)

@@ -79,7 +79,7 @@ def _project() -> Iterator[Check]:
     except SierraError as error:
         yield Check("project", "absent" if error.exit_code == 3 else "missing", str(error))
         return
-    yield Check("project", "ok", str(project.root / "sierra.toml"))
+    yield Check("project", "ok", str(project.root))
 
     def find_program() -> str:
         platform = platforms.find(project.config.platform, project.config)

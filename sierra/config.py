@@ -7,23 +7,25 @@ nearest right one. `schemas/sierra.toml.schema.json` is generated from these cla
 from __future__ import annotations
 
 import difflib
+import json
 import re
 import shlex
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import (
+    AfterValidator,
     BaseModel,
     BeforeValidator,
     ConfigDict,
     Field,
-    PositiveFloat,
     PositiveInt,
     StringConstraints,
     ValidationError,
+    WithJsonSchema,
     model_validator,
 )
 
@@ -32,13 +34,61 @@ from sierra.paths import CONFIG, PYPROJECT
 
 Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z_][A-Za-z0-9_]*$")]
 """A name that is also a column in SQL."""
+VariableName = Annotated[str, StringConstraints(pattern=r"^[^=]+$")]
+Seconds = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Scalar = str | int | float
+Words = str | tuple[str, ...]
+"""A list of texts, or its short form."""
 OptionsT = TypeVar("OptionsT", bound=BaseModel)
+KINDS = {
+    "int_type": "should be a whole number",
+    "float_type": "should be a number",
+    "string_type": "should be a text",
+    "bool_type": "should be true or false",
+    "tuple_type": "should be a list",
+    "dict_type": "should be a table",
+    "mapping_type": "should be a table",
+    "model_type": "should be a table",
+    "model_attributes_type": "should be a table",
+    "too_short": "should not be empty",
+    "string_too_short": "should not be empty",
+}
+"""What pydantic complains of, in the words of TOML."""
 
 
 def _as_words(value: Any) -> Any:
     """A command may be written as one line; it is split as a shell would, but never runs in one."""
-    return shlex.split(value) if isinstance(value, str) else value
+    return tuple(shlex.split(value)) if isinstance(value, str) else value
+
+
+def _set_to(value: Any) -> Any:
+    """The short form of a table: the XPath alone."""
+    return {"set": value} if isinstance(value, str) else value
+
+
+def _inside(path: str) -> str:
+    """A path or glob that stays in the output folder."""
+    if path.startswith("/") or ".." in PurePosixPath(path).parts:
+        raise ValueError(f"{path!r} should be a path within the run's output folder, as in results.csv")
+    return path
+
+
+def _once(names: tuple[str, ...]) -> tuple[str, ...]:
+    if len({name.lower() for name in names}) < len(names):
+        raise ValueError("each column should be named once; SQL takes no notice of case")
+    return names
+
+
+def size(text: Any) -> Any:
+    """Bytes: `500 MB`, `2 GiB`, or a plain number. Raises ValueError."""
+    if not isinstance(text, str):
+        return text
+    match = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([kKMGT]?i?)B?\s*", text)
+    if not match:
+        raise ValueError(f"{text!r} is not a size; write it as 500 MB or 2 GiB")
+    number, prefix = match.groups()
+    base = 1024 if prefix.endswith("i") else 1000
+    return int(float(number) * base ** " kmgt".index(prefix[:1].lower() or " "))
 
 
 def _as_text(value: Any) -> Any:
@@ -47,7 +97,13 @@ def _as_text(value: Any) -> Any:
     return str(value) if isinstance(value, int | float) else value
 
 
-Text = Annotated[str, BeforeValidator(_as_text)]
+Text = Annotated[str, BeforeValidator(_as_text, json_schema_input_type=str | int | float | bool)]
+Size = Annotated[
+    PositiveInt,
+    BeforeValidator(size),
+    WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "integer", "exclusiveMinimum": 0}]}),
+]
+Inside = Annotated[str, AfterValidator(_inside)]
 
 
 class Table(BaseModel):
@@ -64,7 +120,8 @@ class ChangeTable(Table):
     remove: str | None = Field(None, description="XPath of elements or attributes to take away")
     rename: str | None = Field(None, description="XPath of elements to give the tag `to`")
     value: Text | None = Field(
-        None, description="for `set`: the new value; `{…}` is an expression of axes, as in `{population_size * 2}`; `{{` is a brace"
+        None,
+        description="for `set`: the new value; `{…}` is an expression of axes, as in `{population_size * 2}`; `{{` is a brace",
     )
     attribute: str | None = Field(None, description="for `set`: the attribute, added where it is absent")
     xml: str | None = Field(None, description="for `add`: the element, as XML")
@@ -131,11 +188,13 @@ class Group(Table):
 class Output(Table):
     """One kind of file that runs write, and the table that it becomes."""
 
-    file: str = Field(description="path or glob, relative to the run's output folder")
+    file: Inside = Field(min_length=1, description="path or glob, relative to the run's output folder")
     format: Literal["csv", "parquet", "jsonl", "file"] | None = Field(None, description="by the file's ending where absent")
-    delimiter: str = Field("", description="of a CSV; found out where absent")
+    delimiter: str = Field("", max_length=1, description="of a CSV; found out where absent")
     header: bool = Field(True, description="whether a CSV's first line holds the columns' names")
-    columns: tuple[Name, ...] = Field((), description="the columns' names of a CSV without header")
+    columns: Annotated[tuple[Name, ...], AfterValidator(_once)] = Field(
+        (), description="the columns' names of a CSV without header"
+    )
     time: str = Field("", description="the column that is the time axis; the row's number where there is none")
     required: bool = Field(True, description="whether a run without it has failed")
     min_rows: int = Field(0, ge=0, description="a run with fewer has failed")
@@ -155,25 +214,25 @@ class Output(Table):
 class Success(Table):
     """How a run shows that it succeeded, beyond exit status 0 and its required outputs."""
 
-    marker: str = Field("", description="a file in the output folder (or `stdout`, `stderr`) that must be there")
+    marker: Inside = Field("", description="a file in the output folder (or `stdout`, `stderr`) that must be there")
     contains: str = Field("", description="a text that the marker file must contain")
-    exit_status: tuple[int, ...] = Field((0,), description="exit statuses that are success")
+    exit_status: tuple[int, ...] = Field((0,), min_length=1, description="exit statuses that are success")
 
 
 class LimitsTable(Table):
     """What one execution may use."""
 
-    wall: PositiveFloat | None = Field(None, description="seconds")
-    cpu: PositiveFloat | None = Field(None, description="seconds of CPU, of all its processes")
-    memory: str | int | None = Field(None, description="resident bytes of all its processes, as in `2 GiB`")
-    output: str | int | None = Field(None, description="bytes written to its folder, as in `500 MB`")
-    grace: PositiveFloat = Field(5.0, description="seconds between SIGTERM and SIGKILL")
+    wall: Seconds | None = Field(None, description="seconds")
+    cpu: Seconds | None = Field(None, description="seconds of CPU, of all its processes")
+    memory: Size | None = Field(None, description="resident bytes of all its processes, as in `2 GiB`")
+    output: Size | None = Field(None, description="bytes written to its folder, as in `500 MB`")
+    grace: Seconds = Field(5.0, description="seconds between SIGTERM and SIGKILL")
 
 
 class Environment(Table):
     """The variables that a run sees beside SIERRA's own."""
 
-    set: Mapping[str, Text] = Field(default_factory=dict, description="given to every run; part of its identity")
+    set: Mapping[VariableName, Text] = Field(default_factory=dict, description="given to every run; part of its identity")
     pass_: tuple[str, ...] = Field(
         (), alias="pass", description="taken from the caller's environment, by name; part of its identity"
     )
@@ -188,7 +247,11 @@ class Source(Table):
 class QueryTable(Table):
     """A research query with a name, for `sierra run NAME`."""
 
-    criteria: Annotated[tuple[str, ...], BeforeValidator(lambda v: v.split() if isinstance(v, str) else v)]
+    criteria: Annotated[
+        tuple[str, ...],
+        BeforeValidator(lambda v: tuple(v.split()) if isinstance(v, str) else v, json_schema_input_type=Words),
+        Field(min_length=1),
+    ]
     runs: PositiveInt | None = None
     controller: str | None = None
     scenario: str | None = None
@@ -199,9 +262,9 @@ class Figure(Table):
 
     kind: Literal["timeseries", "summary", "box", "violin", "heatmap", "stacked"] = "timeseries"
     table: str = Field("", description="the output; may be left out where there is only one")
-    columns: Annotated[tuple[str, ...], BeforeValidator(lambda v: [v] if isinstance(v, str) else v)] = Field(
-        (), alias="column", description="the column (for `stacked`: the columns)"
-    )
+    columns: Annotated[
+        tuple[str, ...], BeforeValidator(lambda v: (v,) if isinstance(v, str) else v, json_schema_input_type=Words)
+    ] = Field((), alias="column", description="the column (for `stacked`: the columns)")
     measure: Literal["final", "mean", "time_to"] = Field(
         "final", description="what a run is reduced to: its last value, its mean over time, the time until `threshold`"
     )
@@ -224,7 +287,7 @@ class Project(Table):
     """`sierra.toml`."""
 
     template: str = Field(description="the XML file that every run's input is made from")
-    command: Annotated[tuple[str, ...], BeforeValidator(_as_words)] = Field(
+    command: Annotated[tuple[str, ...], BeforeValidator(_as_words, json_schema_input_type=Words)] = Field(
         (),
         description="the program and its arguments; {input}, {output}, {seed}, {project}, {python} stand for the run's own",
     )
@@ -232,12 +295,12 @@ class Project(Table):
     runs: PositiveInt = Field(10, description="runs per experiment")
     controller: str | None = Field(None, description="the controller, where none is asked for")
     scenario: str | None = Field(None, description="the scenario, where none is asked for")
-    seed: Annotated[Seed, BeforeValidator(lambda v: {"set": v} if isinstance(v, str) else v)] = Seed()
-    variables: Mapping[Name, Annotated[Variable, BeforeValidator(lambda v: {"set": v} if isinstance(v, str) else v)]] = Field(
+    seed: Annotated[Seed, BeforeValidator(_set_to, json_schema_input_type=str | Seed)] = Seed()
+    variables: Mapping[Name, Annotated[Variable, BeforeValidator(_set_to, json_schema_input_type=str | Variable)]] = Field(
         default_factory=dict
     )
     changes: tuple[ChangeTable, ...] = Field((), description="made in every run of every batch")
-    per_run: Mapping[Name, tuple[Scalar, ...]] = Field(
+    per_run: Mapping[Name, Annotated[tuple[Scalar, ...], Field(min_length=1)]] = Field(
         default_factory=dict, description="lists: run number n may use item n, as `{name}` in `run_changes`"
     )
     run_changes: tuple[ChangeTable, ...] = Field(
@@ -282,30 +345,28 @@ def load(folder: Path) -> LoadedProject:
 
 def parse(table: Mapping[str, Any], origin: str) -> Project:
     """A table as TOML gives it, validated; `origin` names it in messages."""
-    try:
-        return Project.model_validate(table)
-    except ValidationError as error:
-        raise ConfigError(f"{origin}: {_explain(error)}") from error
+    return options(Project, table, origin)
 
 
 def options(model: type[OptionsT], table: Mapping[str, Any], origin: str) -> OptionsT:
-    """A platform's own table, validated by the platform's own class."""
+    """A table as it is written, validated by its class: the project's, or a platform's own. No text is a number there."""
     try:
-        return model.model_validate(table)
+        return model.model_validate(_frozen(table, origin), strict=True)
     except ValidationError as error:
         raise ConfigError(f"{origin}: {_explain(error, model)}") from error
 
 
-def size(text: str | int | None) -> int | None:
-    """Bytes: `500 MB`, `2 GiB`, or a plain number. Raises ConfigError."""
-    if text is None or isinstance(text, int):
-        return text
-    match = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([kKMGT]?i?)B?\s*", text)
-    if not match:
-        raise ConfigError(f"{text!r} is not a size; write it as 500 MB or 2 GiB")
-    number, prefix = match.groups()
-    base = 1024 if prefix.endswith("i") else 1000
-    return int(float(number) * base ** " kmgt".index(prefix[:1].lower() or " "))
+def _frozen(value: Any, origin: str) -> Any:
+    """Lists as tuples, which do not change; no text with the character NUL, which no file or argument can hold."""
+    match value:
+        case str() if "\0" in value:
+            raise ConfigError(f"{origin}: {value[:40]!r} has the character NUL in it; leave it out")
+        case dict():
+            return {_frozen(name, origin): _frozen(inner, origin) for name, inner in value.items()}
+        case list() | tuple():
+            return tuple(_frozen(inner, origin) for inner in value)
+        case _:
+            return value
 
 
 def _read_toml(file: Path) -> dict[str, Any]:
@@ -326,8 +387,19 @@ def _explain(error: ValidationError, model: type[BaseModel] = Project) -> str:
         return f"unknown key {where!r}{_nearest(model, complaint['loc'])}"
     if complaint["type"] == "missing":
         return f"{where!r} is missing"
-    message = complaint["msg"].removeprefix("Value error, ")
-    return f"{where or 'table'}: {message}"
+    if complaint["type"] == "value_error":
+        return f"{where or 'table'}: {complaint['ctx']['error']}"
+    if complaint["loc"][-1:] == ("[key]",):
+        table = ".".join(map(str, complaint["loc"][:-2]))
+        return f"{table}: {complaint['input']!r} is not a name; use letters, digits and _, as in my_name"
+    message = KINDS.get(complaint["type"]) or complaint["msg"].replace("Input", "it").replace("it should", "should", 1)
+    return f"{where or 'table'} {message}, not {_written(complaint['input'])}"
+
+
+def _written(value: Any) -> str:
+    """A value as TOML has it, nearly, and never a long one."""
+    text = json.dumps(value, ensure_ascii=False, default=str)
+    return text if len(text) <= 60 else text[:57] + "..."
 
 
 def _nearest(model: type[BaseModel], location: tuple[int | str, ...]) -> str:

@@ -6,8 +6,11 @@ drawn (no such column in this batch, nothing finite in it) is said, and does not
 
 from __future__ import annotations
 
+import json
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -15,38 +18,79 @@ from sierra import analysis
 from sierra.config import Figure, LoadedProject
 from sierra.errors import Missing, NotFound, SierraError
 from sierra.figures import Drawing, draw
-from sierra.hashing import short
+from sierra.hashing import sha256, short
 from sierra.model import Axis
-from sierra.paths import ProjectPaths
+from sierra.paths import ProjectPaths, write_whole
 from sierra.store import Store
 from sierra.store.frame import Frame, OutputTable
+from sierra.version import __version__
 
 TIMES = ("clock", "time", "tick", "t", "step", "iteration", "generation", "seconds")
 """Names under which a first column is taken for the time axis, where the project does not say."""
-AT_MOST = 24
+AT_MOST = 16
 """Default figures of one batch; further columns are said, and drawn when they are asked for."""
 
 
-def figures(project: LoadedProject, store: Store, batch: str, name: str | None = None) -> tuple[list[Path], list[str]]:
+def figures(
+    project: LoadedProject, store: Store, batch: str, name: str | None = None, *, again: bool = True
+) -> tuple[list[Path], list[str]]:
     """Draw a batch's figures, or the one of that name: the files, and what could not be drawn and why.
 
-    Raises NotFound for a name that no figure has, SierraError where the one asked for cannot be drawn.
+    Without `again`, what was drawn from the same data in the same way is left as it is. Raises NotFound for a name
+    that no figure has, SierraError where the one asked for cannot be drawn.
     """
     with Frame(store, batch) as frame:
         gallery = _Gallery(project, frame)
         wanted, notes = gallery.wanted(name)
-        folder = ProjectPaths(project.root).figures / short(batch)
+        drawer = _Drawer(ProjectPaths(project.root).drawn(short(batch)), again=again)
         drawn: list[Path] = []
         for figure_name, figure in wanted.items():
             try:
-                drawn += draw(gallery.drawing(figure_name, figure), folder)
+                drawn += drawer.draw(gallery.drawing(figure_name, figure))
             except Missing:
                 raise
             except SierraError as error:
                 if name is not None:
                     raise
                 notes.append(f"figure {figure_name}: {error}")
+        drawer.note()
     return drawn, notes
+
+
+class _Drawer:
+    """Draws; without `again` a figure whose data and look are as they were, and whose files are there, is left alone."""
+
+    def __init__(self, memory: Path, *, again: bool) -> None:
+        self._memory = memory
+        self._again = again
+        try:
+            self._drawn: dict[str, str] = json.loads(memory.read_text())
+        except (OSError, ValueError):
+            self._drawn = {}
+        self._before = dict(self._drawn)
+
+    def draw(self, drawing: Drawing) -> tuple[Path, ...]:
+        """The figure's files, drawn now or before."""
+        files = tuple(self._memory.parent / f"{drawing.name}.{ending}" for ending in drawing.formats)
+        now = fingerprint(drawing)
+        if self._again or self._drawn.get(drawing.name) != now or not all(file.is_file() for file in files):
+            files = draw(drawing, self._memory.parent)
+            self._drawn[drawing.name] = now
+        return files
+
+    def note(self) -> None:
+        """Remember what was drawn."""
+        if self._drawn != self._before:
+            write_whole(self._memory, json.dumps(self._drawn, indent=0, sort_keys=True).encode())
+
+
+def fingerprint(drawing: Drawing) -> str:
+    """The hash of all that a figure's bytes depend on: what it shows, and the programs that draw it."""
+    tables = {name: table for name, table in drawing.tables.items() if table is not None}
+    numbers = [repr(table.to_pydict()) for table in (*tables.values(), *([] if drawing.runs is None else [drawing.runs]))]
+    shown = [drawing.figure.model_dump_json(), drawing.axes, dict(drawing.cells), list(tables), numbers]
+    rest = [drawing.name, drawing.note, drawing.sql, drawing.batch, drawing.time, dict(drawing.units), drawing.formats]
+    return sha256(repr((shown, rest, __version__, version("matplotlib"))).encode())
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +140,8 @@ class _Gallery:
             time = self.time(output)
             columns = [column for column in output.columns if column != time]
             if self._drawable(output):
-                found |= analysis.default_figures(output.name, columns, self._axes, series=output.rows > 1)
+                proposed = analysis.default_figures(output.name, columns, self._axes, series=output.rows > 1)
+                found |= {_file_name(name, found): figure for name, figure in proposed.items()}
         return found
 
     def _drawable(self, output: OutputTable) -> bool:
@@ -118,9 +163,7 @@ class _Gallery:
             if column not in output.columns:
                 raise NotFound(f"output {output.name!r} has no numeric column {column!r}; it has {', '.join(output.columns)}")
         frames = {column: _Column(self._frame, output.name, column, time) for column in columns}
-        computed = analysis.compute(
-            figure, self._axes, frames, planned=self._planned, known=self._coverage(output)
-        )
+        computed = analysis.compute(figure, self._axes, frames, planned=self._planned, known=self._coverage(output))
         declared = self._config.outputs.get(output.name)
         return Drawing(
             name=name,
@@ -164,6 +207,12 @@ class _Gallery:
     def _labelled(self, axis: Axis) -> Axis:
         variable = self._config.variables.get(axis.name)
         return replace(axis, label=variable.label, unit=variable.unit) if variable else axis
+
+
+def _file_name(name: str, taken: Mapping[str, Figure]) -> str:
+    """A figure's name as its files can be called anywhere; another one where it is taken."""
+    plain = re.sub(r"[^\w.-]+", "_", name).strip("_.") or "figure"
+    return next(free for free in (plain, *(f"{plain}_{n}" for n in range(2, len(taken) + 3))) if free not in taken)
 
 
 def replace_columns(figure: Figure, columns: tuple[str, ...]) -> Figure:

@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import difflib
 import itertools
+import math
+import re
 from collections.abc import Mapping, Sequence
 
 from sierra import scales
@@ -33,6 +35,8 @@ from sierra.model import (
 from sierra.platforms import Platform, Reader
 
 GROUPED = ("controller", "scenario")
+AT_MOST = 1_000_000
+"""Runs that a batch may have."""
 
 
 def design(query: Query, project: Project, platform: Platform, template: Reader) -> Design:
@@ -40,6 +44,7 @@ def design(query: Query, project: Project, platform: Platform, template: Reader)
     spanned = [_span(criterion, project, platform, template) for criterion in query.criteria]
     axes = tuple(axis for axis, _ in spanned)
     _check_independent(spanned)
+    _check_count(query, axes)
     chosen = _chosen(query, project, axes)
     common = (
         *platform.changes(template),
@@ -50,12 +55,14 @@ def design(query: Query, project: Project, platform: Platform, template: Reader)
         _cell(ordinal, axes, points, chosen, common, query.sets)
         for ordinal, points in enumerate(itertools.product(*(points for _, points in spanned)))
     )
-    seeds = _seed_changes(project, platform)
+    per_run = (*_seed_changes(project, platform), *changes(project.run_changes, "sierra.toml: run_changes"))
+    _check_lists(project, axes)
+    _check_effect(project, cells, per_run)
     return Design(
         query=query,
         axes=axes,
         cells=cells,
-        per_run=(*seeds, *changes(project.run_changes, "sierra.toml: run_changes")),
+        per_run=per_run,
         lists=dict(project.per_run),
         independent_seeds=project.seed.independent,
     )
@@ -112,6 +119,41 @@ def _check_independent(spanned: Sequence[tuple[Axis, tuple[Point, ...]]]) -> Non
                 raise QueryError(f"{other!r} and {axis.name!r} both set {change.path!r}; ask for one of them")
 
 
+def _check_count(query: Query, axes: Sequence[Axis]) -> None:
+    experiments = math.prod(len(axis.values) for axis in axes)
+    if experiments * query.runs > AT_MOST:
+        raise QueryError(
+            f"{experiments} experiments of {query.runs} runs are {experiments * query.runs} runs; a batch has at most {AT_MOST}"
+        )
+
+
+def _check_lists(project: Project, axes: Sequence[Axis]) -> None:
+    """A list may not be called as what expressions know already."""
+    for name in project.per_run:
+        if name in {"seed", "run", *GROUPED, *(axis.name for axis in axes)}:
+            raise ConfigError(f"[per_run] {name}: expressions know another {name!r} already; take another name")
+
+
+def _check_effect(project: Project, cells: Sequence[Cell], per_run: tuple[Change, ...]) -> None:
+    """A controller or scenario that is no group, and that nothing in the template takes the name of, is a mistake."""
+    for kind in GROUPED:
+        for cell in cells:
+            name = cell.values.get(kind)
+            if name is None or name in _groups(project, kind):
+                continue
+            if not any(_mentions(change, kind) for change in (*cell.changes, *per_run)):
+                raise QueryError(f"{kind} {name!r} changes nothing; sierra.toml declares none ([{kind}s.{name}])")
+
+
+def _mentions(change: Change, name: str) -> bool:
+    """Whether an expression in a change uses a name."""
+    match change:
+        case Set(value=text) | Add(xml=text) | Rename(to=text):
+            return re.search(rf"\{{[^}}]*\b{name}\b", text) is not None
+        case Remove():
+            return False
+
+
 def _unknown(name: str, project: Project, platform: Platform) -> str:
     known = [*project.variables, *platform.criteria(), *(kind for kind in GROUPED if _groups(project, kind)), "montecarlo"]
     close = difflib.get_close_matches(name, known, 1, cutoff=0.5)
@@ -134,9 +176,8 @@ def _groups(project: Project, kind: str) -> Mapping[str, Group]:
 def _group(project: Project, kind: str, name: str) -> tuple[Change, ...]:
     groups = _groups(project, kind)
     if name not in groups:
-        if groups or kind == "scenario":
-            known = f"known are {', '.join(groups)}" if groups else f"sierra.toml declares none ([{kind}s.{name}])"
-            raise QueryError(f"unknown {kind} {name!r}; {known}")
+        if groups:
+            raise QueryError(f"unknown {kind} {name!r}; known are {', '.join(groups)}")
         return ()
     return changes(groups[name].changes, f"{kind} {name!r}")
 

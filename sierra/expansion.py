@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Iterator
 
 from sierra import seeds
 from sierra.errors import QueryError
-from sierra.hashing import canonical, digest, merkle, sha256
+from sierra.hashing import canonical, canonical_plain, digest, merkle, sha256
 from sierra.inputs import Renderer, Template
 from sierra.model import Axis, Batch, Cell, Design, Experiment, Recipe, Run, Value
 from sierra.platforms import Platform
@@ -50,7 +50,7 @@ class Expansion:
             if runs:
                 render = self._renderer(cell)
                 for run in runs:
-                    yield run, self._files(cell, render, run.number)
+                    yield run, self._files(cell, render, run.number, run.seed)
 
     def _experiment(self, cell: Cell) -> Experiment:
         render = self._renderer(cell)
@@ -60,16 +60,16 @@ class Expansion:
         return Experiment(merkle("experiment", (run.id for run in runs), {"values": shown}), cell.ordinal, values, runs)
 
     def _run(self, cell: Cell, render: Renderer, number: int) -> Run:
-        inputs = tuple((name, sha256(content)) for name, content in self._files(cell, render, number))
         seed = self._seed(cell, number)
+        inputs = tuple((name, sha256(content)) for name, content in self._files(cell, render, number, seed))
         return Run(run_id(self.recipe_id, inputs, seed), cell.ordinal, number, seed, inputs)
 
     def _renderer(self, cell: Cell) -> Renderer:
         return self._template.changed(cell.changes, cell.values).per_run(self._design.per_run)
 
-    def _files(self, cell: Cell, render: Renderer, number: int) -> Files:
+    def _files(self, cell: Cell, render: Renderer, number: int, seed: int) -> Files:
         lists = {name: values[number % len(values)] for name, values in self._design.lists.items()}
-        return self._platform.files(render({**cell.values, **lists, "seed": self._seed(cell, number), "run": number}))
+        return self._platform.files(render({**cell.values, **lists, "seed": seed, "run": number}))
 
     def _seed(self, cell: Cell, number: int) -> int:
         stream = ""
@@ -87,7 +87,8 @@ def _check_streams(last: int, runs: int) -> None:
 
 def run_id(recipe: str, inputs: Iterable[tuple[str, str]], seed: int) -> str:
     """A run's id: of what it has in common with its batch, its input files, and its seed."""
-    return digest("run", {"recipe": recipe, "inputs": [list(item) for item in inputs], "seed": seed})
+    preimage = {"sierra": "run", "format": 1, "recipe": recipe, "inputs": [list(item) for item in inputs], "seed": seed}
+    return sha256(canonical_plain(preimage))
 
 
 def exact(value: Value) -> Value:

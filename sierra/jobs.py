@@ -13,7 +13,6 @@ import sys
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
-from sierra import config
 from sierra.config import Project
 from sierra.engines import Engine
 from sierra.errors import ConfigError
@@ -37,6 +36,7 @@ FIXED = {
     "NUMEXPR_NUM_THREADS": "1",
 }
 """What every run sees, whoever asks; part of its identity."""
+OWN = ("HOME", "TMPDIR")
 HERE = "\0"
 """The run's folder, which only the worker knows."""
 
@@ -53,7 +53,13 @@ def command(platform: Platform, root: Path) -> tuple[str, ...]:
 
 
 def environment(platform: Platform, project: Project) -> dict[str, str]:
-    """The declared variables of a run: SIERRA's fixed ones, the platform's, the project's."""
+    """The declared variables of a run: SIERRA's fixed ones, the platform's, the project's.
+
+    Raises ConfigError for one that each run has of its own.
+    """
+    for name in (*project.environment.pass_, *project.environment.set):
+        if name in OWN or name.startswith("SIERRA_"):
+            raise ConfigError(f"[environment] {name}: each run has its own; take another name")
     passed = {name: os.environ[name] for name in project.environment.pass_ if name in os.environ}
     return {**FIXED, **platform.environment(), **passed, **project.environment.set}
 
@@ -70,9 +76,9 @@ def fill(words: Iterable[str], root: Path, values: Mapping[str, str] | None = No
 
 
 def limits(project: Project) -> Limits:
-    """The limits of each execution. Raises ConfigError for a size that is none."""
+    """The limits of each execution."""
     table = project.limits
-    return Limits(table.wall, table.cpu, config.size(table.memory), config.size(table.output), table.grace)
+    return Limits(table.wall, table.cpu, table.memory, table.output, table.grace)
 
 
 class Maker:
@@ -106,11 +112,6 @@ class Maker:
         own = {"SIERRA_RUN_ID": run.id, "SIERRA_SEED": str(run.seed), "SIERRA_EXECUTION": execution}
         argv = self._engine.argv(fill(self._recipe.command, self._root, values))
         return Job(run.id, execution, argv, {**self._environment, **own}, files, self._bounds)
-
-
-def uses_seed(words: Iterable[str]) -> bool:
-    """Whether a command mentions the seed."""
-    return any("{seed}" in word for word in words)
 
 
 def _in_project(word: str, root: Path) -> str:

@@ -363,4 +363,4 @@ class Result:
     slot: int
     outputs: tuple[OutputFile, ...]
     error: str | None = None
-    """Why the program could not even be started."""
+    """Why the program could not be started, or why what it left can't be read."""

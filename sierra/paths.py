@@ -1,16 +1,17 @@
-"""Every file name that SIERRA gives, in one place.
+"""Every file name that SIERRA gives, in one place; and how a file appears whole.
 
-    PROJECT/sierra.toml
-    PROJECT/figures/<batch>/            what is drawn
-    PROJECT/.sierra/format              the version of the store's format
-    PROJECT/.sierra/segments/<segment>/ what is recorded; see sierra.store.segments
-    PROJECT/.sierra/work/<session>/     what executes now; gone once it is recorded
-        lock  claims.json  context.json  journal.jsonl  worker.log  segment/
-        <number>/                       one run: input files, stdout, stderr, home/ tmp/ output/
+PROJECT/sierra.toml
+PROJECT/figures/<batch>/            what is drawn, and in .drawn.json from what
+PROJECT/.sierra/format              the version of the store's format
+PROJECT/.sierra/segments/<segment>/ what is recorded; see sierra.store.segments
+PROJECT/.sierra/work/<session>/     what executes now; gone once it is recorded
+    lock  claims.json  context.json  journal.jsonl  segment/
+    <number>/                       one run: input files, stdout, stderr, home/ tmp/ output/
 """
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -44,6 +45,10 @@ class ProjectPaths:
     @property
     def figures(self) -> Path:
         return self.root / FIGURES
+
+    def drawn(self, batch: str) -> Path:
+        """What the figures of a batch were drawn from: their names, each with a hash."""
+        return self.figures / batch / ".drawn.json"
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,6 +111,13 @@ class SessionPaths:
     def journal(self) -> Path:
         return self.root / "journal.jsonl"
 
-    @property
-    def worker_log(self) -> Path:
-        return self.root / "worker.log"
+
+def write_whole(path: Path, data: bytes) -> Path:
+    """Write a file that appears whole, in the place of what was there, or not at all."""
+    unfinished = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        unfinished.write_bytes(data)
+        unfinished.replace(path)
+    finally:
+        unfinished.unlink(missing_ok=True)
+    return path

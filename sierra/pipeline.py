@@ -7,10 +7,12 @@ left behind is in the store. Everything is idempotent: asking again executes onl
 from __future__ import annotations
 
 import contextlib
+import signal
+import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
 
@@ -20,15 +22,16 @@ from sierra.design import design
 from sierra.engines import Engine
 from sierra.errors import ConfigError, Missing, UsageError
 from sierra.expansion import Expansion
-from sierra.model import Batch, Job, Limits, Query, Recipe, Result, Run, Set, Status
+from sierra.hashing import sha256
+from sierra.model import Batch, Design, Job, Limits, Query, Recipe, Result, Run, Set, Status
 from sierra.paths import CONFIG, FIGURES, PYPROJECT, STORE, ProjectPaths, SessionPaths
 from sierra.provenance import environment, programs, source
 from sierra.record import Context, Recorder, find_odd
-from sierra.runners import Runner
-from sierra.runners.journal import Journal, marked, orphans
+from sierra.runners import Runner, orphans
+from sierra.runners.journal import Journal
 from sierra.runners.local import Local
 from sierra.sessions import Session
-from sierra.store import Store
+from sierra.store import Question, Store
 from sierra.store.objects import Objects
 from sierra.store.tables import check_name
 from sierra.version import __version__
@@ -62,6 +65,7 @@ class State:
 
     good: bool
     why: str
+    executions: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +107,9 @@ class Summary:
     interrupted: bool
     failures: tuple[Failure, ...] = ()
     notes: tuple[str, ...] = ()
-    figures: tuple[str, ...] = field(default=())
+    figures: tuple[str, ...] = ()
+    undrawn: str | None = None
+    """Why no figure could be written at all (a full disk, a file in the way); the answer itself is recorded."""
 
 
 Watch = Callable[[Progress], None]
@@ -154,9 +160,6 @@ def plan(project: LoadedProject, asked: Query, *, engine: str = "none") -> Plan:
     recipe = Recipe(config.platform, command, variables, code.tree, contained.image())
     designed = design(asked, config, platform, template)
     expansion = Expansion(designed, template, platform, recipe)
-    notes = []
-    if asked.runs > 1 and not designed.per_run and not jobs.uses_seed(command):
-        notes.append('the seed goes nowhere: say where with seed = "XPATH", or {seed} in the command (SIERRA_SEED has it too)')
     return Plan(
         project=project,
         query=asked,
@@ -169,8 +172,17 @@ def plan(project: LoadedProject, asked: Query, *, engine: str = "none") -> Plan:
         engine=contained,
         limits=jobs.limits(config),
         template_sha256=template.sha256,
-        notes=tuple(notes),
+        notes=tuple(_doubts(designed, command)),
     )
+
+
+def _doubts(designed: Design, command: Sequence[str]) -> Iterator[str]:
+    """What is allowed, and yet hardly meant."""
+    mentioned = " ".join(command)
+    if designed.query.runs > 1 and not designed.per_run and "{seed}" not in mentioned:
+        yield 'the seed goes nowhere: say where with seed = "XPATH", or {seed} in the command (SIERRA_SEED has it too)'
+    if "{input}" not in mentioned and "{run}" not in mentioned:
+        yield "the command does not name {input}: unless it finds the generated file itself, all experiments are the same"
 
 
 def run(plan: Plan, store: Store, *, slots: int, fail_fast: bool = False, watch: Watch = lambda progress: None) -> Summary:
@@ -180,6 +192,8 @@ def run(plan: Plan, store: Store, *, slots: int, fail_fast: bool = False, watch:
     """
     finish_dead(store)
     began = datetime.now(UTC)
+    if is_answered(plan, store):
+        return _summary(plan, store)
     session = Session(store.paths)
     try:
         keep(plan, store, session.paths)
@@ -190,23 +204,32 @@ def run(plan: Plan, store: Store, *, slots: int, fail_fast: bool = False, watch:
         session.close()
 
 
-def states(plan: Plan, store: Store | None) -> dict[str, State]:
+def is_answered(plan: Plan, store: Store) -> bool:
+    """Whether the batch is recorded, an asking of it too, and every run has a good execution: nothing is to do."""
+    with store.ask() as question:
+        question.views.make(("sessions",))
+        asked = question.run("SELECT 1 FROM sessions WHERE batch = $b LIMIT 1", {"b": plan.batch.id})
+        return bool(asked) and all(state.good for state in states(plan, question).values())
+
+
+def states(plan: Plan, asked: Store | Question | None) -> dict[str, State]:
     """What the store has of each run of the batch."""
     runs = {run.id: State(False, "new") for run in plan.batch.runs}
-    if store is None:
+    if asked is None:
         return runs
     import pyarrow as pa
 
-    with store.ask() as question:
+    with asked.ask() if isinstance(asked, Store) else contextlib.nullcontext(asked) as question:
         question.register("asked", pa.table({"run": list(runs)}))
         question.views.make(("executions",))
         rows = question.run(
             "SELECT run, bool_or(ok AND programs = $programs AND reading = $reading), bool_or(ok AND reading = $reading), "
-            "bool_or(ok), arg_max(reason, ended) FROM (SELECT *, status = 'ok' AS ok FROM executions) e JOIN asked USING (run) "
+            "bool_or(ok), arg_max(reason, ended), count(*) "
+            "FROM (SELECT *, status = 'ok' AS ok FROM executions) e JOIN asked USING (run) "
             "WHERE purpose = 'run' GROUP BY run",
             {"programs": plan.programs.id, "reading": _context(plan, "").reading},
         )
-    for run, good, same_reading, ever, reason in rows:
+    for run, good, same_reading, ever, reason, executions in rows:
         why = (
             "reused"
             if good
@@ -216,7 +239,7 @@ def states(plan: Plan, store: Store | None) -> dict[str, State]:
             if ever
             else f"failed: {reason}"
         )
-        runs[run] = State(good, why)
+        runs[run] = State(good, why, executions)
     return runs
 
 
@@ -226,7 +249,7 @@ def keep(plan: Plan, store: Store, session: SessionPaths) -> None:
     What the store has already is not recorded again.
     """
     batch = plan.batch
-    if store.rows("SELECT 1 FROM batches WHERE batch = $b LIMIT 1", b=batch.id):
+    if is_kept(plan, store):
         return
     writer = store.writer(session.segment, batch.id)
     known = _known_inputs(plan, store)
@@ -258,7 +281,14 @@ def keep(plan: Plan, store: Store, session: SessionPaths) -> None:
     writer.rows("programs", plan.programs.rows())
     writer.table("experiments", _experiments(batch))
     writer.table("members", _members(batch))
-    store.publish(writer)
+    with sessions.exclusively(store.paths):
+        if not is_kept(plan, store):
+            store.publish(writer)
+
+
+def is_kept(plan: Plan, store: Store) -> bool:
+    """Whether the store knows what is asked."""
+    return bool(store.rows("SELECT 1 FROM batches WHERE batch = $b LIMIT 1", b=plan.batch.id))
 
 
 def finish_dead(store: Store) -> int:
@@ -266,24 +296,18 @@ def finish_dead(store: Store) -> int:
     recovered = 0
     with sessions.dead(store.paths) as found:
         if found:
-            sessions.end(_left_running(found))
+            orphans.end(found)
         for paths in found:
             recovered += _recover(store, paths)
     return recovered
 
 
-def _left_running(found: Sequence[SessionPaths]) -> list[int]:
-    marks = marked("SIERRA_SESSION", {paths.root.name for paths in found})
-    return marks + [pid for paths in found for pid in orphans(paths.journal)]
-
-
 def _recover(store: Store, paths: SessionPaths) -> int:
-    if not paths.context.exists():
-        return 0
-    context = Context.load(paths.context)
+    """Record what a session's journal says has finished, and the store does not have yet."""
     results = [event for event in Journal(paths.journal).read() if isinstance(event, Result)]
     if not results:
         return 0
+    context = Context.load(paths.context)
     rows = store.rows("SELECT execution FROM executions WHERE session = $s", s=context.session)
     recorded = {row["execution"] for row in rows}
     recorder = Recorder(store, paths, context)
@@ -314,18 +338,26 @@ class _Asking:
 
     def answer(self) -> None:
         """Execute what is missing; wait for what other sessions execute, and take over what they leave."""
-        first = True
+        before: dict[str, State] = {}
         while not self.interrupted:
-            wanted = {run for run, state in states(self.plan, self.store).items() if not state.good}
-            if first:
-                self.reused = {run.id for run in self.plan.batch.runs} - wanted
-                first = False
-            wanted -= self.attempted
+            recorded = len(self.store.segments())
+            now = states(self.plan, self.store)
+            wanted = {run for run, state in now.items() if not state.good}
+            if not before:
+                before, self.reused = now, now.keys() - wanted
+            # What another session executed since this asking began, and without success, has been tried.
+            self.failed |= {run for run in wanted if now[run].executions > before[run].executions}
+            wanted -= self.failed | self.attempted
             if not wanted or (self._fail_fast and self.failed):
                 return
             mine = self.session.claim(wanted)
+            if len(self.store.segments()) != recorded:
+                continue  # what is claimed now may have been executed since the store was asked
             if mine:
+                tried = len(self.attempted)
                 self._execute(mine)
+                if len(self.attempted) == tried and not self.interrupted:
+                    raise Missing(f"{self.session.paths.root}: the worker has ended, and said of no run how it went")
             else:
                 self._wait(wanted)
 
@@ -333,53 +365,52 @@ class _Asking:
         self._context.save(self.session.paths.context)
         recorder = Recorder(self.store, self.session.paths, self._context)
         runner: Runner = Local(self.slots)
-        try:
-            runner.submit(self._jobs(wanted), self.session.paths)
-            self._follow(runner, recorder)
-        except BaseException:
+        with _noted() as signals:
+            try:
+                runner.submit(self._jobs(wanted), self.session.paths)
+                self._follow(runner, recorder, signals)
+                find_odd(self.store, self.session.paths, self.plan.batch.id, self._context.outputs)
+            except BaseException:
+                self._give_up(runner)
+                raise
+        self.interrupted = bool(signals)
+
+    def _give_up(self, runner: Runner) -> None:
+        """End what runs, and record by the journal what had finished; if that fails too, whoever asks next does so."""
+        self.session.recorded = False
+        with contextlib.suppress(Exception):
             runner.stop()
-            with contextlib.suppress(Exception):
-                self._drain(runner, recorder)
-            raise
-        if self.attempted:
-            find_odd(self.store, self.session.paths, self.plan.batch.id, self._context.outputs)
+            while runner.look().alive:
+                time.sleep(POLL_S)
+        with contextlib.suppress(Missing, OSError):
+            _recover(self.store, self.session.paths)
+            self.session.recorded = True
 
     def _jobs(self, wanted: AbstractSet[str]) -> Iterator[Job]:
-        maker = jobs.Maker(
-            self.plan.batch.recipe, self.plan.project.root, self.plan.engine, self.plan.limits, self.session.id
-        )
+        maker = jobs.Maker(self.plan.batch.recipe, self.plan.project.root, self.plan.engine, self.plan.limits, self.session.id)
         sent: set[str] = set()
         for run, files in self.plan.expansion.files(self.plan.batch, lambda run: run.id in wanted):
             if run.id not in sent:
                 sent.add(run.id)
                 yield maker.job(run, files)
 
-    def _follow(self, runner: Runner, recorder: Recorder) -> None:
-        """Look again and again until all has ended; Ctrl-C and the first failure (with `fail_fast`) end it early."""
-        alive = True
+    def _follow(self, runner: Runner, recorder: Recorder, signals: Sequence[int]) -> None:
+        """Look again and again until all has ended; a signal and the first failure (with `fail_fast`) end it early."""
+        alive, told = True, 0
         while alive:
-            try:
-                look = runner.look()
-                self._take(look.results, recorder)
-                if recorder.due():
-                    self._flushed(recorder)
-                self._tell(look.running)
-                if self._fail_fast and self.failed:
-                    runner.stop()
-                alive = look.alive
-                if alive:
-                    time.sleep(POLL_S)
-            except KeyboardInterrupt:
-                self.interrupted = True
+            look = runner.look()
+            self._take(look.results, recorder)
+            if recorder.due():
+                self._flushed(recorder)
+            self._tell(look.running)
+            if len(signals) > told or (self._fail_fast and self.failed and not told):
+                told = max(len(signals), 1)
                 runner.stop()
+            alive = look.alive
+            if alive:
+                time.sleep(POLL_S)
         self._flushed(recorder)
         self._tell(0)
-
-    def _drain(self, runner: Runner, recorder: Recorder) -> None:
-        while (look := runner.look()).alive:
-            time.sleep(POLL_S)
-        self._take(look.results, recorder)
-        recorder.flush()
 
     def _take(self, results: Sequence[Result], recorder: Recorder) -> None:
         for result in results:
@@ -395,29 +426,48 @@ class _Asking:
     def _wait(self, wanted: AbstractSet[str]) -> None:
         """Other sessions execute what is wanted: until one of them ends, or has recorded something."""
         known = len(self.store.segments())
-        try:
-            while sessions.others(self.session.store, self.session.id) & wanted:
+        with _noted() as signals:
+            while not signals and sessions.others(self.session.store, self.session.id) & wanted:
                 self._tell(0, elsewhere=len(wanted))
                 time.sleep(JOIN_S)
+                finish_dead(self.store)
                 if len(self.store.segments()) != known:
-                    return
-        except KeyboardInterrupt:
-            self.interrupted = True
+                    break
+        self.interrupted = bool(signals)
 
     def _tell(self, running: int, elsewhere: int = 0) -> None:
-        self._watch(
-            Progress(self._total, len(self.reused), len(self.attempted), len(self.failed), running, elsewhere)
-        )
+        self._watch(Progress(self._total, len(self.reused), len(self.attempted), len(self.failed), running, elsewhere))
+
+
+@contextlib.contextmanager
+def _noted() -> Iterator[list[int]]:
+    """Signals to end that arrive meanwhile: noted, so that nothing is torn apart (in the main thread; others get none)."""
+    noted: list[int] = []
+    if threading.current_thread() is not threading.main_thread():
+        yield noted
+        return
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    heeded = {number: handler for number, handler in before.items() if handler not in (signal.SIG_IGN, None)}
+    for number in heeded:
+        signal.signal(number, lambda got, _: noted.append(got))
+    try:
+        yield noted
+    finally:
+        for number, handler in heeded.items():
+            signal.signal(number, handler)
 
 
 def _close(asking: _Asking, began: datetime) -> Summary:
     """Count by what the store says now, record the session, and sum up."""
     plan, store = asking.plan, asking.store
-    now = states(plan, store)
-    bad = {run for run, state in now.items() if not state.good}
-    failed = bad & asking.attempted
-    missing = bad - asking.attempted
+    bad = {run for run, state in states(plan, store).items() if not state.good}
+    failed = bad & (asking.attempted | asking.failed)
+    summary = _summary(
+        plan, store, executed=asking.attempted, failed=failed, missing=bad - failed, interrupted=asking.interrupted
+    )
+    counts = {name: getattr(summary, name) for name in ("executed", "reused", "failed", "missing", "interrupted")}
     record = {
+        **counts,
         "session": asking.session.id,
         "batch": plan.batch.id,
         "query": plan.text,
@@ -426,31 +476,41 @@ def _close(asking: _Asking, began: datetime) -> Summary:
         "runner": "local",
         "engine": plan.engine.name,
         "slots": asking.slots,
-        "executed": len(asking.attempted),
-        "reused": len(now) - len(asking.attempted) - len(missing),
-        "failed": len(failed),
-        "missing": len(missing),
-        "interrupted": asking.interrupted,
         "sierra": plan.environment["sierra"],
         "environment": plan.environment["environment"],
         "source": plan.source.id,
     }
     writer = store.writer(asking.session.paths.segment, plan.batch.id)
     writer.rows("sessions", [record])
+    writer.rows("sources", [plan.source.row(sha256(plan.source.manifest))])
     if asking.attempted:
         writer.rows("environments", [plan.environment])
         writer.rows("programs", plan.programs.rows())
     store.publish(writer)
+    return summary
+
+
+def _summary(
+    plan: Plan,
+    store: Store,
+    *,
+    executed: AbstractSet[str] = frozenset(),
+    failed: AbstractSet[str] = frozenset(),
+    missing: AbstractSet[str] = frozenset(),
+    interrupted: bool = False,
+) -> Summary:
+    """What is told of an asking that executed some runs; what is neither `failed` nor `missing` is good."""
+    runs = len({run.id for run in plan.batch.runs})
     return Summary(
         batch=plan.batch.id,
         query=plan.text,
         experiments=len(plan.batch.experiments),
-        runs=len(now),
-        executed=record["executed"],
-        reused=record["reused"],
+        runs=runs,
+        executed=len(executed),
+        reused=runs - len(executed | failed | missing),
         failed=len(failed),
         missing=len(missing),
-        interrupted=asking.interrupted,
+        interrupted=interrupted,
         failures=tuple(failures(plan, store, failed)),
         notes=plan.notes,
     )

@@ -113,9 +113,7 @@ def _check_axis(criterion: Criterion, first: Criterion) -> None:
     if name.lower() in RESERVED:
         raise QueryError(f"{_shown(text(criterion))}: {name!r} is a column of the store; use another, as in my_{name}")
     if first is not criterion:
-        raise QueryError(
-            f"{_shown(text(criterion))}: {name!r} is asked for already, by {_shown(text(first))}; use one of them"
-        )
+        raise QueryError(f"{_shown(text(criterion))}: {name!r} is asked for already, by {_shown(text(first))}; use one of them")
 
 
 def _criterion(text: str) -> Criterion:

@@ -2,7 +2,7 @@
 
 An execution is judged here and nowhere else: by its exit status, the outputs and the marker that the project
 asks for, and by the tables it wrote (see `sierra.store.reading`). What is only known once its siblings are
-there too (other row counts than theirs, a table that it alone lacks) becomes a *finding*.
+there too (other row counts or columns than theirs, a table that it alone lacks or has) becomes a *finding*.
 
 Recording may be repeated: what is in the store already is not recorded again, so a session that died is
 finished by reading its journal once more.
@@ -12,23 +12,26 @@ from __future__ import annotations
 
 import fnmatch
 import json
-import shutil
+import os
 import signal
+import stat
 import time
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path, PurePosixPath
 from typing import Any
 
+from sierra import worker
 from sierra.config import Output, Success
 from sierra.hashing import digest, merkle
 from sierra.model import OutputFile, Result, Status
 from sierra.paths import RUN_OUTPUT, RUN_STDERR, RUN_STDOUT, SessionPaths
 from sierra.store import Store
 from sierra.store.objects import Objects
-from sierra.store.reading import Shape, Written, read
-from sierra.store.segments import OUTPUT, Writer
+from sierra.store.reading import Reading, Shape, Written, difference, kinds, read, shown
+from sierra.store.segments import OUTPUT, Writer, disk_errors
 from sierra.store.tables import check_name
 
 LOG_KEPT = 1 << 20
@@ -72,7 +75,10 @@ class Context:
         fields = {name: getattr(self, name) for name in ("session", "batch", "purpose", "environment", "programs")}
         fields["outputs"] = {name: output.model_dump(mode="json") for name, output in self.outputs.items()}
         fields["success"] = self.success.model_dump(mode="json")
-        path.write_text(json.dumps(fields))
+        fresh = path.with_suffix(".new")
+        with disk_errors(path.parent):
+            fresh.write_text(json.dumps(fields))
+            fresh.replace(path)
 
     @classmethod
     def load(cls, path: Path) -> Context:
@@ -85,7 +91,7 @@ class Context:
 def judge(result: Result, outputs: Mapping[str, Output], success: Success) -> tuple[Status, str | None]:
     """Whether an execution is good by what is known at once, and why not."""
     if result.error is not None:
-        return Status.FAILED, f"could not be started: {result.error}"
+        return Status.FAILED, result.error
     if result.stopped is not None:
         return Status(result.stopped), STOPPED[Status(result.stopped)]
     if result.signal is not None:
@@ -103,7 +109,7 @@ def _marked(result: Result, success: Success) -> tuple[Status, str | None]:
         return Status.OK, None
     log = success.marker in (RUN_STDOUT, RUN_STDERR)
     marker = Path(result.directory, "" if log else RUN_OUTPUT, success.marker)
-    if not marker.is_file():
+    if marker.is_symlink() or not marker.is_file():
         return Status.FAILED, f"did not write its marker {success.marker!r}"
     if success.contains and success.contains.encode() not in marker.read_bytes():
         return Status.FAILED, f"its marker {success.marker!r} does not contain {success.contains!r}"
@@ -176,12 +182,12 @@ class Recorder:
         return [(one.result.run, one.status, one.reason or "") for one in judged if one.status is not Status.OK]
 
     def _write(self, writer: Writer, pending: Sequence[_Judged]) -> list[_Judged]:
-        tables, rows, faults = self._tables(writer, pending)
-        judged = [self._judge_again(one, tables, rows, faults) for one in pending]
+        tables, readings, faults = self._tables(writer, pending)
+        judged = [self._judge_again(one, readings, faults) for one in pending]
         objects = Objects(writer.path("objects"))
         artifacts: list[dict[str, Any]] = []
         for one in judged:
-            artifacts += self._artifacts(one, tables, rows, objects)
+            artifacts += self._artifacts(one, tables, readings, objects)
         objects.close()
         writer.rows("artifacts", artifacts)
         writer.rows("executions", (self._execution(one) for one in judged))
@@ -191,8 +197,8 @@ class Recorder:
 
     def _tables(
         self, writer: Writer, pending: Sequence[_Judged]
-    ) -> tuple[dict[tuple[str, str], str], dict[tuple[str, str, str], int], dict[str, str]]:
-        """Read all tables of good executions: which file is which table's, rows of each, faults by execution."""
+    ) -> tuple[dict[tuple[str, str], str], dict[str, Reading], dict[str, str]]:
+        """Read all tables of good executions: which file is which table's, what was read, faults by execution."""
         from sierra.store import connect
 
         belongs: dict[tuple[str, str], str] = {}
@@ -204,7 +210,7 @@ class Recorder:
                     belongs[one.result.execution, file.path] = name
                     shapes.setdefault(name, shape)
                     files.setdefault(name, []).append(_written(one.result, file))
-        rows: dict[tuple[str, str, str], int] = {}
+        readings: dict[str, Reading] = {}
         faults: dict[str, str] = {}
         if files:
             connection = connect()
@@ -213,12 +219,12 @@ class Recorder:
                     shape = self._shapes.get(name, shapes[name])
                     reading = read(connection, written, shape, writer.path(OUTPUT + name))
                     self._shapes[name] = reading.shape
-                    rows |= {(name, execution, file): count for (execution, file), count in reading.rows.items()}
+                    readings[name] = reading
                     for execution, fault in reading.faults.items():
                         faults.setdefault(execution, fault)
             finally:
                 connection.close()
-        return belongs, rows, faults
+        return belongs, readings, faults
 
     def _assigned(self, result: Result) -> Iterator[tuple[str, Shape, OutputFile]]:
         """The files of one execution that become tables: the declared ones, then what ends like a table."""
@@ -234,18 +240,17 @@ class Recorder:
             elif "/" not in file.path and PurePosixPath(file.path).suffix.lower() in AUTOMATIC:
                 automatic.append(file)
         if len(automatic) <= AUTOMATIC_AT_MOST:
-            taken: set[str] = set(self._context.outputs)
+            taken = {name.lower() for name in self._context.outputs}
             for file in automatic:
                 name = table_name(file.path)
-                if name not in taken:
-                    taken.add(name)
+                if name.lower() not in taken:
+                    taken.add(name.lower())
                     yield name, Shape(AUTOMATIC[PurePosixPath(file.path).suffix.lower()]), file  # type: ignore[arg-type]
 
     def _judge_again(
         self,
         one: _Judged,
-        tables: Mapping[tuple[str, str], str],
-        rows: Mapping[tuple[str, str, str], int],
+        readings: Mapping[str, Reading],
         faults: Mapping[str, str],
     ) -> _Judged:
         """The same, knowing what its tables were like."""
@@ -253,9 +258,9 @@ class Recorder:
         if execution in faults:
             return _Judged(one.result, Status.MISMATCH, faults[execution])
         for name, output in self._context.outputs.items():
-            if one.status is Status.OK and output.min_rows:
+            if one.status is Status.OK and output.min_rows and name in readings:
                 for file in one.result.outputs:
-                    count = rows.get((name, execution, file.path))
+                    count = readings[name].rows.get((execution, file.path))
                     if count is not None and count < output.min_rows:
                         reason = f"{file.path}: {count} rows; [outputs.{name}] min_rows asks for {output.min_rows}"
                         return _Judged(one.result, Status.FAILED, reason)
@@ -267,14 +272,15 @@ class Recorder:
         self,
         one: _Judged,
         tables: Mapping[tuple[str, str], str],
-        rows: Mapping[tuple[str, str, str], int],
+        readings: Mapping[str, Reading],
         objects: Objects,
     ) -> Iterator[dict[str, Any]]:
         result = one.result
         mine = {"execution": result.execution, "run": result.run}
         for file in result.outputs:
             table = tables.get((result.execution, file.path))
-            count = rows.get((table or "", result.execution, file.path))
+            reading = readings.get(table or "")
+            count = reading.rows.get((result.execution, file.path)) if reading else None
             if count is None:
                 objects.add_file(Path(result.directory, RUN_OUTPUT, file.path), file.sha256, file.bytes)
             yield {
@@ -285,6 +291,7 @@ class Recorder:
                 "size": file.bytes,
                 "sha256": file.sha256,
                 "rows": count,
+                "form": _form(reading, file) if reading and count is not None else None,
             }
         for name in (RUN_STDOUT, RUN_STDERR):
             content, size = _log(Path(result.directory, name))
@@ -324,31 +331,72 @@ def result_hash(outputs: Iterable[OutputFile]) -> str:
     return merkle("result", (f"{file.sha256} {shown(file.path)}" for file in sorted(outputs, key=lambda file: file.path)))
 
 
-def shown(path: str) -> str:
-    """A file's name as text: bytes of it that are no UTF-8 as escapes."""
-    return path.encode("utf-8", "backslashreplace").decode()
-
-
 def find_odd(store: Store, session: SessionPaths, batch: str, outputs: Mapping[str, Output]) -> int:
-    """Find executions whose tables have other row counts than their siblings', and record that; how many.
+    """Find executions whose tables are not like their siblings', and record that; how many.
 
-    Siblings are the good executions of one experiment. The row count that most of them have is right (of two
-    that as many have, the greater); a declared output with `mismatch = "ragged"` is left alone.
+    Siblings are the good executions of one experiment, whenever they were recorded. What most of them have is right
+    (of two that as many have, the more). Row counts of an output with `mismatch = "ragged"` may differ, and one that is
+    not required may be absent.
     """
-    ragged = {name for name, output in outputs.items() if output.mismatch == "ragged"}
-    found = []
+    tables: dict[tuple[int, str], list[dict[str, Any]]] = {}
     for row in store.rows(ODD, batch=batch):
-        if row["output"] not in ragged:
-            has = f"has {row['rows']} rows" if row["rows"] is not None else "is not there"
-            reason = (
-                f"table {row['output']!r} {has} where {row['those']} of its {row['siblings']} siblings have {row['likely']} "
-                f'(if that may be so: mismatch = "ragged" in [outputs.{row["output"]}])'
-            )
-            found.append({"execution": row["execution"], "found": datetime.now(UTC), "status": "mismatch", "reason": reason})
+        tables.setdefault((row["ordinal"], row["output"]), []).append(row)
+    found: dict[str, dict[str, Any]] = {}
+    for (_, name), siblings in sorted(tables.items()):
+        for execution, reason in _odd(siblings, name, outputs.get(name)):
+            now = datetime.now(UTC)
+            found.setdefault(execution, {"execution": execution, "found": now, "status": "mismatch", "reason": reason})
     writer = store.writer(session.segment, batch)
-    writer.rows("findings", {row["execution"]: row for row in found}.values())
+    writer.rows("findings", found.values())
     store.publish(writer)
-    return len({row["execution"] for row in found})
+    return len(found)
+
+
+def _odd(siblings: Sequence[Mapping[str, Any]], name: str, declared: Output | None) -> Iterator[tuple[str, str]]:
+    """The executions among siblings whose table `name` differs, and how."""
+    having = [row for row in siblings if row["rows"] is not None]
+    lacking = [row for row in siblings if row["rows"] is None]
+    count = len(siblings)
+    if declared is None or declared.required:
+        if len(having) < len(lacking):
+            for row in having:
+                yield row["execution"], f"there is a table {name!r}, which {len(lacking)} of its {count} siblings do not have"
+            return
+        for row in lacking:
+            yield row["execution"], f"table {name!r} is not there; {len(having)} of its {count} siblings have it"
+    forms = Counter(form for row in having for form in row["forms"])
+    likely = json.loads(max(forms, key=lambda form: (forms[form], *_fullness(json.loads(form)))))
+    for row in having:
+        for form in row["forms"]:
+            if reason := _unlike(json.loads(form), likely):
+                yield row["execution"], f"table {name!r} {reason}"
+    if declared is None or declared.mismatch == "strict":
+        rows = Counter(row["rows"] for row in having)
+        most = max(rows, key=lambda number: (rows[number], number))
+        allow = f'(if that may be so: mismatch = "ragged" in [outputs.{name}])'
+        for row in having:
+            if row["rows"] != most:
+                told = f"has {row['rows']} rows where {rows[most]} of its {count} siblings have {most}"
+                yield row["execution"], f"table {name!r} {told} {allow}"
+
+
+def _fullness(form: Mapping[str, Any]) -> tuple[bool, int, int]:
+    return form["ended"], len(form["columns"]), list(form["columns"].values()).count("number")
+
+
+def _unlike(form: Mapping[str, Any], likely: Mapping[str, Any]) -> str | None:
+    """What makes a table unlike its siblings', beside its rows."""
+    if form["file"] != likely["file"]:
+        return f"comes from {form['file']!r} where its siblings' come from {likely['file']!r}"
+    columns, others = form["columns"], likely["columns"]
+    if columns.keys() != others.keys() and form["columns"]:
+        return difference(tuple(columns), tuple(others))
+    for name, kind in columns.items():
+        if kind == "text" and others[name] == "number":
+            return f"has text in the column {name!r} where its siblings have numbers"
+    if likely["ended"] and not form["ended"]:
+        return "is cut short: its last line has no line feed at its end"
+    return None
 
 
 ODD = """
@@ -359,32 +407,33 @@ WITH good AS (
     GROUP BY ALL
 ),
 tables AS (
-    SELECT g.ordinal, g.execution, a.output, sum(a.rows) AS rows
+    SELECT g.ordinal, g.execution, a.output, sum(a.rows)::BIGINT AS rows, list_sort(list(DISTINCT a.form)) AS forms
     FROM good g JOIN artifacts a ON a.execution = g.execution AND a.kind = 'table'
     GROUP BY ALL
 ),
-expected AS (SELECT DISTINCT ordinal, output FROM tables),
 counted AS (
-    SELECT g.ordinal, g.execution, x.output, t.rows
-    FROM good g JOIN expected x USING (ordinal) LEFT JOIN tables t USING (ordinal, execution, output)
+    SELECT g.ordinal, g.execution, x.output, t.rows, t.forms
+    FROM good g JOIN (SELECT DISTINCT ordinal, output FROM tables) x USING (ordinal)
+    LEFT JOIN tables t USING (ordinal, execution, output)
 ),
-frequent AS (
-    SELECT ordinal, output, rows, count(*) AS those FROM counted GROUP BY ALL
-),
-likely AS (
-    SELECT ordinal, output, arg_max(rows, (those, coalesce(rows, -1))) AS rows, max(those) AS those, sum(those) AS siblings
-    FROM frequent GROUP BY ALL HAVING count(*) > 1
+differing AS (
+    SELECT ordinal, output FROM counted GROUP BY ALL
+    HAVING count(rows) < count(*) OR min(rows) < max(rows) OR min(forms) < max(forms)
 )
-SELECT c.execution, c.output, c.rows::BIGINT AS rows, l.rows::BIGINT AS likely, l.those, l.siblings::BIGINT AS siblings
-FROM counted c JOIN likely l USING (ordinal, output)
-WHERE c.rows IS DISTINCT FROM l.rows AND l.rows IS NOT NULL
-ORDER BY ALL
+SELECT c.* FROM counted c JOIN differing USING (ordinal, output) ORDER BY execution
 """
 
 
 def discard(folder: Path) -> None:
     """Remove a run's folder; what is recorded is not needed there any more."""
-    shutil.rmtree(folder, ignore_errors=True)
+    worker.remove(str(folder))
+
+
+def _form(reading: Reading, file: OutputFile) -> str:
+    """What a table looks like, for a comparison with its siblings'."""
+    shape = reading.shape
+    whole = file.ended or shape.format != "csv"
+    return json.dumps({"file": None if shape.many else shown(file.path), "columns": kinds(shape), "ended": whole})
 
 
 def _shape(output: Output) -> Shape:
@@ -398,19 +447,21 @@ def _written(result: Result, file: OutputFile) -> Written:
 
 
 def _log(path: Path) -> tuple[bytes, int]:
-    """What is kept of a log, and how long it was."""
+    """What is kept of a log, and how long it was. A link that a run put in its place is not followed."""
     try:
-        size = path.stat().st_size
-        if not size:
-            return b"", 0
-        with path.open("rb") as file:
-            if size <= LOG_KEPT:
-                return file.read(), size
-            head = file.read(LOG_KEPT // 4)
-            file.seek(-3 * LOG_KEPT // 4, 2)
-            return head + b"\n[... %d bytes left out ...]\n" % (size - LOG_KEPT) + file.read(), size
-    except FileNotFoundError:
+        descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
+    except OSError:
         return b"", 0
+    with os.fdopen(descriptor, "rb") as file:
+        found = os.fstat(descriptor)
+        if not stat.S_ISREG(found.st_mode) or path.parent.is_symlink():
+            return b"", 0
+        size = found.st_size
+        if size <= LOG_KEPT:
+            return file.read(), size
+        head = file.read(LOG_KEPT // 4)
+        file.seek(-3 * LOG_KEPT // 4, 2)
+        return head + b"\n[... %d bytes left out ...]\n" % (size - LOG_KEPT) + file.read(), size
 
 
 def _last_words(folder: Path) -> str | None:

@@ -59,9 +59,7 @@ def variable(text: str) -> tuple[str, str]:
     return name.strip(), path.strip()
 
 
-def find_out(
-    folder: Path, *, template: str | None, command: str | None, variables: Sequence[str], seed: str | None
-) -> Guess:
+def find_out(folder: Path, *, template: str | None, command: str | None, variables: Sequence[str], seed: str | None) -> Guess:
     """What is given, and for the rest what the folder shows.
 
     Raises UsageError where there is a `sierra.toml` already, Missing where the folder shows no template or program.
@@ -97,7 +95,7 @@ def write(folder: Path, guess: Guess) -> Path:
 def next_steps(guess: Guess) -> Iterator[str]:
     """What to do now."""
     if not guess.variables:
-        yield f"now: name a variable in {CONFIG}, under [variables]: name = \"XPATH\""
+        yield f'now: name a variable in {CONFIG}, under [variables]: name = "XPATH"'
         return
     name = next(iter(guess.variables))
     yield f"now: sierra run {name}.Log8 (or {name}=1,2,3); look first with -n"

@@ -4,18 +4,20 @@ One file on the standard library alone (Python 3.8 or newer), so that a node nee
 
     worker.py FOLDER SLOTS < jobs
 
-Jobs come as lines of JSON, one run each, and end with the line `{"end": true}`. An input that ends without
-it means that whoever sent the jobs has died: the runs in flight are ended, and nothing more is started.
-`{"stop": true}` and SIGTERM ask for the same.
+Jobs come as lines of JSON, one run each, and end with the line `{"end": true}`. Whoever sends them through a
+pipe holds it open until the worker has ended. A pipe that is closed before, or an input that ends without that
+line, means that nobody waits for the results any more: the runs in flight are ended, and nothing more is
+started. SIGTERM asks for the same, and a second SIGTERM for doing so without grace.
 
 For each job the worker makes the folder FOLDER/<number>/ with the input files, `home`, `tmp` and `output`,
 starts the program in a session (and so a process group) of its own with `output` as its working directory,
 enforces the limits, and hashes what was left in `output`. In argv and environment, the character NUL stands
 for the run's folder.
 
-What happened is appended to FOLDER/journal.jsonl, a line for each event, each written by one call: `start`
-(process id and its start time, so that an orphan can be recognised) and `end` (sierra.model.Result). A line
-that is cut short was never written.
+What happened is appended to FOLDER/journal.jsonl, a line for each event: `start` (process id and its start
+time, so that an orphan can be recognised) and `end` (sierra.model.Result). A line that is cut short was never
+written. The exit status is 0 where all jobs have been executed, 1 where the worker was asked to stop, and 3
+where it could not go on; its last line on stderr then says why.
 
 Processes that leave their group are found all the same: the worker is their subreaper (Linux), so an orphan
 becomes a child of the worker's main thread, which starts no process itself.
@@ -24,12 +26,14 @@ becomes a child of the worker's main thread, which starts no process itself.
 from __future__ import annotations
 
 import base64
+import errno
 import hashlib
 import heapq
 import itertools
 import json
 import os
 import queue
+import select
 import shutil
 import signal
 import socket
@@ -41,6 +45,7 @@ import time
 from typing import Any, Iterator, TextIO
 
 FOLDERS = ("home", "tmp", "output")
+LOGS = ("stdout", "stderr")
 POLL_S = 0.25
 HEAD_BYTES = 4096
 CHUNK = 1 << 20
@@ -52,11 +57,51 @@ class Journal:
 
     def __init__(self, path: str) -> None:
         self._file = os.open(path, os.O_CREAT | os.O_WRONLY | os.O_APPEND | os.O_CLOEXEC, 0o644)
+        self._lock = threading.Lock()
 
-    def write(self, **event: Any) -> None:
+    def write(self, event: dict[str, Any]) -> None:
         line = json.dumps(event, separators=(",", ":")).encode() + b"\n"
-        if os.write(self._file, line) != len(line):
-            raise OSError("the journal could not be written: is the disk full?")
+        with self._lock:
+            written = os.write(self._file, line)
+            if written != len(line):
+                os.ftruncate(self._file, os.fstat(self._file).st_size - written)
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "journal.jsonl")
+
+
+class Bell:
+    """Wakes the main thread: rung by any thread, by a signal handler, or by the closing of a pipe.
+
+    (Python's own events and queues hold locks, and so must not be touched by a signal handler.)
+    """
+
+    def __init__(self) -> None:
+        self._ear, self._hand = os.pipe()
+        os.set_blocking(self._ear, False)
+        os.set_blocking(self._hand, False)
+        self._poll = select.poll()
+        self._poll.register(self._ear, select.POLLIN)
+        self._pipe: int | None = None
+
+    def mind(self, pipe: int) -> None:
+        """Ring also when the other end of `pipe` is closed, even while there is something to read in it."""
+        self._pipe = pipe
+        self._poll.register(pipe, 0)
+
+    def ring(self) -> None:
+        try:
+            os.write(self._hand, b"!")
+        except BlockingIOError:
+            pass
+
+    def wait(self, seconds: float) -> bool:
+        """Wait so long, or until rung; False once the pipe is closed."""
+        rung = [descriptor for descriptor, _ in self._poll.poll(seconds * 1000)]
+        if self._ear in rung:
+            os.read(self._ear, 4096)
+        if self._pipe not in rung:
+            return True
+        self._poll.unregister(self._pipe)
+        return False
 
 
 class Running:
@@ -82,10 +127,15 @@ class Running:
     def stop(self, reason: str) -> None:
         """Ask the whole group to end; `kill` follows after the grace time."""
         with self.lock:
-            if self.stopped is None and not self.over:
+            if self.stopped is None and not self.over and not has_ended(self.pid):
                 self.stopped = reason
                 self.kill_at = time.monotonic() + self.limits.get("grace_s", 5.0)
                 signal_group(self.pid, signal.SIGTERM)
+
+    def hurry(self) -> None:
+        """Let no grace time be left."""
+        if self.kill_at is not None:
+            self.kill_at = 0.0
 
     def kill(self) -> None:
         with self.lock:
@@ -106,48 +156,59 @@ class Worker:
         self.host = socket.gethostname()
         self.jobs: queue.Queue[dict[str, Any] | None] = queue.Queue(maxsize=2 * slots)
         self.running: dict[int, Running] = {}
-        self.stopping = threading.Event()
-        self.wake = threading.Event()
+        self.stopping = self.terminated = self.hurried = False
+        self.bell = Bell()
         self.failure: str | None = None
-        self.numbers = itertools.count(1)
+        self.numbers = itertools.count(1 + max([int(name) for name in os.listdir(folder) if name.isdigit()], default=0))
         self.lock = threading.Lock()
 
     def work(self, stream: TextIO) -> bool:
         """Execute all jobs that `stream` holds; True if it was read to its end and none was cut off."""
+        kind = os.fstat(stream.fileno()).st_mode
+        if stat.S_ISFIFO(kind) or stat.S_ISSOCK(kind):
+            self.bell.mind(stream.fileno())
         threading.Thread(target=self.read, args=(stream,), daemon=True).start()
         threads = [threading.Thread(target=self.slot, args=(number,)) for number in range(self.slots)]
         for thread in threads:
             thread.start()
         while any(thread.is_alive() for thread in threads):
-            self.wake.wait(self.watch())
-            self.wake.clear()
+            if not self.bell.wait(self.watch()):
+                self.stop()
         end_orphans(None)
-        return not self.stopping.is_set()
+        return not self.stopping
 
     def read(self, stream: TextIO) -> None:
-        """Put the jobs in the queue until the stream says that it is over, and then mind who holds its other end."""
-        for line in stream:
-            job = json.loads(line)
-            if job.get("stop"):
-                break
-            if job.get("end"):
-                for _ in range(self.slots):
-                    self.jobs.put(None)
-                if not stat.S_ISFIFO(os.fstat(stream.fileno()).st_mode):
+        """Put the jobs in the queue until the stream says that it is over."""
+        try:
+            for line in stream:
+                job = json.loads(line)
+                if job.get("end"):
+                    for _ in range(self.slots):
+                        self.jobs.put(None)
                     return
-            else:
                 self.jobs.put(job)
-            if self.stopping.is_set():
-                return
+        except Exception as error:
+            self.fail(error)
         self.stop()
 
     def stop(self) -> None:
-        """Start nothing more, and end what runs."""
-        self.stopping.set()
-        self.wake.set()
+        """Start nothing more, and end what runs. May be called by a signal handler."""
+        self.stopping = True
+        self.bell.ring()
+
+    def terminate(self) -> None:
+        """Stop; asked again, leave no grace time. For a signal handler."""
+        self.hurried, self.terminated = self.terminated, True
+        self.stop()
+
+    def fail(self, error: BaseException) -> None:
+        """Say why the worker cannot go on, and stop."""
+        if self.failure is None:
+            self.failure = explain(error)
+        self.stop()
 
     def slot(self, number: int) -> None:
-        while not self.stopping.is_set():
+        while not self.stopping:
             try:
                 job = self.jobs.get(timeout=2 * POLL_S)
             except queue.Empty:
@@ -157,52 +218,51 @@ class Worker:
             try:
                 self.execute(job, number)
             except Exception as error:
-                self.failure = "%s: %s" % (type(error).__name__, error)
-                self.stop()
-        self.wake.set()
+                self.fail(error)
+        self.bell.ring()
 
     def execute(self, job: dict[str, Any], slot: int) -> None:
         """One run, from its folder to the line in the journal."""
         with self.lock:
             folder = os.path.join(self.folder, str(next(self.numbers)))
         began = time.time()
+        prepare(job, folder)
         try:
             process = start(job, folder)
         except (OSError, ValueError) as error:
-            self.journal.write(**self.report(job, slot, folder, began, error=explain(error)))
+            self.journal.write(self.report(job, slot, folder, began, error="could not be started: " + explain(error)))
             return
         running = Running(job, folder, process)
         with self.lock:
             self.running[running.pid] = running
-        self.journal.write(event="start", execution=job["execution"], pid=running.pid, born=birth(running.pid))
-        if running.limited or self.stopping.is_set():
-            self.wake.set()
+        try:
+            self.journal.write(
+                {"event": "start", "execution": running.execution, "pid": running.pid, "born": birth(running.pid)}
+            )
+        except OSError as error:
+            self.fail(error)
+        if running.limited or self.stopping:
+            self.bell.ring()
         status, usage = await_end(running)
         process.returncode = status
         with self.lock:
             del self.running[running.pid]
-        end_orphans(job["execution"], running.pid)
-        ended = time.time()
-        for name in ("home", "tmp"):
-            shutil.rmtree(os.path.join(folder, name), ignore_errors=True)
-        outputs = list(survey(os.path.join(folder, "output")))
-        allowed = running.limits.get("output_bytes")
-        if running.stopped is None and allowed is not None and size_of(folder) > allowed:
-            running.stopped = "output"
+        end_orphans(running.execution, running.pid)
+        if running.stopped is None and self.stopping and os.WIFSIGNALED(status):
+            running.stopped = "interrupted"
         self.journal.write(
-            **self.report(
+            self.report(
                 job,
                 slot,
                 folder,
                 began,
-                ended=ended,
+                ended=began + time.monotonic() - running.started,
                 exit_code=os.WEXITSTATUS(status) if os.WIFEXITED(status) else None,
                 signal=os.WTERMSIG(status) if os.WIFSIGNALED(status) else None,
-                stopped=running.stopped,
                 user_s=usage.ru_utime,
                 system_s=usage.ru_stime,
                 max_rss_bytes=usage.ru_maxrss * (1 if sys.platform == "darwin" else 1024),
-                outputs=outputs,
+                **left_behind(running),
             )
         )
 
@@ -235,8 +295,10 @@ class Worker:
         now = time.monotonic()
         due = []
         for one in running:
-            if self.stopping.is_set():
+            if self.stopping:
                 one.stop("interrupted")
+            if self.hurried:
+                one.hurry()
             deadline = one.deadline()
             if deadline is not None and now >= deadline:
                 one.stop("timeout")
@@ -250,25 +312,29 @@ class Worker:
             if one.measured:
                 times.append(now + POLL_S)
             due += [moment for moment in times if moment is not None]
-        if running or self.stopping.is_set():
+        if running or self.stopping:
             due.append(now + 1.0)
         else:
             due.append(now + POLL_S)
         return max(0.005, heapq.nsmallest(1, due)[0] - time.monotonic())
 
 
-def start(job: dict[str, Any], folder: str) -> subprocess.Popen[bytes]:
-    """Make the run's folder and start its program there."""
+def prepare(job: dict[str, Any], folder: str) -> None:
+    """Make the run's folder, with its input files. Where that fails, it is the worker that cannot go on."""
     os.mkdir(folder)
     for name in FOLDERS:
         os.mkdir(os.path.join(folder, name))
     for name, content in job["files"].items():
         with open(os.path.join(folder, name), "xb") as file:
             file.write(base64.b64decode(content))
+    for name in LOGS:
+        os.close(os.open(os.path.join(folder, name), os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644))
+
+
+def start(job: dict[str, Any], folder: str) -> subprocess.Popen[bytes]:
+    """Start a run's program in its folder."""
     environment = {name: value.replace("\0", folder) for name, value in job["environment"].items()}
-    flags = os.O_CREAT | os.O_EXCL | os.O_WRONLY | os.O_APPEND | os.O_CLOEXEC
-    out = os.open(os.path.join(folder, "stdout"), flags, 0o644)
-    err = os.open(os.path.join(folder, "stderr"), flags, 0o644)
+    out, err = (os.open(os.path.join(folder, name), os.O_WRONLY | os.O_APPEND | os.O_CLOEXEC) for name in LOGS)
     try:
         return subprocess.Popen(
             [word.replace("\0", folder) for word in job["argv"]],
@@ -291,7 +357,7 @@ def await_end(running: Running) -> tuple[int, Any]:
     """
     if hasattr(os, "waitid"):
         os.waitid(os.P_PID, running.pid, os.WEXITED | os.WNOWAIT)
-        while running.kill_at is not None and any(group_of(pid) == running.pid for pid in orphans()):
+        while running.kill_at is not None and any(lives_in(pid, running.pid) for pid in orphans()):
             time.sleep(POLL_S / 10)
         with running.lock:
             running.over = True
@@ -301,12 +367,32 @@ def await_end(running: Running) -> tuple[int, Any]:
     return status, usage
 
 
+def left_behind(running: Running) -> dict[str, Any]:
+    """Why the run was stopped (as far as its files tell), and its outputs, or why they cannot be read."""
+    folder = running.folder
+    allowed = running.limits.get("output_bytes")
+    outputs: list[dict[str, Any]] = []
+    error = None
+    try:
+        if is_folder(folder):  # a link that a run put in its place may lead to anybody's files: hands off
+            unlock(folder, 0o700)
+            for name in ("home", "tmp"):
+                remove(os.path.join(folder, name))
+            outputs = list(survey(os.path.join(folder, "output")))
+            if running.stopped is None and allowed is not None and size_of(folder) > allowed:
+                running.stopped = "output"
+    except (OSError, RecursionError) as trouble:
+        error = "its outputs cannot be read: " + explain(trouble)
+    return {"stopped": running.stopped, "outputs": outputs, "error": error}
+
+
 def survey(root: str) -> Iterator[dict[str, Any]]:
     """Each regular file below `root`, hashed, in the order of its path. Links are not followed."""
     found = []
-    pending = [root]
+    pending = [root] if is_folder(root) else []
     while pending:
         folder = pending.pop()
+        unlock(folder, 0o700)
         with os.scandir(folder) as entries:
             for entry in entries:
                 if entry.is_dir(follow_symlinks=False):
@@ -314,7 +400,38 @@ def survey(root: str) -> Iterator[dict[str, Any]]:
                 elif entry.is_file(follow_symlinks=False):
                     found.append(entry.path)
     for path in sorted(found):
-        yield describe(path, os.path.relpath(path, root))
+        try:
+            yield describe(path, os.path.relpath(path, root))
+        except PermissionError:
+            unlock(path, 0o400)
+            yield describe(path, os.path.relpath(path, root))
+
+
+def is_folder(path: str) -> bool:
+    """Whether a path is a folder itself, and no link to one."""
+    return os.path.isdir(path) and not os.path.islink(path)
+
+
+def unlock(path: str, rights: int) -> None:
+    """Give the owner these rights: what a program has locked is to be read, and removed, all the same."""
+    mode = stat.S_IMODE(os.lstat(path).st_mode)
+    if mode & rights != rights:
+        os.chmod(path, mode | rights)
+
+
+def remove(folder: str) -> None:
+    """Remove a folder (never what a link leads to) and all in it, as far as that is allowed.
+
+    Read-only folders too, as package caches have them.
+    """
+    if is_folder(folder):
+        shutil.rmtree(folder, ignore_errors=True)
+    if is_folder(folder):
+        for root, names, _ in os.walk(folder):
+            for path in [root] + [os.path.join(root, name) for name in names]:
+                if is_folder(path):
+                    unlock(path, 0o700)
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def describe(path: str, name: str) -> dict[str, Any]:
@@ -344,7 +461,8 @@ def exceeded(running: Running) -> str | None:
     """The name of the limit that a program is over, or None."""
     limits = running.limits
     if limits.get("memory_bytes") is not None or limits.get("cpu_s") is not None:
-        memory, cpu = usage_of(descendants(running.pid))
+        roots = [running.pid] + [pid for pid in orphans() if belongs(pid, running.execution, running.pid)]
+        memory, cpu = usage_of([pid for root in roots for pid in descendants(root)])
         if limits.get("memory_bytes") is not None and memory > limits["memory_bytes"]:
             return "memory"
         if limits.get("cpu_s") is not None and cpu > limits["cpu_s"]:
@@ -443,6 +561,12 @@ def group_of(pid: int) -> int | None:
     return int(fields[2]) if fields else None
 
 
+def lives_in(pid: int, group: int) -> bool:
+    """Whether a process is in a group, and more than a zombie that nobody has waited for yet."""
+    fields = stat_of(pid)
+    return bool(fields) and fields[0] != b"Z" and int(fields[2]) == group
+
+
 def belongs(pid: int, execution: str, group: int | None) -> bool:
     if group_of(pid) in (None, group):
         return True
@@ -451,6 +575,11 @@ def belongs(pid: int, execution: str, group: int | None) -> bool:
             return b"SIERRA_EXECUTION=" + execution.encode() in file.read().split(b"\0")
     except OSError:
         return False
+
+
+def has_ended(pid: int) -> bool:
+    """Whether a child has ended, though nobody has waited for it yet."""
+    return hasattr(os, "waitid") and os.waitid(os.P_PID, pid, os.WEXITED | os.WNOWAIT | os.WNOHANG) is not None
 
 
 def signal_group(pid: int, number: int) -> None:
@@ -471,7 +600,7 @@ def explain(error: BaseException) -> str:
     name = getattr(error, "filename", None)
     if isinstance(name, bytes):
         name = os.fsdecode(name)
-    reason = getattr(error, "strerror", None) or str(error)
+    reason = getattr(error, "strerror", None) or "%s: %s" % (type(error).__name__, error)
     return "%s: %s" % (name, reason) if name else reason
 
 
@@ -485,7 +614,7 @@ def become_subreaper() -> None:
         libc = ctypes.CDLL(None, use_errno=True)
         set_child_subreaper, set_parent_death_signal = 36, 1
         libc.prctl(set_child_subreaper, 1, 0, 0, 0)
-        libc.prctl(set_parent_death_signal, signal.SIGTERM, 0, 0, 0)
+        libc.prctl(set_parent_death_signal, signal.SIGHUP, 0, 0, 0)
     except (ImportError, OSError, AttributeError):
         pass
 
@@ -495,16 +624,18 @@ def main(arguments: list[str]) -> int:
     become_subreaper()
     worker = Worker(os.path.abspath(folder), int(slots))
 
-    signal.signal(signal.SIGTERM, lambda number, frame: worker.stop())
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, lambda number, frame: worker.terminate())
+    signal.signal(signal.SIGHUP, lambda number, frame: worker.stop())
+    signal.signal(signal.SIGINT, lambda number, frame: None)  # what is ignored here would be ignored by all runs
     finished = worker.work(sys.stdin)
     if worker.failure:
-        sys.stderr.write("worker: %s\n" % worker.failure)
+        try:
+            os.write(2, ("worker: %s\n" % worker.failure).encode("utf-8", "backslashreplace"))
+        except OSError:
+            pass
         return 3
     return 0 if finished else 1
 
 
 if __name__ == "__main__":
-    code = main(sys.argv[1:])
-    sys.stdout.flush()
-    os._exit(code)
+    os._exit(main(sys.argv[1:]))

@@ -2,12 +2,23 @@
 
 from __future__ import annotations
 
+import contextlib
+import json
 import os
 import shutil
-from collections.abc import Callable
+import signal
+import subprocess
+import sys
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import settings
+
+from sierra.store import Store
 
 settings.register_profile("here", deadline=None)
 settings.register_profile("ci", deadline=None, derandomize=True, print_blob=True)
@@ -31,3 +42,98 @@ def require() -> Callable[..., str]:
         pytest.skip(f"needs {what}")
 
     return require
+
+
+class Simulated:
+    """A project whose simulator is a shell script that says, in a file outside, which run it executes."""
+
+    def __init__(self, folder: Path, script: str) -> None:
+        self.folder = folder
+        self.folder.mkdir()
+        self._executed = folder.with_name("executed")
+        self._executed.touch()
+        (self.folder / "sim.sh").write_text(f'echo "$SIERRA_RUN_ID" >> "{self._executed}"\n{script}\n')
+        (self.folder / "in.xml").write_text('<swarm size="1" speed="1" seed="0"/>\n')
+        (self.folder / "sierra.toml").write_text(
+            'template = "in.xml"\n'
+            'command = ["sh", "sim.sh", "{input}"]\n'
+            'seed = "/swarm/@seed"\n'
+            '[variables]\nsize = "/swarm/@size"\nspeed = "/swarm/@speed"\n'
+            "[limits]\ngrace = 2\n"
+        )
+
+    def start(self, *words: str, **more: Any) -> subprocess.Popen[str]:
+        """`sierra WORDS`, begun."""
+        command = [str(Path(sys.executable).with_name("sierra")), *words]
+        return subprocess.Popen(command, cwd=self.folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **more)
+
+    def ask(self, *words: str) -> subprocess.CompletedProcess[str]:
+        """`sierra WORDS`, to its end; what it says has no traceback in it."""
+        return self.end_of(self.start(*words))
+
+    def end_of(self, process: subprocess.Popen[str], timeout: float = 60.0) -> subprocess.CompletedProcess[str]:
+        out, err = process.communicate(timeout=timeout)
+        assert "Traceback" not in err
+        assert "fault in SIERRA" not in err
+        return subprocess.CompletedProcess(process.args, process.returncode, out, err)
+
+    def sql(self, text: str) -> list[dict[str, Any]]:
+        rows: list[dict[str, Any]] = Store(self.folder / ".sierra").rows(text)
+        return rows
+
+    def executed(self) -> Counter[str]:
+        """How often each run has been begun."""
+        return Counter(self._executed.read_text().split())
+
+    def until_executed(self, count: int, process: subprocess.Popen[str] | None = None) -> None:
+        """Wait until so many runs have been begun, or the process has ended."""
+        give_up = time.monotonic() + 60
+        while self.executed().total() < count and (process is None or process.poll() is None):
+            assert time.monotonic() < give_up, "waited in vain"
+            time.sleep(0.005)
+
+    def work(self) -> list[Path]:
+        """The sessions that have left something."""
+        return sorted(path for path in self.folder.glob(".sierra/work/*") if path.name != "lock")
+
+    def journals(self) -> list[dict[str, Any]]:
+        """What the journals of these sessions say."""
+        texts = [path.read_text() for path in self.folder.glob(".sierra/work/*/journal.jsonl")]
+        return [json.loads(line) for text in texts for line in text.split("\n")[:-1]]
+
+    def left_running(self) -> list[int]:
+        """Processes that belong to this project: workers and runs."""
+        found = []
+        for process in Path("/proc").glob("[0-9]*"):
+            with contextlib.suppress(OSError):
+                text = (process / "environ").read_bytes() + (process / "cmdline").read_bytes()
+                if b"SIERRA_SESSION=" in text and os.fsencode(self.folder) in text:
+                    found.append(int(process.name))
+        return found
+
+    def worker(self) -> int | None:
+        """The process id of the worker, if one is there."""
+        for pid in self.left_running():
+            with contextlib.suppress(OSError):
+                if b"SIERRA_RUN_ID=" not in Path(f"/proc/{pid}/environ").read_bytes():
+                    return pid
+        return None
+
+    def kill_all(self) -> None:
+        for pid in self.left_running():
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGKILL)
+
+
+@pytest.fixture
+def simulate(tmp_path: Path) -> Iterator[Callable[..., Simulated]]:
+    """Makes a project with a simulator that does what a shell script does; ends what it has left."""
+    made: list[Simulated] = []
+
+    def simulate(script: str = r"sleep 0.03; printf 't,v\n1,1\n2,4\n' > swarm.csv", *, name: str = "a project's") -> Simulated:
+        made.append(Simulated(tmp_path / name, script))
+        return made[-1]
+
+    yield simulate
+    for one in made:
+        one.kill_all()

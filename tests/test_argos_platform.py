@@ -297,10 +297,7 @@ def test_a_higher_arena_keeps_its_floor() -> None:
 
 def test_the_walls_stand_inside_the_arena_on_its_edges() -> None:
     made = prepared(arena="10x8")
-    walls = {
-        one(box, "@id"): (one(box, "@size"), one(box, "body/@position"))
-        for box in made.xpath("arena/box[@id!='crate']")
-    }
+    walls = {one(box, "@id"): (one(box, "@size"), one(box, "body/@position")) for box in made.xpath("arena/box[@id!='crate']")}
     assert walls == {
         "wall_north": ("10,0.1,0.5", "0,3.95,0"),
         "wall_south": ("10,0.1,0.5", "0,-3.95,0"),
@@ -325,9 +322,7 @@ def test_a_nest_along_one_wall_remains_one() -> None:
 
 
 def test_walls_are_known_by_where_they_stand_not_by_name() -> None:
-    template = (
-        TEMPLATE.replace("wall_north", "wall_x").replace("wall_east", "wall_north").replace("wall_x", "wall_east")
-    )
+    template = TEMPLATE.replace("wall_north", "wall_x").replace("wall_east", "wall_north").replace("wall_x", "wall_east")
     made = prepared(template, arena="10x8")
     assert one(made, "arena/box[@id='wall_north']/body/@position") == "4.95,0,0"
 

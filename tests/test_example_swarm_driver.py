@@ -50,9 +50,7 @@ def made(seed: int = 1, controller: str = "random_walk", scenario: str = "open",
 def execute(folder: Path, xml: bytes, **environment: str) -> subprocess.CompletedProcess[str]:
     (folder / "input.xml").write_bytes(xml)
     argv = [sys.executable, str(EXAMPLE / "swarm.py"), "input.xml", "out"]
-    return subprocess.run(
-        argv, cwd=folder, env={**os.environ, **environment}, capture_output=True, text=True, check=False
-    )
+    return subprocess.run(argv, cwd=folder, env={**os.environ, **environment}, capture_output=True, text=True, check=False)
 
 
 @cache

@@ -29,9 +29,9 @@ from sierra.model import (
 NAMES = st.from_regex(r"[A-Za-z_][A-Za-z0-9_]{0,12}", fullmatch=True).filter(lambda name: name != "montecarlo")
 WHOLES = st.integers(-scales.LARGEST, scales.LARGEST)
 COUNTS = st.integers(2, 40)
-DECIMALS = st.builds(
-    Fraction, st.integers(-(10**24), 10**24), st.integers(0, 18).map(lambda places: 10**places)
-).filter(lambda number: abs(number) <= scales.LARGEST)
+DECIMALS = st.builds(Fraction, st.integers(-(10**24), 10**24), st.integers(0, 18).map(lambda places: 10**places)).filter(
+    lambda number: abs(number) <= scales.LARGEST
+)
 POSITIVES = DECIMALS.map(abs).filter(bool)
 FLOATS = st.floats(allow_nan=False, allow_infinity=False)
 CATEGORIES = st.from_regex(r"[A-Za-z][A-Za-z0-9_.-]{0,8}", fullmatch=True).filter(
@@ -163,9 +163,7 @@ def test_a_criterion_is_read_as_it_was_written(criterion: Criterion) -> None:
         assert [type(value) for value in again.scale.values] == [type(value) for value in criterion.scale.values]
 
 
-@given(
-    st.one_of(st.lists(ALPHABET, max_size=12).map("".join), st.text(max_size=30), CRITERIA.map(query.text)), st.data()
-)
+@given(st.one_of(st.lists(ALPHABET, max_size=12).map("".join), st.text(max_size=30), CRITERIA.map(query.text)), st.data())
 @example("x=" + "1" * 5000, None)
 @example("x.Log" + "9" * 5000, None)
 @example("x=0:1e999999999:3", None)
@@ -193,9 +191,7 @@ def read(text: str) -> tuple[Criterion | None, str]:
         return None, str(error)
 
 
-@pytest.mark.parametrize(
-    "text", ["x=" + "1" * 200_000 + "!", "x=" + "-" * 200_000 + "!", "x." + "1." * 200_000, "L" * 200_000]
-)
+@pytest.mark.parametrize("text", ["x=" + "1" * 200_000 + "!", "x=" + "-" * 200_000 + "!", "x." + "1." * 200_000, "L" * 200_000])
 def test_a_long_wrong_text_is_refused_at_once(text: str) -> None:
     start = perf_counter()
     with pytest.raises(QueryError):

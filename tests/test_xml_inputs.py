@@ -137,9 +137,7 @@ def test_what_the_parser_does_not_tell_is_normalised() -> None:
 
 
 NAMES = st.sampled_from(["a", "b", "robot", "Größe", "x-1", "_"])
-CHARACTERS = st.characters(codec="utf-8", exclude_categories=["Cc", "Cs"], exclude_characters="\ufffe\uffff") | st.just(
-    "\n"
-)
+CHARACTERS = st.characters(codec="utf-8", exclude_categories=["Cc", "Cs"], exclude_characters="\ufffe\uffff") | st.just("\n")
 TEXTS = st.text(CHARACTERS, max_size=8)
 
 
@@ -495,9 +493,7 @@ def test_remove_takes_an_element_with_its_line_and_keeps_what_follows_it() -> No
 
 def test_remove_takes_attributes_and_comments_too() -> None:
     assert changed("<r a='1' b='2'/>", Remove("//@a")) == '<r b="2"/>'
-    assert (
-        changed("<r>1<!-- c -->2<?p?></r>", Remove("//comment()"), Remove("//processing-instruction()")) == "<r>12</r>"
-    )
+    assert changed("<r>1<!-- c -->2<?p?></r>", Remove("//comment()"), Remove("//processing-instruction()")) == "<r>12</r>"
 
 
 def test_remove_takes_elements_within_removed_elements() -> None:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import os
+import signal
 import sys
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from sierra.cli.app import app
 from sierra.errors import SierraError
@@ -12,8 +13,9 @@ from sierra.errors import SierraError
 
 def main() -> NoReturn:
     """The program `sierra`. Ends with the exit codes of `sierra.errors`; no traceback reaches a user."""
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
-        code = app(standalone_mode=False)
+        code = app(standalone_mode=False, prog_name="sierra")
     except SierraError as error:
         code = _say(str(error), error.exit_code)
     except KeyboardInterrupt:
@@ -28,15 +30,24 @@ def main() -> NoReturn:
 
 def _other(error: Exception) -> int:
     """What typer raises of its own, and what nobody foresaw."""
-    if hasattr(error, "show") and hasattr(error, "exit_code"):
-        error.show()
-        return int(error.exit_code)
+    if hasattr(error, "format_message") and hasattr(error, "exit_code"):
+        return _usage(error)
     if type(error).__name__ == "Abort":
         return _say("interrupted", 130)
     if isinstance(error, OSError):
         where = f"{error.filename}: " if error.filename else ""
         return _say(f"{where}{error.strerror or error}", 3)
     return _unforeseen(error)
+
+
+def _usage(error: Any) -> int:
+    """What typer says of arguments, in one line; all help where no command was named."""
+    if type(error).__name__ == "NoArgsIsHelpError":
+        error.show()
+        return int(error.exit_code)
+    command = error.ctx.command_path if getattr(error, "ctx", None) else "sierra"
+    message = error.format_message().rstrip(".").replace("Value error, ", "").replace("Input should", "should")
+    return _say(f"{message[:1].lower()}{message[1:]}; see {command} --help", error.exit_code)
 
 
 def _unforeseen(error: Exception) -> int:

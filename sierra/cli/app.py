@@ -8,14 +8,15 @@ import typer
 
 from sierra.cli import deliver, doctor, init, look, run, schema, sql
 
+EXIT_CODES = "Exit codes: 0 fine; 1 a run failed, or results differ; 2 usage; 3 something needed is missing; 130 interrupted."
+
 app = typer.Typer(
     name="sierra",
     no_args_is_help=True,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
-    help="From a research query to evidence that a stranger can check.",
-    epilog="Exit codes: 0 fine; 1 a run failed, or results differ; 2 usage; 3 something needed is missing; 130 interrupted.",
+    epilog=EXIT_CODES,
 )
 
 
@@ -31,14 +32,16 @@ def _version(wanted: bool) -> None:
 def _options(
     version: Annotated[bool, typer.Option("--version", help="Say the version.", callback=_version, is_eager=True)] = False,
 ) -> None:
-    """From a research query to evidence that a stranger can check."""
+    """From a research query to evidence that a stranger can check.
+
+    \b
+    Example:
+      sierra init --example swarm demo
+      cd demo
+      sierra run population_size.Log8
+      sierra sql "SHOW TABLES"
+    """
 
 
-app.command()(init.init)
-app.command()(run.run)
-app.command(name="ls")(look.ls)
-app.command()(look.show)
-app.command()(sql.sql)
-app.command()(deliver.figures)
-app.command()(doctor.doctor)
-app.command()(schema.schema)
+for command in (init.init, run.run, look.ls, look.show, sql.sql, deliver.figures, doctor.doctor, schema.schema):
+    app.command(epilog=EXIT_CODES)(command)

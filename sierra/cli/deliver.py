@@ -8,22 +8,24 @@ import typer
 
 
 def figures(
-    prefix: Annotated[str | None, typer.Argument(metavar="[HASH]", help="The batch [default: the last asked for].")] = None,
-    name: Annotated[str | None, typer.Argument(metavar="[NAME]", help="One figure [default: all].")] = None,
+    prefix: Annotated[str | None, typer.Argument(metavar="HASH", help="The batch (default: the last asked for).")] = None,
+    name: Annotated[str | None, typer.Argument(metavar="NAME", help="One figure (default: all).")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print a JSON list of files instead.")] = False,
 ) -> None:
-    """Draw the figures of a batch again, from what is recorded; nothing executes.
+    """Draw the figures of a batch again.
 
+    They are drawn from what is recorded; nothing executes.
+
+    \b
     Examples:
-
       sierra figures
-
-      sierra figures 3f9a1c coverage
+      sierra figures 3f9a1c
+      sierra figures 3f9a1c swarm_coverage_summary
     """
-    import sierra
+    from sierra.cli.opened import project
     from sierra.cli.output import print_json
 
-    drawn = [str(path) for path in sierra.open().figures(prefix, name)]
+    drawn = [str(path) for path in project().figures(prefix, name)]
     if as_json:
         print_json(drawn)
     else:

@@ -10,10 +10,10 @@ import typer
 def doctor(
     as_json: Annotated[bool, typer.Option("--json", help="Print a JSON list instead.")] = False,
 ) -> None:
-    """Say what is installed, what is missing, and what to do about it. Exit code 3 if something needed is missing.
+    """Say what is installed, what is missing, and what to do.
 
+    \b
     Example:
-
       sierra doctor
     """
     from dataclasses import asdict

@@ -13,8 +13,10 @@ if TYPE_CHECKING:
 
 
 def init(
-    folder: Annotated[Path, typer.Argument(metavar="[FOLDER]", help="Where the project is or is to be.")] = Path(),
-    example: Annotated[str | None, typer.Option("--example", help="Copy a bundled example there: swarm.")] = None,
+    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Where the project is or is to be.")] = Path(),
+    example: Annotated[
+        str | None, typer.Option("--example", metavar="NAME", help="Copy a bundled example there: swarm.")
+    ] = None,
     template: Annotated[str | None, typer.Option("--template", metavar="FILE", help="The XML file of the simulator.")] = None,
     command: Annotated[
         str | None, typer.Option("--command", metavar="TEXT", help="How it is started: 'python3 sim.py {input}'.")
@@ -25,15 +27,16 @@ def init(
     seed: Annotated[str | None, typer.Option("--seed", metavar="XPATH", help="Where the seed goes.")] = None,
     yes: Annotated[bool, typer.Option("--yes", "-y", help="Ask nothing; take what was found.")] = False,
 ) -> None:
-    """Write a sierra.toml: find out what can be found out, ask for the rest.
+    """Write a sierra.toml, or copy the bundled example.
 
+    What the folder shows is found out; the rest is asked for.
+
+    \b
     Examples:
-
       sierra init
-
       sierra init --example swarm demo
-
-      sierra init -y --template arena.xml --command "./sim {input}" --variable "population_size=//swarm/@count"
+      sierra init -y --template arena.xml --command "./sim {input}" \\
+                  --variable "population_size=//swarm/@count"
     """
     from sierra import start
 

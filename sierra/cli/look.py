@@ -15,15 +15,15 @@ def ls(
 ) -> None:
     """List the batches, the last asked for last.
 
+    \b
     Example:
-
       sierra ls
     """
-    import sierra
+    from sierra.cli.opened import project
     from sierra.cli.output import print_json, table
     from sierra.hashing import short
 
-    batches = sierra.open().batches
+    batches = project().batches
     if as_json:
         print_json(batches)
         return
@@ -48,16 +48,16 @@ def show(
     prefix: Annotated[str, typer.Argument(metavar="HASH", help="The beginning of an id, as `sierra ls` shows them.")],
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead.")] = False,
 ) -> None:
-    """Show what is recorded of a batch, an experiment, a run or an execution.
+    """Show all about a batch, an experiment, a run or an execution.
 
+    \b
     Example:
-
       sierra show 3f9a1c
     """
-    import sierra
+    from sierra.cli.opened import project
     from sierra.cli.output import print_json
 
-    shown = sierra.open().show(prefix)
+    shown = project().show(prefix)
     if as_json:
         print_json(shown)
     else:

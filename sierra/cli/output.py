@@ -3,15 +3,22 @@
 from __future__ import annotations
 
 import json
+import math
 import sys
 from collections.abc import Iterable, Mapping, Sequence
 from datetime import datetime
+from decimal import Decimal
 from typing import Any
 
 
 def print_json(value: Any) -> None:
-    """One JSON value; times as ISO 8601."""
-    print(json.dumps(value, indent=2, default=_plain))
+    """One JSON value, as `as_json` writes it."""
+    print(as_json(value))
+
+
+def as_json(value: Any) -> str:
+    """JSON that every reader takes: times as ISO 8601, null for numbers that are none."""
+    return json.dumps(_finite(value), indent=2, default=_plain, allow_nan=False)
 
 
 def table(columns: Sequence[str], rows: Iterable[Sequence[Any]], *, right: Iterable[str] = ()) -> None:
@@ -52,6 +59,21 @@ def fields(record: Mapping[str, Any], indent: str = "") -> None:
 def note(message: str) -> None:
     """Something that a user should know, and no answer."""
     print(f"note: {message}", file=sys.stderr)
+
+
+def _finite(value: Any) -> Any:
+    """Without the floats that JSON has not, and with exact decimals (which sums of whole numbers are) as numbers."""
+    match value:
+        case float():
+            return value if math.isfinite(value) else None
+        case Decimal():
+            return int(value) if value == value.to_integral_value() else float(value)
+        case Mapping():
+            return {str(name): _finite(inner) for name, inner in value.items()}
+        case list() | tuple():
+            return [_finite(inner) for inner in value]
+        case _:
+            return value
 
 
 def _plain(value: Any) -> Any:

@@ -5,53 +5,66 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import asdict
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sierra.errors import UsageError
+from sierra.errors import Missing, UsageError
 
 if TYPE_CHECKING:
     from sierra.api import Project
     from sierra.pipeline import Plan, State, Summary
 
-EXAMPLES = """Examples:
-
-  sierra run population_size.Log8 --runs 10
-
-  sierra run noise=0:1:5 scenario=open,cluttered -j 4
-
-  sierra run scalability --explain
-"""
-
 
 def run(
     query: Annotated[
         list[str],
-        typer.Argument(metavar="QUERY...", help="Criteria (population_size.Log8, noise=0:1:5, …), or a query of sierra.toml."),
+        typer.Argument(metavar="QUERY", help="Criteria, one for each axis, or the name of a query in sierra.toml."),
     ],
     runs: Annotated[int | None, typer.Option("--runs", metavar="N", help="Runs per experiment.")] = None,
-    controller: Annotated[str | None, typer.Option("--controller", help="The controller of all experiments.")] = None,
-    scenario: Annotated[str | None, typer.Option("--scenario", help="The scenario of all experiments.")] = None,
+    controller: Annotated[str | None, typer.Option("--controller", metavar="NAME", help="The controller.")] = None,
+    scenario: Annotated[str | None, typer.Option("--scenario", metavar="NAME", help="The scenario.")] = None,
     sets: Annotated[
         list[str] | None, typer.Option("--set", metavar="XPATH=VALUE", help="Change the template in all runs. May be repeated.")
     ] = None,
-    jobs: Annotated[int | None, typer.Option("-j", "--jobs", metavar="N", help="Runs at a time [default: cores].")] = None,
+    jobs: Annotated[int | None, typer.Option("-j", "--jobs", metavar="N", help="Runs at a time (default: cores).")] = None,
     dry_run: Annotated[bool, typer.Option("-n", "--dry-run", help="Say what would execute, and execute nothing.")] = False,
     explain: Annotated[bool, typer.Option("--explain", help="Say why runs execute or are reused.")] = False,
     fail_fast: Annotated[bool, typer.Option("--fail-fast", help="End all at the first run that fails.")] = False,
     no_figures: Annotated[bool, typer.Option("--no-figures", help="Draw nothing.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead.")] = False,
 ) -> None:
-    """Answer a research query: execute what is missing, record it, draw the figures."""
-    import sierra
+    """Answer a research query.
+
+    What has no good execution yet is executed and recorded; then the figures are drawn.
+
+    \b
+    Criteria:
+      population_size.Log8             1, 2, 4, 8
+      population_size.Linear100.C10    10, 20, ... 100
+      max_speed.1.9.C5                 1, 3, 5, 7, 9
+      max_speed=0.2,0.4,1.6            these values
+      noise=0:1:5                      from, to, how many
+      scenario=low,high                groups of changes in sierra.toml
+      montecarlo.C20                   nothing but other seeds
+
+    \b
+    Examples:
+      sierra run population_size.Log8 --runs 10
+      sierra run noise=0:1:5 scenario=low,high -j 4
+      sierra run population_size=4 --set "//arena/@size=20"
+      sierra run scalability --dry-run --explain
+    """
+    from sierra.cli import opened
     from sierra.cli.output import note, print_json
     from sierra.cli.progress import watching
 
-    project = sierra.open()
+    project = opened.project()
     plan = project.plan(*query, runs=runs, controller=controller, scenario=scenario, sets=[split(text) for text in sets or ()])
+    told: dict[str, Any] = {}
     if dry_run or explain:
-        told = _preview(project, plan, explain=explain, as_json=as_json and dry_run)
+        told = _preview(project, plan, explain=explain, as_json=as_json)
         if dry_run:
             if as_json:
                 print_json(told)
@@ -61,16 +74,15 @@ def run(
     for text in summary.notes:
         note(text)
     if as_json:
-        print_json(_answer(summary))
+        print_json(_answer(summary) | {name: told[name] for name in ("reasons", "new_because") if name in told})
     else:
         _print(project, summary)
     if summary.interrupted:
         raise typer.Exit(130)
     if summary.failed or summary.missing:
         raise typer.Exit(1)
-
-
-run.__doc__ = f"{run.__doc__}\n\n{EXAMPLES}"
+    if summary.undrawn:
+        raise Missing(summary.undrawn)
 
 
 def split(text: str) -> tuple[str, str]:
@@ -154,7 +166,13 @@ def _print(project: Project, summary: Summary) -> None:
         print("figures:")
         for path in summary.figures:
             if path.endswith(".png"):
-                print(f"  {path} (and .pdf, .svg)")
+                print(f"  {_from_here(path)} (and .pdf, .svg)")
+
+
+def _from_here(path: str) -> str:
+    """A path as short as it can be named from the working directory."""
+    here = Path.cwd()
+    return str(Path(path).relative_to(here)) if Path(path).is_relative_to(here) else path
 
 
 def _print_failures(summary: Summary) -> None:

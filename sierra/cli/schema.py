@@ -9,19 +9,19 @@ import typer
 
 
 def schema(
-    name: Annotated[str | None, typer.Argument(metavar="[TABLE]", help="One table of the store [default: all].")] = None,
+    name: Annotated[str | None, typer.Argument(metavar="TABLE", help="One table of the store (default: all).")] = None,
     toml: Annotated[bool, typer.Option("--toml", help="The JSON Schema of sierra.toml instead.")] = False,
     write: Annotated[
         Path | None, typer.Option("--write", metavar="FOLDER", help="Write both there, as in the project's schemas/.")
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="The tables as JSON.")] = False,
 ) -> None:
-    """Say what the store's tables and columns mean, with their units; or what sierra.toml may hold.
+    """Say what tables, columns and the keys of sierra.toml mean.
 
+    \b
     Examples:
-
+      sierra schema
       sierra schema executions
-
       sierra schema --toml > sierra.toml.schema.json
     """
     from dataclasses import asdict

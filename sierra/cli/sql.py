@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from sierra.errors import SqlError, UsageError
+from sierra.paths import write_whole
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -31,27 +32,28 @@ class Format(StrEnum):
 
 def sql(
     statement: Annotated[
-        str | None, typer.Argument(help="One SQL statement; `-` reads it from standard input; without: a prompt.")
+        str | None,
+        typer.Argument(metavar="STATEMENT", help="One SQL statement; - reads standard input; without: a prompt."),
     ] = None,
     format: Annotated[Format, typer.Option("--format", "-f", help="How the answer is written.")] = Format.table,
     output: Annotated[Path | None, typer.Option("--output", "-o", metavar="FILE", help="Write it to a file.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Short for --format json.")] = False,
 ) -> None:
-    """Ask the store in SQL (DuckDB's). Nothing is changed, and nothing but the store can be read.
+    """Ask the store in SQL (DuckDB's).
 
+    Nothing is changed, and nothing but the store can be read.
+
+    \b
     Examples:
-
-      sierra sql "SELECT population_size, avg(coverage) FROM swarm GROUP BY ALL ORDER BY ALL"
-
       sierra sql "SHOW TABLES"
-
       sierra sql "DESCRIBE executions"
-
+      sierra sql "SELECT population_size, avg(coverage) FROM swarm GROUP BY ALL"
       sierra sql "FROM runs" --format parquet -o runs.parquet
+      sierra sql - < question.sql
     """
-    import sierra
+    from sierra.cli.opened import project
 
-    store = sierra.open().store
+    store = project().store
     if statement is None:
         _prompt(store)
         return
@@ -67,7 +69,7 @@ def write(answer: pa.Table, format: Format, output: Path | None) -> None:
         raise UsageError("Parquet is not for a terminal; say where with -o FILE")
     data = FORMATS[format](answer)
     if output is not None:
-        output.write_bytes(data)
+        write_whole(output, data)
         return
     sys.stdout.flush()
     sys.stdout.buffer.write(data)
@@ -106,11 +108,9 @@ def _csv(answer: pa.Table) -> bytes:
 
 
 def _json(answer: pa.Table) -> bytes:
-    import json
+    from sierra.cli.output import as_json
 
-    from sierra.cli.output import _plain
-
-    return json.dumps(_rows(answer), indent=2, default=_plain).encode() + b"\n"
+    return as_json(_rows(answer)).encode() + b"\n"
 
 
 def _markdown(answer: pa.Table) -> bytes:

@@ -13,7 +13,6 @@ matplotlib is loaded by the first `draw`, through its object interface; the user
 from __future__ import annotations
 
 import io
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -22,6 +21,7 @@ from typing import Any, Literal
 from sierra.config import Figure
 from sierra.errors import Missing, SierraError, UsageError
 from sierra.model import Axis, Value
+from sierra.paths import write_whole
 
 Format = Literal["png", "pdf", "svg"]
 
@@ -56,13 +56,13 @@ def draw(drawing: Drawing, folder: Path) -> tuple[Path, ...]:
 
     Raises SierraError where there is nothing to draw, UsageError where the data do not suit the kind of figure.
     """
-    if not drawing.name or Path(drawing.name).name != drawing.name:
+    if drawing.name.startswith(".") or not drawing.name or Path(drawing.name).name != drawing.name:
         raise UsageError(f"{drawing.name!r} cannot be the name of a figure's files")
     if not any(table.num_rows and table.column("n").to_numpy().any() for table in drawing.tables.values()):
         raise SierraError(f"figure {drawing.name}: there is no value to draw")
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        return tuple(_write(folder / f"{drawing.name}.{ending}", data) for ending, data in rendered(drawing))
+        return tuple(write_whole(folder / f"{drawing.name}.{ending}", data) for ending, data in rendered(drawing))
     except OSError as error:
         raise Missing(f"{folder}: cannot write figure {drawing.name}: {error.strerror}") from error
 
@@ -106,13 +106,3 @@ def _metadata(ending: Format, drawing: Drawing) -> dict[str, str | None]:
 def _plain(text: str) -> str:
     """Without the characters that XML, and so SVG, cannot hold."""
     return "".join(c if c.isprintable() or c == "\n" else " " for c in text)
-
-
-def _write(path: Path, data: bytes) -> Path:
-    unfinished = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        unfinished.write_bytes(data)
-        unfinished.replace(path)
-    finally:
-        unfinished.unlink(missing_ok=True)
-    return path

@@ -50,7 +50,7 @@ def _paint(figure: Figure, plot: Any, cells: Any, drawing: Drawing) -> None:
     edges = (np.arange(size + 1) - 0.5 for size in reversed(cells.shape))
     edge = {"edgecolors": "white", "linewidth": 0.5} if max(cells.shape) <= 12 else {"linewidth": 0, "rasterized": True}
     mesh = plot.pcolormesh(*edges, np.ma.masked_invalid(cells), norm=norm, cmap=colormaps["viridis"], **edge)
-    bar = figure.colorbar(mesh, ax=plot, pad=0.02, aspect=24, fraction=0.06)
+    bar = figure.colorbar(mesh, ax=plot, pad=0.02, aspect=24, fraction=0.06, use_gridspec=False)
     bar.outline.set_visible(False)
     bar.ax.tick_params(labelsize=6, length=2)
     bar.set_label(style.shortened(style.value_label(drawing), 40))

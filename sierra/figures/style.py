@@ -18,6 +18,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import BoundaryNorm, LinearSegmentedColormap, ListedColormap, LogNorm, Normalize
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.legend import Legend
 from matplotlib.lines import Line2D
 from matplotlib.ticker import AutoLocator, FixedLocator, FuncFormatter, LogLocator, NullLocator
@@ -105,7 +106,7 @@ def applied() -> Iterator[None]:
 
 def blank(width: float = COLUMN, height: float = HEIGHT) -> Figure:
     """A figure without anything on it, in inches."""
-    figure = Figure(figsize=(width, height), layout="constrained")
+    figure = Figure(figsize=(width, height))
     FigureCanvasAgg(figure)
     return figure
 
@@ -156,10 +157,9 @@ def settle(figure: Figure, drawing: Drawing) -> None:
     for item in below:
         item.set_y(GAP / 2 / height)
     bottom = sum(room[item] for item in below) / height
-    engine: Any = figure.get_layout_engine()
-    engine.set(w_pad=0.03, h_pad=0.03, hspace=0.02, wspace=0.02, rect=(0, bottom, 1, top - bottom))
-    engine.execute(figure)
-    figure.set_layout_engine("none")
+    # An engine that belonged to the figure would lay it out again, and draw it twice, for each format.
+    rect = (0, bottom, 1, top - bottom)
+    ConstrainedLayoutEngine(w_pad=0.03, h_pad=0.03, hspace=0.02, wspace=0.02, rect=rect).execute(figure)
 
 
 def _hang(figure: Figure, item: Any, top: float) -> None:
@@ -282,7 +282,7 @@ def colour_bar(figure: Figure, plots: Sequence[Any], axis: Axis, entries: Sequen
     else:
         source = ScalarMappable(BoundaryNorm(np.arange(len(entries) + 1) - 0.5, len(entries)), ListedColormap(colours(axis)))
         values = [float(k) for k in range(len(entries))]
-    bar = figure.colorbar(source, ax=list(plots), pad=0.02, aspect=28, fraction=0.05)
+    bar = figure.colorbar(source, ax=list(plots), pad=0.02, aspect=28, fraction=0.05, use_gridspec=False)
     bar.outline.set_linewidth(0.4)
     shown = thinned(len(values), 10 if axis.numeric else 24)
     bar.ax.yaxis.set_major_locator(FixedLocator([values[k] for k in shown]))

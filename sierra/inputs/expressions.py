@@ -93,9 +93,7 @@ def _tree(source: str, shown: str) -> ast.expr:
         with warnings.catch_warnings(action="ignore"):  # of Python's own, on odd literals
             tree = ast.parse(source, mode="eval").body
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
-        raise ConfigError(
-            f"{shown!r} is not an expression; write one as {{n * 2}}, or {{{{ and }}}} for braces"
-        ) from error
+        raise ConfigError(f"{shown!r} is not an expression; write one as {{n * 2}}, or {{{{ and }}}} for braces") from error
     _allow(tree, shown)
     return tree
 

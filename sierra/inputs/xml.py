@@ -56,9 +56,7 @@ class XmlTemplate:
 
     def find(self, path: str) -> tuple[str, ...]:
         """The text of each match; of an element, what stands before its first child."""
-        return tuple(
-            str(node) if isinstance(node, str) else str(node.text or "") for node in self._document.select(path)
-        )
+        return tuple(str(node) if isinstance(node, str) else str(node.text or "") for node in self._document.select(path))
 
     def attributes(self) -> tuple[tuple[str, str], ...]:
         return tuple(self._document.attributes())
@@ -104,21 +102,13 @@ class XmlDocument:
         try:
             found = etree.XPath(path, namespaces=self._namespaces, regexp=False)(self._root)
         except (etree.XPathError, ValueError) as error:
-            known = (
-                f"; known prefixes are {', '.join(self._namespaces)}"
-                if "prefix" in str(error) and self._namespaces
-                else ""
-            )
-            raise TemplateError(
-                f"{who}{shown} is not an XPath for {self._frame.name}: {_line(error)}{known}"
-            ) from error
+            known = f"; known prefixes are {', '.join(self._namespaces)}" if "prefix" in str(error) and self._namespaces else ""
+            raise TemplateError(f"{who}{shown} is not an XPath for {self._frame.name}: {_line(error)}{known}") from error
         if not isinstance(found, list):
             kind = {bool: "a boolean", float: "a number"}.get(type(found), "a string")
             raise TemplateError(f"{who}{shown} gives {kind}, not what can be selected in {self._frame.name}")
         if any(not isinstance(node, str) and not etree.iselement(node) for node in found):
-            raise TemplateError(
-                f"{who}{shown} selects namespaces in {self._frame.name}; select elements, attributes or texts"
-            )
+            raise TemplateError(f"{who}{shown} selects namespaces in {self._frame.name}; select elements, attributes or texts")
         return found
 
     def attributes(self) -> Iterator[tuple[str, str]]:
@@ -231,14 +221,10 @@ class XmlDocument:
         prefix, colon, local = name.rpartition(":")
         known = {"xml": _XML, **self._namespaces, **element.nsmap}
         if "xmlns" in (prefix, local):
-            raise self._frame.error(
-                change, f"cannot get the attribute {name!r}", "; it declares a namespace: write it there"
-            )
+            raise self._frame.error(change, f"cannot get the attribute {name!r}", "; it declares a namespace: write it there")
         if colon and prefix not in known:
             prefixes = ", ".join(other for other in known if other)
-            raise self._frame.error(
-                change, f"cannot get {name!r}: its prefix is not declared", f"; known are {prefixes}"
-            )
+            raise self._frame.error(change, f"cannot get {name!r}: its prefix is not declared", f"; known are {prefixes}")
         uri = known[prefix] if prefix else namespace
         if self._frame.lacks(local):
             raise self._frame.error(
@@ -273,9 +259,7 @@ class XmlDocument:
             return len(parent)
         indices = [index for index, child in enumerate(parent) if isinstance(child.tag, str)]
         if not 0 <= change.at <= len(indices):
-            raise self._frame.error(
-                change, f"has {len(indices)} child elements", f", so there is no place at={change.at}"
-            )
+            raise self._frame.error(change, f"has {len(indices)} child elements", f", so there is no place at={change.at}")
         return indices[change.at] if change.at < len(indices) else len(parent)
 
     def _nearest(self, path: str) -> str:
@@ -423,9 +407,7 @@ def _frame(data: bytes, encoding: str | None, name: str) -> _Frame:
 def _refuse_entities(doctype: str, name: str) -> None:
     for match in _ENTITY.finditer(doctype):
         if match["name"]:
-            raise TemplateError(
-                f"{name}: declares the entity {match['name']!r}; SIERRA expands none, write out its text"
-            )
+            raise TemplateError(f"{name}: declares the entity {match['name']!r}; SIERRA expands none, write out its text")
 
 
 # Reading

@@ -74,6 +74,9 @@ class Platform(Protocol):
 
 def find(name: str, project: Project) -> Platform:
     """The platform of that name, made for a project. Raises ConfigError where there is none."""
+    for other in project.platforms:
+        if other not in names():
+            raise ConfigError(f"[platforms.{other}]: unknown platform {other!r}; known are {', '.join(names())}")
     made: Platform = _load(name)(project)
     return made
 

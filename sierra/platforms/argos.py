@@ -231,9 +231,7 @@ class Argos:
         ticks = given.get("ticks_per_second") or _at_most_one(template, f"{EXPERIMENT}/@ticks_per_second")
         if ticks is None:
             raise TemplateError(f"{EXPERIMENT} has no ticks_per_second; add it, or set it in {TABLE}")
-        _check_ticks(
-            _number(length, f"{EXPERIMENT}/@length") * _number(ticks, f"{EXPERIMENT}/@ticks_per_second"), length
-        )
+        _check_ticks(_number(length, f"{EXPERIMENT}/@length") * _number(ticks, f"{EXPERIMENT}/@ticks_per_second"), length)
         return changes
 
     def _threads(self, template: Reader) -> tuple[Change, ...]:
@@ -316,9 +314,7 @@ class Argos:
                 f"set population in {TABLE} to the XPath of one quantity"
             )
         if template.find(f"({path})/self::*"):
-            raise ConfigError(
-                f"{TABLE}: population: {path!r} selects an element; use an attribute, as in {path}/@quantity"
-            )
+            raise ConfigError(f"{TABLE}: population: {path!r} selects an element; use an attribute, as in {path}/@quantity")
         return path
 
     def _size(self, template: Reader) -> Size:
@@ -398,9 +394,7 @@ def _check_ticks(ticks: Fraction, length: str) -> None:
             f"{EXPERIMENT}/@length is {length!r}, less than a tick, and would run for ever; set length = 300 in {TABLE}"
         )
     if ticks > LARGEST:
-        raise TemplateError(
-            f"{EXPERIMENT}/@length is {length!r}, more ticks than the {LARGEST} that ARGoS counts; use fewer"
-        )
+        raise TemplateError(f"{EXPERIMENT}/@length is {length!r}, more ticks than the {LARGEST} that ARGoS counts; use fewer")
 
 
 def _quantity(path: str, population: int, why: str) -> Set:

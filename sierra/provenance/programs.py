@@ -1,15 +1,16 @@
 """Programs outside the source and outside an image, by fingerprint: a run is only reused where they are the same.
 
-The fingerprint of a program is the SHA-256 of its file. For a Python interpreter, the distributions installed
-beside it count too, by name and version. (What an interpreter imports from elsewhere, and the libraries that a
-program loads, do not yet count.)
+The fingerprint of a program is the SHA-256 of its file. Every word of a command that names a program counts (as in
+`nice -n 5 simulator`), and the interpreter that a script names in its first line. For a Python interpreter, the
+distributions installed beside it count too, by name and version. (What an interpreter imports from elsewhere, and the
+libraries that a program loads, do not yet count.)
 """
 
 from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -48,18 +49,33 @@ def find(argv: Sequence[str], search: str, root: Path) -> Programs:
     """
     first = shutil.which(argv[0], path=search)
     if first is None:
-        raise Missing(f"the program {argv[0]!r} is not there; install it, or mend the command in {root / 'sierra.toml'}")
-    return Programs(tuple(_programs(argv[0], first, argv[1:])))
+        if Path(argv[0]).is_file():
+            raise Missing(f"{argv[0]} is no program; name its interpreter (python3 …), or make it one with chmod +x")
+        raise Missing(f"the program {argv[0]!r} is not there; install it, or mend the command of the project in {root}")
+    found = {program.path: program for program in _programs(argv[0], first, search)}
+    for word in argv[1:]:
+        path = None if word.startswith("-") or not word else shutil.which(word, path=search)
+        if path is not None and path not in found:
+            found |= {program.path: program for program in _programs(word, path, search)}
+    return Programs(tuple(found.values()))
 
 
-def _programs(name: str, first: str, words: Iterable[str]) -> Iterator[Program]:
-    yield Program(name, first, _fingerprint(first))
-    if Path(name).name.startswith("python"):
-        for folder in _site_packages(Path(first)):
+def _programs(name: str, path: str, search: str) -> Iterator[Program]:
+    yield Program(name, path, _fingerprint(path))
+    if Path(path).name.startswith("python"):
+        for folder in _site_packages(Path(path)):
             yield Program(f"{name}: installed distributions", str(folder), _distributions(folder))
-    for word in words:
-        if Path(word).is_absolute() and os.access(word, os.X_OK) and Path(word).is_file():
-            yield Program(word, word, _fingerprint(word))
+    for word in _interpreter(Path(path)):
+        interpreter = shutil.which(word, path=search)
+        if interpreter is not None and interpreter != path:
+            yield from _programs(word, interpreter, search)
+
+
+def _interpreter(script: Path) -> list[str]:
+    """The words of a script's first line, `#!/usr/bin/env python3`; none of a program that is no script."""
+    with script.open("rb") as file:
+        line = file.readline(256)
+    return os.fsdecode(line[2:]).split() if line.startswith(b"#!") else []
 
 
 def _fingerprint(path: str) -> str:
@@ -70,7 +86,8 @@ def _fingerprint(path: str) -> str:
 
 
 def _site_packages(interpreter: Path) -> list[Path]:
-    return sorted(interpreter.parent.parent.glob("lib/python3*/site-packages"))
+    lib = interpreter.parent.parent / "lib"
+    return sorted([*lib.glob("python3*/site-packages"), *lib.glob("python3*/dist-packages")])
 
 
 def _distributions(folder: Path) -> str:

@@ -71,12 +71,28 @@ def capture(root: Path, *, paths: Sequence[str], without: Iterable[str]) -> Sour
     for path in paths:
         if not (root / path).exists():
             raise ConfigError(f"[source] paths: there is no {path!r} in {root}")
-    wanted = _Chosen([os.fsencode(Path(path).as_posix()) for path in paths], [os.fsencode(path) for path in without])
-    if any((folder / ".git").exists() for folder in (root, *root.parents)):
-        return _git(root, wanted)
-    entries = [entry for entry in _walk(root) if wanted(entry.path)]
-    tree = tree_hash(entries)
-    return Source(SWHID + tree, "none", None, None, None, None, _manifest(entries))
+    wanted = _Chosen([_inside(path) for path in paths], [_inside(path) for path in without])
+    source, entries = _git(root, wanted) if _in_git(root) else _outside(root, wanted)
+    for path in paths:
+        if not any(_Chosen([_inside(path)], [])(entry.path) for entry in entries):
+            raise ConfigError(f"[source] paths: nothing in {path!r} counts: it is outside {root}, empty, or ignored by git")
+    return source
+
+
+def _inside(path: str) -> bytes:
+    return os.fsencode(os.path.normpath(path))
+
+
+def _in_git(root: Path) -> bool:
+    return any((folder / ".git").exists() for folder in (root, *root.parents))
+
+
+def _outside(root: Path, wanted: _Chosen) -> tuple[Source, list[Entry]]:
+    try:
+        entries = list(_walk(root, wanted))
+    except OSError as error:
+        raise Missing(f"cannot read {os.fsdecode(error.filename or root)}: {error.strerror}") from error
+    return Source(SWHID + tree_hash(entries), "none", None, None, None, None, _manifest(entries)), entries
 
 
 def changed(before: bytes, after: bytes) -> list[str]:
@@ -97,9 +113,7 @@ def tree_hash(entries: Sequence[Entry]) -> str:
         else:
             items.append((name, entry.mode, name, entry.blob))
     items += [(name + b"/", "40000", name, tree_hash(inside)) for name, inside in below.items()]
-    content = b"".join(
-        mode.encode() + b" " + name + b"\0" + bytes.fromhex(blob) for _, mode, name, blob in sorted(items)
-    )
+    content = b"".join(mode.encode() + b" " + name + b"\0" + bytes.fromhex(blob) for _, mode, name, blob in sorted(items))
     return _git_hash(b"tree", content)
 
 
@@ -110,23 +124,33 @@ class _Chosen:
         self._only = [path for path in only if path != b"."]
         self._without = without
 
+    def never(self, path: bytes) -> bool:
+        """Whether a file, or all of a folder, is left out."""
+        return any(path == left or path.startswith(left + b"/") for left in self._without)
+
+    def pathspecs(self) -> list[str]:
+        """What git is told to leave out."""
+        return [":(exclude,literal)" + os.fsdecode(path) for path in self._without]
+
     def __call__(self, path: bytes) -> bool:
-        if any(path == left or path.startswith(left + b"/") for left in self._without):
+        if self.never(path):
             return False
         return not self._only or any(path == kept or path.startswith(kept + b"/") for kept in self._only)
 
 
-def _walk(root: Path) -> Iterator[Entry]:
+def _walk(root: Path, wanted: _Chosen) -> Iterator[Entry]:
     pending = [(os.fsencode(root), b"")]
     while pending:
         folder, prefix = pending.pop()
         with os.scandir(folder) as entries:
             for entry in entries:
                 path = prefix + entry.name
+                if wanted.never(path):
+                    continue
                 if entry.is_dir(follow_symlinks=False):
                     if os.fsdecode(entry.name) not in LEFT_OUT:
                         pending.append((entry.path, path + b"/"))
-                elif not entry.name.endswith(b".pyc"):
+                elif not entry.name.endswith(b".pyc") and wanted(path):
                     yield from _entry(entry, path)
 
 
@@ -136,10 +160,7 @@ def _entry(entry: os.DirEntry[bytes], path: bytes) -> Iterator[Entry]:
         yield Entry("120000", _git_hash(b"blob", os.readlink(entry.path)), path)  # noqa: PTH115 - bytes
     elif stat.S_ISREG(status.st_mode):
         mode = "100755" if status.st_mode & 0o100 else "100644"
-        try:
-            yield Entry(mode, _git_hash(b"blob", Path(os.fsdecode(entry.path)).read_bytes()), path)
-        except OSError as error:
-            raise Missing(f"cannot read {os.fsdecode(entry.path)}: {error.strerror}") from error
+        yield Entry(mode, _git_hash(b"blob", Path(os.fsdecode(entry.path)).read_bytes()), path)
 
 
 def _git_hash(kind: bytes, content: bytes) -> str:
@@ -156,7 +177,7 @@ def _read_manifest(manifest: bytes) -> dict[bytes, bytes]:
     return {path: what for what, _, path in lines}
 
 
-def _git(root: Path, wanted: _Chosen) -> Source:
+def _git(root: Path, wanted: _Chosen) -> tuple[Source, list[Entry]]:
     git = _Git(root)
     state = git("status", "--porcelain=v2", "--branch", "-z", "--untracked-files=normal", "--", ".").split(b"\0")
     commit, branch, dirty = _state(state, git.prefix(), wanted)
@@ -165,16 +186,25 @@ def _git(root: Path, wanted: _Chosen) -> Source:
         own = root / os.fsdecode(git("rev-parse", "--git-path", "index").strip())
         if own.exists():
             shutil.copy2(own, index)
-        git("add", "--all", "--", ".", index=index)
+        git("add", "--all", "--", ".", *wanted.pathspecs(), index=index)
         listed = git("ls-files", "--stage", "-z", index=index)
-        entries = [entry for entry in _staged(listed) if wanted(entry.path)]
+        entries = [_with_changes(root, entry) for entry in _staged(listed) if wanted(entry.path)]
         second = Path(scratch, "chosen")
         lines = b"".join(b"%s %s\t%s\0" % (e.mode.encode(), e.blob.encode(), e.path) for e in entries)
         git("update-index", "-z", "--index-info", index=second, given=lines, at_top=True)
         tree = git("write-tree", index=second).decode().strip()
     git("update-ref", f"refs/sierra/{tree}", tree)
     remote = _without_credentials(git("config", "--get", "remote.origin.url", optional=True).decode().strip())
-    return Source(SWHID + tree, "git", commit, branch, dirty, remote or None, _manifest(entries))
+    return Source(SWHID + tree, "git", commit, branch, dirty, remote or None, _manifest(entries)), entries
+
+
+def _with_changes(root: Path, entry: Entry) -> Entry:
+    """A repository inside counts by its commit, as in git; where its files differ from that, by the tree that they are."""
+    inside = root / os.fsdecode(entry.path)
+    if entry.mode != "160000" or not (inside / ".git").exists():
+        return entry
+    source, _ = _git(inside, _Chosen([], []))
+    return Entry(entry.mode, source.tree.removeprefix(SWHID), entry.path) if source.dirty else entry
 
 
 def _staged(listed: bytes) -> Iterator[Entry]:
@@ -202,7 +232,7 @@ def _state(lines: Sequence[bytes], prefix: bytes, wanted: _Chosen) -> tuple[str 
 
 
 def _without_credentials(address: str) -> str:
-    return re.sub(r"(?<=://)[^/@]*@", "", address)
+    return re.sub(r"(?<=://)[^/]*@", "", address).partition("?")[0]
 
 
 class _Git:

@@ -17,7 +17,7 @@ from sierra import worker
 from sierra.errors import Missing
 from sierra.model import Job, Result
 from sierra.paths import SessionPaths
-from sierra.runners import Look
+from sierra.runners import Look, orphans
 from sierra.runners.journal import Journal, Started
 
 
@@ -28,37 +28,43 @@ class Local:
 
     def __init__(self, slots: int) -> None:
         self._slots = slots
+        self._process: subprocess.Popen[bytes] | None = None
         self._trouble: BaseException | None = None
         self._running: set[str] = set()
 
     def submit(self, jobs: Iterable[Job], session: SessionPaths) -> None:
         self._session = session
         self._journal = Journal(session.journal)
-        with session.worker_log.open("wb") as log:
-            self._process = subprocess.Popen(
-                [sys.executable, "-I", "-S", str(Path(worker.__file__)), str(session.root), str(self._slots)],
-                stdin=subprocess.PIPE,
-                stdout=log,
-                stderr=log,
-                start_new_session=True,
-                env={**os.environ, "SIERRA_SESSION": session.root.name},
-            )
-        threading.Thread(target=self._feed, args=(jobs, self._process.stdin), daemon=True).start()
+        self._journal.skip()
+        self._process = subprocess.Popen(
+            [sys.executable, "-I", "-S", str(Path(worker.__file__)), str(session.root), str(self._slots)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            start_new_session=True,
+            env={**os.environ, "SIERRA_SESSION": session.root.name},
+        )
+        threading.Thread(target=self._feed, args=(jobs, self._process), daemon=True).start()
 
-    def _feed(self, jobs: Iterable[Job], pipe: Any) -> None:
+    def _feed(self, jobs: Iterable[Job], process: subprocess.Popen[bytes]) -> None:
+        """Send all jobs, and hold the pipe open until the worker has ended."""
+        pipe: Any = process.stdin
         try:
-            for job in jobs:
-                pipe.write(line(job))
+            for text in map(line, jobs):
+                pipe.write(text)
             pipe.write(b'{"end": true}\n')
             pipe.flush()
-        except (BrokenPipeError, ValueError):
+            process.wait()
+        except BrokenPipeError:
             return
         except BaseException as error:
             self._trouble = error
-            self.stop()
+        finally:
+            with contextlib.suppress(OSError):
+                pipe.close()
 
     def look(self) -> Look:
-        code = self._process.poll()
+        ended = self._process is None or self._process.poll() is not None
         results = []
         for event in self._journal.read():
             match event:
@@ -67,26 +73,22 @@ class Local:
                 case Result():
                     self._running.discard(event.execution)
                     results.append(event)
-        if code is not None:
-            self._close()
-            if self._trouble is not None:
-                raise self._trouble
-            if code not in (0, 1) and not results:
-                raise Missing(f"the worker ended with {_ending(code)}{self._last_words()}")
-        return Look(tuple(results), len(self._running), code is None)
+        if ended and not results and self._process is not None:
+            self._check(self._process)
+        return Look(tuple(results), len(self._running), alive=not ended or bool(results))
 
     def stop(self) -> None:
-        if self._process.poll() is None:
+        if self._process is not None and self._process.poll() is None:
             self._process.terminate()
 
-    def _close(self) -> None:
-        with contextlib.suppress(OSError):
-            if self._process.stdin is not None:
-                self._process.stdin.close()
-
-    def _last_words(self) -> str:
-        said = self._session.worker_log.read_text("utf-8", "replace").strip().splitlines()
-        return f": {said[-1]}" if said else ""
+    def _check(self, process: subprocess.Popen[bytes]) -> None:
+        """Raise what went wrong, once the worker has ended and all that it recorded has been read."""
+        ending = _ending(process)
+        if self._trouble is not None:
+            raise self._trouble
+        if process.returncode not in (0, 1):
+            orphans.end([self._session])
+            raise Missing(f"the worker ended with {ending}; what had finished by then is kept")
 
 
 def line(job: Job) -> bytes:
@@ -107,5 +109,11 @@ def line(job: Job) -> bytes:
     return json.dumps(record, separators=(",", ":")).encode() + b"\n"
 
 
-def _ending(code: int) -> str:
-    return f"signal {-code}" if code < 0 else f"status {code}"
+def _ending(process: subprocess.Popen[bytes]) -> str:
+    """How a worker ended, and the last that it said."""
+    said: list[str] = []
+    if process.stderr is not None and not process.stderr.closed:
+        with process.stderr as stream:
+            said = stream.read().decode("utf-8", "replace").strip().splitlines()
+    code = process.returncode
+    return ": ".join([f"signal {-code}" if code < 0 else f"status {code}", *said[-1:]])

@@ -8,6 +8,7 @@ no catalogue to get out of step.
 from __future__ import annotations
 
 import re
+import secrets
 import tempfile
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -147,7 +148,6 @@ class Question:
     """One connection, on one state of the store; a context manager."""
 
     def __init__(self, root: Path, segments: Sequence[Segment]) -> None:
-        self._bare = connect()
         self.connection = connect()
         self.segments = segments
         self.views = Views(self.connection, segments)
@@ -158,7 +158,6 @@ class Question:
 
     def __exit__(self, *_: object) -> None:
         self.connection.close()
-        self._bare.close()
 
     def _lock(self, root: Path) -> None:
         self.connection.execute("SET allowed_directories = $folders", {"folders": [f"{root}/segments/"]})
@@ -170,18 +169,25 @@ class Question:
 
         try:
             self._only_reads(text)
-            self.views.make(tables_of(self._bare, text))
-            answer = self.connection.sql(text, params=parameters) if parameters else self.connection.sql(text)
+            self.views.make(tables_of(text))
+            try:
+                answer = self._answer(text, parameters)
+            except duckdb.CatalogException:  # a table named in a way that `tables_of` does not see: main.runs
+                self.views.make()
+                answer = self._answer(text, parameters)
             if answer is None:
                 raise SqlError("that statement has no answer; ask with SELECT, DESCRIBE, SUMMARIZE or SHOW TABLES")
             return answer.to_arrow_table()
         except duckdb.Error as error:
             raise SqlError(explain(error)) from error
 
+    def _answer(self, text: str, parameters: Mapping[str, Any]) -> Any:
+        return self.connection.sql(text, params=parameters) if parameters else self.connection.sql(text)
+
     def _only_reads(self, text: str) -> None:
         import duckdb
 
-        statements = self._bare.extract_statements(re.sub(r"(?is)^\s*explain\s+(analyze\s+)?", "", text))
+        statements = self.connection.extract_statements(re.sub(r"(?is)^\s*explain\s+(analyze\s+)?", "", text))
         if len(statements) != 1:
             raise SqlError(f"ask one statement at a time; this is {len(statements)}")
         if statements[0].type != duckdb.StatementType.SELECT:
@@ -206,7 +212,8 @@ def connect() -> Any:
         config={
             "autoinstall_known_extensions": "false",
             "autoload_known_extensions": "false",
-            "temp_directory": tempfile.gettempdir(),
+            # DuckDB allows to read what lies there, so it is nobody's; made and removed where it is needed.
+            "temp_directory": str(Path(tempfile.gettempdir(), f"sierra-{secrets.token_hex(8)}")),
             "python_enable_replacements": "false",
         },
     )

@@ -68,10 +68,17 @@ class Frame:
         )
 
     def _output_files(self) -> dict[str, list[str]]:
+        """The output files of the segments that hold an execution that counts."""
         batches = {row[0][:12] for row in self._question.run("SELECT DISTINCT batch FROM membership")}
+        segments = [s for s in self._question.segments if s.batch in batches and "executions" in s.files]
+        holding = set()
+        if segments:
+            source = read_parquet([segment.files["executions"] for segment in segments], rows=True)
+            found = self._question.run(f"SELECT DISTINCT filename FROM {source} JOIN membership USING (execution)")
+            holding = {row[0] for row in found}
         files: dict[str, list[str]] = {}
-        for segment in self._question.segments:
-            if segment.batch in batches:
+        for segment in segments:
+            if segment.files["executions"] in holding:
                 for name, path in segment.files.items():
                     if name.startswith(OUTPUT):
                         files.setdefault(name.removeprefix(OUTPUT), []).append(path)
@@ -129,12 +136,12 @@ class Frame:
             raise NotFound(f"no output {table!r} in this batch; it has {', '.join(sorted(self._files)) or 'none'}")
         if table not in self._loaded:
             self._load(table, files)
-        t = f"{identifier(time)}::DOUBLE" if time else "place::DOUBLE"
+        t = f"{identifier(time)}::DOUBLE" if time else '"# place"::DOUBLE'
         self._question.run("DROP VIEW IF EXISTS samples")
         try:
             self._question.run(
-                f"CREATE TEMP VIEW samples AS SELECT experiment, run, number, {t} AS t, {identifier(column)}::DOUBLE AS value "
-                f"FROM {identifier('data ' + table)}"
+                f'CREATE TEMP VIEW samples AS SELECT "# experiment" AS experiment, run, "# number" AS number, '
+                f"{t} AS t, {identifier(column)}::DOUBLE AS value FROM {identifier('data ' + table)}"
             )
         except Exception as error:
             where = f"output {table!r}, column {column!r} over {time or 'its rows'!r}"
@@ -143,9 +150,9 @@ class Frame:
     def _load(self, table: str, files: list[str]) -> None:
         source = read_parquet(files, union=True, rows=True)
         self._question.run(
-            f"CREATE TEMP TABLE {identifier('data ' + table)} AS SELECT m.experiment, m.number, "
-            "row_number() OVER (PARTITION BY o.execution, m.experiment ORDER BY o.filename, o.file_row_number) - 1 AS place, "
-            "o.* EXCLUDE (execution, filename, file_row_number) "
+            f'CREATE TEMP TABLE {identifier("data " + table)} AS SELECT m.experiment AS "# experiment", '
+            'm.number AS "# number", row_number() OVER (PARTITION BY o.execution, m.experiment '
+            'ORDER BY o.filename, o.file_row_number) - 1 AS "# place", o.* EXCLUDE (execution, filename, file_row_number) '
             f"FROM {source} o JOIN membership m ON o.execution = m.execution"
         )
         self._loaded.add(table)

@@ -37,7 +37,7 @@ class Objects:
     def add_file(self, path: Path, digest: str, size: int) -> None:
         """Keep a file whose SHA-256 is known already."""
         with path.open("rb") as file:
-            self._add(digest, size, iter(lambda: file.read(PART), b""))
+            self._add(digest, size, iter(lambda: file.read(PART), b"") if size else (b"",))
 
     def _add(self, digest: str, size: int, parts: Iterable[bytes]) -> None:
         if digest in self._known:

@@ -136,6 +136,11 @@ RECORDED = {
             ("size", INT, "its size", "bytes"),
             ("sha256", ID, "SHA-256 of its bytes"),
             ("rows", INT, "rows it gave its table", "1"),
+            (
+                "form",
+                TEXT,
+                "what its table looks like, as JSON: its file, what each column holds, whether its last line is whole",
+            ),
         ),
         _table(
             "sessions",
@@ -221,20 +226,20 @@ DERIVED = {
     )
 }
 
-RESERVED = frozenset(
-    ("batch", "experiment", "run", "number", "seed", "execution", "row", "file", "session", "ordinal")
-) | {column.name for table in DERIVED.values() for column in table.columns}
+RESERVED = frozenset(("batch", "experiment", "run", "number", "seed", "execution", "row", "file", "session", "ordinal")) | {
+    column.name for table in DERIVED.values() for column in table.columns
+}
 """Names that no axis may have, because a column of the store has them."""
 
-BESIDE_OUTPUTS = frozenset(("run", "execution", "file", "number"))
+BESIDE_OUTPUTS = frozenset(("run", "execution", "file", "number", "filename", "file_row_number"))
 """Names that no column of an output has in the store: there it gets a trailing underscore."""
 
 TABLE_NAMES = frozenset(RECORDED) | frozenset(DERIVED)
 
 
 def check_name(name: str) -> bool:
-    """Whether an output may be called so: no table of the store's own may be shadowed."""
-    return name not in TABLE_NAMES
+    """Whether an output may be called so: no table of the store's own may be shadowed, and case makes no difference."""
+    return name.lower() not in TABLE_NAMES
 
 
 @cache

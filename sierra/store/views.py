@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-from sierra.store.reading import identifier, quote
+from sierra.store.reading import column_names, identifier, quote
 from sierra.store.segments import OUTPUT, Segment
 from sierra.store.tables import RECORDED
 
@@ -14,13 +15,12 @@ NEEDS = {
     "runs": ("members", "experiments", "executions"),
 }
 ONCE = {
-    "batches": "batch",
-    "experiments": "batch, ordinal",
-    "recipes": "recipe",
-    "environments": "environment",
-    "sources": "source",
-    "sessions": "session",
-    "findings": "execution",
+    "batches": ("batch",),
+    "experiments": ("batch", "ordinal"),
+    "recipes": ("recipe",),
+    "environments": ("environment",),
+    "sources": ("source",),
+    "findings": ("execution",),
 }
 """Records that two writers may both have made: what makes them the same."""
 
@@ -46,8 +46,10 @@ class Views:
 
     def make(self, names: Iterable[str] | None = None) -> None:
         """Views of these tables and of what they need; of all where no names are given."""
-        for name in (*RECORDED, "runs", *sorted(self._outputs)) if names is None else names:
-            self._make(name)
+        wanted = None if names is None else {name.lower() for name in names}
+        for name in (*RECORDED, "runs", *sorted(self._outputs)):
+            if wanted is None or name.lower() in wanted:
+                self._make(name)
 
     def axes(self) -> list[str]:
         """The independent variables of all batches, as columns of `experiments`."""
@@ -79,14 +81,21 @@ class Views:
             return f"SELECT {columns} WHERE false"
         source = read_parquet(files, union=name == "experiments")
         if name in ONCE:
-            order = f" ORDER BY {FIRST[name]}" if name in FIRST else ""
-            return f"SELECT DISTINCT ON ({ONCE[name]}) * FROM {source}{order}"
+            keys = ONCE[name]
+            others = [c for c in self._columns(name, source) if c not in keys]
+            picked = "".join(f", {_pick(c, FIRST.get(name))} AS {identifier(c)}" for c in others)
+            return f"SELECT {', '.join(keys)}{picked} FROM {source} GROUP BY {', '.join(keys)}"
         if name == "executions" and "findings" in self._files:
             return (
                 "SELECT e.* REPLACE (coalesce(f.status, e.status) AS status, coalesce(f.reason, e.reason) AS reason) "
                 f"FROM {source} e LEFT JOIN findings f USING (execution)"
             )
         return f"SELECT * FROM {source}"
+
+    def _columns(self, name: str, source: str) -> list[str]:
+        if name != "experiments":
+            return [column.name for column in RECORDED[name].columns]
+        return [row[0] for row in self._sql.execute(f"DESCRIBE SELECT * FROM {source}").fetchall()]
 
     def _runs(self) -> str:
         axes = "".join(f"max(x.{identifier(axis)}) AS {identifier(axis)}, " for axis in self.axes())
@@ -107,10 +116,17 @@ class Views:
         source = read_parquet(self._files[OUTPUT + name], union=True)
         axes = self.axes()
         theirs = [row[0] for row in self._sql.execute(f"DESCRIBE SELECT * FROM {source}").fetchall()]
-        renamed = ", ".join(f"{identifier(c)} AS {identifier(c + '_')}" for c in theirs if c in axes)
+        free = column_names(theirs, taken=axes)
+        renamed = ", ".join(f"{identifier(c)} AS {identifier(n)}" for c, n in zip(theirs, free, strict=True) if c != n)
         rename = f" RENAME ({renamed})" if renamed else ""
         ours = "".join(f"r.{identifier(axis)}, " for axis in axes)
         return f"SELECT {ours}r.number, o.*{rename} FROM {source} o JOIN runs r ON o.execution = r.execution"
+
+
+def _pick(column: str, first: str | None) -> str:
+    """One of several records of the same: the first, where that can be told. What is not asked for is not read."""
+    name = identifier(column)
+    return f"any_value({name})" if first is None else f"min({name})" if column == first else f"arg_min({name}, {first})"
 
 
 def read_parquet(files: Sequence[str], *, union: bool = False, rows: bool = False) -> str:
@@ -121,11 +137,14 @@ def read_parquet(files: Sequence[str], *, union: bool = False, rows: bool = Fals
     return f"read_parquet([{listed}]{options})"
 
 
-def tables_of(connection: Any, text: str) -> set[str] | None:
-    """The tables that a statement names, or None where that cannot be told. The connection must have no views."""
-    import duckdb
+NAMED = re.compile(
+    r'(?:\b(?:from|join|describe|summarize|table|show)\b|[,(])\s*(?:"((?:[^"]|"")+)"|([^\W\d]\w*))', re.IGNORECASE
+)
+ALL = re.compile(r"\b(?:show\s+(?:all\s+)?tables|information_schema|duckdb_\w+|pragma\w*)\b", re.IGNORECASE)
 
-    try:
-        return set(connection.get_table_names(text)) or None
-    except duckdb.Error:
+
+def tables_of(text: str) -> set[str] | None:
+    """What a statement may name as tables, in lower case (some of it is none); None where it may be all."""
+    if ALL.search(text):
         return None
+    return {(quoted.replace('""', '"') or plain).lower() for quoted, plain in NAMED.findall(text)}

@@ -1,6 +1,6 @@
 """Figures: `sierra.figures` against a script that draws the same from the same aggregates by hand, in three formats.
 
-    python bench/bench_figures.py [experiments] [times] [figures]
+    python tests/bench/bench_figures.py [experiments] [times] [figures]
 
 Both draw a time series with bands and a summary with intervals for each of several columns; each in processes of its
 own, which say their CPU seconds (import included) and how many the drawing took. The target is a ratio of at most 1.3.
@@ -109,7 +109,8 @@ def main(experiments: int = 8, times: int = 500, figures: int = 5) -> None:
 if __name__ == "__main__":
     if sys.argv[1:2] in (["ours"], ["by_hand"]):
         with tempfile.TemporaryDirectory() as scratch:
-            taken = {"ours": ours, "by_hand": by_hand}[sys.argv[1]](*map(int, sys.argv[2:5]), Path(scratch))
+            experiments, times, figures = map(int, sys.argv[2:5])
+            taken = {"ours": ours, "by_hand": by_hand}[sys.argv[1]](experiments, times, figures, Path(scratch))
         print(json.dumps([taken, time.process_time()]))
     else:
         main(*map(int, sys.argv[1:4]))

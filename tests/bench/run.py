@@ -1,0 +1,262 @@
+"""What SIERRA itself costs, as ratios to something else, measured in one go: `make bench`.
+
+Every figure is the median of several measurements, and SIERRA and what it is compared with take turns, so that a
+busy machine spoils both alike. Nothing is asserted; the promise beside each ratio is what README says.
+
+    make bench                 all but the slow ones
+    .venv/bin/python tests/bench/run.py runs recording     some of them
+    .venv/bin/python tests/bench/run.py --slow             100,000 runs too
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import random
+import resource
+import shutil
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
+SIERRA = str(Path(sys.executable).with_name("sierra"))
+TOML = """
+template = "template.xml"
+command = "/bin/true {input}"
+seed = "/experiment/@seed"
+[variables]
+population_size = "//swarm/@count"
+"""
+TEMPLATE = '<experiment seed="1"><swarm count="3"/></experiment>\n'
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("which", nargs="*", help=f"some of: {', '.join(BENCHES)}")
+    parser.add_argument("--slow", action="store_true", help="100,000 runs too")
+    arguments = parser.parse_args()
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+    for name, bench in BENCHES.items():
+        if name in arguments.which or (not arguments.which and (arguments.slow or name != "many")):
+            with tempfile.TemporaryDirectory(prefix="sierra-bench-") as folder:
+                bench(Path(folder))
+
+
+def say(what: str, ours: float, theirs: float, promise: str) -> None:
+    """One line: our time, the other's, the ratio, and what is promised."""
+    print(f"{what:58} {ours:8.2f} s  {theirs:8.2f} s  ratio {ours / theirs:5.2f}  ({promise})", flush=True)
+
+
+def in_turn(times: int, ours: Callable[[], None], theirs: Callable[[], None]) -> tuple[float, float]:
+    """The medians of two things that take turns."""
+    measured: tuple[list[float], list[float]] = ([], [])
+    for _ in range(times):
+        for place, what in enumerate((ours, theirs)):
+            began = time.perf_counter()
+            what()
+            measured[place].append(time.perf_counter() - began)
+    return statistics.median(measured[0]), statistics.median(measured[1])
+
+
+def quietly(*argv: str, cwd: Path | None = None, code: int = 0) -> None:
+    """A command that must end so; its output is thrown away."""
+    done = subprocess.run(argv, cwd=cwd, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, check=False)
+    if done.returncode != code:
+        sys.exit(f"{' '.join(argv)}: exit status {done.returncode}: {done.stderr.decode()}")
+
+
+def project(folder: Path) -> Path:
+    """A project whose simulator does nothing."""
+    folder.mkdir()
+    (folder / "sierra.toml").write_text(TOML)
+    (folder / "template.xml").write_text(TEMPLATE)
+    return folder
+
+
+def xargs(folder: Path, count: int) -> None:
+    """The same processes without SIERRA: a folder each, two files written in it."""
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir()
+    script = f"seq {count} | xargs -P2 -I@ sh -c 'mkdir @ && cd @ && /bin/true @ >stdout 2>stderr'"
+    quietly("sh", "-c", script, cwd=folder)
+
+
+def runs(folder: Path) -> None:
+    """1,000 runs of a program that does nothing, all recorded."""
+    here = project(folder / "project")
+
+    def ours() -> None:
+        shutil.rmtree(here / ".sierra", ignore_errors=True)
+        quietly(SIERRA, "run", "population_size=1,2,3,4", "--runs", "250", "-j2", "--no-figures", cwd=here)
+
+    say("1,000 runs of true, recorded / xargs -P2", *in_turn(5, ours, lambda: xargs(folder / "x", 1000)), "at most 2")
+
+
+def linear(folder: Path) -> None:
+    """10,000 runs; and asking for them again."""
+    here = project(folder / "project")
+    ask = (SIERRA, "run", "population_size=1,2,3,4", "--runs", "2500", "-j2", "--no-figures")
+    say(
+        "10,000 runs of true, recorded / xargs -P2",
+        *in_turn(1, lambda: quietly(*ask, cwd=here), lambda: xargs(folder / "x", 10_000)),
+        "linear: as with 1,000",
+    )
+    nothing = (sys.executable, "-c", "import typer, pydantic, lxml, duckdb, pyarrow")
+    say(
+        "asking again, nothing to do / importing the libraries",
+        *in_turn(5, lambda: quietly(*ask, cwd=here), lambda: quietly(*nothing)),
+        "under 1 s",
+    )
+    files = sum(len(names) for _, _, names in os.walk(here / ".sierra"))
+    print(f"{'files left per recorded run':58} {files / 10_000:8.4f}  (under 0.05)")
+
+
+def many(folder: Path) -> None:
+    """100,000 runs: how much memory SIERRA takes."""
+    here = project(folder / "project")
+    began = time.perf_counter()
+    quietly(SIERRA, "run", "population_size=1,2,3,4", "--runs", "25000", "-j2", "--no-figures", cwd=here)
+    peak = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024
+    print(f"{'100,000 runs: peak memory of SIERRA':58} {peak:8.0f} MB, {time.perf_counter() - began:.0f} s  (under 300 MB)")
+
+
+def recording(folder: Path) -> None:
+    """1,000 CSV files of 1,000 rows and 5 columns."""
+    import duckdb
+    import pyarrow as pa
+    import pyarrow.csv
+    import pyarrow.parquet
+
+    from sierra.store import connect
+    from sierra.store.reading import Shape, Written, read
+
+    files = []
+    for number in range(1000):
+        numbers = random.Random(number)
+        path = folder / f"{number}.csv"
+        rows = (f"{t},{numbers.random()},{numbers.random()},{numbers.randint(0, 9)},{numbers.random()}\n" for t in range(1000))
+        path.write_text("clock,a,b,c,d\n" + "".join(rows))
+        files.append(Written(str(path), f"r{number}", f"e{number}", path.name, "clock,a,b,c,d", 1001, True, 1))
+    paths = [file.path for file in files]
+
+    def ours() -> None:
+        connection = connect()
+        found = read(connection, files, Shape("csv"), folder / "ours.parquet")
+        connection.close()
+        assert len(found.rows) == 1000
+        assert not found.faults
+
+    def duckdb_alone() -> None:
+        connection = duckdb.connect()
+        target = folder / "theirs.parquet"
+        connection.execute(f"COPY (SELECT * FROM read_csv($f)) TO '{target}' (COMPRESSION zstd)", {"f": paths})
+        connection.close()
+
+    def pyarrow_alone() -> None:
+        tables = [pyarrow.csv.read_csv(path) for path in paths]
+        pyarrow.parquet.write_table(pa.concat_tables(tables), folder / "arrow.parquet", compression="zstd")
+
+    say("1,000 CSVs read, checked, written / DuckDB", *in_turn(5, ours, duckdb_alone), "at most 2 of the faster")
+    say("1,000 CSVs read, checked, written / pyarrow", *in_turn(3, ours, pyarrow_alone), "at most 2 of the faster")
+
+
+def start(folder: Path) -> None:
+    """How quickly the command line answers."""
+    small = folder / "small.py"
+    small.write_text(
+        "import typer\napp = typer.Typer()\n\n@app.command()\ndef one(x: int = 1) -> None: ...\n\n"
+        "@app.command()\ndef two(x: int = 1) -> None: ...\n\napp()\n"
+    )
+    say(
+        "sierra --help / --help of two typer commands",
+        *in_turn(9, lambda: quietly(SIERRA, "--help"), lambda: quietly(sys.executable, str(small), "--help")),
+        "at most 1.5",
+    )
+
+
+def listing(folder: Path) -> None:
+    """`sierra ls` over 1,000 batches and 1,000,000 runs."""
+    from sierra.store import Store
+
+    here = project(folder / "project")
+    store = Store.create(here / ".sierra")
+    fill(store, batches=1000, runs=1000)
+    counting = (
+        f"import duckdb, glob; s = '{store.paths.segments}'; "
+        "f, g = glob.glob(s + '/*/batches.parquet'), glob.glob(s + '/*/sessions.parquet'); "
+        "duckdb.connect().execute('SELECT count(*) FROM read_parquet($f) b LEFT JOIN read_parquet($g) s USING (batch)', "
+        "{'f': f, 'g': g}).fetchall()"
+    )
+    say(
+        "sierra ls, 1,000 batches, 1,000,000 runs / DuckDB alone",
+        *in_turn(5, lambda: quietly(SIERRA, "ls", cwd=here), lambda: quietly(sys.executable, "-c", counting)),
+        "under 1 s",
+    )
+    text = "SELECT status, count(*) FROM executions GROUP BY ALL"
+    other = (
+        f"import duckdb, glob; f = glob.glob('{store.paths.segments}/*/executions.parquet'); "
+        "duckdb.connect().execute('SELECT status, count(*) FROM read_parquet($f) GROUP BY ALL', {'f': f}).fetchall()"
+    )
+    say(
+        "sierra sql, counting 1,000,000 executions / DuckDB alone",
+        *in_turn(5, lambda: quietly(SIERRA, "sql", text, cwd=here), lambda: quietly(sys.executable, "-c", other)),
+        "bounded by DuckDB",
+    )
+
+
+def fill(store: object, *, batches: int, runs: int) -> None:
+    """Records of batches that nobody executed, as `sierra run` writes them."""
+    from datetime import UTC, datetime
+
+    import pyarrow as pa
+
+    from sierra.hashing import sha256
+    from sierra.store import Store
+    from sierra.store.tables import arrow_schema
+
+    assert isinstance(store, Store)
+    now = datetime.now(UTC)
+    template = {name: pa.nulls(runs, field) for name, field in zip(*schema_of("executions"), strict=True)}
+    for batch in range(batches):
+        identity = sha256(str(batch).encode())
+        ids = [sha256(f"{batch}.{run}".encode()) for run in range(runs)]
+        writer = store.writer(store.paths.work / "bench", identity)
+        writer.rows(
+            "batches",
+            [{"batch": identity, "created": now, "query": "population_size.Log8", "axes": ["population_size"], "runs": runs}],
+        )
+        writer.rows("sessions", [{"session": identity, "batch": identity, "ended": now, "failed": 0, "missing": 0}])
+        point = {"experiment": [identity], "batch": [identity], "ordinal": [0], "population_size": [1]}
+        writer.table("experiments", pa.table(point))
+        members = {"batch": [identity] * runs, "ordinal": [0] * runs, "number": range(runs), "run": ids, "seed": range(runs)}
+        members |= {"input": ids, "recipe": [identity] * runs}
+        writer.table("members", pa.table({name: list(values) for name, values in members.items()}, arrow_schema("members")))
+        executions = {**template, "execution": pa.array(ids), "run": pa.array(ids), "status": pa.array(["ok"] * runs)}
+        writer.table("executions", pa.table(executions, arrow_schema("executions")))
+        store.publish(writer)
+
+
+def schema_of(table: str) -> tuple[list[str], list[object]]:
+    """A recorded table's columns and their types."""
+    from sierra.store.tables import arrow_schema
+
+    schema = arrow_schema(table)
+    return list(schema.names), list(schema.types)
+
+
+BENCHES: dict[str, Callable[[Path], None]] = {
+    "start": start,
+    "runs": runs,
+    "linear": linear,
+    "recording": recording,
+    "listing": listing,
+    "many": many,
+}
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,90 @@
+"""A tiny project for tests: a simulator that reads one XML and writes one CSV, and how the command line is called."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import subprocess
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+
+from sierra import cli
+
+SIERRA = Path(sys.executable).with_name("sierra")
+
+SIMULATOR = """\
+import sys
+import xml.etree.ElementTree as ET
+
+arena = ET.parse(sys.argv[1]).getroot()
+count = int(arena.find("swarm").get("count"))
+seed = int(arena.find("random").get("seed"))
+noise = float(arena.find("noise").text)
+with open("swarm.csv", "w") as file:
+    print("tick,coverage", file=file)
+    for tick in range(5):
+        print(tick, count * tick + noise * (seed % 100), sep=",", file=file)
+"""
+
+TEMPLATE = """\
+<?xml version="1.0"?>
+<!-- an arena -->
+<arena size="10">
+  <random seed="0"/>
+  <swarm count="1" controller="none"/>
+  <noise>0.1</noise>
+</arena>
+"""
+
+CONFIG = """\
+template = "arena.xml"
+command = "python3 sim.py {input}"
+seed = "//random/@seed"
+runs = 2
+[variables]
+population_size = "//swarm/@count"
+noise = "//noise"
+"""
+
+
+def make(folder: Path, config: str = CONFIG, *, simulator: str = SIMULATOR, template: str = TEMPLATE) -> Path:
+    """Write a project into a folder, which is made; the folder."""
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "sim.py").write_text(simulator)
+    (folder / "arena.xml").write_text(template)
+    (folder / "sierra.toml").write_text(config)
+    return folder
+
+
+def sierra(
+    folder: Path, *words: str, stdin: str = "", environment: Mapping[str, str] | None = None
+) -> subprocess.CompletedProcess[str]:
+    """Call the command line in a folder, as a user does, without a terminal."""
+    return subprocess.run(
+        [str(SIERRA), *words],
+        cwd=folder,
+        input=stdin,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+        env={**os.environ, **(environment or {})},
+    )
+
+
+def quick(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
+    """The same within this process, for commands that only look: no time goes into starting Python."""
+    out, err = io.TextIOWrapper(io.BytesIO(), "utf-8"), io.StringIO()
+    before, sys.argv = sys.argv, ["sierra", *words]
+    try:
+        with contextlib.chdir(folder), contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+            cli.main()
+    except SystemExit as ended:
+        out.flush()
+        said = out.buffer.getvalue().decode()  # type: ignore[attr-defined]
+        return subprocess.CompletedProcess(words, int(str(ended.code or 0)), said, err.getvalue())
+    finally:
+        sys.argv = before
+    raise AssertionError("the command line always exits")

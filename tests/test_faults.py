@@ -1,0 +1,246 @@
+"""Whatever ends SIERRA, its worker or its runs: asking again finishes the batch, and nothing is lost, doubled or left."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import random
+import signal
+import subprocess
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+ASKED = ("run", "size.Log8", "--runs", "10", "-j", "2", "--no-figures")
+RUNS = 40
+Simulate = Callable[..., Any]
+
+
+def assert_complete(project: Any, runs: int = RUNS) -> None:
+    """Every run has one good execution, its table is there once, and nothing is left of the askings."""
+    assert project.sql("SELECT count(*) AS n, count(DISTINCT run) AS runs FROM executions WHERE status = 'ok'") == [
+        {"n": runs, "runs": runs}
+    ]
+    assert project.sql("SELECT count(*) AS n FROM executions WHERE status <> 'ok'") == [{"n": 0}]
+    assert project.sql("SELECT count(*) AS n, count(DISTINCT run) AS runs, sum(v)::INT AS v FROM swarm") == [
+        {"n": 2 * runs, "runs": runs, "v": 5 * runs}
+    ]
+    assert project.sql("SELECT count(*) AS n, count(DISTINCT execution) AS e FROM artifacts WHERE kind = 'table'") == [
+        {"n": runs, "e": runs}
+    ]
+    assert project.sql("SELECT count(*) AS n FROM members") == [{"n": runs}]
+    assert project.work() == []
+    assert project.left_running() == []
+
+
+def ended_well(project: Any) -> set[str]:
+    """Runs whose end is recorded in the store or stands in a journal."""
+    ends = {e["run"] for e in project.journals() if e["event"] == "end" and e["exit_code"] == 0 and not e["stopped"]}
+    if (project.folder / ".sierra" / "format").exists():
+        ends |= {row["run"] for row in project.sql("SELECT run FROM executions WHERE status = 'ok'")}
+    return ends
+
+
+def kill(pid: int | None) -> None:
+    with contextlib.suppress(ProcessLookupError):
+        if pid is not None:
+            os.kill(pid, signal.SIGKILL)
+
+
+def strike(victim: str, project: Any, sierra: subprocess.Popen[str]) -> None:
+    worker = project.worker() if victim != "sierra" else None
+    if victim in ("worker", "both", "everything"):
+        kill(worker)
+    if victim in ("sierra", "both", "everything"):
+        kill(sierra.pid)
+    if victim == "everything":
+        project.kill_all()
+
+
+@pytest.mark.parametrize("repetition", range(16))
+def test_asking_again_after_a_kill_at_any_moment_finishes_the_batch(simulate: Simulate, repetition: int) -> None:
+    chance = random.Random(repetition)
+    victim = ("sierra", "worker", "both", "everything")[repetition % 4]
+    project = simulate()
+    sierra = project.start(*ASKED)
+    begun = chance.randint(0, RUNS + 4)
+    project.until_executed(min(begun, RUNS), sierra)
+    time.sleep(chance.uniform(0, 0.06 if 0 < begun < RUNS else 0.8))
+    strike(victim, project, sierra)
+    finished = ended_well(project)
+    first = project.end_of(sierra)
+    if victim == "worker":
+        assert first.returncode in (0, 3)
+        said = [text for text in first.stderr.splitlines() if text.startswith("sierra:")]
+        assert len(said) == (first.returncode == 3)
+    second = project.ask(*ASKED)
+    assert second.returncode == 0, second.stderr
+    assert_complete(project)
+    assert {run: n for run, n in project.executed().items() if n > 1 and run in finished} == {}
+
+
+def test_a_joiner_records_what_a_killed_session_had_finished(simulate: Simulate) -> None:
+    project = simulate()
+    one = project.start(*ASKED)
+    project.until_executed(3, one)
+    two = project.start(*ASKED)
+    project.until_executed(25, one)
+    kill(one.pid)
+    finished = ended_well(project)
+    project.end_of(one)
+    assert project.end_of(two).returncode == 0
+    assert_complete(project)
+    assert {run: n for run, n in project.executed().items() if n > 1 and run in finished} == {}
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupted_asking_keeps_what_had_finished(simulate: Simulate, number: int) -> None:
+    project = simulate()
+    sierra = project.start(*ASKED)
+    project.until_executed(8, sierra)
+    sierra.send_signal(number)
+    first = project.end_of(sierra)
+    assert first.returncode == 130
+    assert (project.work(), project.left_running()) == ([], [])
+    good = {row["run"] for row in project.sql("SELECT run FROM executions WHERE status = 'ok'")}
+    assert 6 <= len(good) < RUNS
+    assert project.ask(*ASKED).returncode == 0
+    assert_complete(project)
+    assert {run for run, n in project.executed().items() if n > 1} & good == set()
+
+
+def test_interrupting_twice_does_not_wait_for_the_grace_time(simulate: Simulate) -> None:
+    project = simulate("trap '' TERM; sleep 60 & wait; sleep 60")
+    config = project.folder / "sierra.toml"
+    config.write_text(config.read_text().replace("grace = 2", "grace = 60"))
+    sierra = project.start(*ASKED)
+    project.until_executed(2, sierra)
+    sierra.send_signal(signal.SIGINT)
+    time.sleep(0.5)
+    assert sierra.poll() is None
+    sierra.send_signal(signal.SIGINT)
+    assert project.end_of(sierra, timeout=20).returncode == 130
+    assert (project.work(), project.left_running()) == ([], [])
+    assert project.sql("SELECT count(*) AS n FROM executions") == [{"n": 0}]
+
+
+@pytest.mark.parametrize("repetition", range(4))
+def test_signals_at_any_moment_tear_nothing_apart(simulate: Simulate, repetition: int) -> None:
+    chance = random.Random(repetition)
+    project = simulate()
+    sierra = project.start(*ASKED)
+    time.sleep(chance.uniform(0.5, 2.5))
+    for _ in range(20):
+        with contextlib.suppress(ProcessLookupError):
+            sierra.send_signal(chance.choice([signal.SIGINT, signal.SIGTERM]))
+        time.sleep(chance.uniform(0, 0.02))
+    sierra.communicate(timeout=60)
+    assert project.ask(*ASKED).returncode == 0
+    assert_complete(project)
+
+
+def test_failed_runs_are_results_and_the_rest_goes_on(simulate: Simulate) -> None:
+    project = simulate('grep -q size=.2 "$1" && { echo "no room" >&2; exit 9; }\nprintf "t,v\\n1,1\\n" > swarm.csv')
+    done = project.ask("run", "size.Log4", "--runs", "3", "--no-figures")
+    assert done.returncode == 1
+    assert "3 failed" in done.stdout
+    assert done.stdout.count("exit status 9") == 3
+    assert done.stdout.count("    no room") == 3
+    rows = project.sql("SELECT status, count(*) AS n, max(log) AS log FROM executions GROUP BY 1 ORDER BY 1")
+    assert rows == [{"status": "failed", "n": 3, "log": "no room"}, {"status": "ok", "n": 6, "log": None}]
+    again = project.ask("run", "size.Log4", "--runs", "3", "--no-figures")
+    assert again.returncode == 1
+    assert sorted(project.executed().values()) == [1] * 6 + [2] * 3
+
+
+def test_the_first_failure_ends_all_if_asked_for(simulate: Simulate) -> None:
+    project = simulate('grep -q size=.1 "$1" && { sleep 0.2; exit 1; }\nsleep 60')
+    began = time.monotonic()
+    done = project.ask("run", "size=1,2", "--runs", "3", "-j", "4", "--fail-fast", "--no-figures")
+    assert (done.returncode, time.monotonic() - began < 30) == (1, True)
+    assert project.sql("SELECT DISTINCT status FROM executions") == [{"status": "failed"}]
+    assert (project.work(), project.left_running()) == ([], [])
+
+
+def test_a_killed_worker_is_said_in_one_line(simulate: Simulate) -> None:
+    project = simulate("setsid -f sleep 60; sleep 0.05; printf 't,v\\n1,1\\n2,4\\n' > swarm.csv")
+    sierra = project.start(*ASKED)
+    project.until_executed(6, sierra)
+    kill(project.worker())
+    done = project.end_of(sierra)
+    assert (done.returncode, done.stdout) == (3, "")
+    assert done.stderr.endswith("sierra: the worker ended with signal 9; what had finished by then is kept\n")
+    assert (project.work(), project.left_running()) == ([], [])
+    assert project.sql("SELECT count(*) >= 3 AS kept FROM executions WHERE status = 'ok'") == [{"kept": True}]
+    assert project.ask(*ASKED).returncode == 0
+    assert_complete(project)
+
+
+def test_a_worker_asked_to_end_is_replaced(simulate: Simulate) -> None:
+    project = simulate()
+    sierra = project.start(*ASKED)
+    project.until_executed(6, sierra)
+    worker = project.worker()
+    assert worker is not None
+    os.kill(worker, signal.SIGTERM)
+    assert project.end_of(sierra).returncode == 0
+    assert_complete(project)
+
+
+def test_half_written_files_of_a_killed_session_stop_nobody(simulate: Simulate) -> None:
+    project = simulate()
+    for name, text in (("context.json", '{"sess'), ("claims.json", '["ab'), ("journal.jsonl", '{"event":"end"}\n{"ev')):
+        session = project.folder / ".sierra" / "work" / name.partition(".")[0]
+        session.mkdir(parents=True)
+        (session / name).write_text(text)
+    (project.folder / ".sierra" / "work" / "empty").mkdir()
+    assert project.ask(*ASKED).returncode == 0
+    assert_complete(project)
+
+
+def test_a_full_disk_is_said_and_what_had_finished_is_kept(simulate: Simulate, require: Any) -> None:
+    project = simulate("head -c 150000 /dev/urandom > noise.bin; printf 't,v\\n1,1\\n2,4\\n' > swarm.csv")
+    store = project.folder / ".sierra"
+    store.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", "size=3m", "none", str(store)]
+    mounted = subprocess.run(mount, check=False, capture_output=True).returncode == 0
+    require("the right to mount a small disk", there=mounted)
+    try:
+        done = project.ask(*ASKED)
+        assert done.returncode == 3
+        assert "No space left on device" in done.stderr
+        assert project.left_running() == []
+        finished = ended_well(project)
+        subprocess.run(["mount", "-o", "remount,size=60m", str(store)], check=True)
+        assert project.ask(*ASKED).returncode == 0
+        assert project.sql("SELECT count(*) AS n, count(DISTINCT run) AS r FROM executions WHERE status = 'ok'") == [
+            {"n": 40, "r": 40}
+        ]
+        assert (project.work(), project.left_running()) == ([], [])
+        assert {run: n for run, n in project.executed().items() if n > 1 and run in finished} == {}
+    finally:
+        subprocess.run(["umount", "--lazy", str(store)], check=True)
+
+
+def test_what_a_run_puts_in_place_of_its_folder_is_never_followed(simulate: Simulate, tmp_path: Path) -> None:
+    foreign = tmp_path / "foreign"
+    for name in ("home", "tmp", "output"):
+        (foreign / name).mkdir(parents=True)
+        (foreign / name / "swarm.csv").write_text("t,v\n1,666\n")
+    (foreign / "stdout").write_text("a secret")
+    project = simulate(f'cd /; mv "$SIERRA_RUN_DIR" "$SIERRA_RUN_DIR.moved"; ln -s "{foreign}" "$SIERRA_RUN_DIR"')
+    assert project.ask("run", "size=1", "--runs", "1", "--no-figures").returncode == 0
+    assert len(list(foreign.glob("*/swarm.csv"))) == 3
+    assert project.sql("SELECT count(*) AS n FROM artifacts") == [{"n": 0}]
+    assert project.work() == []
+
+
+def test_a_log_that_is_a_link_is_not_recorded(simulate: Simulate, tmp_path: Path) -> None:
+    (tmp_path / "secret").write_text("a secret")
+    project = simulate(f'cd ..; for log in stdout stderr; do rm $log; ln -s "{tmp_path}/secret" $log; done; exit 1')
+    assert project.ask("run", "size=1", "--runs", "1", "--no-figures").returncode == 1
+    assert project.sql("SELECT count(*) AS n FROM artifacts") == [{"n": 0}]
+    assert project.sql("SELECT log FROM executions") == [{"log": None}]

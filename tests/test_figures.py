@@ -1,0 +1,381 @@
+"""Figures say what they show, hold where they come from, and are the same bytes each time."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import re
+import subprocess
+import sys
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from PIL import Image
+
+from sierra import figures
+from sierra.config import Figure
+from sierra.errors import Missing, SierraError, UsageError
+from sierra.figures import Drawing
+from sierra.model import Axis
+
+SIZES = Axis("population_size", (1, 2, 4, 8), unit="robots")
+NAMES = Axis("scenario", ("low", "high"))
+SQL = "SELECT avg(value) -- ∓ t · sd / √n\nFROM samples WHERE value <> 'a''; &'"
+BATCH = "0123456789abcdef" * 4
+DC = "{http://purl.org/dc/elements/1.1/}"
+
+
+def table(experiments: int, times: int = 0, **changed: Any) -> pa.Table:
+    """Aggregates as `sierra.analysis` makes them: over time, or, without times, one row for each experiment."""
+    rows = experiments * (times or 1)
+    ordinal = np.repeat(np.arange(experiments), times or 1)
+    t = np.tile(np.arange(times or 1, dtype=float), experiments)
+    center = (ordinal + 1) * 10.0 + t
+    zero = np.zeros(rows, dtype=np.int64)
+    columns: dict[str, Any] = {"experiment": ordinal.astype(np.int32)}
+    columns |= {"t": t} if times else {"never": zero}
+    columns |= {"missing": zero, "infinite": zero, "n": zero + 10}
+    for name, shift in {
+        "mean": 0, "low": -1, "high": 1, "median": 0, "q1": -1, "q3": 1,
+        "whisker_low": -2, "whisker_high": 2, "iqm": 0, "iqm_low": -1, "iqm_high": 1,
+    }.items():  # fmt: skip
+        columns[name] = center + shift
+    return pa.table(columns | changed)
+
+
+def reduced(experiments: int, runs: int = 10) -> pa.Table:
+    values = [(e, f"{e}-{r}", (e + 1) * 10.0 + (r - runs / 2) / 2) for e in range(experiments) for r in range(runs)]
+    return pa.table(dict(zip(("experiment", "run", "value"), zip(*values, strict=True), strict=True)))
+
+
+def cells(axes: Sequence[Axis]) -> dict[int, dict[str, Any]]:
+    points = itertools.product(*(axis.values for axis in axes))
+    return {k: dict(zip((axis.name for axis in axes), point, strict=True)) for k, point in enumerate(points)}
+
+
+def drawing(
+    kind: str = "timeseries", axes: Sequence[Axis] = (SIZES,), tables: Mapping[str, Any] | None = None, **more: Any
+) -> Drawing:
+    """A drawing of generated data; `more` are options of the figure."""
+    count = len(cells(axes))
+    stacked = {"searching": table(count, 20), "carrying": table(count, 20)}
+    timed = kind in ("timeseries", "stacked")
+    given = tables or (stacked if kind == "stacked" else {"energy": table(count, 20 if timed else 0)})
+    return Drawing(
+        name=kind,
+        figure=Figure.model_validate({"kind": kind, "column": tuple(given), **more}),
+        axes=tuple(axes),
+        cells=cells(axes),
+        tables=given,
+        runs=reduced(count) if kind in ("box", "violin") else None,
+        note="mean, 95 % CI, n = 8–10; 2 of 40 runs absent",
+        sql=SQL,
+        batch=BATCH,
+        units={"energy": "J", "time": "s"},
+    )
+
+
+KINDS = ("timeseries", "summary", "box", "violin", "stacked")
+
+
+def texts(svg: bytes) -> str:
+    """All that is written in a figure, each text on a line."""
+    root = ElementTree.fromstring(svg)  # noqa: S314 - what we have just written ourselves
+    return "\n".join("".join(element.itertext()) for element in root.iter("{http://www.w3.org/2000/svg}text"))
+
+
+def svg(shown: Drawing) -> bytes:
+    return dict(figures.rendered(replace(shown, formats=("svg",))))["svg"]
+
+
+def xs(line: Any) -> list[float]:
+    """Where the points of a line are."""
+    return list(line.get_xdata())
+
+
+def said(shown: Drawing) -> str:
+    return texts(svg(shown))
+
+
+@pytest.mark.parametrize("kind", [*KINDS, "heatmap"])
+def test_each_kind_is_written_in_three_formats(kind: str, tmp_path: Path) -> None:
+    axes = (SIZES, NAMES) if kind == "heatmap" else (SIZES,)
+    paths = figures.draw(drawing(kind, axes), tmp_path / "new")
+    assert [path.name for path in paths] == [f"{kind}.png", f"{kind}.pdf", f"{kind}.svg"]
+    assert [path.read_bytes()[:4] for path in paths] == [b"\x89PNG", b"%PDF", b"<?xm"]
+    assert sorted(paths) == sorted((tmp_path / "new").iterdir())
+
+
+@pytest.mark.parametrize("kind", [*KINDS, "heatmap"])
+def test_the_same_data_give_the_same_bytes(kind: str) -> None:
+    axes = (SIZES, NAMES) if kind == "heatmap" else (SIZES,)
+    assert figures.rendered(drawing(kind, axes)) == figures.rendered(drawing(kind, axes))
+
+
+def test_another_process_at_another_time_draws_the_same_bytes() -> None:
+    code = (
+        "import sys, hashlib, importlib.util as u; s = u.spec_from_file_location('t', sys.argv[1]);"
+        "m = u.module_from_spec(s); s.loader.exec_module(m);"
+        "print([hashlib.sha256(d).hexdigest() for k in m.KINDS for _, d in m.figures.rendered(m.drawing(k))])"
+    )
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    seen = {
+        subprocess.run(
+            [sys.executable, "-c", code, __file__],
+            env=environment | {"PYTHONHASHSEED": seed, "SOURCE_DATE_EPOCH": date, "TZ": zone},
+            capture_output=True, text=True, check=True,
+        ).stdout
+        for seed, date, zone in (("1", "0", "UTC"), ("2", "1700000000", "Asia/Tokyo"))
+    }  # fmt: skip
+    assert len(seen) == 1
+
+
+def test_the_users_own_settings_of_matplotlib_change_nothing_and_are_left_alone() -> None:
+    import matplotlib as mpl
+
+    before = figures.rendered(drawing())
+    with mpl.rc_context({"font.size": 20, "axes.facecolor": "red", "text.usetex": True}):
+        assert figures.rendered(drawing()) == before
+        assert mpl.rcParams["font.size"] == 20
+
+
+def test_importing_figures_imports_neither_matplotlib_nor_seaborn() -> None:
+    code = "import sys, sierra.figures; print([m for m in ('matplotlib', 'seaborn', 'numpy', 'pyarrow') if m in sys.modules])"
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    out = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+    assert out.stdout.strip() == "[]"
+
+
+def test_a_png_holds_its_batch_and_its_sql(tmp_path: Path) -> None:
+    png, _, _ = figures.draw(drawing(), tmp_path)
+    with Image.open(png) as image:
+        image.load()
+        held: Mapping[str, str] = image.text  # type: ignore[attr-defined]
+    assert held["sierra:batch"] == BATCH
+    assert held["sierra:sql"] == SQL
+    assert held["Description"] == drawing().note
+
+
+def test_a_pdf_holds_its_batch_and_its_sql_and_no_date_and_embeds_its_fonts() -> None:
+    pdf = dict(figures.rendered(drawing()))["pdf"]
+    assert f"/Keywords (sierra batch {BATCH})".encode() in pdf
+    assert SQL.encode("utf-16-be") in _unescaped(pdf)
+    assert b"Date" not in pdf
+    assert b"/Subtype /Type0" in pdf or b"/Subtype /TrueType" in pdf
+    assert b"/Type3" not in pdf
+    assert any(b"begincmap" in stream for stream in _streams(pdf))
+
+
+def test_an_svg_holds_its_batch_and_its_sql_and_no_date() -> None:
+    data = svg(drawing())
+    root = ElementTree.fromstring(data)  # noqa: S314 - what we have just written ourselves
+    assert [element.text for element in root.iter(f"{DC}identifier")] == [BATCH]
+    assert ["".join(element.itertext()) for element in root.iter(f"{DC}source")] == [SQL]
+    assert not list(root.iter(f"{DC}date"))
+
+
+def test_text_in_an_svg_is_text_and_n_and_what_is_absent_are_said() -> None:
+    assert drawing().note in said(drawing())
+
+
+def test_labels_have_their_units_in_brackets() -> None:
+    assert {"time [s]", "energy [J]"} <= set(said(drawing()).splitlines())
+    assert {"population size [robots]", "final energy [J]"} <= set(said(drawing("summary")).splitlines())
+    timed = drawing("summary", measure="time_to", threshold=3)
+    assert "time until energy ≥ 3 [s]" in said(timed)
+
+
+def test_labels_that_are_given_are_taken_as_they_are() -> None:
+    shown = said(drawing("summary", xlabel="$N_r$ _x_", ylabel="E $ [µJ]", title=r"\alpha costs $5 or $6_"))
+    assert {"$N_r$ _x_", "E $ [µJ]", r"\alpha costs $5 or $6_"} <= set(shown.splitlines())
+
+
+def test_the_legend_says_the_values_and_n_where_it_differs() -> None:
+    assert set("1248") <= set(said(drawing()).splitlines())
+    changed = table(4, 20, n=np.repeat([10, 9, 10, 10], 20))
+    assert "2 (n = 9)" in said(drawing(tables={"energy": changed}))
+
+
+def test_the_legend_does_not_cover_data() -> None:
+    from sierra.figures import series, style
+
+    with style.applied():
+        figure = series.timeseries(drawing())
+        style.settle(figure, drawing())
+        boxes = [legend.get_window_extent() for legend in figure.legends]
+        assert boxes
+        assert not any(plot.get_window_extent().overlaps(box) for plot in figure.axes for box in boxes)
+
+
+@pytest.mark.parametrize("kind", [*KINDS, "heatmap"])
+@pytest.mark.parametrize("title", ["", "A title " * 12])
+def test_nothing_that_is_written_lies_outside_or_on_something_else(kind: str, title: str) -> None:
+    from sierra.figures import grid, points, series, style
+
+    long = Axis("terrain", tuple(f"a rather long name of terrain {k}" for k in range(4)))
+    shown = drawing(kind, (long, NAMES) if kind == "heatmap" else (long,), title=title)
+    painters = {"timeseries": series.timeseries, "stacked": series.stacked, "heatmap": grid.heatmap}
+    painters |= {"summary": points.summary, "box": points.box, "violin": points.violin}
+    with style.applied():
+        figure = painters[kind](shown)
+        style.settle(figure, shown)
+        figure.canvas.draw()
+        outer = figure.bbox.padded(2)
+        boxes: list[Any] = [plot.get_tightbbox() for plot in figure.axes]
+        around = [item.get_window_extent() for item in (*figure.legends, *figure.texts)]
+        for box in (*boxes, *around):
+            assert outer.x0 <= box.x0
+            assert box.x1 <= outer.x1
+            assert outer.y0 <= box.y0
+            assert box.y1 <= outer.y1
+        for one, other in itertools.combinations(around, 2):
+            assert not one.overlaps(other)
+        assert not any(one.overlaps(other) for one in around for other in boxes)
+
+
+def test_thirty_experiments_have_a_colour_bar_and_not_thirty_entries() -> None:
+    many = Axis("max_speed", tuple(k / 10 for k in range(30)), unit="m/s")
+    lines = said(drawing(axes=(many,))).splitlines()
+    assert "max speed [m/s]" in lines
+    assert len(lines) < 35
+    names = Axis("scenario", tuple(f"scenario_{k}" for k in range(30)))
+    assert "scenario_28" in said(drawing(axes=(names,)))
+
+
+def test_a_log_scale_of_values_is_drawn_on_one() -> None:
+    from sierra.figures import points, style
+
+    with style.applied():
+        geometric = points.summary(drawing("summary")).axes[0]
+        linear = points.summary(drawing("summary", (Axis("speed", (1, 2, 3, 4)),))).axes[0]
+        names = points.summary(drawing("summary", (Axis("s", ("a", "b", "c", "d")),))).axes[0]
+    assert [plot.get_xscale() for plot in (geometric, linear, names)] == ["log", "linear", "linear"]
+    assert [label.get_text() for label in geometric.get_xticklabels()] == ["1", "2", "4", "8"]
+    assert [line.get_linestyle() for line in names.lines if len(xs(line)) == 4][-1] == "None"
+
+
+def test_a_second_variable_gets_a_line_of_its_own_or_a_panel() -> None:
+    assert {"scenario", "low", "high"} <= set(said(drawing("summary", (SIZES, NAMES))).splitlines())
+    assert {"scenario = low", "scenario = high"} <= set(said(drawing("timeseries", (SIZES, NAMES))).splitlines())
+
+
+def test_a_heatmap_shows_its_numbers_and_hatches_what_is_missing() -> None:
+    full = drawing("heatmap", (SIZES, NAMES))
+    assert {"10", "80", "population size [robots]", "scenario", "final energy [J]"} <= set(said(full).splitlines())
+    holed = drawing("heatmap", (SIZES, NAMES), {"energy": table(8).slice(1)})
+    assert "10" not in said(holed).splitlines()
+    assert b"pattern" in svg(holed)
+    assert b"pattern" not in svg(full)
+
+
+def test_one_run_has_a_line_and_no_band() -> None:
+    from sierra.figures import series, style
+
+    none = pa.nulls(80, pa.float64())
+    alone = drawing(tables={"energy": table(4, 20, low=none, high=none)})
+    with style.applied():
+        assert len(series.timeseries(drawing()).axes[0].collections) == 4
+        assert not series.timeseries(alone).axes[0].collections
+
+
+def test_a_mark_is_hollow_where_runs_never_reached_the_threshold() -> None:
+    from sierra.figures import points, style
+
+    censored = table(4, never=np.array([0, 3, 0, 0]))
+    with style.applied():
+        plot = points.summary(drawing("summary", tables={"energy": censored}, measure="time_to", threshold=1)).axes[0]
+    assert [xs(line) for line in plot.lines if line.get_markerfacecolor() == "white"] == [[2.0]]
+
+
+def nan_table(count: int, times: int) -> pa.Table:
+    holes = np.where(np.arange(count * (times or 1)) % 3 == 1, np.nan, 5.0)
+    holes[: times or 1] = np.nan
+    return table(count, times, **dict.fromkeys(("mean", "low", "high"), holes))
+
+
+ODD: Mapping[str, Any] = {
+    "one experiment": lambda k, n: ((Axis("size", (4,)),), None),
+    "no variable": lambda k, n: ((), None),
+    "missing values": lambda k, n: ((SIZES,), nan_table(4, n)),
+    "constant": lambda k, n: ((SIZES,), table(4, n, **dict.fromkeys(("mean", "low", "high"), np.full(4 * (n or 1), 3.0)))),
+    "huge": lambda k, n: ((SIZES,), table(4, n, mean=np.full(4 * (n or 1), 1e300), low=np.full(4 * (n or 1), -np.inf))),
+    "tiny": lambda k, n: (
+        (SIZES,),
+        table(4, n, **dict.fromkeys(("mean", "low", "high"), np.linspace(1e-300, 2e-300, 4 * (n or 1)))),
+    ),
+    "thirty": lambda k, n: ((Axis("size", tuple(range(1, 31))),), None),
+    "names": lambda k, n: (
+        (Axis("$x_1$", ("$", "_", "a" * 300, "日本\n\x00\u200b<&>"), label="% $ \\frac{ _", unit="µ$"),),
+        None,
+    ),
+    "three variables": lambda k, n: ((SIZES, NAMES, Axis("z", (0.1, 0.2))), None),
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("case", ODD)
+def test_nothing_odd_in_the_data_keeps_a_figure_from_being_drawn(kind: str, case: str) -> None:
+    axes, odd = ODD[case](kind, 20 if kind in ("timeseries", "stacked") else 0)
+    tables = None if odd is None else dict.fromkeys(("energy", "other") if kind == "stacked" else ("energy",), odd)
+    drawn = drawing(kind, axes, tables, title="T_$", ylabel="{" * 99)
+    assert all(len(data) > 1000 for _, data in figures.rendered(drawn))
+    assert svg(drawing(kind, axes, tables, log_y=True))
+
+
+def test_one_time_is_drawn_as_a_mark() -> None:
+    from sierra.figures import series, style
+
+    with style.applied():
+        plot = series.timeseries(drawing(tables={"energy": table(4, 1)})).axes[0]
+    assert sum(line.get_marker() == "o" and len(xs(line)) == 1 for line in plot.lines) == 4
+
+
+def test_nothing_to_draw_is_an_error_of_one_line(tmp_path: Path) -> None:
+    empty = table(4, 20, n=np.zeros(80, dtype=int))
+    for tables in ({"energy": empty}, {"energy": empty.slice(0, 0)}):
+        with pytest.raises(SierraError, match=r"^figure timeseries: there is no value to draw$"):
+            figures.draw(drawing(tables=tables), tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("shown", "complaint"),
+    [
+        (drawing("summary", (Axis("noise", (0, 1)),), log_x=True), "log_x needs values above 0, noise has 0"),
+        (drawing(tables={"energy": table(4, 5, mean=np.full(20, -1.0))}, log_y=True), "log_y needs values above 0"),
+        (drawing("stacked", tables={"a": table(4, 5, mean=np.full(20, -1.0))}), "values of at least 0"),
+        (drawing(axes=(SIZES, Axis("seed", tuple(range(40))))), "40 panels are more than 36"),
+    ],
+)
+def test_data_that_do_not_suit_the_figure_are_refused(shown: Drawing, complaint: str, tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=complaint):
+        figures.draw(shown, tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("name", ["", "../up", "a/b", ".."])
+def test_a_figure_stays_in_its_folder(name: str, tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="cannot be the name"):
+        figures.draw(replace(drawing(), name=name), tmp_path)
+
+
+def test_a_folder_that_cannot_be_written_is_named(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(Missing, match=re.escape(str(tmp_path / "file"))):
+        figures.draw(drawing(), tmp_path / "file")
+
+
+def _unescaped(pdf: bytes) -> bytes:
+    return re.sub(rb"\\([\\()nr])", lambda m: {b"n": b"\n", b"r": b"\r"}.get(m[1], m[1]), pdf)
+
+
+def _streams(pdf: bytes) -> list[bytes]:
+    found = re.findall(rb"stream\r?\n(.*?)\r?\nendstream", pdf, re.DOTALL)
+    return [zlib.decompress(data) for data in found if data[:1] == b"x"]

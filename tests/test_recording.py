@@ -1,0 +1,455 @@
+"""What runs write is recorded as it is, or said not to be: never averaged away. All through the public door."""
+
+from __future__ import annotations
+
+import json
+import math
+import subprocess
+import sys
+import textwrap
+from collections.abc import Callable, Sequence
+from decimal import Decimal
+from pathlib import Path
+from typing import Any
+
+import duckdb
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+import sierra
+from sierra import worker
+from sierra.api import Project
+from sierra.pipeline import Summary
+from sierra.store.frame import Frame
+from sierra.store.reading import Reading, Shape, Written, read
+
+TOML = """
+template = "t.xml"
+command = "{python} -I -S sim.py {input}"
+seed = "//e/@seed"
+runs = 4
+[variables]
+n = "//e/@n"
+k = "//e/@k"
+"""
+SIM = """
+import os, pathlib, re, sys, time
+text = pathlib.Path(sys.argv[1]).read_text()
+seed, n, k = (int(re.search(rf' {name}="(\\d+)"', text)[1]) for name in ("seed", "n", "k"))
+def write(content, name="out.csv"):
+    pathlib.Path(name).write_bytes(content if isinstance(content, bytes) else content.encode())
+good = "tick,v\\n0,0.5\\n1,1.5\\n2,2.5\\n"
+"""
+
+Make = Callable[..., Project]
+
+
+@pytest.fixture
+def make(tmp_path: Path) -> Make:
+    """A project whose simulator is these lines of Python; they know `seed`, `n`, `k`, `good` and `write`."""
+
+    def make(lines: str, toml: str = "") -> Project:
+        (tmp_path / "sierra.toml").write_text(TOML + toml)
+        (tmp_path / "t.xml").write_text('<e seed="0" n="0" k="0"/>')
+        (tmp_path / "sim.py").write_text(SIM + textwrap.dedent(lines))
+        return sierra.open(tmp_path)
+
+    return make
+
+
+def run(project: Project, query: str = "n=1", **options: Any) -> Summary:
+    return project.run(query, figures=False, **options)
+
+
+def column(project: Project, name: str = "v", table: str = "out") -> list[Any]:
+    rows: list[Any] = project.sql(f'SELECT "{name}" FROM {table} ORDER BY number').column(0).to_pylist()
+    return rows
+
+
+def reasons(summary: Summary) -> list[str]:
+    return sorted({failure.reason for failure in summary.failures})
+
+
+# ---------------------------------------------------------------- what is as it should be
+
+
+@pytest.mark.parametrize("delimiter", [",", ";", "\t", "|"])
+@pytest.mark.parametrize("end", ["\n", "\r\n"])
+def test_any_delimiter_and_line_end_is_found_out(tmp_path: Path, delimiter: str, end: str) -> None:
+    content = f'a{delimiter}b{end}1{delimiter}"x{delimiter}""y""{end}z"{end}'
+    _, rows = table(tmp_path, [content.encode()] * 3)
+    assert rows == [(1, f'x{delimiter}"y"{end}z')] * 3
+
+
+def test_quoted_delimiters_in_a_header_are_no_delimiters(tmp_path: Path) -> None:
+    _, rows = table(tmp_path, [b'"a;b;c",d\n1,2\n'], names=True)
+    assert rows == [("a;b;c", "d"), (1, 2)]
+
+
+@pytest.mark.parametrize(
+    ("text", "values"),
+    [
+        ("\ufeffa\n1\n", [1]),
+        ("a, b\n 1 , 2\n", [1]),
+        ("a\n1e3\n-2.5E-1\n", [1000.0, -0.25]),
+        ("a\ninf\n-inf\n", [math.inf, -math.inf]),
+        ("a,b\n,1\n2,1\n", [None, 2]),
+        ("a\n1\n\n3\n", [1, None, 3]),
+        ("a\ntrue\nFalse\n", [True, False]),
+        ("a\ntrue\n1\n", ["true", "1"]),
+        ("a\n1\nx y\n", ["1", "x y"]),
+        ("a\n-0\n", [-0.0]),
+        ("a\n9223372036854775807\n", [2**63 - 1]),
+        ("a\n9223372036854775808\n1\n", [Decimal(2**63), Decimal(1)]),
+        ("a\n", []),
+        ("a\r1\r2\r", [1, 2]),
+    ],
+)
+def test_a_column_has_the_narrowest_type_that_keeps_its_values(tmp_path: Path, text: str, values: list[Any]) -> None:
+    reading, rows = table(tmp_path, [text.encode()])
+    assert not reading.faults
+    assert [row[0] for row in rows] == values
+    assert [repr(row[0]) for row in rows] == [repr(value) for value in values]
+
+
+def test_whole_numbers_that_have_fractions_in_one_run_are_not_rounded(make: Make) -> None:
+    project = make("write('v\\n1\\n' if seed % 5 else 'v\\n1.5\\n')\nwrite(f'{seed}', 'seed.txt')")
+    run(project, runs=20)
+    seeds = project.sql("SELECT seed, v FROM out JOIN runs USING (run)").to_pylist()
+    assert len(seeds) == 20
+    assert {row["v"] for row in seeds} == {1.0, 1.5}
+    assert all(row["v"] == (1.0 if row["seed"] % 5 else 1.5) for row in seeds)
+
+
+def test_flags_are_not_made_of_numbers_in_other_runs(tmp_path: Path) -> None:
+    files = [b"a\ntrue\n", *[b"a\nfalse\n"] * 3, b"a\n1\n", *[b"a\ntrue\n"] * 4]
+    _, rows = table(tmp_path, files)
+    assert sorted(row[0] for row in rows) == ["1", *["false"] * 3, *["true"] * 5]
+
+
+def test_large_whole_numbers_hide_behind_empty_columns_and_stay_exact(tmp_path: Path) -> None:
+    empty = b"a,b\n,1\n"
+    _, rows = table(tmp_path, [empty, empty, empty, b"a,b\n1152921504606846977,1\n", empty, empty, empty])
+    assert {row[0] for row in rows} == {None, 2**60 + 1}
+
+
+def test_a_header_longer_than_what_the_worker_tells_is_read_whole(tmp_path: Path) -> None:
+    names = [f"robot_{number}" for number in range(900)]
+    content = ",".join(names) + "\n" + ",".join(["1"] * 900) + "\n"
+    reading, rows = table(tmp_path, [content.encode()] * 2)
+    assert not reading.faults
+    assert rows == [(1,) * 900] * 2
+
+
+def test_a_line_of_three_megabytes_is_read(tmp_path: Path) -> None:
+    reading, rows = table(tmp_path, [b"a\n" + b"x" * 3_000_000 + b"\n", b"a\ny\n"])
+    assert not reading.faults
+    assert sorted(len(row[0]) for row in rows) == [1, 3_000_000]
+
+
+def test_names_that_sql_finds_hard_are_kept(make: Make) -> None:
+    header = 'run,Run,"a ""b""",größe,select,N,,filename,experiment,place'
+    project = make(f"write({header!r} + chr(10) + ','.join(map(str, range(10))) + chr(10))")
+    summary = run(project, runs=1)
+    assert not summary.failed
+    [row] = project.sql("SELECT * FROM out").to_pylist()
+    known = ("run_", "Run__", 'a "b"', "größe", "select", "N_", "column6", "filename_", "experiment", "place")
+    assert [row[name] for name in known] == list(range(10))
+    assert row["n"] == 1
+    with Frame(project.store, summary.batch) as frame:
+        for place, name in enumerate(known):
+            frame.samples("out", name.replace("N_", "N"))
+            assert frame.sql("SELECT experiment, t, value FROM samples").to_pylist() == [
+                {"experiment": 0, "t": 0.0, "value": float(place)}
+            ]
+
+
+def test_outputs_are_called_so_that_sql_knows_them(make: Make) -> None:
+    names = ["a-b", "1st", "Runs", "select", "x y", "ü"]
+    project = make(f"for name in {names!r}: write(good, name + '.csv')")
+    assert not run(project).failed
+    assert set(project.store.outputs()) == {"a_b", "_1st", "Runs_", "select", "x_y", "_"}
+    for name in project.store.outputs():
+        assert project.sql(f'SELECT count(*) FROM "{name}"').column(0).to_pylist() == [12]
+
+
+def test_many_files_of_a_run_are_told_apart(make: Make) -> None:
+    toml = '[outputs.poses]\nfile = "p/*.csv"\n'
+    project = make("os.mkdir('p')\nfor i in range(3): write(f'x\\n{i}\\n', f'p/{i}.csv')", toml)
+    assert not run(project, runs=2).failed
+    rows = project.sql("SELECT number, file, x FROM poses ORDER BY number, x").to_pylist()
+    assert rows == [{"number": n, "file": f"p/{i}.csv", "x": i} for n in range(2) for i in range(3)]
+
+
+def test_what_is_no_table_is_kept_to_the_byte(make: Make) -> None:
+    project = make("write(bytes(range(256)), 'a.bin'); write('hello', 'notes.txt')")
+    run(project, runs=1)
+    for row in project.sql("SELECT path, sha256 FROM artifacts WHERE kind = 'file'").to_pylist():
+        assert project.store.object(row["sha256"]) == {"a.bin": bytes(range(256)), "notes.txt": b"hello"}[row["path"]]
+
+
+def test_rows_keep_their_order(make: Make) -> None:
+    project = make("write('i\\n' + ''.join(f'{i * 7919 % 100003}\\n' for i in range(100003)))")
+    summary = run(project, runs=3, jobs=2)
+    with Frame(project.store, summary.batch) as frame:
+        frame.samples("out", "i")
+        for number in range(3):
+            found = frame.sql("SELECT value FROM samples WHERE number = $n ORDER BY t", n=number).column(0).to_pylist()
+            assert found == [i * 7919 % 100003 for i in range(100003)]
+
+
+def test_rows_of_large_json_files_keep_their_order(tmp_path: Path) -> None:
+    lines = b"".join(b'{"i":%d,"s":"%s"}\n' % (i, b"x" * 900) for i in range(40_000))
+    _, rows = table(tmp_path, [lines, b'{"i":1,"s":"a"}\n'], "jsonl", columns="i", only="e0")
+    assert [row[0] for row in rows] == list(range(40_000))
+
+
+# ---------------------------------------------------------------- round trips
+
+
+FLOATS = st.floats() | st.sampled_from([5e-324, -0.0, 1e308, 2.2250738585072014e-308, 0.1])
+INTS = st.integers(-(2**63), 2**63 - 1)
+TEXTS = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\r\0"), min_size=1)
+COLUMNS = st.one_of(st.lists(each, min_size=1, max_size=6) for each in (FLOATS, INTS, st.integers(-(10**37), 10**37), TEXTS))
+
+
+@settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(values=COLUMNS)
+def test_values_come_back_exactly(tmp_path: Path, values: list[Any]) -> None:
+    quoted = [f'"{v}"'.replace('"', '""')[1:-1] if isinstance(v, str) else repr(v) for v in values]
+    reading, rows = table(tmp_path, [("k,a\n" + "".join(f"k,{text}\n" for text in quoted)).encode()])
+    assert not reading.faults
+    found = [row[1] for row in rows]
+    if all(isinstance(value, str) for value in values) and not all(isinstance(value, str) for value in found):
+        found = [None if value is None else values[place] for place, value in enumerate(found)]  # texts that are numbers
+    assert [repr(v) if isinstance(v, float) else v for v in found] == [repr(v) if isinstance(v, float) else v for v in values]
+
+
+@settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(values=COLUMNS)
+def test_values_come_back_exactly_from_json(tmp_path: Path, values: list[Any]) -> None:
+    content = "".join(json.dumps({"a": value}) + "\n" for value in values)
+    reading, rows = table(tmp_path, [content.encode()], "jsonl")
+    assert not reading.faults
+    assert [repr(row[0]) if isinstance(row[0], float) else row[0] for row in rows] == [
+        repr(value) if isinstance(value, float) else value for value in values
+    ]
+
+
+# ---------------------------------------------------------------- faults
+
+
+FAULTS = {
+    "too few fields": ("write(good.replace('1,1.5', '1'))", "line 3: too few fields (1, not 2): '1'"),
+    "cut short in a line": ("write(good[:-5])", "line 4: its last line is cut short"),
+    "a last line without its end": ("write(good[:-2])", "line 4: its last line is cut short"),
+    "fewer rows": ("write(good[:-6])", "has 2 rows where 3 of its 4 siblings have 3"),
+    "more rows": ("write(good + '3,3.5\\n')", "has 4 rows where 3 of its 4 siblings have 3"),
+    "a missing column": ("write('tick\\n0\\n1\\n2\\n')", "line 1: lacks the column 'v'"),
+    "a further column": ("write(good.replace('\\n', ',w\\n', 1).replace('5\\n', '5,1\\n'))", "has the further column 'w'"),
+    "another order": ("write('v,tick\\n0,0\\n0,1\\n0,2\\n')", "has its columns in another order"),
+    "text among numbers": ("write(good.replace('1.5', 'oops'))", "line 3: text where numbers are in column 'v': 'oops'"),
+    "the header again": ("write(good.replace('1,1.5', 'tick,v'))", "line 3: text where numbers are in column 'tick': 'tick'"),
+    "a doubled header": ("write(good.replace('v', 'v,v', 1))", "has the column 'v' twice"),
+    "too many fields": ("write(good.replace('1.5', '1.5,9'))", "line 3: too many fields (3, not 2)"),
+    "no bytes": ("write('')", "is empty; not even a header"),
+    "a header only": ("write('tick,v\\n')", "has 0 rows where 3 of its 4 siblings have 3"),
+    "no UTF-8": ("write(good.encode().replace(b'1.5', b'\\xff'))", "line 3: is not UTF-8"),
+    "an open quote": ("write(good.replace('2.5', '\"2.5'))", "line 4: quotes are not closed"),
+    "mixed line ends": ("write(good.replace('\\n', '\\r\\n', 2))", "some lines end in CR LF, and some in LF"),
+    "no table": ("pass", "table 'out' is not there; 3 of its 4 siblings have it"),
+    "one table more": (
+        "write(good); write(good, 'more.csv')",
+        "there is a table 'more', which 3 of its 4 siblings do not have",
+    ),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_one_faulty_run_is_noticed_and_said(make: Make, fault: str) -> None:
+    lines, said = FAULTS[fault]
+    project = make(f"if k and seed == BAD:\n    {lines}\nelse:\n    write(good)".replace("BAD", str(seeds(4)[2])))
+    summary = run(project, "k=1")
+    assert (summary.failed, summary.missing) == (1, 0)
+    [failure] = summary.failures
+    assert (failure.status, failure.number) == ("mismatch", 2)
+    assert said in failure.reason
+    assert project.sql("SELECT count(DISTINCT number), count(*) FROM out").to_pylist() == [
+        {"count(DISTINCT number)": 3, "count_star()": 9}
+    ]
+
+
+def seeds(count: int) -> list[int]:
+    from sierra.seeds import seed
+
+    return [seed(0, number) for number in range(count)]
+
+
+@pytest.mark.parametrize("bad", [(0,), (3,), (0, 1)])
+@pytest.mark.parametrize("fault", ["text among numbers", "a missing column", "fewer rows", "a last line without its end"])
+def test_wherever_the_faulty_runs_are_they_alone_are_blamed(make: Make, bad: tuple[int, ...], fault: str) -> None:
+    chosen = [seeds(4)[number] for number in bad]
+    summary = run(make(f"if seed in {chosen}:\n    {FAULTS[fault][0]}\nelse:\n    write(good)"))
+    assert sorted(failure.number for failure in summary.failures) == list(bad)
+
+
+@pytest.mark.parametrize("fault", ["text among numbers", "a missing column", "a last line without its end"])
+def test_a_faulty_run_that_was_recorded_first_is_found_by_those_that_follow(make: Make, fault: str) -> None:
+    lines = f"if seed == {seeds(1)[0]}:\n    {FAULTS[fault][0]}\nelse:\n    write(good)"
+    project = make(lines)
+    assert not run(project, runs=1).failed
+    summary = run(project, runs=5)
+    assert [failure.number for failure in summary.failures] == [0]
+    assert summary.failures[0].status == "mismatch"
+    assert project.sql("SELECT count(*) AS n FROM out").to_pylist() == [{"n": 12}]
+
+
+def test_a_fault_in_a_later_flush_is_noticed(tmp_path: Path) -> None:
+    good = b"a,b\n1,0.5\n"
+    first, _ = table(tmp_path, [good] * 5)
+    for bad in (b"a,b\nx,0.5\n", b"a\n1\n", b"a,b\n1,0.", b"a,b\n1\n"):
+        reading, rows = table(tmp_path, [bad], shape=first.shape)
+        assert len(reading.faults) == 1, bad
+        assert rows == []
+    reading, rows = table(tmp_path, [b"a,b\n1.5,2\n"], shape=first.shape)
+    assert not reading.faults
+    assert rows == [(1.5, 2)]
+
+
+def test_other_row_counts_are_kept_where_the_project_says_so(make: Make) -> None:
+    project = make(
+        f"write(good if seed != {seeds(2)[1]} else good + '3,3.5\\n')", '[outputs.out]\nfile = "out.csv"\nmismatch = "ragged"\n'
+    )
+    assert not run(project).failed
+    assert project.sql("SELECT count(*) AS n FROM out").to_pylist() == [{"n": 13}]
+
+
+def test_a_table_that_is_not_required_may_be_absent(make: Make) -> None:
+    toml = '[outputs.more]\nfile = "more.csv"\nrequired = false\n'
+    project = make(f"write(good)\nif seed == {seeds(1)[0]}: write(good, 'more.csv')", toml)
+    assert not run(project).failed
+    assert project.sql("SELECT DISTINCT number FROM more").to_pylist() == [{"number": 0}]
+
+
+def test_a_mismatch_is_listed_and_ends_the_command_with_1(make: Make) -> None:
+    project = make(f"write(good if seed != {seeds(2)[1]} else good[:-5])")
+    command = [str(Path(sys.executable).with_name("sierra")), "run", "n=1", "--no-figures", "--json"]
+    done = subprocess.run(command, cwd=project.root, capture_output=True, text=True, check=False)
+    assert done.returncode == 1, done.stderr
+    [failure] = json.loads(done.stdout)["failures"]
+    assert failure["status"] == "mismatch"
+    assert "out.csv: line 4" in failure["reason"]
+
+
+def test_several_faults_in_one_batch_are_each_said(make: Make) -> None:
+    bad = seeds(10)
+    project = make(
+        f"""
+        if seed == {bad[1]}: write(good[:-5])
+        elif seed == {bad[4]}: write(good.replace('0.5', 'x'))
+        elif seed == {bad[7]}: write('tick\\n0\\n')
+        else: write(good)
+        """
+    )
+    summary = run(project, runs=10)
+    assert sorted(failure.number for failure in summary.failures) == [1, 4, 7]
+    assert len(reasons(summary)) == 3
+    assert project.sql("SELECT count(*) AS n FROM out").to_pylist() == [{"n": 21}]
+
+
+@pytest.mark.parametrize(
+    ("bad", "said"),
+    [
+        (b'{"a":1,"b":', "line 1: is cut short, or no JSON"),
+        (b'{"a":1,"b":"x"}\n{"a":"q","b":"x"}\n', "line 2: text where numbers are in column 'a': 'q'"),
+        (b'{"a":1}\n', "lacks the column 'b'"),
+        (b"[1]\n", "line 1: is not an object"),
+        (b'{"a":1,"b":"x"}\n{"a":1,"a":2,"b":"x"}\n', "line 2: the key 'a' is there twice"),
+    ],
+)
+def test_faulty_json_lines_are_noticed(tmp_path: Path, bad: bytes, said: str) -> None:
+    good = b'{"a":1,"b":"x"}\n'
+    reading, rows = table(tmp_path, [good, bad, good, good], "jsonl")
+    assert list(reading.faults) == ["e1"]
+    assert said in reading.faults["e1"]
+    assert rows == [(1, "x")] * 3
+
+
+def test_json_numbers_with_fractions_in_one_run_of_many_are_not_rounded(tmp_path: Path) -> None:
+    _, rows = table(tmp_path, [b'{"a":1}\n'] * 40 + [b'{"a":1.5}\n'] + [b'{"a":1}\n'] * 9, "jsonl")
+    assert sorted(row[0] for row in rows) == [1.0] * 49 + [1.5]
+
+
+@pytest.mark.parametrize("bad", [b"", b"PAR1 not really", b"cut"])
+def test_faulty_parquet_is_noticed(tmp_path: Path, bad: bytes) -> None:
+    good = parquet(tmp_path, {"a": [1, 2], "b": ["x", "y"]})
+    reading, rows = table(tmp_path, [good, good[: len(good) // 2] if bad == b"cut" else bad, good], "parquet")
+    assert list(reading.faults) == ["e1"]
+    assert rows == [(1, "x"), (2, "y")] * 2
+
+
+def test_parquet_files_of_other_columns_are_noticed_and_other_widths_joined(tmp_path: Path) -> None:
+    files = [{"a": [1]}, {"a": [1.5]}, {"a": ["x"]}, {"b": [1]}, {"a": [2]}]
+    reading, rows = table(tmp_path, [parquet(tmp_path, file) for file in files], "parquet")
+    assert sorted(reading.faults) == ["e2", "e3"]
+    assert rows == [(1.0,), (1.5,), (2.0,)]
+
+
+def test_values_of_parquet_come_back_exactly(tmp_path: Path) -> None:
+    values = {"i": [2**63 - 1], "u": pa.array([2**64 - 1], pa.uint64()), "f": [5e-324], "t": ["ü\n\"'"], "l": [[1, 2]]}
+    _, rows = table(tmp_path, [parquet(tmp_path, values)] * 2, "parquet")
+    assert rows == [(2**63 - 1, 2**64 - 1, 5e-324, "ü\n\"'", [1, 2])] * 2
+
+
+def test_batches_with_other_column_types_are_asked_together(make: Make) -> None:
+    project = make("write({1: 'v\\n1\\n', 2: 'v\\n0.1\\n', 3: 'v\\nx\\n', 4: 'v\\n\\n\\n'}[n])")
+    for n, kind in ((1, "BIGINT"), (2, "DOUBLE"), (4, "DOUBLE"), (3, "VARCHAR")):
+        assert not run(project, f"n={n}", runs=2).failed
+        assert project.sql("DESCRIBE SELECT v FROM out").to_pylist()[0]["column_type"] == kind
+    found = project.sql("SELECT n, v FROM out GROUP BY ALL ORDER BY n").to_pylist()
+    assert [(row["n"], row["v"]) for row in found] == [(1, "1"), (2, "0.1"), (3, "x"), (4, None)]
+
+
+# ---------------------------------------------------------------- helpers
+
+
+def parquet(folder: Path, columns: dict[str, Any]) -> bytes:
+    pq.write_table(pa.table(columns), folder / "made.parquet")
+    return (folder / "made.parquet").read_bytes()
+
+
+def table(
+    folder: Path,
+    contents: Sequence[bytes],
+    kind: Any = "csv",
+    *,
+    shape: Shape | None = None,
+    columns: str = "* EXCLUDE (run, execution)",
+    only: str = "%",
+    names: bool = False,
+) -> tuple[Reading, list[tuple[Any, ...]]]:
+    """Read files as recording does: what came of it, and the rows by run."""
+    target = folder / "target.parquet"
+    target.unlink(missing_ok=True)
+    files = []
+    for number, content in enumerate(contents):
+        path = folder / f"{number}.{kind}"
+        path.write_bytes(content)
+        seen = worker.describe(str(path), f"out.{kind}")
+        facts = (seen["path"], seen["head"], seen["lines"], seen["ended"], seen["bytes"])
+        files.append(Written(str(path), f"r{number}", f"e{number}", *facts))
+    with duckdb.connect() as connection:
+        reading = read(connection, files, shape or Shape(kind), target)
+        if not target.exists():
+            return reading, []
+        found = connection.execute(
+            f"SELECT {columns} FROM read_parquet('{target}', file_row_number = true) WHERE execution LIKE $only "
+            "ORDER BY run, file_row_number".replace("* EXCLUDE (run", "* EXCLUDE (file_row_number, run"),
+            {"only": only},
+        )
+        rows = found.fetchall()
+        head = [tuple(name for name, *_ in found.description or ())] if names else []
+        return reading, [*head, *rows]

@@ -1,0 +1,337 @@
+"""The statistics in SQL are those of numpy and scipy, and nothing that is missing is averaged away."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable
+from typing import Any
+
+import duckdb
+import numpy as np
+import pyarrow as pa
+import pytest
+import scipy.stats
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sierra import analysis
+from sierra.analysis import student_t
+from sierra.config import Figure
+from sierra.errors import SierraError, UsageError
+from sierra.model import Axis
+
+AXIS = (Axis("size", (1, 2)),)
+NUMBERS = st.floats(min_value=-1e6, max_value=1e6, allow_nan=False).map(lambda x: round(x, 6))
+
+
+class Memory:
+    """A frame in memory: rows of (experiment, run's number, t, value)."""
+
+    def __init__(self, rows: Iterable[tuple[int, int, float, float | None]], threads: int = 2) -> None:
+        rows = list(rows)
+        columns: list[Any] = list(zip(*rows, strict=True)) or [()] * 4
+        table = pa.table(
+            {
+                "experiment": pa.array(columns[0], pa.int32()),
+                "run": pa.array([f"{e}-{n}" for e, n, *_ in rows], pa.string()),
+                "number": pa.array(columns[1], pa.int32()),
+                "t": pa.array(columns[2], pa.float64()),
+                "value": pa.array(columns[3], pa.float64(), from_pandas=False),
+            }
+        )
+        self.connection = duckdb.connect(config={"threads": threads})
+        self.connection.register("given", table)
+        self.connection.execute("CREATE TABLE samples AS SELECT * FROM given")
+
+    def sql(self, text: str, /, **params: Any) -> pa.Table:
+        return self.connection.sql(text, params=params).to_arrow_table()
+
+
+def over_runs(values: Iterable[float | None]) -> dict[str, Any]:
+    """All statistics of one experiment whose runs ended with these values."""
+    frame = Memory((0, number, 0.0, value) for number, value in enumerate(values))
+    table, _ = analysis.by_experiment(frame, "final", analysis.STATISTICS, analysis.coverage(frame))
+    found: list[dict[str, Any]] = table.to_pylist()
+    return found[0]
+
+
+def figure(kind: str = "timeseries", **more: Any) -> Figure:
+    return Figure.model_validate({"kind": kind, "column": "energy", **more})
+
+
+def trimmed_interval(x: np.ndarray[Any, Any]) -> tuple[float, float]:
+    """Tukey and McLaughlin's interval, written down a second time."""
+    n, g = len(x), len(x) // 4
+    h = n - 2 * g
+    winsorized = np.clip(np.sort(x), np.sort(x)[g], np.sort(x)[n - g - 1])
+    half = scipy.stats.t.ppf(0.975, h - 1) * math.sqrt(((winsorized - winsorized.mean()) ** 2).sum() / (h * (h - 1)))
+    center = float(scipy.stats.trim_mean(x, 0.25))
+    return center - half, center + half
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.lists(NUMBERS, min_size=2, max_size=40))
+def test_all_statistics_are_those_of_numpy_and_scipy(values: list[float]) -> None:
+    x, found = np.array(values), over_runs(values)
+    near = pytest.approx
+    scale = 1e-12 * max(1.0, float(np.abs(x).max()))
+    half = scipy.stats.t.ppf(0.975, len(x) - 1) * x.std(ddof=1) / math.sqrt(len(x))
+    q1, median, q3 = np.quantile(x, [0.25, 0.5, 0.75])
+    assert found["n"] == len(x)
+    assert found["mean"] == near(x.mean(), rel=1e-12, abs=scale)
+    assert found["sd"] == near(x.std(ddof=1), rel=1e-11, abs=scale)
+    assert (found["low"], found["high"]) == near((x.mean() - half, x.mean() + half), rel=1e-11, abs=20 * scale)
+    assert (found["q1"], found["median"], found["q3"]) == near((q1, median, q3), rel=1e-12, abs=scale)
+    assert (found["min"], found["max"]) == (x.min(), x.max())
+    assert found["iqm"] == near(scipy.stats.trim_mean(x, 0.25), rel=1e-12, abs=scale)
+    assert (found["iqm_low"], found["iqm_high"]) == near(trimmed_interval(x), rel=1e-11, abs=30 * scale)
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.lists(st.integers(-1000, 1000), min_size=1, max_size=40))
+def test_whiskers_end_at_values_that_were_observed(values: list[int]) -> None:
+    found = over_runs(map(float, values))
+    q1, q3 = np.quantile(values, [0.25, 0.75])
+    inside = [v for v in values if q1 - 1.5 * (q3 - q1) <= v <= q3 + 1.5 * (q3 - q1)]
+    assert (found["whisker_low"], found["whisker_high"]) == (min(inside), max(inside))
+
+
+@pytest.mark.parametrize(("far", "end"), [(13.4, 13.4), (13.6, 8.0)])
+def test_a_whisker_reaches_at_most_one_and_a_half_interquartile_ranges(far: float, end: float) -> None:
+    """The quartiles are 2.25 and 6.75, so that the fence stands at 13.5."""
+    values = [*map(float, range(9)), far]
+    assert over_runs(values)["whisker_high"] == end
+    assert over_runs([-value for value in values])["whisker_low"] == -end
+
+
+def test_the_interval_of_four_runs_is_not_two_standard_deviations() -> None:
+    found = over_runs([1.0, 2.0, 4.0, 4.6])
+    interval = scipy.stats.ttest_1samp([1.0, 2.0, 4.0, 4.6], 0).confidence_interval(0.95)
+    assert (found["low"], found["high"]) == pytest.approx((interval.low, interval.high), rel=1e-12)
+
+
+def test_one_run_has_a_mean_but_no_interval() -> None:
+    found = over_runs([3.0])
+    assert (found["n"], found["mean"], found["median"], found["q1"], found["iqm"]) == (1, 3.0, 3.0, 3.0, 3.0)
+    assert [found[name] for name in ("sd", "low", "high", "iqm_low", "iqm_high")] == [None] * 5
+
+
+def test_what_is_missing_or_infinite_is_left_out_and_counted() -> None:
+    found = over_runs([1.0, None, math.nan, math.inf, -math.inf, 3.0])
+    assert (found["n"], found["missing"], found["infinite"], found["mean"]) == (2, 2, 2, 2.0)
+
+
+def test_an_experiment_of_which_all_is_missing_has_no_mean() -> None:
+    found = over_runs([None, math.nan])
+    assert (found["n"], found["missing"], found["mean"], found["median"], found["low"]) == (0, 2, None, None, None)
+
+
+def test_n_is_counted_at_each_time() -> None:
+    frame = Memory((0, run, float(t), float(run)) for run in range(5) for t in range(3 if run else 2))
+    table, _ = analysis.by_time(frame, ["interval"], analysis.coverage(frame))
+    assert table["n"].to_pylist() == [5, 5, 4]
+    assert table["mean"].to_pylist() == [2.0, 2.0, 2.5]
+
+
+def test_the_same_data_give_the_same_bits_in_any_order_and_with_any_threads() -> None:
+    rng = np.random.default_rng(1)
+    rows = [(e, run, float(t), float(rng.normal())) for e in range(10) for run in range(20) for t in range(100)]
+    rng.shuffle(mixed := list(range(len(rows))))
+    for measure in ("mean", "final"):
+        one, many = Memory(rows, threads=1), Memory((rows[k] for k in mixed), threads=4)
+        seen = analysis.coverage(one)
+        assert analysis.by_experiment(one, measure, analysis.STATISTICS, seen)[0].equals(
+            analysis.by_experiment(many, measure, analysis.STATISTICS, seen)[0]
+        )
+        assert analysis.by_time(one, ["interval"], seen)[0].equals(analysis.by_time(many, ["interval"], seen)[0])
+
+
+def measured(measure: str, values: list[float | None], threshold: float | None = None) -> dict[str, Any]:
+    frame = Memory((0, 0, float(t), value) for t, value in enumerate(values))
+    table, _ = analysis.by_experiment(frame, measure, ["mean"], analysis.coverage(frame), threshold)
+    found: list[dict[str, Any]] = table.to_pylist()
+    return found[0]
+
+
+def test_the_final_value_is_the_one_at_the_largest_time() -> None:
+    frame = Memory([(0, 0, 2.0, 7.0), (0, 0, 0.0, 1.0), (0, 0, 1.0, 9.0)])
+    assert analysis.reduced(frame, "final")["value"].to_pylist() == [7.0]
+
+
+def test_a_final_value_that_is_missing_is_not_replaced_by_an_earlier_one() -> None:
+    assert measured("final", [1.0, 2.0, math.nan])["mean"] is None
+    assert measured("final", [1.0, 2.0, None])["missing"] == 1
+
+
+def test_the_mean_over_time_counts_what_it_leaves_out() -> None:
+    found = measured("mean", [1.0, None, 3.0, math.nan, math.inf])
+    assert (found["mean"], found["missing"], found["infinite"]) == (2.0, 2, 1)
+
+
+def test_the_time_to_a_threshold_is_the_first_time_that_it_is_reached() -> None:
+    assert measured("time_to", [0.0, 1.0, 5.0, 2.0, 7.0], 5.0)["mean"] == 2.0
+
+
+@pytest.mark.parametrize("gap", [None, math.nan])
+def test_a_missing_value_reaches_no_threshold(gap: float | None) -> None:
+    assert measured("time_to", [0.0, gap, 5.0], 5.0)["mean"] == 2.0
+
+
+def test_runs_that_never_reach_a_threshold_are_counted_and_not_averaged() -> None:
+    frame = Memory((0, run, float(t), float(t * run)) for run in range(4) for t in range(10))
+    found = analysis.by_experiment(frame, "time_to", ["mean"], analysis.coverage(frame), 9.0)[0].to_pylist()[0]
+    assert (found["n"], found["never"], found["missing"]) == (3, 1, 0)
+    assert found["mean"] == pytest.approx((9 + 5 + 3) / 3, rel=1e-12)
+
+
+def test_a_run_of_which_all_is_missing_is_missing_and_not_late() -> None:
+    found = measured("time_to", [None, math.nan], 1.0)
+    assert (found["n"], found["never"], found["missing"]) == (0, 0, 2)
+
+
+RAGGED = [(0, 0, 0.0, 0.0), (0, 0, 2.0, 4.0), (0, 0, 4.0, 0.0), (0, 1, 1.0, 10.0), (0, 1, 2.5, 13.0)]
+
+
+@pytest.mark.parametrize(
+    ("linear", "first", "second"),
+    [
+        (False, [0.0, 0.0, 4.0, 4.0, 0.0], [None, 10.0, 10.0, None, None]),
+        (True, [0.0, 2.0, 4.0, 2.0, 0.0], [None, 10.0, 12.0, None, None]),
+    ],
+)
+def test_runs_meet_on_a_common_time_axis_and_none_goes_beyond_its_end(
+    linear: bool, first: list[float], second: list[float | None]
+) -> None:
+    for run, expected in ((0, first), (1, second)):
+        frame = Memory(row for row in RAGGED if row[1] == run)
+        grid = [0.0, 1.0, 2.0, 3.0, 4.0]
+        table, _ = analysis.resampled(frame, grid, ["mean"], analysis.coverage(frame), linear=linear)
+        found = dict(zip(table["t"].to_pylist(), table["mean"].to_pylist(), strict=True))
+        assert [found.get(t) for t in grid] == expected
+
+
+def test_resampling_does_not_fill_what_is_missing() -> None:
+    frame = Memory([(0, 0, 0.0, 1.0), (0, 0, 1.0, None), (0, 0, 2.0, 3.0)])
+    for linear in (False, True):
+        table, _ = analysis.resampled(frame, [0.0, 1.5, 2.0], ["mean"], analysis.coverage(frame), linear=linear)
+        assert table["mean"].to_pylist() == [1.0, None, 3.0]
+        assert table["missing"].to_pylist() == [0, 1, 0]
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.lists(st.tuples(st.integers(0, 1000), NUMBERS), min_size=2, max_size=20, unique_by=lambda p: p[0]), st.data())
+def test_linear_interpolation_is_that_of_numpy(points: list[tuple[int, float]], data: st.DataObject) -> None:
+    points.sort()
+    t, v = np.array(points, dtype=float).T
+    grid = sorted(data.draw(st.sets(st.floats(t[0], t[-1]), min_size=1, max_size=10)))
+    frame = Memory((0, 0, a, b) for a, b in zip(t.tolist(), v.tolist(), strict=True))
+    table, _ = analysis.resampled(frame, grid, ["mean"], analysis.coverage(frame), linear=True)
+    assert table["mean"].to_pylist() == pytest.approx(np.interp(grid, t, v).tolist(), rel=1e-9, abs=1e-6)
+
+
+def test_a_figure_of_runs_with_different_times_says_that_they_were_resampled() -> None:
+    frame = Memory((0, run, t + run / 10, float(t)) for run in range(8) for t in range(20))
+    computed = analysis.compute(figure(), AXIS, {"energy": frame})
+    assert "carried forward to 20 common ones" in computed.note
+    assert max(computed.tables["energy"]["n"].to_pylist()) == 8
+
+
+def test_a_run_that_ended_early_is_no_reason_to_resample() -> None:
+    frame = Memory((0, run, float(t), 1.0) for run in range(8) for t in range(20 if run else 5))
+    computed = analysis.compute(figure(), AXIS, {"energy": frame})
+    assert computed.note == "mean, 95 % CI, n = 7–8"
+
+
+def test_the_note_says_all_that_is_not_in_the_numbers() -> None:
+    frame = Memory([(0, 0, 0.0, 1.0), (0, 1, 0.0, None), (0, 2, 0.0, math.inf), (0, 3, math.nan, 5.0), (1, 0, 0.0, 2.0)])
+    note = analysis.compute(figure("summary"), AXIS, {"energy": frame}, planned={0: 5, 1: 4}).note
+    assert note == (
+        "mean, no interval, n = 1; 4 of 9 runs absent; 1 missing value left out; 1 infinite value left out;"
+        " 1 row without a time left out"
+    )
+
+
+def test_several_rows_of_a_run_at_one_time_are_no_sample() -> None:
+    frame = Memory((0, run, float(t), 1.0) for run in range(3) for t in range(5) for _ in range(2))
+    with pytest.raises(UsageError, match="3 runs with more than one row at the same time"):
+        analysis.coverage(frame)
+
+
+def test_nothing_recorded_is_an_error_of_one_line() -> None:
+    with pytest.raises(SierraError, match="no run has written any row"):
+        analysis.compute(figure(), AXIS, {"energy": Memory([])})
+    with pytest.raises(SierraError, match="no finite value in energy"):
+        analysis.compute(figure(), AXIS, {"energy": Memory([(0, 0, 0.0, None)])})
+
+
+def test_a_heatmap_of_one_variable_is_refused() -> None:
+    with pytest.raises(UsageError, match="two independent variables, this batch has 1"):
+        analysis.compute(figure("heatmap"), AXIS, {"energy": Memory([(0, 0, 0.0, 1.0)])})
+
+
+@pytest.mark.parametrize(
+    ("axes", "series", "expected"),
+    [(1, True, ["timeseries", "summary"]), (1, False, ["summary"]), (2, True, ["timeseries", "heatmap"])],
+)
+def test_without_any_declared_each_column_gets_the_figures_that_suit_the_batch(
+    axes: int, series: bool, expected: list[str]
+) -> None:
+    found = analysis.default_figures("robots", ["energy"], AXIS * axes, series=series)
+    assert [f.kind for f in found.values()] == expected
+    assert list(found) == [f"robots_energy_{kind}" for kind in expected]
+
+
+@pytest.mark.parametrize("kind", ["timeseries", "summary", "box", "violin", "stacked"])
+@pytest.mark.parametrize("center", ["mean", "median", "iqm"])
+def test_each_kind_of_figure_has_what_it_needs(kind: str, center: str) -> None:
+    frame = Memory((e, run, float(t), float(t + run)) for e in range(2) for run in range(6) for t in range(4))
+    computed = analysis.compute(figure(kind, center=center), AXIS, {"energy": frame})
+    assert computed.tables["energy"].num_rows == (8 if kind in ("timeseries", "stacked") else 2)
+    assert (computed.runs is not None) == (kind in ("box", "violin"))
+    assert "FROM samples" in computed.sql
+
+
+def test_every_sql_file_is_used_and_begins_with_its_formula() -> None:
+    files = sorted(path.relative_to(analysis.HERE).as_posix() for path in analysis.HERE.rglob("*.sql"))
+    known = {f"statistics/{name}.sql" for name in analysis.STATISTICS} | {
+        f"measures/{m}.sql" for m in ("final", "mean", "time_to")
+    }
+    assert set(files) == known | {"by_time.sql", "by_experiment.sql", "coverage.sql", "resample.sql"}
+    for path in analysis.HERE.rglob("*.sql"):
+        text = path.read_text(encoding="utf-8")
+        assert text.startswith("-- ")
+        assert path.stem.startswith(("by_", "coverage")) or re.match(r"-- .*([=:∓]|the)", text)
+
+
+def test_the_statements_name_their_values_as_parameters() -> None:
+    frame = Memory((0, run, 0.0, float(run)) for run in range(3))
+    _, text = analysis.by_experiment(frame, "time_to", ["interval"], analysis.coverage(frame), 1.5)
+    assert "-- $threshold: 1.5\n" in text
+    assert "1.5" not in re.sub(r"--[^\n]*", "", text)
+
+
+@settings(max_examples=300, deadline=None)
+@given(
+    st.one_of(st.floats(1e-12, 0.4), st.floats(0.6, 1 - 1e-9)),
+    st.one_of(st.integers(1, 100), st.integers(1, 10**6), st.floats(1, 1e6)),
+)
+def test_student_quantiles_are_those_of_scipy(p: float, df: float) -> None:
+    expected = scipy.stats.t.ppf(p, df) if p < 0.5 else scipy.stats.t.isf(1 - p, df)
+    assert student_t.quantile(p, df) == pytest.approx(expected, rel=1e-10)
+
+
+def test_student_quantiles_of_papers_are_those_of_the_printed_table() -> None:
+    printed = {1: 12.706, 2: 4.303, 4: 2.776, 9: 2.262, 29: 2.045, 120: 1.980}
+    assert {df: round(student_t.quantile(0.975, df), 3) for df in printed} == printed
+
+
+@given(st.floats(0.4, 0.6), st.integers(1, 10**6))
+def test_student_quantiles_near_the_median_go_to_zero(p: float, df: int) -> None:
+    assert student_t.quantile(p, df) == pytest.approx(scipy.stats.t.ppf(p, df), rel=1e-9, abs=1e-12)
+
+
+@pytest.mark.parametrize(("p", "df"), [(0.0, 1), (1.0, 1), (math.nan, 1), (0.5, 0), (0.9, math.nan)])
+def test_no_quantile_where_there_is_none(p: float, df: float) -> None:
+    with pytest.raises(ValueError, match="no Student-t quantile"):
+        student_t.quantile(p, df)
