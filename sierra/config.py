@@ -199,7 +199,8 @@ class Output(Table):
     required: bool = Field(True, description="whether a run without it has failed")
     min_rows: int = Field(0, ge=0, description="a run with fewer has failed")
     mismatch: Literal["strict", "ragged"] = Field(
-        "strict", description="other row counts than its siblings: fail the run, or keep it and report n per tick"
+        "strict",
+        description="other row counts (in a CSV, other columns too) than its siblings: fail the run, or keep it and report n",
     )
     units: Mapping[str, str] = Field(default_factory=dict, description="the unit of each column")
 

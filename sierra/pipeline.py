@@ -214,33 +214,36 @@ def is_answered(plan: Plan, store: Store) -> bool:
 
 def states(plan: Plan, asked: Store | Question | None) -> dict[str, State]:
     """What the store has of each run of the batch."""
-    runs = {run.id: State(False, "new") for run in plan.batch.runs}
+    runs = dict.fromkeys((run.id for run in plan.batch.runs), State(False, "new"))
     if asked is None:
         return runs
     import pyarrow as pa
 
+    seen: dict[tuple[Any, ...], State] = {}
     with asked.ask() if isinstance(asked, Store) else contextlib.nullcontext(asked) as question:
         question.register("asked", pa.table({"run": list(runs)}))
         question.views.make(("executions",))
-        rows = question.run(
-            "SELECT run, bool_or(ok AND programs = $programs AND reading = $reading), bool_or(ok AND reading = $reading), "
-            "bool_or(ok), arg_max(reason, ended), count(*) "
-            "FROM (SELECT *, status = 'ok' AS ok FROM executions) e JOIN asked USING (run) "
-            "WHERE purpose = 'run' GROUP BY run",
-            {"programs": plan.programs.id, "reading": _context(plan, "").reading},
-        )
-    for run, good, same_reading, ever, reason, executions in rows:
-        why = (
-            "reused"
-            if good
-            else "executed with other programs"
-            if same_reading
-            else "[outputs] or [success] have changed"
-            if ever
-            else f"failed: {reason}"
-        )
-        runs[run] = State(good, why, executions)
+        parameters = {"programs": plan.programs.id, "reading": _context(plan, "").reading}
+        for run, *found in question.each(STATES, parameters):
+            key = tuple(found)
+            runs[run] = seen.get(key) or seen.setdefault(key, _state(*found))
     return runs
+
+
+STATES = """
+SELECT run, bool_or(ok AND programs = $programs AND reading = $reading), bool_or(ok AND reading = $reading),
+       bool_or(ok), arg_max(reason, ended), count(*)
+FROM (SELECT *, status = 'ok' AS ok FROM executions) e JOIN asked USING (run)
+WHERE purpose = 'run' GROUP BY run
+"""
+
+
+def _state(good: bool, same_reading: bool, ever: bool, reason: str | None, executions: int) -> State:
+    if good:
+        return State(True, "reused", executions)
+    if same_reading:
+        return State(False, "executed with other programs", executions)
+    return State(False, "[outputs] or [success] have changed" if ever else f"failed: {reason}", executions)
 
 
 def keep(plan: Plan, store: Store, session: SessionPaths) -> None:
@@ -315,7 +318,7 @@ def _recover(store: Store, paths: SessionPaths) -> int:
     for result in missing:
         recorder.add(result)
     recorder.flush()
-    find_odd(store, paths, context.batch, context.outputs)
+    find_odd(store, paths, context)
     return len(missing)
 
 
@@ -369,7 +372,7 @@ class _Asking:
             try:
                 runner.submit(self._jobs(wanted), self.session.paths)
                 self._follow(runner, recorder, signals)
-                find_odd(self.store, self.session.paths, self.plan.batch.id, self._context.outputs)
+                find_odd(self.store, self.session.paths, self._context)
             except BaseException:
                 self._give_up(runner)
                 raise

@@ -40,7 +40,7 @@ LOG_SHOWN = 2000
 AUTOMATIC = {".csv": "csv", ".tsv": "csv", ".parquet": "parquet", ".jsonl": "jsonl", ".ndjson": "jsonl"}
 AUTOMATIC_AT_MOST = 20
 """Undeclared tables of one run; beyond, its undeclared files are kept as files."""
-PENDING_RUNS = 10_000
+PENDING_RUNS = 4_000
 PENDING_BYTES = 256 << 20
 SOON_S, LATE_S = 2.0, 600.0
 
@@ -147,6 +147,7 @@ class Recorder:
         self._bytes = 0
         self._began = self._flushed = time.monotonic()
         self._shapes: dict[str, Shape] = {}
+        self._heads: dict[str, list[str]] = {}
 
     def add(self, result: Result) -> Status:
         """Take one result; how it is judged so far. One that was interrupted is not kept."""
@@ -183,7 +184,7 @@ class Recorder:
 
     def _write(self, writer: Writer, pending: Sequence[_Judged]) -> list[_Judged]:
         tables, readings, faults = self._tables(writer, pending)
-        judged = [self._judge_again(one, readings, faults) for one in pending]
+        judged = [self._judge_again(one, tables, readings, faults) for one in pending]
         objects = Objects(writer.path("objects"))
         artifacts: list[dict[str, Any]] = []
         for one in judged:
@@ -207,9 +208,10 @@ class Recorder:
         for one in pending:
             if one.status is Status.OK:
                 for name, shape, file in self._assigned(one.result):
-                    belongs[one.result.execution, file.path] = name
-                    shapes.setdefault(name, shape)
-                    files.setdefault(name, []).append(_written(one.result, file))
+                    part = self._part(name, shape, file)
+                    belongs[one.result.execution, file.path] = part
+                    shapes.setdefault(part, shape)
+                    files.setdefault(part, []).append(_written(one.result, file))
         readings: dict[str, Reading] = {}
         faults: dict[str, str] = {}
         if files:
@@ -225,6 +227,17 @@ class Recorder:
             finally:
                 connection.close()
         return belongs, readings, faults
+
+    def _part(self, name: str, shape: Shape, file: OutputFile) -> str:
+        """Which file of a segment a table's rows go to: where columns may differ, one for each set of columns."""
+        declared = self._context.outputs.get(name)
+        if declared is None or declared.mismatch == "strict" or shape.format != "csv" or not shape.header:
+            return name
+        heads = self._heads.setdefault(name, [])
+        if file.head not in heads:
+            heads.append(file.head)
+        place = heads.index(file.head) + 1
+        return name if place == 1 else f"{name}~{place}"
 
     def _assigned(self, result: Result) -> Iterator[tuple[str, Shape, OutputFile]]:
         """The files of one execution that become tables: the declared ones, then what ends like a table."""
@@ -250,6 +263,7 @@ class Recorder:
     def _judge_again(
         self,
         one: _Judged,
+        tables: Mapping[tuple[str, str], str],
         readings: Mapping[str, Reading],
         faults: Mapping[str, str],
     ) -> _Judged:
@@ -257,13 +271,13 @@ class Recorder:
         execution = one.result.execution
         if execution in faults:
             return _Judged(one.result, Status.MISMATCH, faults[execution])
-        for name, output in self._context.outputs.items():
-            if one.status is Status.OK and output.min_rows and name in readings:
-                for file in one.result.outputs:
-                    count = readings[name].rows.get((execution, file.path))
-                    if count is not None and count < output.min_rows:
-                        reason = f"{file.path}: {count} rows; [outputs.{name}] min_rows asks for {output.min_rows}"
-                        return _Judged(one.result, Status.FAILED, reason)
+        for file in one.result.outputs if one.status is Status.OK else ():
+            part = tables.get((execution, file.path), "")
+            output = self._context.outputs.get(_table_of(part))
+            count = readings[part].rows.get((execution, file.path)) if part else None
+            if output and count is not None and count < output.min_rows:
+                reason = f"{file.path}: {count} rows; [outputs.{_table_of(part)}] min_rows asks for {output.min_rows}"
+                return _Judged(one.result, Status.FAILED, reason)
         return one
 
     # ------------------------------------------------------------ records
@@ -287,7 +301,7 @@ class Recorder:
                 **mine,
                 "path": shown(file.path),
                 "kind": "file" if count is None else "table",
-                "output": table,
+                "output": _table_of(table) if table else None,
                 "size": file.bytes,
                 "sha256": file.sha256,
                 "rows": count,
@@ -326,27 +340,32 @@ class Recorder:
         }
 
 
+def _table_of(part: str) -> str:
+    """The table whose rows a file of a segment holds."""
+    return part.partition("~")[0]
+
+
 def result_hash(outputs: Iterable[OutputFile]) -> str:
     """The Merkle hash of an execution's outputs: their names and digests, in the order of the names."""
     return merkle("result", (f"{file.sha256} {shown(file.path)}" for file in sorted(outputs, key=lambda file: file.path)))
 
 
-def find_odd(store: Store, session: SessionPaths, batch: str, outputs: Mapping[str, Output]) -> int:
+def find_odd(store: Store, session: SessionPaths, context: Context) -> int:
     """Find executions whose tables are not like their siblings', and record that; how many.
 
-    Siblings are the good executions of one experiment, whenever they were recorded. What most of them have is right
-    (of two that as many have, the more). Row counts of an output with `mismatch = "ragged"` may differ, and one that is
-    not required may be absent.
+    Siblings are the good executions of one experiment with the same programs, whenever they were recorded. What most
+    of them have is right (of two that as many have, the more). Row counts and columns of an output with
+    `mismatch = "ragged"` may differ, and one that is not required may be absent.
     """
     tables: dict[tuple[int, str], list[dict[str, Any]]] = {}
-    for row in store.rows(ODD, batch=batch):
+    for row in store.rows(ODD, batch=context.batch, programs=context.programs):
         tables.setdefault((row["ordinal"], row["output"]), []).append(row)
     found: dict[str, dict[str, Any]] = {}
     for (_, name), siblings in sorted(tables.items()):
-        for execution, reason in _odd(siblings, name, outputs.get(name)):
+        for execution, reason in _odd(siblings, name, context.outputs.get(name)):
             now = datetime.now(UTC)
             found.setdefault(execution, {"execution": execution, "found": now, "status": "mismatch", "reason": reason})
-    writer = store.writer(session.segment, batch)
+    writer = store.writer(session.segment, context.batch)
     writer.rows("findings", found.values())
     store.publish(writer)
     return len(found)
@@ -357,6 +376,7 @@ def _odd(siblings: Sequence[Mapping[str, Any]], name: str, declared: Output | No
     having = [row for row in siblings if row["rows"] is not None]
     lacking = [row for row in siblings if row["rows"] is None]
     count = len(siblings)
+    ragged = declared is not None and declared.mismatch == "ragged"
     if declared is None or declared.required:
         if len(having) < len(lacking):
             for row in having:
@@ -368,9 +388,9 @@ def _odd(siblings: Sequence[Mapping[str, Any]], name: str, declared: Output | No
     likely = json.loads(max(forms, key=lambda form: (forms[form], *_fullness(json.loads(form)))))
     for row in having:
         for form in row["forms"]:
-            if reason := _unlike(json.loads(form), likely):
+            if reason := _unlike(json.loads(form), likely, ragged=ragged):
                 yield row["execution"], f"table {name!r} {reason}"
-    if declared is None or declared.mismatch == "strict":
+    if not ragged:
         rows = Counter(row["rows"] for row in having)
         most = max(rows, key=lambda number: (rows[number], number))
         allow = f'(if that may be so: mismatch = "ragged" in [outputs.{name}])'
@@ -384,15 +404,15 @@ def _fullness(form: Mapping[str, Any]) -> tuple[bool, int, int]:
     return form["ended"], len(form["columns"]), list(form["columns"].values()).count("number")
 
 
-def _unlike(form: Mapping[str, Any], likely: Mapping[str, Any]) -> str | None:
+def _unlike(form: Mapping[str, Any], likely: Mapping[str, Any], *, ragged: bool) -> str | None:
     """What makes a table unlike its siblings', beside its rows."""
     if form["file"] != likely["file"]:
         return f"comes from {form['file']!r} where its siblings' come from {likely['file']!r}"
     columns, others = form["columns"], likely["columns"]
-    if columns.keys() != others.keys() and form["columns"]:
+    if columns.keys() != others.keys() and columns and not ragged:
         return difference(tuple(columns), tuple(others))
     for name, kind in columns.items():
-        if kind == "text" and others[name] == "number":
+        if kind == "text" and others.get(name) == "number":
             return f"has text in the column {name!r} where its siblings have numbers"
     if likely["ended"] and not form["ended"]:
         return "is cut short: its last line has no line feed at its end"
@@ -403,7 +423,7 @@ ODD = """
 WITH good AS (
     SELECT m.ordinal, e.run, arg_max(e.execution, e.ended) AS execution
     FROM (SELECT DISTINCT ordinal, run FROM members WHERE batch = $batch) m
-    JOIN executions e ON e.run = m.run AND e.status = 'ok' AND e.purpose = 'run'
+    JOIN executions e ON e.run = m.run AND e.status = 'ok' AND e.purpose = 'run' AND e.programs = $programs
     GROUP BY ALL
 ),
 tables AS (

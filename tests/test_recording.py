@@ -453,3 +453,38 @@ def table(
         rows = found.fetchall()
         head = [tuple(name for name, *_ in found.description or ())] if names else []
         return reading, [*head, *rows]
+
+
+COLUMNS_BY_N = """
+names = ["tick", "v", *(f"x{robot}" for robot in range(n))]
+write("".join(",".join(row) + "\\n" for row in [names, *([str(t)] * len(names) for t in range(3))]))
+"""
+
+
+def test_other_columns_than_the_siblings_fail_a_run(make: Make) -> None:
+    summary = make(COLUMNS_BY_N).run("n=1,3", figures=False)
+    assert summary.failed == 4
+    assert "x1" in summary.failures[0].reason
+
+
+def test_where_columns_may_differ_each_run_keeps_its_own(make: Make) -> None:
+    project = make(COLUMNS_BY_N, '[outputs.out]\nfile = "out.csv"\nmismatch = "ragged"\n')
+    assert project.run("n=1,3", figures=False).failed == 0
+    rows = project.sql("SELECT n, count(*) AS rows, count(x0) AS x0, count(x2) AS x2 FROM out GROUP BY ALL ORDER BY n")
+    assert rows.to_pylist() == [{"n": 1, "rows": 12, "x0": 12, "x2": 0}, {"n": 3, "rows": 12, "x0": 12, "x2": 12}]
+
+
+def test_where_columns_may_differ_they_are_added_run_by_run(make: Make) -> None:
+    project = make(COLUMNS_BY_N, '[outputs.out]\nfile = "out.csv"\nmismatch = "ragged"\n')
+    for n in (3, 1, 2):
+        assert project.run(f"n={n}", figures=False).failed == 0
+    rows = project.sql("SELECT n, count(x1) AS x1 FROM out GROUP BY ALL ORDER BY n").to_pylist()
+    assert rows == [{"n": 1, "x1": 0}, {"n": 2, "x1": 12}, {"n": 3, "x1": 12}]
+
+
+def test_columns_may_differ_among_siblings_too(make: Make) -> None:
+    by_seed = COLUMNS_BY_N.replace("range(n)", "range(1 + seed % 3)")
+    project = make(by_seed, '[outputs.out]\nfile = "out.csv"\nmismatch = "ragged"\n')
+    assert project.run("n=1,3", runs=6, figures=False).failed == 0
+    [row] = project.sql("SELECT count(x0) > count(x2) AS fewer, count(DISTINCT run) AS runs FROM out").to_pylist()
+    assert row == {"fewer": True, "runs": 12}

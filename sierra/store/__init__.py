@@ -10,14 +10,14 @@ from __future__ import annotations
 import re
 import secrets
 import tempfile
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sierra.errors import Damaged, Missing, NotFound, SqlError
-from sierra.paths import StorePaths
-from sierra.store.segments import OUTPUT, Segment, Writer, disk_errors, listed
+from sierra.paths import StorePaths, write_whole
+from sierra.store.segments import Segment, Writer, disk_errors, listed
 from sierra.store.views import Views, outputs, read_parquet, tables_of
 
 if TYPE_CHECKING:
@@ -64,9 +64,7 @@ class Store:
                 paths.work.mkdir(exist_ok=True)
                 paths.gitignore.write_text("*\n")
                 paths.cachedir_tag.write_text(CACHEDIR)
-                with tempfile.NamedTemporaryFile("w", dir=root, delete=False) as file:
-                    file.write(FORMAT)
-                Path(file.name).replace(paths.format)
+                write_whole(paths.format, FORMAT.encode())
         return cls(root)
 
     def segments(self, batches: Iterable[str] | None = None) -> list[Segment]:
@@ -193,6 +191,12 @@ class Question:
         if statements[0].type != duckdb.StatementType.SELECT:
             raise SqlError(f"the store is only read here; {statements[0].type.name} is not a question")
 
+    def each(self, statement: str, parameters: Mapping[str, Any]) -> Iterator[tuple[Any, ...]]:
+        """The rows of a statement of SIERRA's own, of which there may be many, a few thousand in memory at a time."""
+        answer = self.connection.execute(statement, parameters)
+        while rows := answer.fetchmany(4096):
+            yield from rows
+
     def register(self, name: str, table: Any) -> None:
         """Make an Arrow table known to this connection by a name."""
         self.connection.register(name, table)
@@ -226,4 +230,4 @@ def explain(error: Exception) -> str:
     return " ".join(kept)[:400]
 
 
-__all__ = ["OUTPUT", "Found", "Question", "Store", "connect", "read_parquet"]
+__all__ = ["Found", "Question", "Store", "connect", "read_parquet"]

@@ -14,7 +14,6 @@ from sierra.errors import NotFound, SqlError
 from sierra.model import Axis, Value
 from sierra.store import Question, Store, explain, read_parquet
 from sierra.store.reading import identifier
-from sierra.store.segments import OUTPUT
 from sierra.store.tables import RECORDED
 
 if TYPE_CHECKING:
@@ -79,9 +78,8 @@ class Frame:
         files: dict[str, list[str]] = {}
         for segment in segments:
             if segment.files["executions"] in holding:
-                for name, path in segment.files.items():
-                    if name.startswith(OUTPUT):
-                        files.setdefault(name.removeprefix(OUTPUT), []).append(path)
+                for name, path in segment.outputs():
+                    files.setdefault(name, []).append(path)
         return files
 
     def axes(self) -> tuple[Axis, ...]:

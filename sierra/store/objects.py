@@ -1,7 +1,7 @@
 """Files by the hash of their content, many to a Parquet file, large ones in parts.
 
 A file of any size is written with bounded memory: rows of at most 8 MiB, gathered to row groups of at most
-32 MiB. What is the same is kept once in a segment.
+32 MiB and 8192 rows. What is the same is kept once in a segment.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from sierra.store.tables import arrow_schema
 
 PART = 8 << 20
 GROUP = 32 << 20
+ROWS = 8192
 
 
 class Objects:
@@ -46,7 +47,7 @@ class Objects:
         for number, part in enumerate(parts):
             self._rows.append((digest, number, size, part))
             self._held += len(part)
-            if self._held >= GROUP:
+            if self._held >= GROUP or len(self._rows) >= ROWS:
                 self._flush()
 
     def _flush(self) -> None:

@@ -3,7 +3,8 @@
     segments/<batch, 12 digits>-<16 digits>/
         MANIFEST                      SHA-256 and name of each file, as `sha256sum -c` reads it
         executions.parquet …          records, a file for each table
-        output.<table>.parquet …      what the runs wrote, a file for each output
+        output.<table>.parquet …      what the runs wrote, a file for each output; where runs may have other
+                                      columns, output.<table>~2.parquet … for those who have
 
 The last 16 digits are the beginning of the SHA-256 of MANIFEST, so that a segment's name vouches for all in
 it. A segment is written beside its target, synced and renamed; a name that exists holds the same content.
@@ -35,6 +36,12 @@ class Segment:
 
     batch: str
     files: Mapping[str, str]
+
+    def outputs(self) -> Iterator[tuple[str, str]]:
+        """What the runs wrote: the table's name and the file, of each file."""
+        for name, path in self.files.items():
+            if name.startswith(OUTPUT):
+                yield name.removeprefix(OUTPUT).partition("~")[0], path
 
 
 def listed(folder: Path) -> Iterator[Segment]:

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 from sierra.store.reading import column_names, identifier, quote
-from sierra.store.segments import OUTPUT, Segment
+from sierra.store.segments import Segment
 from sierra.store.tables import RECORDED
 
 NEEDS = {
@@ -20,6 +20,7 @@ ONCE = {
     "recipes": ("recipe",),
     "environments": ("environment",),
     "sources": ("source",),
+    "programs": ("programs", "name", "path"),
     "findings": ("execution",),
 }
 """Records that two writers may both have made: what makes them the same."""
@@ -29,7 +30,7 @@ FIRST = {"batches": "created", "findings": "found"}
 
 def outputs(segments: Iterable[Segment]) -> list[str]:
     """The names of the tables that runs wrote."""
-    return sorted({name.removeprefix(OUTPUT) for s in segments for name in s.files if name.startswith(OUTPUT)})
+    return sorted({name for segment in segments for name, _ in segment.outputs()})
 
 
 class Views:
@@ -38,11 +39,13 @@ class Views:
     def __init__(self, connection: Any, segments: Sequence[Segment]) -> None:
         self._sql = connection
         self._files: dict[str, list[str]] = {}
+        self._outputs: dict[str, list[str]] = {}
         for segment in segments:
             for name, path in segment.files.items():
                 self._files.setdefault(name, []).append(path)
+            for name, path in segment.outputs():
+                self._outputs.setdefault(name, []).append(path)
         self._made: set[str] = set()
-        self._outputs = set(outputs(segments))
 
     def make(self, names: Iterable[str] | None = None) -> None:
         """Views of these tables and of what they need; of all where no names are given."""
@@ -113,7 +116,7 @@ class Views:
 
     def _output(self, name: str) -> str:
         self._make("runs")
-        source = read_parquet(self._files[OUTPUT + name], union=True)
+        source = read_parquet(self._outputs[name], union=True)
         axes = self.axes()
         theirs = [row[0] for row in self._sql.execute(f"DESCRIBE SELECT * FROM {source}").fetchall()]
         free = column_names(theirs, taken=axes)
