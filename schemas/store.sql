@@ -6,6 +6,7 @@ CREATE TABLE batches (
     "axes" VARCHAR[],  -- names of the independent variables, in order
     "controller" VARCHAR,  -- the controller, where one was named
     "scenario" VARCHAR,  -- the scenario, where one was named
+    "sets" VARCHAR[],  -- what was set for all runs beside, each as XPATH=VALUE
     "platform" VARCHAR,  -- how the simulator is driven
     "experiments" BIGINT,  -- experiments in it [1]
     "runs" BIGINT,  -- runs in it, all experiments together [1]
@@ -108,7 +109,10 @@ CREATE TABLE sessions (
     "interrupted" BOOLEAN,  -- whether the user ended it
     "sierra" VARCHAR,  -- SIERRA's version
     "environment" VARCHAR,  -- what was around it
-    "source" VARCHAR  -- the source's full state
+    "source" VARCHAR,  -- the source's full state
+    "programs" VARCHAR,  -- fingerprint of the programs that its runs are, or would have been, executed with
+    "reading" VARCHAR,  -- hash of what the project declares of outputs and success, as in executions
+    "rules" VARCHAR  -- hash of the same and of what may differ between siblings
 );
 
 -- What was around executions, recorded once.
@@ -161,7 +165,22 @@ CREATE TABLE runs (
     "number" BIGINT,  -- its number in its experiment, from 0 (the least, where it belongs to several)
     "input" VARCHAR,  -- SHA-256 of its first input file; the file itself is in objects
     "recipe" VARCHAR,  -- what it has in common with other runs
-    "status" VARCHAR,  -- ok where one execution is; else that of the last; missing where there is none
-    "execution" VARCHAR,  -- the execution that counts: the last that is ok
+    "status" VARCHAR,  -- ok where an execution counts; else that of the last (stale if ok), missing if there is none
+    "execution" VARCHAR,  -- the execution that counts for the batch last asked for
     "executions" BIGINT  -- how many times it was executed [1]
+);
+
+-- The execution that counts for a run in a batch: the last good one with the programs and by the rules of the batch's last asking. Statistics, figures and outputs see no other.
+CREATE TABLE counting (
+    "batch" VARCHAR,  -- the batch
+    "ordinal" BIGINT,  -- the experiment's place in the batch, from 0
+    "run" VARCHAR,  -- the run
+    "execution" VARCHAR,  -- the execution
+    "asked" TIMESTAMP WITH TIME ZONE  -- when the batch was last asked for
+);
+
+-- Where runs stand in the space of the independent variables, which are further columns; a run that belongs to experiments with different values of one variable has a row for each.
+CREATE TABLE points (
+    "run" VARCHAR,  -- the run
+    "number" BIGINT  -- its least number in its experiments, from 0
 );

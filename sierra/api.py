@@ -130,19 +130,36 @@ class Project:
         return listing.show(self.store, prefix)
 
     def figures(self, prefix: str | None = None, name: str | None = None) -> list[Path]:
-        """Draw a batch's figures again (all, or the one called `name`); the files. Default: the last batch."""
-        if prefix is None:
-            known = self.batches
-            if not known:
-                raise Missing("no batch is recorded yet; sierra run makes one")
-            batch = known[-1]["batch"]
-        else:
+        """Draw a batch's figures again (all, or the one called `name`); the files. Default: the batch last asked for."""
+        return self.draw(prefix, name)[0]
+
+    def draw(self, prefix: str | None = None, name: str | None = None) -> tuple[list[Path], list[str]]:
+        """As `figures`; and what could not be drawn, and why."""
+        return self._deliver(self._batch(prefix), name)
+
+    def statistics(
+        self, prefix: str, output: str, column: str, *, measure: str | None = "final", threshold: float | None = None
+    ) -> pa.Table:
+        """All statistics of a column over the runs of each experiment of a batch: n, mean, sd, interval, median, ….
+
+        Each run is reduced by `measure` (`final`, `mean`, or `time_to` a `threshold`) first; with `measure=None` there is
+        a row for each experiment and time instead. `experiment` is its place in the batch (see `experiments` in SQL).
+        """
+        from sierra import deliver
+
+        return deliver.statistics(self._loaded, self.store, self._batch(prefix), output, column, measure, threshold)
+
+    def _batch(self, prefix: str | None) -> str:
+        if prefix is not None:
             found = self.store.resolve(prefix)
-            if found.batch is None or found.kind != "batch":
-                raise NotFound(f"{prefix!r} is a {found.kind}; figures are of a batch")
-            batch = found.id
-        drawn, _ = self._deliver(batch, name)
-        return drawn
+            if found.kind != "batch":
+                raise NotFound(f"{prefix!r} is a {found.kind}; figures and statistics are of a batch")
+            return found.id
+        known = self.batches
+        if not known:
+            raise Missing("no batch is recorded yet; sierra run makes one")
+        batch: str = known[-1]["batch"]
+        return batch
 
     def _deliver(self, batch: str, name: str | None = None, *, again: bool = True) -> tuple[list[Path], list[str]]:
         from sierra import deliver

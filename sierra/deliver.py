@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -16,17 +16,19 @@ from typing import Any
 
 from sierra import analysis
 from sierra.config import Figure, LoadedProject
-from sierra.errors import Missing, NotFound, SierraError
+from sierra.errors import Missing, NotFound, SierraError, UsageError
 from sierra.figures import Drawing, draw
 from sierra.hashing import sha256, short
 from sierra.model import Axis
 from sierra.paths import ProjectPaths, write_whole
 from sierra.store import Store
 from sierra.store.frame import Frame, OutputTable
+from sierra.store.segments import disk_errors
 from sierra.version import __version__
 
 TIMES = ("clock", "time", "tick", "t", "step", "iteration", "generation", "seconds")
 """Names under which a first column is taken for the time axis, where the project does not say."""
+MEASURES = ("final", "mean", "time_to")
 AT_MOST = 16
 """Default figures of one batch; further columns are said, and drawn when they are asked for."""
 
@@ -57,6 +59,21 @@ def figures(
     return drawn, notes
 
 
+def statistics(
+    project: LoadedProject, store: Store, batch: str, output: str, column: str, measure: str | None, threshold: float | None
+) -> Any:
+    """All statistics of one column, as `sierra.api.Project.statistics` says. Raises NotFound, UsageError."""
+    with Frame(store, batch) as frame:
+        gallery = _Gallery(project, frame)
+        figure = Figure(table=output, column=(column,))
+        column_frame, seen = gallery.column(figure)
+        if measure is None:
+            return analysis.by_time(column_frame, analysis.STATISTICS, seen)[0]
+        if measure not in MEASURES:
+            raise UsageError(f"unknown measure {measure!r}; known are {', '.join(MEASURES)}, or None for each time")
+        return analysis.by_experiment(column_frame, measure, analysis.STATISTICS, seen, threshold)[0]
+
+
 class _Drawer:
     """Draws; without `again` a figure whose data and look are as they were, and whose files are there, is left alone."""
 
@@ -73,6 +90,10 @@ class _Drawer:
         """The figure's files, drawn now or before."""
         files = tuple(self._memory.parent / f"{drawing.name}.{ending}" for ending in drawing.formats)
         now = fingerprint(drawing)
+        if not self._memory.exists():
+            with disk_errors(self._memory.parent):
+                self._memory.parent.mkdir(parents=True, exist_ok=True)
+                write_whole(self._memory, b"{}")
         if self._again or self._drawn.get(drawing.name) != now or not all(file.is_file() for file in files):
             files = draw(drawing, self._memory.parent)
             self._drawn[drawing.name] = now
@@ -122,46 +143,52 @@ class _Gallery:
     def wanted(self, name: str | None) -> tuple[Mapping[str, Figure], list[str]]:
         """The figures to draw, by name, and what is to be said about them."""
         declared = self._config.figures
-        found = dict(declared) or self._default()
+        found, notes = (dict(declared), []) if declared else self._default()
         if name is not None:
-            everything = {**self._default(), **declared}
+            everything = {**self._default()[0], **declared}
             if name not in everything:
                 raise NotFound(f"no figure {name!r} of this batch; there is {', '.join(everything) or 'none'}")
             return {name: everything[name]}, []
         if not declared and len(found) > AT_MOST:
             left = list(found)[AT_MOST:]
             kept = {name: found[name] for name in list(found)[:AT_MOST]}
-            return kept, [f"{len(left)} more figures can be drawn, as in: sierra figures HASH {left[0]}"]
-        return found, []
+            return kept, [*notes, f"{len(left)} more figures can be drawn, as in: sierra figures HASH {left[0]}"]
+        return found, notes
 
-    def _default(self) -> dict[str, Figure]:
+    def _default(self) -> tuple[dict[str, Figure], list[str]]:
+        """A figure of each kind that fits, for each output; and which outputs have none, and why."""
         found: dict[str, Figure] = {}
+        notes = []
         for output in self._outputs.values():
             time = self.time(output)
             columns = [column for column in output.columns if column != time]
-            if self._drawable(output):
-                proposed = analysis.default_figures(output.name, columns, self._axes, series=output.rows > 1)
-                found |= {_file_name(name, found): figure for name, figure in proposed.items()}
-        return found
+            try:
+                self._coverage(output)
+            except SierraError as error:
+                notes.append(f"no figure of output {output.name!r}: {error}")
+                continue
+            proposed = analysis.default_figures(output.name, columns, self._axes, series=output.rows > 1)
+            found |= {_file_name(name, found): figure for name, figure in proposed.items()}
+        return found, notes
 
-    def _drawable(self, output: OutputTable) -> bool:
-        """Whether a run has one row at a time in it; poses of many robots, say, are no curve."""
-        if not output.columns:
-            return False
-        try:
-            self._coverage(output)
-        except SierraError:
-            return False
-        return True
+    def column(self, figure: Figure) -> tuple[_Column, analysis.Coverage]:
+        """The one column that a figure names, as statistics see it."""
+        output = self._output(figure)
+        (column,) = figure.columns
+        self._check(output, figure.columns)
+        return _Column(self._frame, output.name, column, self.time(output)), self._coverage(output)
+
+    def _check(self, output: OutputTable, columns: Sequence[str]) -> None:
+        for column in columns:
+            if column not in output.columns:
+                raise NotFound(f"output {output.name!r} has no numeric column {column!r}; it has {', '.join(output.columns)}")
 
     def drawing(self, name: str, figure: Figure) -> Drawing:
         """What a figure shows, computed."""
         output = self._output(figure)
         time = self.time(output)
         columns = figure.columns or tuple(column for column in output.columns if column != time)[:1]
-        for column in columns:
-            if column not in output.columns:
-                raise NotFound(f"output {output.name!r} has no numeric column {column!r}; it has {', '.join(output.columns)}")
+        self._check(output, columns)
         frames = {column: _Column(self._frame, output.name, column, time) for column in columns}
         computed = analysis.compute(figure, self._axes, frames, planned=self._planned, known=self._coverage(output))
         declared = self._config.outputs.get(output.name)
@@ -189,6 +216,8 @@ class _Gallery:
 
     def _coverage(self, output: OutputTable) -> analysis.Coverage:
         if output.name not in self._seen:
+            if not output.columns:
+                raise NotFound("it has no numeric column")
             time = self.time(output)
             column = next((c for c in output.columns if c != time), output.columns[0])
             self._seen[output.name] = analysis.coverage(_Column(self._frame, output.name, column, time))

@@ -21,9 +21,10 @@ ORDER BY coalesce(l.answered, b.created), b.batch
 
 COUNTS = """
 WITH members_of AS (SELECT DISTINCT batch, run FROM members WHERE list_contains($batches, batch)),
-good AS (SELECT run, bool_or(status = 'ok' AND purpose = 'run') AS ok FROM executions GROUP BY run)
-SELECT m.batch, count(*) FILTER (g.ok) AS good, count(*) FILTER (NOT g.ok) AS failed
-FROM members_of m LEFT JOIN good g USING (run) GROUP BY m.batch
+tried AS (SELECT run, arg_max(status, ended) AS last FROM executions WHERE purpose = 'run' GROUP BY run),
+good AS (SELECT DISTINCT batch, run, true AS good FROM counting WHERE list_contains($batches, batch))
+SELECT batch, count(good) AS good, count(*) FILTER (good IS NULL AND last <> 'ok') AS failed
+FROM members_of LEFT JOIN tried USING (run) LEFT JOIN good USING (batch, run) GROUP BY batch
 """
 
 
@@ -77,9 +78,12 @@ def _source(question: Question, batch: str, tree: str | None) -> dict[str, Any] 
 
 def _experiments(question: Question, batch: str) -> list[dict[str, Any]]:
     rows: list[dict[str, Any]] = question.sql(
-        "WITH good AS (SELECT run, bool_or(status = 'ok' AND purpose = 'run') AS ok FROM executions GROUP BY run), "
-        "counted AS (SELECT ordinal, count(*) AS runs, count(*) FILTER (g.ok) AS good, count(*) FILTER (NOT g.ok) AS failed "
-        "FROM (SELECT DISTINCT ordinal, run FROM members WHERE batch = $b) LEFT JOIN good g USING (run) GROUP BY ordinal) "
+        "WITH tried AS (SELECT run, arg_max(status, ended) AS last FROM executions WHERE purpose = 'run' GROUP BY run), "
+        "good AS (SELECT ordinal, run, true AS good FROM counting WHERE batch = $b), "
+        "counted AS (SELECT ordinal, count(*) AS runs, count(good) AS good, "
+        "count(*) FILTER (good IS NULL AND last <> 'ok') AS failed "
+        "FROM (SELECT DISTINCT ordinal, run FROM members WHERE batch = $b) "
+        "LEFT JOIN tried USING (run) LEFT JOIN good USING (ordinal, run) GROUP BY ordinal) "
         "SELECT x.* EXCLUDE (batch), c.runs, c.good, c.failed FROM experiments x JOIN counted c USING (ordinal) "
         "WHERE x.batch = $b ORDER BY ordinal",
         b=batch,
@@ -94,10 +98,13 @@ def _experiment(question: Question, found: Found) -> dict[str, Any]:
     row = _without_nulls(row)
     row["runs"] = question.sql(
         "SELECT m.number, m.run, m.seed, count(e.execution) AS executions, "
-        "coalesce(CASE WHEN bool_or(e.status = 'ok') THEN 'ok' ELSE arg_max(e.status, e.ended) END, 'missing') AS status, "
+        "CASE WHEN any_value(c.execution) IS NOT NULL THEN 'ok' "
+        "WHEN arg_max(e.status, e.ended) = 'ok' THEN 'stale' "
+        "ELSE coalesce(arg_max(e.status, e.ended), 'missing') END AS status, "
         "arg_max(e.reason, e.ended) AS reason "
         "FROM (SELECT DISTINCT number, run, seed FROM members WHERE batch = $b AND ordinal = $o) m "
-        "LEFT JOIN executions e USING (run) GROUP BY ALL ORDER BY m.number",
+        "LEFT JOIN executions e USING (run) LEFT JOIN counting c ON c.run = m.run AND c.batch = $b AND c.ordinal = $o "
+        "GROUP BY ALL ORDER BY m.number",
         b=found.batch,
         o=row["ordinal"],
     ).to_pylist()

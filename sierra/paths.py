@@ -19,6 +19,7 @@ CONFIG = "sierra.toml"
 PYPROJECT = "pyproject.toml"
 STORE = ".sierra"
 FIGURES = "figures"
+DRAWN = ".drawn.json"
 
 RUN_STDOUT = "stdout"
 RUN_STDERR = "stderr"
@@ -48,7 +49,7 @@ class ProjectPaths:
 
     def drawn(self, batch: str) -> Path:
         """What the figures of a batch were drawn from: their names, each with a hash."""
-        return self.figures / batch / ".drawn.json"
+        return self.figures / batch / DRAWN
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,6 +7,7 @@ left behind is in the store. Everything is idempotent: asking again executes onl
 from __future__ import annotations
 
 import contextlib
+import os
 import signal
 import threading
 import time
@@ -14,6 +15,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from pathlib import Path
 from typing import Any
 
 from sierra import engines, inputs, jobs, platforms, query, sessions
@@ -24,7 +26,7 @@ from sierra.errors import ConfigError, Missing, UsageError
 from sierra.expansion import Expansion
 from sierra.hashing import sha256
 from sierra.model import Batch, Design, Job, Limits, Query, Recipe, Result, Run, Set, Status
-from sierra.paths import CONFIG, FIGURES, PYPROJECT, STORE, ProjectPaths, SessionPaths
+from sierra.paths import CONFIG, DRAWN, FIGURES, PYPROJECT, STORE, ProjectPaths, SessionPaths
 from sierra.provenance import environment, programs, source
 from sierra.record import Context, Recorder, find_odd
 from sierra.runners import Runner, orphans
@@ -155,8 +157,9 @@ def plan(project: LoadedProject, asked: Query, *, engine: str = "none") -> Plan:
     contained = engines.find(engine)
     command = jobs.command(platform, root)
     variables = jobs.environment(platform, config)
-    own = (STORE, FIGURES, CONFIG, PYPROJECT if project.file.name == PYPROJECT else CONFIG, config.template)
+    own = (STORE, *_drawn(root), CONFIG, PYPROJECT if project.file.name == PYPROJECT else CONFIG, *_inside(config.template))
     code = source.capture(root, paths=config.source.paths, without=own)
+    unversioned = programs.beside((*command, *variables.values()), root, source.paths(code.manifest))
     recipe = Recipe(config.platform, command, variables, code.tree, contained.image())
     designed = design(asked, config, platform, template)
     expansion = Expansion(designed, template, platform, recipe)
@@ -167,13 +170,24 @@ def plan(project: LoadedProject, asked: Query, *, engine: str = "none") -> Plan:
         batch=expansion.batch(),
         expansion=expansion,
         source=code,
-        programs=programs.find(jobs.fill(command, root), jobs.search_path(variables), root),
+        programs=programs.find(jobs.fill(command, root), jobs.search_path(variables), root, unversioned),
         environment=environment.capture(__version__),
         engine=contained,
         limits=jobs.limits(config),
         template_sha256=template.sha256,
         notes=tuple(_doubts(designed, command)),
     )
+
+
+def _drawn(root: Path) -> list[str]:
+    """The folders that figures were drawn to; what else is in `figures` is the project's."""
+    return [f"{FIGURES}/{memory.parent.name}" for memory in ProjectPaths(root).figures.glob(f"*/{DRAWN}")]
+
+
+def _inside(template: str) -> list[str]:
+    """The template, where it lies in the project: it is hashed by what is made from it."""
+    path = os.path.normpath(template)
+    return [] if path.startswith((os.pardir, os.sep)) else [path]
 
 
 def _doubts(designed: Design, command: Sequence[str]) -> Iterator[str]:
@@ -196,7 +210,10 @@ def run(plan: Plan, store: Store, *, slots: int, fail_fast: bool = False, watch:
         return _summary(plan, store)
     session = Session(store.paths)
     try:
-        keep(plan, store, session.paths)
+        if is_kept(plan, store):
+            find_odd(store, session.paths, _context(plan, session.id))
+        else:
+            keep(plan, store, session.paths)
         asking = _Asking(plan, store, session, slots, fail_fast, watch)
         asking.answer()
         return _close(asking, began)
@@ -205,11 +222,13 @@ def run(plan: Plan, store: Store, *, slots: int, fail_fast: bool = False, watch:
 
 
 def is_answered(plan: Plan, store: Store) -> bool:
-    """Whether the batch is recorded, an asking of it too, and every run has a good execution: nothing is to do."""
+    """Whether the last asking of all was this one, by the same programs and rules, and every run is good: nothing is to do."""
+    context = _context(plan, "")
     with store.ask() as question:
         question.views.make(("sessions",))
-        asked = question.run("SELECT 1 FROM sessions WHERE batch = $b LIMIT 1", {"b": plan.batch.id})
-        return bool(asked) and all(state.good for state in states(plan, question).values())
+        last = question.run("SELECT arg_max(batch, ended), arg_max(programs, ended), arg_max(rules, ended) FROM sessions")
+        same = last == [(plan.batch.id, context.programs, context.rules)]
+        return same and all(state.good for state in states(plan, question).values())
 
 
 def states(plan: Plan, asked: Store | Question | None) -> dict[str, State]:
@@ -482,6 +501,7 @@ def _close(asking: _Asking, began: datetime) -> Summary:
         "sierra": plan.environment["sierra"],
         "environment": plan.environment["environment"],
         "source": plan.source.id,
+        **{name: getattr(_context(plan, ""), name) for name in ("programs", "reading", "rules")},
     }
     writer = store.writer(asking.session.paths.segment, plan.batch.id)
     writer.rows("sessions", [record])
@@ -578,6 +598,7 @@ def _batch_row(plan: Plan) -> dict[str, Any]:
         "axes": [axis.name for axis in plan.batch.axes],
         "controller": plan.query.controller or plan.project.config.controller,
         "scenario": plan.query.scenario or plan.project.config.scenario,
+        "sets": [f"{change.path}={change.value}" for change in plan.query.sets],
         "platform": plan.batch.recipe.platform,
         "experiments": len(plan.batch.experiments),
         "runs": len({run.id for run in plan.batch.runs}),

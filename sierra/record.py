@@ -48,7 +48,7 @@ STOPPED = {
     Status.TIMEOUT: "ran longer than its limit ([limits] wall)",
     Status.MEMORY: "took more memory than its limit ([limits] memory)",
     Status.CPU: "took more CPU time than its limit ([limits] cpu)",
-    Status.OUTPUT: "wrote more bytes than its limit ([limits] output)",
+    Status.OUTPUT: "wrote more bytes than its limit ([limits] output; standard output and error: 256 MiB each)",
     Status.INTERRUPTED: "was interrupted",
 }
 
@@ -68,7 +68,15 @@ class Context:
     @property
     def reading(self) -> str:
         """The hash of what decides whether an execution is good and what is kept of it."""
-        outputs = {name: output.model_dump(mode="json", exclude={"mismatch", "units"}) for name, output in self.outputs.items()}
+        return self._declared({"mismatch", "units", "time"})
+
+    @property
+    def rules(self) -> str:
+        """The hash of the same, and of what may differ between siblings."""
+        return self._declared({"units", "time"})
+
+    def _declared(self, without: set[str]) -> str:
+        outputs = {name: output.model_dump(mode="json", exclude=without) for name, output in self.outputs.items()}
         return digest("reading", {"outputs": outputs, "success": self.success.model_dump(mode="json")})
 
     def save(self, path: Path) -> None:
@@ -358,7 +366,7 @@ def find_odd(store: Store, session: SessionPaths, context: Context) -> int:
     `mismatch = "ragged"` may differ, and one that is not required may be absent.
     """
     tables: dict[tuple[int, str], list[dict[str, Any]]] = {}
-    for row in store.rows(ODD, batch=context.batch, programs=context.programs):
+    for row in store.rows(ODD, batch=context.batch, programs=context.programs, reading=context.reading):
         tables.setdefault((row["ordinal"], row["output"]), []).append(row)
     found: dict[str, dict[str, Any]] = {}
     for (_, name), siblings in sorted(tables.items()):
@@ -412,8 +420,8 @@ def _unlike(form: Mapping[str, Any], likely: Mapping[str, Any], *, ragged: bool)
     if columns.keys() != others.keys() and columns and not ragged:
         return difference(tuple(columns), tuple(others))
     for name, kind in columns.items():
-        if kind == "text" and others.get(name) == "number":
-            return f"has text in the column {name!r} where its siblings have numbers"
+        if kind not in ("number", others.get(name)) and others.get(name) == "number":
+            return f"has {kind} in the column {name!r} where its siblings have numbers"
     if likely["ended"] and not form["ended"]:
         return "is cut short: its last line has no line feed at its end"
     return None
@@ -423,7 +431,8 @@ ODD = """
 WITH good AS (
     SELECT m.ordinal, e.run, arg_max(e.execution, e.ended) AS execution
     FROM (SELECT DISTINCT ordinal, run FROM members WHERE batch = $batch) m
-    JOIN executions e ON e.run = m.run AND e.status = 'ok' AND e.purpose = 'run' AND e.programs = $programs
+    JOIN executions e ON e.run = m.run AND e.status = 'ok' AND e.purpose = 'run'
+        AND e.programs = $programs AND e.reading = $reading
     GROUP BY ALL
 ),
 tables AS (

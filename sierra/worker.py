@@ -48,6 +48,7 @@ FOLDERS = ("home", "tmp", "output")
 LOGS = ("stdout", "stderr")
 POLL_S = 0.25
 HEAD_BYTES = 4096
+LOG_BYTES = 256 << 20  # of standard output or error, whatever the limits say
 CHUNK = 1 << 20
 SETTLE_S = 2.0
 
@@ -302,7 +303,7 @@ class Worker:
             deadline = one.deadline()
             if deadline is not None and now >= deadline:
                 one.stop("timeout")
-            if one.measured and one.stopped is None and now - one.started > POLL_S / 2:
+            if one.stopped is None and now - one.started > POLL_S / 2:
                 reason = exceeded(one)
                 if reason:
                     one.stop(reason)
@@ -469,7 +470,16 @@ def exceeded(running: Running) -> str | None:
             return "cpu"
     if limits.get("output_bytes") is not None and size_of(running.folder) > limits["output_bytes"]:
         return "output"
+    if any(size_of_file(os.path.join(running.folder, name)) > LOG_BYTES for name in ("stdout", "stderr")):
+        return "output"
     return None
+
+
+def size_of_file(path: str) -> int:
+    try:
+        return os.lstat(path).st_size
+    except OSError:
+        return 0
 
 
 def size_of(folder: str) -> int:
@@ -477,10 +487,7 @@ def size_of(folder: str) -> int:
     total = 0
     for root, _, names in os.walk(folder):
         for name in names:
-            try:
-                total += os.lstat(os.path.join(root, name)).st_size
-            except OSError:
-                continue
+            total += size_of_file(os.path.join(root, name))
     return total
 
 

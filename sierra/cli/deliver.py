@@ -23,9 +23,12 @@ def figures(
       sierra figures 3f9a1c swarm_coverage_summary
     """
     from sierra.cli.opened import project
-    from sierra.cli.output import print_json
+    from sierra.cli.output import note, print_json
 
-    drawn = [str(path) for path in project().figures(prefix, name)]
+    paths, notes = project().draw(prefix, name)
+    for text in notes:
+        note(text)
+    drawn = [str(path) for path in paths]
     if as_json:
         print_json(drawn)
     else:

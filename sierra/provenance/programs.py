@@ -2,15 +2,17 @@
 
 The fingerprint of a program is the SHA-256 of its file. Every word of a command that names a program counts (as in
 `nice -n 5 simulator`), and the interpreter that a script names in its first line. For a Python interpreter, the
-distributions installed beside it count too, by name and version. (What an interpreter imports from elsewhere, and the
+distributions installed beside it count too, by name and version; and files of the project that git ignores, where the
+command or a variable names them or their folder by `{project}/…`. (What an interpreter imports from elsewhere, and the
 libraries that a program loads, do not yet count.)
 """
 
 from __future__ import annotations
 
 import os
+import re
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Container, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -36,14 +38,14 @@ class Programs:
 
     @property
     def id(self) -> str:
-        return digest("programs", {"programs": [[Path(p.name).name, p.sha256] for p in self.all]})
+        return digest("programs", {"programs": [[p.name if "{" in p.name else Path(p.name).name, p.sha256] for p in self.all]})
 
     def rows(self) -> list[dict[str, Any]]:
         return [{"programs": self.id, "name": p.name, "path": p.path, "sha256": p.sha256} for p in self.all]
 
 
-def find(argv: Sequence[str], search: str, root: Path) -> Programs:
-    """The programs that a command starts; `search` is the PATH of its runs.
+def find(argv: Sequence[str], search: str, root: Path, more: tuple[Program, ...] = ()) -> Programs:
+    """The programs that a command starts, and what else counts as one; `search` is the PATH of its runs.
 
     Raises Missing where the first word is no program.
     """
@@ -57,7 +59,29 @@ def find(argv: Sequence[str], search: str, root: Path) -> Programs:
         path = None if word.startswith("-") or not word else shutil.which(word, path=search)
         if path is not None and path not in found:
             found |= {program.path: program for program in _programs(word, path, search)}
-    return Programs(tuple(found.values()))
+    return Programs((*found.values(), *more))
+
+
+def beside(words: Iterable[str], root: Path, source: Container[bytes]) -> tuple[Program, ...]:
+    """Files of the project that a command or a variable names by `{project}/…`, and that the source does not hold.
+
+    What git ignores is such: `{project}/build/lib`, say. A folder counts as all files in it.
+    """
+    found = {}
+    for word in words:
+        for inside in re.findall(r"\{project\}/([^:;,=]+)", word):
+            for path in _files(root / inside):
+                relative = path.relative_to(root) if path.is_relative_to(root) else path
+                if os.fsencode(relative.as_posix()) not in source:
+                    found[path] = Program(f"{{project}}/{relative}", str(path), _fingerprint(str(path)))
+    return tuple(found.values())
+
+
+def _files(path: Path) -> Iterator[Path]:
+    if path.is_file():
+        yield path
+    elif path.is_dir():
+        yield from sorted(below for below in path.rglob("*") if below.is_file() and "__pycache__" not in below.parts)
 
 
 def _programs(name: str, path: str, search: str) -> Iterator[Program]:

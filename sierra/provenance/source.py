@@ -102,6 +102,11 @@ def changed(before: bytes, after: bytes) -> list[str]:
     return [path.decode("utf-8", "replace") for path in sorted(differing)]
 
 
+def paths(manifest: bytes) -> set[bytes]:
+    """The paths in a manifest."""
+    return set(_read_manifest(manifest))
+
+
 def tree_hash(entries: Sequence[Entry]) -> str:
     """The hash that git gives to a tree with these files."""
     below: dict[bytes, list[Entry]] = {}

@@ -38,7 +38,7 @@ class Found:
     kind: str
     id: str
     batch: str | None
-    """The batch that it belongs to (the last asked for, where there are several)."""
+    """A batch that it belongs to."""
 
 
 class Store:

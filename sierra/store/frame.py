@@ -1,8 +1,6 @@
 """One batch, ready for statistics: who belongs to it, and its output columns as samples over time.
 
-Only one execution of a run counts: the last good one that a `sierra run` made. Where the batch's runs were
-executed with different programs, only those with the programs of the last execution count; the others are
-missing, and are said to be.
+Only one execution of a run counts: see the table `counting`. A run without one is missing, and is said to be.
 """
 
 from __future__ import annotations
@@ -39,7 +37,7 @@ class Frame:
         self.batch = batch
         self._question: Question = store.ask()
         self._loaded: set[str] = set()
-        self._question.views.make(("members", "executions", "experiments", "batches"))
+        self._question.views.make(("members", "executions", "experiments", "batches", "counting"))
         self._members()
         self._files = self._output_files()
 
@@ -56,14 +54,10 @@ class Frame:
             {"b": self.batch},
         )
         run(
-            "CREATE TEMP TABLE good AS SELECT run, execution, batch, programs, ended FROM executions "
-            "WHERE status = 'ok' AND purpose = 'run' AND run IN (SELECT run FROM wanted)"
-        )
-        run(
             "CREATE TEMP TABLE membership AS SELECT w.ordinal::INTEGER AS experiment, w.run, w.number::INTEGER AS number, "
-            "g.execution, g.batch FROM wanted w JOIN (SELECT run, arg_max(execution, ended) AS execution, "
-            "arg_max(batch, ended) AS batch FROM good "
-            "WHERE programs IS NOT DISTINCT FROM (SELECT arg_max(programs, ended) FROM good) GROUP BY run) g USING (run)"
+            "c.execution, e.batch FROM wanted w JOIN counting c ON c.batch = $b AND c.run = w.run AND c.ordinal = w.ordinal "
+            "JOIN executions e ON e.execution = c.execution",
+            {"b": self.batch},
         )
 
     def _output_files(self) -> dict[str, list[str]]:

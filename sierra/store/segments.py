@@ -47,7 +47,7 @@ class Segment:
 def listed(folder: Path) -> Iterator[Segment]:
     """All segments that are there now, in the order of their names."""
     try:
-        names = sorted(entry.name for entry in os.scandir(folder))
+        names = sorted(entry.name for entry in os.scandir(folder) if entry.is_dir())
     except FileNotFoundError:
         return
     for name in names:

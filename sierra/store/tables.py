@@ -54,6 +54,7 @@ RECORDED = {
             ("axes", LIST, "names of the independent variables, in order"),
             ("controller", TEXT, "the controller, where one was named"),
             ("scenario", TEXT, "the scenario, where one was named"),
+            ("sets", LIST, "what was set for all runs beside, each as XPATH=VALUE"),
             ("platform", TEXT, "how the simulator is driven"),
             ("experiments", INT, "experiments in it", "1"),
             ("runs", INT, "runs in it, all experiments together", "1"),
@@ -161,6 +162,9 @@ RECORDED = {
             ("sierra", TEXT, "SIERRA's version"),
             ("environment", ID, "what was around it"),
             ("source", ID, "the source's full state"),
+            ("programs", ID, "fingerprint of the programs that its runs are, or would have been, executed with"),
+            ("reading", ID, "hash of what the project declares of outputs and success, as in executions"),
+            ("rules", ID, "hash of the same and of what may differ between siblings"),
         ),
         _table(
             "environments",
@@ -219,9 +223,26 @@ DERIVED = {
             ("number", INT, "its number in its experiment, from 0 (the least, where it belongs to several)"),
             ("input", ID, "SHA-256 of its first input file; the file itself is in objects"),
             ("recipe", ID, "what it has in common with other runs"),
-            ("status", TEXT, "ok where one execution is; else that of the last; missing where there is none"),
-            ("execution", ID, "the execution that counts: the last that is ok"),
+            ("status", TEXT, "ok where an execution counts; else that of the last (stale if ok), missing if there is none"),
+            ("execution", ID, "the execution that counts for the batch last asked for"),
             ("executions", INT, "how many times it was executed", "1"),
+        ),
+        _table(
+            "counting",
+            "The execution that counts for a run in a batch: the last good one with the programs and by the rules of the "
+            "batch's last asking. Statistics, figures and outputs see no other.",
+            ("batch", ID, "the batch"),
+            ("ordinal", INT, "the experiment's place in the batch, from 0"),
+            ("run", ID, "the run"),
+            ("execution", ID, "the execution"),
+            ("asked", TIME, "when the batch was last asked for"),
+        ),
+        _table(
+            "points",
+            "Where runs stand in the space of the independent variables, which are further columns; a run that belongs to "
+            "experiments with different values of one variable has a row for each.",
+            ("run", ID, "the run"),
+            ("number", INT, "its least number in its experiments, from 0"),
         ),
     )
 }

@@ -8,11 +8,13 @@ from typing import Any
 
 from sierra.store.reading import column_names, identifier, quote
 from sierra.store.segments import Segment
-from sierra.store.tables import RECORDED
+from sierra.store.tables import DERIVED, RECORDED
 
 NEEDS = {
     "executions": ("findings",),
-    "runs": ("members", "experiments", "executions"),
+    "counting": ("members", "sessions", "executions"),
+    "points": ("members", "experiments"),
+    "runs": ("members", "experiments", "executions", "counting"),
 }
 ONCE = {
     "batches": ("batch",),
@@ -40,17 +42,18 @@ class Views:
         self._sql = connection
         self._files: dict[str, list[str]] = {}
         self._outputs: dict[str, list[str]] = {}
+        spelled: dict[str, str] = {}
         for segment in segments:
             for name, path in segment.files.items():
                 self._files.setdefault(name, []).append(path)
             for name, path in segment.outputs():
-                self._outputs.setdefault(name, []).append(path)
+                self._outputs.setdefault(spelled.setdefault(name.lower(), name), []).append(path)
         self._made: set[str] = set()
 
     def make(self, names: Iterable[str] | None = None) -> None:
         """Views of these tables and of what they need; of all where no names are given."""
         wanted = None if names is None else {name.lower() for name in names}
-        for name in (*RECORDED, "runs", *sorted(self._outputs)):
+        for name in (*RECORDED, *DERIVED, *sorted(self._outputs)):
             if wanted is None or name.lower() in wanted:
                 self._make(name)
 
@@ -69,6 +72,10 @@ class Views:
             self._make(needed)
         if name == "runs":
             body = self._runs()
+        elif name == "points":
+            body = self._points()
+        elif name == "counting":
+            body = COUNTING
         elif name in RECORDED:
             body = self._recorded(name)
         elif name in self._outputs:
@@ -101,29 +108,70 @@ class Views:
         return [row[0] for row in self._sql.execute(f"DESCRIBE SELECT * FROM {source}").fetchall()]
 
     def _runs(self) -> str:
-        axes = "".join(f"max(x.{identifier(axis)}) AS {identifier(axis)}, " for axis in self.axes())
+        axes = "".join(f"{_only(f'x.{identifier(axis)}')} AS {identifier(axis)}, " for axis in self.axes())
         return (
-            "WITH state AS (SELECT run, count(*) AS executions, arg_max(status, ended) AS last, "
-            "arg_max(execution, ended) FILTER (status = 'ok' AND purpose = 'run') AS execution "
-            "FROM executions GROUP BY run) "
+            "WITH state AS (SELECT run, count(*) AS executions, arg_max(status, ended) AS last FROM executions GROUP BY run), "
+            "counted AS (SELECT run, arg_max(execution, asked) AS execution FROM counting GROUP BY run) "
             f"SELECT m.run, {axes}any_value(m.seed) AS seed, min(m.number) AS number, any_value(m.input) AS input, "
-            "any_value(m.recipe) AS recipe, "
-            "CASE WHEN any_value(s.execution) IS NOT NULL THEN 'ok' "
-            "ELSE coalesce(any_value(s.last), 'missing') END AS status, "
-            "any_value(s.execution) AS execution, coalesce(any_value(s.executions), 0) AS executions "
-            "FROM members m JOIN experiments x USING (batch, ordinal) LEFT JOIN state s USING (run) GROUP BY m.run"
+            "any_value(m.recipe) AS recipe, CASE WHEN any_value(c.execution) IS NOT NULL THEN 'ok' "
+            "WHEN any_value(s.last) = 'ok' THEN 'stale' ELSE coalesce(any_value(s.last), 'missing') END AS status, "
+            "any_value(c.execution) AS execution, coalesce(any_value(s.executions), 0) AS executions "
+            "FROM members m JOIN experiments x USING (batch, ordinal) LEFT JOIN state s USING (run) "
+            "LEFT JOIN counted c USING (run) GROUP BY m.run"
+        )
+
+    def _points(self) -> str:
+        axes = [identifier(axis) for axis in self.axes()]
+        seen = "".join(f", x.{axis}" for axis in axes)
+        merged = "".join(f", max({axis}) AS {axis}" for axis in axes)
+        alike = " AND ".join(f"min({axis}) IS NOT DISTINCT FROM max({axis})" for axis in axes) or "true"
+        return (
+            f"WITH seen AS (SELECT DISTINCT m.run, m.number{seen} FROM members m JOIN experiments x USING (batch, ordinal)), "
+            f"alike AS (SELECT run, {alike} AS alike FROM seen GROUP BY run) "
+            f"SELECT run, min(number) AS number{merged} FROM seen JOIN alike USING (run) WHERE alike GROUP BY run UNION ALL "
+            f"SELECT run, min(number) AS number{''.join(f', {axis}' for axis in axes)} FROM seen JOIN alike USING (run) "
+            "WHERE NOT alike GROUP BY ALL"
         )
 
     def _output(self, name: str) -> str:
-        self._make("runs")
+        self._make("counting")
+        self._make("points")
         source = read_parquet(self._outputs[name], union=True)
         axes = self.axes()
         theirs = [row[0] for row in self._sql.execute(f"DESCRIBE SELECT * FROM {source}").fetchall()]
         free = column_names(theirs, taken=axes)
         renamed = ", ".join(f"{identifier(c)} AS {identifier(n)}" for c, n in zip(theirs, free, strict=True) if c != n)
         rename = f" RENAME ({renamed})" if renamed else ""
-        ours = "".join(f"r.{identifier(axis)}, " for axis in axes)
-        return f"SELECT {ours}r.number, o.*{rename} FROM {source} o JOIN runs r ON o.execution = r.execution"
+        ours = "".join(f"p.{identifier(axis)}, " for axis in axes)
+        counted = "SELECT arg_max(execution, asked) AS execution FROM counting GROUP BY run"
+        return (
+            f"SELECT {ours}p.number, o.*{rename} FROM {source} o JOIN points p ON o.run = p.run "
+            f"WHERE o.execution IN ({counted})"
+        )
+
+
+COUNTING = """
+WITH asked AS (
+    SELECT batch, programs, reading, ended FROM sessions WHERE reading IS NOT NULL
+    UNION ALL
+    SELECT batch, programs, reading, ended FROM executions WHERE purpose = 'run'
+),
+latest AS (
+    SELECT batch, arg_max(programs, ended) AS programs, arg_max(reading, ended) AS reading, max(ended) AS asked
+    FROM asked GROUP BY batch
+)
+SELECT m.batch, m.ordinal, m.run, arg_max(e.execution, e.ended) AS execution, any_value(l.asked) AS asked
+FROM members m
+JOIN latest l ON m.batch = l.batch
+JOIN executions e ON e.run = m.run AND e.programs = l.programs AND e.reading = l.reading
+WHERE e.status = 'ok' AND e.purpose = 'run'
+GROUP BY m.batch, m.ordinal, m.run
+"""
+
+
+def _only(column: str) -> str:
+    """The one value that a column has in a group, or NULL where it has several."""
+    return f"CASE WHEN min({column}) = max({column}) THEN max({column}) END"
 
 
 def _pick(column: str, first: str | None) -> str:
