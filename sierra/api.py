@@ -2,7 +2,8 @@
 
 project = sierra.open(".")
 summary = project.run("population_size.Log8", runs=10)
-frame = project.sql("SELECT * FROM swarm WHERE batch = $b", b=summary.batch).to_pandas()
+frame = project.sql("SELECT * FROM swarm WHERE clock = 60", within=summary.batch).to_pandas()
+table = project.statistics(summary.batch, "swarm", "coverage").to_pandas()
 """
 
 from __future__ import annotations
@@ -109,12 +110,13 @@ class Project:
             return replace(summary, undrawn=str(error))
         return replace(summary, figures=tuple(map(str, drawn)), notes=(*summary.notes, *notes))
 
-    def sql(self, text: str, **parameters: Any) -> pa.Table:
+    def sql(self, text: str, *, within: str | None = None, **parameters: Any) -> pa.Table:
         """The answer to one SQL statement as an Arrow table (`.to_pandas()` makes it a data frame).
 
-        `$name` in the statement takes its value from the keyword. Raises SqlError.
+        `$name` in the statement takes its value from the keyword. With `within`, the beginning of a batch's id, members,
+        runs and outputs are those of that batch; else of all, whatever code they were made from. Raises SqlError.
         """
-        return self.store.sql(text, **parameters)
+        return self.store.sql(text, within=None if within is None else self._batch(within), **parameters)
 
     @property
     def batches(self) -> list[dict[str, Any]]:
@@ -153,7 +155,7 @@ class Project:
         if prefix is not None:
             found = self.store.resolve(prefix)
             if found.kind != "batch":
-                raise NotFound(f"{prefix!r} is a {found.kind}; figures and statistics are of a batch")
+                raise NotFound(f"{prefix!r} is a {found.kind}; only a batch will do here")
             return found.id
         known = self.batches
         if not known:

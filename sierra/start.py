@@ -99,7 +99,7 @@ def next_steps(guess: Guess) -> Iterator[str]:
         return
     name = next(iter(guess.variables))
     yield f"now: sierra run {name}.Log8 (or {name}=1,2,3); look first with -n"
-    if guess.seed is None:
+    if guess.seed is None and "{seed}" not in guess.command:
         yield 'all runs of an experiment are the same until the seed goes somewhere: seed = "XPATH", or {seed} in the command'
 
 

@@ -139,3 +139,41 @@ def test_a_table_that_is_no_curve_is_said_not_to_be_drawn(tmp_path: Path) -> Non
     summary = sierra.open(projects.make(tmp_path, simulator=simulator)).run("population_size=1")
     assert summary.figures == ()
     assert any("swarm" in note and "same time" in note for note in summary.notes)
+
+
+def test_one_batch_can_be_asked_alone(tmp_path: Path) -> None:
+    project = sierra.open(projects.make(tmp_path))
+    first = project.run("population_size=1,2", figures=False).batch
+    project.run("population_size=1,2", runs=3, sets=[("//noise", "0.7")], figures=False)
+    count = "SELECT count(DISTINCT run) AS runs FROM swarm"
+    assert project.sql(count).to_pylist() == [{"runs": 10}]
+    assert project.sql(count, within=first).to_pylist() == [{"runs": 4}]
+    assert project.sql("SELECT count(*) AS runs FROM runs", within=first[:8]).to_pylist() == [{"runs": 4}]
+    shown = projects.sierra(tmp_path, "sql", "--batch", first[:8], count, "--json")
+    assert '"runs": 4' in shown.stdout
+
+
+def test_programs_are_there_once(tmp_path: Path) -> None:
+    project = sierra.open(projects.make(tmp_path))
+    for runs in (1, 2, 3):
+        project.run("population_size=1", runs=runs, figures=False)
+    rows = project.sql("SELECT name, path, count(*) AS c FROM programs GROUP BY ALL").to_pylist()
+    assert {row["c"] for row in rows} == {1}
+
+
+def test_a_project_in_a_folder_that_git_ignores_is_outside_git(tmp_path: Path) -> None:
+    subprocess.run(["git", "init", "-q", str(tmp_path)], check=True)
+    (tmp_path / ".gitignore").write_text("/demo/\n")
+    project = sierra.open(projects.make(tmp_path / "demo"))
+    assert project.run("population_size=1", figures=False).failed == 0
+    assert project.sql("SELECT DISTINCT vcs FROM sources").to_pylist() == [{"vcs": "none"}]
+
+
+def test_a_csv_whose_header_is_numbers_is_said_to_have_none(tmp_path: Path) -> None:
+    simulator = projects.SIMULATOR.replace('print("tick,coverage", file=file)', "pass")
+    root = projects.make(tmp_path, simulator=simulator)
+    summary = sierra.open(root).run("population_size=1", figures=False)
+    assert summary.failed == 2
+    assert "header = false" in summary.failures[0].reason
+    (root / "sierra.toml").write_text(projects.CONFIG + '[outputs.swarm]\nfile = "swarm.csv"\nheader = false\n')
+    assert sierra.open(root).run("population_size=1", figures=False).failed == 0

@@ -15,7 +15,7 @@ from sierra.paths import write_whole
 if TYPE_CHECKING:
     import pyarrow as pa
 
-    from sierra.store import Store
+    from sierra.api import Project
 
 SHOWN_ROWS = 200
 
@@ -36,31 +36,35 @@ def sql(
         typer.Argument(metavar="STATEMENT", help="One SQL statement; - reads standard input; without: a prompt."),
     ] = None,
     format: Annotated[Format, typer.Option("--format", "-f", help="How the answer is written.")] = Format.table,
+    batch: Annotated[
+        str | None, typer.Option("--batch", "-b", metavar="HASH", help="See the runs and outputs of this batch alone.")
+    ] = None,
     output: Annotated[Path | None, typer.Option("--output", "-o", metavar="FILE", help="Write it to a file.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Short for --format json.")] = False,
 ) -> None:
     """Ask the store in SQL (DuckDB's).
 
-    Nothing is changed, and nothing but the store can be read.
+    Nothing is changed, and nothing but the store can be read. Without --batch, outputs are those of all batches, whatever
+    code and settings they were made with.
 
     \b
     Examples:
       sierra sql "SHOW TABLES"
       sierra sql "DESCRIBE executions"
-      sierra sql "SELECT population_size, avg(coverage) FROM swarm GROUP BY ALL"
+      sierra sql -b 774d "SELECT noise, avg(coverage) FROM swarm GROUP BY 1"
       sierra sql "FROM runs" --format parquet -o runs.parquet
       sierra sql - < question.sql
     """
     from sierra.cli.opened import project
 
-    store = project().store
+    opened = project()
     if statement is None:
-        _prompt(store)
+        _prompt(opened, batch)
         return
     text = sys.stdin.read() if statement == "-" else statement
     if not text.strip():
         raise UsageError('no statement; ask something, as in: sierra sql "SHOW TABLES"')
-    write(store.sql(text), Format.json if as_json else format, output)
+    write(opened.sql(text, within=batch), Format.json if as_json else format, output)
 
 
 def write(answer: pa.Table, format: Format, output: Path | None) -> None:
@@ -140,7 +144,7 @@ FORMATS = {
 }
 
 
-def _prompt(store: Store) -> None:
+def _prompt(project: Project, batch: str | None) -> None:
     """Statements, one after the other, each ended by a semicolon or an empty line."""
     import contextlib
 
@@ -159,16 +163,16 @@ def _prompt(store: Store) -> None:
             ended = False
         lines.append(line)
         if ended or not line.strip() or line.rstrip().endswith(";"):
-            _answer(store, "\n".join(lines))
+            _answer(project, batch, "\n".join(lines))
             lines = []
         if ended:
             return
 
 
-def _answer(store: Store, text: str) -> None:
+def _answer(project: Project, batch: str | None, text: str) -> None:
     if not text.strip(" ;\n"):
         return
     try:
-        write(store.sql(text), Format.table, None)
+        write(project.sql(text, within=batch), Format.table, None)
     except SqlError as error:
         print(f"sierra: {error}", file=sys.stderr)

@@ -84,7 +84,8 @@ def _inside(path: str) -> bytes:
 
 
 def _in_git(root: Path) -> bool:
-    return any((folder / ".git").exists() for folder in (root, *root.parents))
+    """Whether a repository holds the project; one that ignores the project's folder does not."""
+    return any((folder / ".git").exists() for folder in (root, *root.parents)) and not _Git(root).ignores_it()
 
 
 def _outside(root: Path, wanted: _Chosen) -> tuple[Source, list[Entry]]:
@@ -252,6 +253,10 @@ class _Git:
     def prefix(self) -> bytes:
         """The project's folder as the repository sees it, with a slash at its end (or empty)."""
         return self("rev-parse", "--show-prefix").strip()
+
+    def ignores_it(self) -> bool:
+        """Whether the repository ignores this whole folder."""
+        return bool(self("check-ignore", ".", optional=True).strip())
 
     def __call__(
         self, *arguments: str, index: Path | None = None, given: bytes = b"", optional: bool = False, at_top: bool = False

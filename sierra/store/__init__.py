@@ -85,17 +85,18 @@ class Store:
 
     # ------------------------------------------------------------ SQL
 
-    def sql(self, text: str, **parameters: Any) -> pa.Table:
+    def sql(self, text: str, *, within: str | None = None, **parameters: Any) -> pa.Table:
         """The answer to one statement as an Arrow table. Nothing but this store can be read, and nothing written.
 
-        `$name` in the statement takes its value from the keyword `name`. Raises SqlError.
+        `$name` in the statement takes its value from the keyword `name`. With `within`, a batch's id, members, runs and
+        outputs are those of that batch. Raises SqlError.
         """
-        with self.ask() as question:
+        with self.ask(within) as question:
             return question.sql(text, **parameters)
 
-    def ask(self) -> Question:
-        """A connection for several statements that all see the same state of the store."""
-        return Question(self.paths.root, self.segments())
+    def ask(self, within: str | None = None) -> Question:
+        """A connection for several statements that all see the same state of the store, or of one batch in it."""
+        return Question(self.paths.root, self.segments(), within)
 
     def rows(self, text: str, **parameters: Any) -> list[dict[str, Any]]:
         """The answer to one statement, as a list of rows."""
@@ -145,10 +146,10 @@ class Store:
 class Question:
     """One connection, on one state of the store; a context manager."""
 
-    def __init__(self, root: Path, segments: Sequence[Segment]) -> None:
+    def __init__(self, root: Path, segments: Sequence[Segment], within: str | None = None) -> None:
         self.connection = connect()
         self.segments = segments
-        self.views = Views(self.connection, segments)
+        self.views = Views(self.connection, segments, within)
         self._lock(root)
 
     def __enter__(self) -> Question:

@@ -455,6 +455,10 @@ class _Csv(_Text):
             return self.shape.names or tuple(f"column{number}" for number in range(width))
         has = {head: split(head, self._delimiter) for head in set(heads.values())}
         names = self.likely(has[heads[file.path]] for file in files)
+        if names and all(_is_number(name) for name in names):
+            for file in files:
+                self.fault(file, "line 1: numbers, no names of columns (if it has no header: header = false in [outputs.…])")
+            return names
         doubled = [name for name, count in Counter(names).items() if count > 1 and name]
         for file in files:
             own = has[heads[file.path]]

@@ -23,6 +23,7 @@ ONCE = {
     "environments": ("environment",),
     "sources": ("source",),
     "programs": ("programs", "name", "path"),
+    "objects": ("sha256", "part"),
     "findings": ("execution",),
 }
 """Records that two writers may both have made: what makes them the same."""
@@ -38,8 +39,9 @@ def outputs(segments: Iterable[Segment]) -> list[str]:
 class Views:
     """Makes views on one connection; each once."""
 
-    def __init__(self, connection: Any, segments: Sequence[Segment]) -> None:
+    def __init__(self, connection: Any, segments: Sequence[Segment], within: str | None = None) -> None:
         self._sql = connection
+        self._within = within
         self._files: dict[str, list[str]] = {}
         self._outputs: dict[str, list[str]] = {}
         spelled: dict[str, str] = {}
@@ -100,6 +102,8 @@ class Views:
                 "SELECT e.* REPLACE (coalesce(f.status, e.status) AS status, coalesce(f.reason, e.reason) AS reason) "
                 f"FROM {source} e LEFT JOIN findings f USING (execution)"
             )
+        if name == "members" and self._within is not None:
+            return f"SELECT * FROM {source} WHERE batch = {quote(self._within)}"
         return f"SELECT * FROM {source}"
 
     def _columns(self, name: str, source: str) -> list[str]:

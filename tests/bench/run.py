@@ -241,6 +241,12 @@ def fill(store: object, *, batches: int, runs: int) -> None:
         store.publish(writer)
 
 
+def figures(folder: Path) -> None:
+    """Figures in three formats, by SIERRA and by a script written by hand."""
+    del folder
+    subprocess.run([sys.executable, str(HERE / "bench_figures.py")], check=True)
+
+
 def schema_of(table: str) -> tuple[list[str], list[object]]:
     """A recorded table's columns and their types."""
     from sierra.store.tables import arrow_schema
@@ -255,6 +261,7 @@ BENCHES: dict[str, Callable[[Path], None]] = {
     "linear": linear,
     "recording": recording,
     "listing": listing,
+    "figures": figures,
     "many": many,
 }
 
