@@ -1,9 +1,10 @@
 """SIERRA: from a research query to evidence that a stranger can check.
 
 import sierra
+
 project = sierra.open(".")
-project.run("population_size.Log8", runs=10)
-project.sql("SELECT population_size, avg(coverage) FROM swarm GROUP BY ALL").to_pandas()
+summary = project.run("population_size.Log8", runs=10)
+project.statistics(summary.batch, "swarm", "coverage").to_pandas()
 """
 
 from __future__ import annotations

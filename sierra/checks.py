@@ -26,7 +26,7 @@ class Check:
     remedy: str = ""
 
 
-LIBRARIES = ("duckdb", "pyarrow", "lxml", "pydantic", "matplotlib", "seaborn", "typer", "rich")
+LIBRARIES = ("duckdb", "pyarrow", "lxml", "pydantic", "matplotlib", "typer", "rich")
 
 
 def all_checks() -> list[Check]:

@@ -182,7 +182,6 @@ class Group(Table):
     """A controller or a scenario: a named group of changes."""
 
     changes: tuple[ChangeTable, ...] = ()
-    label: str = ""
 
 
 class Output(Table):

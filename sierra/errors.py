@@ -47,9 +47,3 @@ class Missing(SierraError):
 
 class Damaged(SierraError):
     """What is recorded is not what was recorded."""
-
-
-class Interrupted(SierraError):
-    """Ended by the user; what had finished is kept."""
-
-    exit_code = 130

@@ -12,7 +12,7 @@ from sierra import seeds
 from sierra.errors import QueryError
 from sierra.hashing import canonical, canonical_plain, digest, merkle, sha256
 from sierra.inputs import Renderer, Template
-from sierra.model import Axis, Batch, Cell, Design, Experiment, Recipe, Run, Value
+from sierra.model import Batch, Cell, Design, Experiment, Recipe, Run, Value
 from sierra.platforms import Platform
 
 STREAM = 1 << 16
@@ -34,12 +34,9 @@ class Expansion:
         if any(cell.stream for cell in design.cells):
             _check_streams(max(cell.stream for cell in design.cells), design.query.runs)
 
-    def batch(self, tick: Callable[[], None] = lambda: None) -> Batch:
+    def batch(self) -> Batch:
         """The batch, with all ids. Raises TemplateError for a change that does not fit the template."""
-        experiments = []
-        for cell in self._design.cells:
-            experiments.append(self._experiment(cell))
-            tick()
+        experiments = [self._experiment(cell) for cell in self._design.cells]
         identity = merkle("batch", (experiment.id for experiment in experiments))
         return Batch(identity, self._design.axes, tuple(experiments), self._recipe, self.recipe_id)
 
@@ -94,8 +91,3 @@ def run_id(recipe: str, inputs: Iterable[tuple[str, str]], seed: int) -> str:
 def exact(value: Value) -> Value:
     """A value as a pre-image holds it: numbers that JSON cannot hold exactly as text."""
     return str(value) if isinstance(value, int) and abs(value) > 2**53 else value
-
-
-def label(axes: Iterable[Axis], values: Iterable[Value]) -> str:
-    """An experiment's values, for people."""
-    return ", ".join(f"{axis.name}={value}" for axis, value in zip(axes, values, strict=True))

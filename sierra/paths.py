@@ -26,7 +26,6 @@ RUN_STDERR = "stderr"
 RUN_HOME = "home"
 RUN_TMP = "tmp"
 RUN_OUTPUT = "output"
-RUN_FOLDERS = (RUN_HOME, RUN_TMP, RUN_OUTPUT)
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,10 +33,6 @@ class ProjectPaths:
     """The paths of one project, whose root is an absolute folder."""
 
     root: Path
-
-    @property
-    def config(self) -> Path:
-        return self.root / CONFIG
 
     @property
     def store(self) -> Path:

@@ -42,7 +42,6 @@ INK = "#333333"
 FAINT = "#777777"
 NAMED = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000", "#8C8C8C")
 """Okabe and Ito's palette without its yellow, which is too light for lines on white."""
-DASHES = ("-", (0, (4, 1.5)), (0, (1, 1.2)), (0, (5, 1.2, 1, 1.2)))
 MARKERS = "osD^vPX*"
 
 SETTINGS: dict[str, Any] = {

@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 import secrets
 import tempfile
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -67,13 +67,9 @@ class Store:
                 write_whole(paths.format, FORMAT.encode())
         return cls(root)
 
-    def segments(self, batches: Iterable[str] | None = None) -> list[Segment]:
-        """All segments, or those of some batches."""
-        found = list(listed(self.paths.segments))
-        if batches is None:
-            return found
-        wanted = {batch[:12] for batch in batches}
-        return [segment for segment in found if segment.batch in wanted]
+    def segments(self) -> list[Segment]:
+        """All segments that are there now."""
+        return list(listed(self.paths.segments))
 
     def writer(self, folder: Path, batch: str) -> Writer:
         """A segment to be written in `folder` (in this store's file system) and then published."""
@@ -139,7 +135,7 @@ class Store:
             raise NotFound(f"no recorded file has the SHA-256 {digest}")
         content: bytes = b"".join(row["content"] for row in rows)
         if sha256(content) != digest:
-            raise Damaged(f"the recorded file {digest} has other content than was recorded; sierra fsck tells more")
+            raise Damaged(f"the recorded file {digest} has other content than was recorded")
         return content
 
 
