@@ -158,7 +158,7 @@ class _Gallery:
     def _default(self) -> tuple[dict[str, Figure], list[str]]:
         """A figure of each kind that fits, for each output; and which outputs have none, and why."""
         found: dict[str, Figure] = {}
-        notes = []
+        notes = [] if self._outputs else ["no run wrote a table, so there is no figure; look at: sierra sql 'FROM artifacts'"]
         for output in self._outputs.values():
             time = self.time(output)
             columns = [column for column in output.columns if column != time]

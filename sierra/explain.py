@@ -23,6 +23,8 @@ def why_new(plan: Plan, store: Store | None) -> list[str]:
     """What makes the runs of a plan others than those of the last batch over the same axes, a line each."""
     if store is None:
         return ["nothing is recorded here yet"]
+    if store.rows("SELECT 1 FROM batches WHERE batch = $b LIMIT 1", b=plan.batch.id):
+        return ["this batch is recorded; an asking that was ended left these runs for later"]
     rows = store.rows(LIKE, axes=[axis.name for axis in plan.batch.axes], batch=plan.batch.id)
     if not rows:
         return ["no batch over these variables is recorded"]
@@ -35,6 +37,25 @@ def why_new(plan: Plan, store: Store | None) -> list[str]:
         lines.append(f"the template {plan.project.config.template} has changed")
     lines += _asked(plan, before)
     return lines if len(lines) > 1 else [*lines, "other values, runs or changes are asked for"]
+
+
+PROGRAMS = """
+SELECT name, path, sha256 FROM programs
+WHERE programs = (SELECT arg_max(programs, ended) FROM executions JOIN members USING (run) WHERE members.batch = $batch)
+"""
+
+
+def other_programs(plan: Plan, store: Store) -> list[str]:
+    """Which programs are others than those that the batch was last executed with, a line each."""
+    before = {row["name"]: row for row in store.rows(PROGRAMS, batch=plan.batch.id)}
+    now = {program.name: program for program in plan.programs.all}
+    lines = []
+    for name in sorted(before.keys() | now.keys()):
+        old, new = before.get(name), now.get(name)
+        if old is None or new is None or old["sha256"] != new.sha256:
+            was = f"{old['path']} ({old['sha256'][:10]})" if old else "not there"
+            lines.append(f"{name}: was {was}, is {f'{new.path} ({new.sha256[:10]})' if new else 'not there'}")
+    return lines
 
 
 def _recipe(plan: Plan, before: dict[str, Any]) -> list[str]:

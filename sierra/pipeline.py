@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import signal
 import threading
 import time
@@ -19,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from sierra import engines, inputs, jobs, platforms, query, sessions
-from sierra.config import LoadedProject
+from sierra.config import LoadedProject, Project
 from sierra.design import design
 from sierra.engines import Engine
 from sierra.errors import ConfigError, Missing, UsageError
@@ -175,7 +176,7 @@ def plan(project: LoadedProject, asked: Query, *, engine: str = "none") -> Plan:
         engine=contained,
         limits=jobs.limits(config),
         template_sha256=template.sha256,
-        notes=tuple(_doubts(designed, command)),
+        notes=(*_doubts(designed, command), *_texts(designed, config, template)),
     )
 
 
@@ -197,6 +198,16 @@ def _doubts(designed: Design, command: Sequence[str]) -> Iterator[str]:
         yield 'the seed goes nowhere: say where with seed = "XPATH", or {seed} in the command (SIERRA_SEED has it too)'
     if "{input}" not in mentioned and "{run}" not in mentioned:
         yield "the command does not name {input}: unless it finds the generated file itself, all experiments are the same"
+
+
+def _texts(designed: Design, config: Project, template: inputs.Template) -> Iterator[str]:
+    """Texts as values of a variable where the template has a number: a range that was mistyped, perhaps."""
+    for axis in designed.axes:
+        variable = config.variables.get(axis.name)
+        if variable is not None and variable.set is not None and not axis.numeric:
+            here = template.find(variable.set)
+            if here and all(re.fullmatch(r"\s*[+-]?\d+(\.\d*)?\s*", value) for value in here):
+                yield f"{axis.name} gets texts ({axis.values[0]!r}, …), and the template has {here[0].strip()} there"
 
 
 def run(plan: Plan, store: Store, *, slots: int, fail_fast: bool = False, watch: Watch = lambda progress: None) -> Summary:

@@ -177,3 +177,24 @@ def test_a_csv_whose_header_is_numbers_is_said_to_have_none(tmp_path: Path) -> N
     assert "header = false" in summary.failures[0].reason
     (root / "sierra.toml").write_text(projects.CONFIG + '[outputs.swarm]\nfile = "swarm.csv"\nheader = false\n')
     assert sierra.open(root).run("population_size=1", figures=False).failed == 0
+
+
+def test_a_text_where_the_template_has_a_number_is_said(tmp_path: Path) -> None:
+    plan = sierra.open(projects.make(tmp_path)).plan("population_size=1-8")
+    assert any("'1-8'" in note and "the template has 1" in note for note in plan.notes)
+
+
+def test_explain_names_the_program_that_has_changed(tmp_path: Path) -> None:
+    program = tmp_path / "sim"
+    root = projects.make(tmp_path / "project", projects.CONFIG.replace("python3 sim.py", str(program)))
+    for value in (1, 2):
+        program.write_text(f"#!/bin/sh\nprintf 'tick,v\\n0,{value}\\n' > out.csv\n")
+        program.chmod(0o755)
+        said = projects.sierra(root, "run", "population_size=1", "-n", "--explain").stdout
+        sierra.open(root).run("population_size=1", figures=False)
+    assert f"{program}: was {program} (" in said
+
+
+def test_runs_that_write_no_table_are_said_to(tmp_path: Path) -> None:
+    summary = sierra.open(projects.make(tmp_path, simulator="pass\n")).run("population_size=1")
+    assert any("no run wrote a table" in note for note in summary.notes)

@@ -115,7 +115,7 @@ def _preview(project: Project, plan: Plan, *, explain: bool, as_json: bool) -> d
     """What would execute, and (with `explain`) why."""
     from sierra import pipeline
     from sierra.cli.output import table
-    from sierra.explain import why_new
+    from sierra.explain import other_programs, why_new
     from sierra.hashing import short
 
     store = project.stored()
@@ -132,6 +132,8 @@ def _preview(project: Project, plan: Plan, *, explain: bool, as_json: bool) -> d
         "reasons": dict(reasons),
         "new_because": why_new(plan, store) if explain and reasons["new"] else [],
     }
+    if explain and store and reasons["executed with other programs"]:
+        told["other_programs"] = other_programs(plan, store)
     if as_json:
         return told
     print(f"batch {short(plan.batch.id)}: {plan.text}")
@@ -141,7 +143,7 @@ def _preview(project: Project, plan: Plan, *, explain: bool, as_json: bool) -> d
     if explain:
         for reason, count in reasons.most_common():
             print(f"{count} runs: {reason}")
-        for line in told["new_because"]:
+        for line in (*told["new_because"], *told.get("other_programs", ())):
             print(f"  {line}")
     else:
         print(f"{todo} of {len(states)} runs would execute")
