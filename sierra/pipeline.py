@@ -252,6 +252,7 @@ def states(plan: Plan, asked: Store | Question | None) -> dict[str, State]:
     seen: dict[tuple[Any, ...], State] = {}
     with asked.ask() if isinstance(asked, Store) else contextlib.nullcontext(asked) as question:
         question.register("asked", pa.table({"run": list(runs)}))
+        question.run("SET threads = 1")  # of 100,000 runs, each thread would hold its own
         question.views.make(("executions",))
         parameters = {"programs": plan.programs.id, "reading": _context(plan, "").reading}
         for run, *found in question.each(STATES, parameters):

