@@ -280,11 +280,9 @@ def _state(good: bool, same_reading: bool, ever: bool, reason: str | None, execu
 def keep(plan: Plan, store: Store, session: SessionPaths) -> None:
     """Record what is asked, before anything executes: the batch, its runs, and their input files.
 
-    What the store has already is not recorded again.
+    What the store has already is not recorded again, also where another asking was quicker.
     """
     batch = plan.batch
-    if is_kept(plan, store):
-        return
     writer = store.writer(session.segment, batch.id)
     known = _known_inputs(plan, store)
     objects = Objects(writer.path("objects"))

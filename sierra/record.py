@@ -27,7 +27,7 @@ from sierra import worker
 from sierra.config import Output, Success
 from sierra.hashing import digest, merkle
 from sierra.model import OutputFile, Result, Status
-from sierra.paths import RUN_OUTPUT, RUN_STDERR, RUN_STDOUT, SessionPaths
+from sierra.paths import RUN_OUTPUT, RUN_STDERR, RUN_STDOUT, SessionPaths, write_whole
 from sierra.store import Store
 from sierra.store.objects import Objects
 from sierra.store.reading import Reading, Shape, Written, difference, kinds, read, shown
@@ -83,10 +83,8 @@ class Context:
         fields = {name: getattr(self, name) for name in ("session", "batch", "purpose", "environment", "programs")}
         fields["outputs"] = {name: output.model_dump(mode="json") for name, output in self.outputs.items()}
         fields["success"] = self.success.model_dump(mode="json")
-        fresh = path.with_suffix(".new")
         with disk_errors(path.parent):
-            fresh.write_text(json.dumps(fields))
-            fresh.replace(path)
+            write_whole(path, json.dumps(fields).encode())
 
     @classmethod
     def load(cls, path: Path) -> Context:

@@ -13,6 +13,7 @@ import time
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+from sierra import worker
 from sierra.errors import Missing
 from sierra.model import Result
 from sierra.paths import SessionPaths
@@ -62,13 +63,4 @@ def _started(journal: Path) -> list[int]:
                 started[event.execution] = event
             case Result():
                 started.pop(event.execution, None)
-    return [one.pid for one in started.values() if one.born is not None and _born(one.pid) == one.born]
-
-
-def _born(pid: int) -> int | None:
-    """When a process that lives was started, in clock ticks since boot."""
-    try:
-        fields = Path(f"/proc/{pid}/stat").read_bytes().rpartition(b")")[2].split()
-    except OSError:
-        return None
-    return None if fields[0] in (b"Z", b"X") else int(fields[19])
+    return [one.pid for one in started.values() if one.born is not None and worker.birth(one.pid) == one.born]

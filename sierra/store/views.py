@@ -115,7 +115,7 @@ class Views:
         axes = "".join(f"{_only(f'x.{identifier(axis)}')} AS {identifier(axis)}, " for axis in self.axes())
         return (
             "WITH state AS (SELECT run, count(*) AS executions, arg_max(status, ended) AS last FROM executions GROUP BY run), "
-            "counted AS (SELECT run, arg_max(execution, asked) AS execution FROM counting GROUP BY run) "
+            f"counted AS ({COUNTED}) "
             f"SELECT m.run, {axes}any_value(m.seed) AS seed, min(m.number) AS number, any_value(m.input) AS input, "
             "any_value(m.recipe) AS recipe, CASE WHEN any_value(c.execution) IS NOT NULL THEN 'ok' "
             "WHEN any_value(s.last) = 'ok' THEN 'stale' ELSE coalesce(any_value(s.last), 'missing') END AS status, "
@@ -147,10 +147,9 @@ class Views:
         renamed = ", ".join(f"{identifier(c)} AS {identifier(n)}" for c, n in zip(theirs, free, strict=True) if c != n)
         rename = f" RENAME ({renamed})" if renamed else ""
         ours = "".join(f"p.{identifier(axis)}, " for axis in axes)
-        counted = "SELECT arg_max(execution, asked) AS execution FROM counting GROUP BY run"
         return (
             f"SELECT {ours}p.number, o.*{rename} FROM {source} o JOIN points p ON o.run = p.run "
-            f"WHERE o.execution IN ({counted})"
+            f"WHERE o.execution IN (SELECT execution FROM ({COUNTED}))"
         )
 
 
@@ -171,6 +170,10 @@ JOIN executions e ON e.run = m.run AND e.programs = l.programs AND e.reading = l
 WHERE e.status = 'ok' AND e.purpose = 'run'
 GROUP BY m.batch, m.ordinal, m.run
 """
+
+
+COUNTED = "SELECT run, arg_max(execution, asked) AS execution FROM counting GROUP BY run"
+"""A run's execution that counts for the batch last asked for."""
 
 
 def _only(column: str) -> str:
