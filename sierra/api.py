@@ -22,7 +22,9 @@ from sierra.store import Store
 if TYPE_CHECKING:
     import pyarrow as pa
 
-    from sierra.pipeline import Plan, Summary, Watch
+    from sierra.asking import Watch
+    from sierra.pipeline import Summary
+    from sierra.plans import Plan
 
 
 class Project:
@@ -60,10 +62,10 @@ class Project:
         sets: Sequence[tuple[str, str]] = (),
     ) -> Plan:
         """What a query would execute: the batch with all ids. `sets` are pairs of XPath and value."""
-        from sierra import pipeline
+        from sierra import plans
 
-        asked = pipeline.ask(self._loaded, query, runs=runs, controller=controller, scenario=scenario, sets=sets)
-        return pipeline.plan(self._loaded, asked)
+        asked = plans.ask(self._loaded, query, runs=runs, controller=controller, scenario=scenario, sets=sets)
+        return plans.plan(self._loaded, asked)
 
     def run(
         self,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from typing import Any
 
-from sierra.pipeline import Plan
+from sierra.plans import Plan
 from sierra.provenance.source import changed
 from sierra.store import Store
 

@@ -12,7 +12,7 @@ import sierra
 from sierra.config import Output, Success
 from sierra.hashing import digest, merkle
 from sierra.model import OutputFile, Recipe
-from sierra.pipeline import Plan
+from sierra.plans import Plan
 from sierra.provenance.source import Entry, tree_hash
 from sierra.record import Context, result_hash
 from sierra.seeds import seed

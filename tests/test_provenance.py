@@ -13,7 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import sierra
-from sierra import explain, pipeline
+from sierra import explain, states
 from sierra.errors import ConfigError, Missing
 from sierra.provenance import environment, programs, source
 from sierra.provenance.source import SWHID, Source
@@ -295,7 +295,7 @@ def test_changed_programs_execute_again_and_the_reason_is_told(tmp_path: Path) -
     assert project.run("n=1", figures=False).reused == 2
     program(Path(simulator), "#!/bin/sh\necho v > out.csv; echo 2 >> out.csv\n")
     planned = project.plan("n=1")
-    whys = {state.why for state in pipeline.states(planned, project.store).values()}
+    whys = {state.why for state in states.states(planned, project.store).values()}
     assert whys == {"executed with other programs"}
     assert project.run("n=1", figures=False).executed == 2
     assert project.sql("SELECT DISTINCT v FROM out").column(0).to_pylist() == [2]

@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from sierra.pipeline import Progress
+from sierra.asking import Progress
 
 PLAIN_S = 5.0
 

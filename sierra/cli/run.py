@@ -14,7 +14,9 @@ from sierra.errors import Missing, UsageError
 
 if TYPE_CHECKING:
     from sierra.api import Project
-    from sierra.pipeline import Plan, State, Summary
+    from sierra.pipeline import Summary
+    from sierra.plans import Plan
+    from sierra.states import State
 
 
 def run(
@@ -113,13 +115,13 @@ def _answer(summary: Summary) -> dict[str, Any]:
 
 def _preview(project: Project, plan: Plan, *, explain: bool, as_json: bool) -> dict[str, Any]:
     """What would execute, and (with `explain`) why."""
-    from sierra import pipeline
     from sierra.cli.output import table
     from sierra.explain import other_programs, why_new
     from sierra.hashing import short
+    from sierra.states import states as states_of
 
     store = project.stored()
-    states = pipeline.states(plan, store)
+    states = states_of(plan, store)
     todo = sum(not state.good for state in states.values())
     reasons = Counter(state.why for state in states.values())
     told: dict[str, Any] = {
@@ -182,9 +184,10 @@ def _print_failures(summary: Summary) -> None:
 
     for failure in summary.failures:
         values = ", ".join(f"{name}={value}" for name, value in failure.experiment.items())
-        print(f"failed: {short(failure.run)} ({values}, run {failure.number}): {failure.reason}")
+        several = f"{failure.count} runs failed, as" if failure.count > 1 else "failed:"
+        print(f"{several} {short(failure.run)} ({values}, run {failure.number}): {failure.reason}")
         for line in (failure.log or "").splitlines()[-5:]:
             print(f"    {line}")
-    more = summary.failed - len(summary.failures)
+    more = summary.failed - sum(failure.count for failure in summary.failures)
     if more > 0:
-        print(f"and {more} more: sierra show {short(summary.batch)}")
+        print(f"and {more} more, for other reasons: sierra show {short(summary.batch)}")

@@ -1,4 +1,6 @@
-"""What contains a run where it is executed: the Engine contract. `none` is the only one so far.
+"""What contains a run where it is executed: the Engine contract, and the door to find one by name.
+
+Shipped: `none`. Others come as entry points of the group `sierra.engines`, each naming a class that fulfils `Engine`.
 
 Engine and runner are independent: an engine turns a job's argv into the argv that starts it contained, and
 nothing else in the program knows which engine it is.
@@ -8,7 +10,9 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from sierra.errors import ConfigError
+from sierra import plugins
+
+SHIPPED = {"none": "sierra.engines:Uncontained"}
 
 
 class Engine(Protocol):
@@ -39,6 +43,5 @@ class Uncontained:
 
 def find(name: str) -> Engine:
     """The engine of that name. Raises ConfigError where there is none."""
-    if name == "none":
-        return Uncontained()
-    raise ConfigError(f"unknown engine {name!r}; known are none")
+    made: Engine = plugins.find("engine", SHIPPED, name)()
+    return made

@@ -8,10 +8,10 @@ ending, such as `.argos`, `.world` or `.launch`, is XML.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from importlib import import_module
 from pathlib import Path
 from typing import Any, Protocol
 
+from sierra import plugins
 from sierra.errors import Missing, TemplateError
 from sierra.model import Change, Value
 
@@ -89,22 +89,11 @@ def read(path: Path) -> Template:
 
 def formats() -> tuple[str, ...]:
     """All formats that a template can have here, the shipped ones first."""
-    return (*SHIPPED, *sorted({point.name for point in _entry_points()} - SHIPPED.keys()))
+    return plugins.names("template", SHIPPED)
 
 
 def _load(ending: str) -> Any:
-    if ending not in SHIPPED:
-        for point in _entry_points():
-            if point.name == ending:
-                return point.load()
-    module, _, attribute = SHIPPED.get(ending, SHIPPED["xml"]).partition(":")
-    return getattr(import_module(module), attribute)
-
-
-def _entry_points() -> Any:
-    from importlib.metadata import entry_points
-
-    return entry_points(group="sierra.templates")
+    return plugins.find("template", SHIPPED, ending if ending in formats() else "xml")
 
 
 def _one_line(text: str) -> str:

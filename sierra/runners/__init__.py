@@ -1,13 +1,19 @@
-"""Where runs execute: the Runner contract. `local` is the only one so far."""
+"""Where runs execute: the Runner contract, and the door to find one by name.
+
+Shipped: `local`. Others come as entry points of the group `sierra.runners`, each naming a class that fulfils `Runner`.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Protocol
 
+from sierra import plugins
 from sierra.model import Job, Result
 from sierra.paths import SessionPaths
+
+SHIPPED = {"local": "sierra.runners.local:Local"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,6 +32,10 @@ class Runner(Protocol):
 
     name: str
 
+    def __init__(self, slots: int) -> None:
+        """`slots`: how many runs execute at a time."""
+        ...
+
     def submit(self, jobs: Iterable[Job], session: SessionPaths) -> None:
         """Start executing. `jobs` is read as slots become free, perhaps in another thread; called once."""
         ...
@@ -40,3 +50,9 @@ class Runner(Protocol):
     def stop(self) -> None:
         """Start nothing more and end what runs; `look` tells the end of those too. May be called again."""
         ...
+
+
+def find(name: str) -> Callable[[int], Runner]:
+    """What makes the runner of that name, for a number of slots. Raises ConfigError where there is none."""
+    made: Callable[[int], Runner] = plugins.find("runner", SHIPPED, name)
+    return made

@@ -1,0 +1,159 @@
+"""What is recorded of an asking itself: the batch and its inputs before anything executes, the session at its end."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from typing import Any
+
+from sierra import sessions
+from sierra.hashing import sha256
+from sierra.model import Batch
+from sierra.paths import SessionPaths
+from sierra.plans import Plan, context
+from sierra.sessions import Session
+from sierra.store import Store
+from sierra.store.objects import Objects
+
+COUNTS = ("executed", "reused", "failed", "missing", "interrupted")
+
+
+def keep(plan: Plan, store: Store, session: SessionPaths) -> None:
+    """Record what is asked, before anything executes: the batch, its runs, and their input files.
+
+    What the store has already is not recorded again, also where another asking was quicker.
+    """
+    batch = plan.batch
+    writer = store.writer(session.segment, batch.id)
+    known = _known_inputs(plan, store)
+    objects = Objects(writer.path("objects"))
+    for _, files in plan.expansion.files(batch, lambda run: run.id not in known):
+        for _, content in files:
+            objects.add(content)
+    listing = objects.add(plan.source.manifest)
+    objects.close()
+    recipe = batch.recipe
+    first = batch.experiments[0].runs[0]
+    writer.rows("batches", [_batch_row(plan)])
+    writer.rows(
+        "recipes",
+        [
+            {
+                "recipe": batch.recipe_id,
+                "platform": recipe.platform,
+                "command": list(recipe.command),
+                "variables": _json(recipe.environment),
+                "source": recipe.source,
+                "image": recipe.image,
+                "files": [name for name, _ in first.inputs],
+            }
+        ],
+    )
+    writer.rows("sources", [plan.source.row(listing)])
+    writer.rows("environments", [plan.environment])
+    writer.rows("programs", plan.programs.rows())
+    writer.table("experiments", _experiments(batch))
+    writer.table("members", _members(batch))
+    with sessions.exclusively(store.paths):
+        if not is_kept(plan, store):
+            store.publish(writer)
+
+
+def close(
+    plan: Plan, store: Store, session: Session, counts: Mapping[str, Any], *, started: datetime, runner: str, slots: int
+) -> None:
+    """Record how an asking went, with what was around it."""
+    now = context(plan)
+    record = {
+        **{name: counts[name] for name in COUNTS},
+        "session": session.id,
+        "batch": plan.batch.id,
+        "query": plan.text,
+        "started": started,
+        "ended": datetime.now(UTC),
+        "runner": runner,
+        "engine": plan.engine.name,
+        "slots": slots,
+        "sierra": plan.environment["sierra"],
+        "environment": plan.environment["environment"],
+        "source": plan.source.id,
+        **{name: getattr(now, name) for name in ("programs", "reading", "rules")},
+    }
+    writer = store.writer(session.paths.segment, plan.batch.id)
+    writer.rows("sessions", [record])
+    writer.rows("sources", [plan.source.row(sha256(plan.source.manifest))])
+    if counts["executed"]:
+        writer.rows("environments", [plan.environment])
+        writer.rows("programs", plan.programs.rows())
+    store.publish(writer)
+
+
+def is_kept(plan: Plan, store: Store) -> bool:
+    """Whether the store knows what is asked."""
+    return bool(store.rows("SELECT 1 FROM batches WHERE batch = $b LIMIT 1", b=plan.batch.id))
+
+
+def _known_inputs(plan: Plan, store: Store) -> set[str]:
+    """Runs of the batch whose input files the store has: those that belong to an earlier batch."""
+    import pyarrow as pa
+
+    with store.ask() as question:
+        question.register("asked", pa.table({"run": [run.id for run in plan.batch.runs]}))
+        question.views.make(("members",))
+        return {row[0] for row in question.run("SELECT DISTINCT run FROM members JOIN asked USING (run)")}
+
+
+def _batch_row(plan: Plan) -> dict[str, Any]:
+    return {
+        "batch": plan.batch.id,
+        "created": datetime.now(UTC),
+        "query": plan.text,
+        "axes": [axis.name for axis in plan.batch.axes],
+        "controller": plan.query.controller or plan.project.config.controller,
+        "scenario": plan.query.scenario or plan.project.config.scenario,
+        "sets": [f"{change.path}={change.value}" for change in plan.query.sets],
+        "platform": plan.batch.recipe.platform,
+        "experiments": len(plan.batch.experiments),
+        "runs": len({run.id for run in plan.batch.runs}),
+        "base_seed": plan.query.base_seed,
+        "recipe": plan.batch.recipe_id,
+        "template": plan.project.config.template,
+        "template_sha256": plan.template_sha256,
+    }
+
+
+def _experiments(batch: Batch) -> Any:
+    import pyarrow as pa
+
+    columns: dict[str, Any] = {
+        "experiment": [experiment.id for experiment in batch.experiments],
+        "batch": [batch.id] * len(batch.experiments),
+        "ordinal": [experiment.ordinal for experiment in batch.experiments],
+    }
+    for axis in batch.axes:
+        values = [experiment.values[axis.name] for experiment in batch.experiments]
+        kind = pa.string() if not axis.numeric else pa.int64() if all(isinstance(v, int) for v in values) else pa.float64()
+        columns[axis.name] = pa.array(values, kind)
+    return pa.table(columns)
+
+
+def _members(batch: Batch) -> Any:
+    import pyarrow as pa
+
+    runs = batch.runs
+    return pa.table(
+        {
+            "batch": pa.array([batch.id]).take(pa.array([0] * len(runs))),
+            "ordinal": [run.experiment for run in runs],
+            "number": [run.number for run in runs],
+            "run": [run.id for run in runs],
+            "seed": [run.seed for run in runs],
+            "input": [run.inputs[0][1] for run in runs],
+            "recipe": pa.array([batch.recipe_id]).take(pa.array([0] * len(runs))),
+        }
+    )
+
+
+def _json(value: Mapping[str, str]) -> str:
+    return json.dumps(dict(value), sort_keys=True)

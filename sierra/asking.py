@@ -1,0 +1,182 @@
+"""Answering a plan: executing what is missing, while other sessions may be doing the same."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Set as AbstractSet
+from dataclasses import dataclass
+
+from sierra import jobs, recovery, sessions
+from sierra.errors import Missing
+from sierra.model import Job, Result, Status
+from sierra.plans import Plan, context
+from sierra.record import Recorder, find_odd
+from sierra.runners import Runner
+from sierra.sessions import Session
+from sierra.states import states
+from sierra.store import Store
+
+POLL_S = 0.05
+JOIN_S = 0.2
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """How far an asking has come."""
+
+    total: int
+    reused: int
+    done: int
+    failed: int
+    running: int
+    elsewhere: int = 0
+
+
+Watch = Callable[[Progress], None]
+
+
+class Asking:
+    """One asking while it is answered: what is done, what failed, what others do."""
+
+    def __init__(
+        self, plan: Plan, store: Store, session: Session, runner: Callable[[], Runner], fail_fast: bool, watch: Watch
+    ) -> None:
+        self.plan = plan
+        self.store = store
+        self.session = session
+        self.interrupted = False
+        self.attempted: set[str] = set()
+        self.failed: set[str] = set()
+        self.notes: tuple[str, ...] = ()
+        self._runner = runner
+        self._fail_fast = fail_fast
+        self._watch = watch
+        self.reused = 0
+        self._total = len({run.id for run in plan.batch.runs})
+        self._context = context(plan, session.id)
+
+    def answer(self) -> None:
+        """Execute what is missing; wait for what other sessions execute, and take over what they leave."""
+        before: dict[str, int] | None = None
+        while not self.interrupted:
+            recorded = len(self.store.segments())
+            now = {run: state.executions for run, state in states(self.plan, self.store).items() if not state.good}
+            wanted = set(now)
+            if before is None:
+                before, self.reused = now, self._total - len(now)
+            # What another session executed since this asking began, and without success, has been tried.
+            self.failed |= {run for run in wanted if now[run] > before.get(run, 0)}
+            wanted -= self.failed | self.attempted
+            if not wanted or (self._fail_fast and self.failed):
+                return
+            mine = self.session.claim(wanted)
+            if len(self.store.segments()) != recorded:
+                continue  # what is claimed now may have been executed since the store was asked
+            if mine:
+                tried = len(self.attempted)
+                self._execute(mine)
+                if len(self.attempted) == tried and not self.interrupted:
+                    raise Missing(f"{self.session.paths.root}: the worker has ended, and said of no run how it went")
+                if wanted <= self.attempted:
+                    return
+            else:
+                self._wait(wanted)
+
+    def _execute(self, wanted: AbstractSet[str]) -> None:
+        self._context.save(self.session.paths.context)
+        recorder = Recorder(self.store, self.session.paths, self._context)
+        runner = self._runner()
+        with _noted() as signals:
+            try:
+                runner.submit(self._jobs(wanted), self.session.paths)
+                self._follow(runner, recorder, signals)
+                find_odd(self.store, self.session.paths, self._context)
+            except BaseException:
+                self._give_up(runner)
+                raise
+        self.interrupted = bool(signals)
+
+    def _give_up(self, runner: Runner) -> None:
+        """End what runs, and record by the journal what had finished; if that fails too, whoever asks next does so."""
+        self.session.recorded = False
+        with contextlib.suppress(Exception):
+            runner.stop()
+            while runner.look().alive:
+                time.sleep(POLL_S)
+        with contextlib.suppress(Missing, OSError):
+            recovery.recover(self.store, self.session.paths)
+            self.session.recorded = True
+
+    def _jobs(self, wanted: AbstractSet[str]) -> Iterator[Job]:
+        maker = jobs.Maker(self.plan.batch.recipe, self.plan.project.root, self.plan.engine, self.plan.limits, self.session.id)
+        sent: set[str] = set()
+        for run, files in self.plan.expansion.files(self.plan.batch, lambda run: run.id in wanted):
+            if run.id not in sent:
+                sent.add(run.id)
+                yield maker.job(run, files)
+
+    def _follow(self, runner: Runner, recorder: Recorder, signals: Sequence[int]) -> None:
+        """Look again and again until all has ended; a signal and the first failure (with `fail_fast`) end it early."""
+        alive, told = True, 0
+        while alive:
+            look = runner.look()
+            self._take(look.results, recorder)
+            if recorder.due():
+                self._flushed(recorder)
+            self._tell(look.running)
+            if len(signals) > told or (self._fail_fast and self.failed and not told):
+                told = max(len(signals), 1)
+                runner.stop()
+            alive = look.alive
+            if alive:
+                time.sleep(POLL_S)
+        self._flushed(recorder)
+        self._tell(0)
+
+    def _take(self, results: Sequence[Result], recorder: Recorder) -> None:
+        for result in results:
+            status = recorder.add(result)
+            if status is not Status.INTERRUPTED:
+                self.attempted.add(result.run)
+                if status is not Status.OK:
+                    self.failed.add(result.run)
+
+    def _flushed(self, recorder: Recorder) -> None:
+        self.failed |= {run for run, _, _ in recorder.flush()}
+
+    def _wait(self, wanted: AbstractSet[str]) -> None:
+        """Other sessions execute what is wanted: until one of them ends, or has recorded something."""
+        known = len(self.store.segments())
+        with _noted() as signals:
+            while not signals and sessions.others(self.session.store, self.session.id) & wanted:
+                self._tell(0, elsewhere=len(wanted))
+                time.sleep(JOIN_S)
+                recovery.finish_dead(self.store)
+                if len(self.store.segments()) != known:
+                    break
+        self.interrupted = bool(signals)
+
+    def _tell(self, running: int, elsewhere: int = 0) -> None:
+        self._watch(Progress(self._total, self.reused, len(self.attempted), len(self.failed), running, elsewhere))
+
+
+@contextlib.contextmanager
+def _noted() -> Iterator[list[int]]:
+    """Signals to end that arrive meanwhile: noted, so that nothing is torn apart (in the main thread; others get none)."""
+    noted: list[int] = []
+    if threading.current_thread() is not threading.main_thread():
+        yield noted
+        return
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    heeded = {number: handler for number, handler in before.items() if handler not in (signal.SIG_IGN, None)}
+    for number in heeded:
+        signal.signal(number, lambda got, _: noted.append(got))
+    try:
+        yield noted
+    finally:
+        for number, handler in heeded.items():
+            signal.signal(number, handler)

@@ -1,0 +1,156 @@
+"""A query with all that its answer depends on, and nothing executed yet: query → design → inputs."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from sierra import engines, inputs, jobs, platforms, query
+from sierra.config import LoadedProject, Project
+from sierra.design import design
+from sierra.engines import Engine
+from sierra.errors import ConfigError, Missing, UsageError
+from sierra.expansion import Expansion
+from sierra.model import Batch, Design, Limits, Query, Recipe, Set
+from sierra.paths import CONFIG, DRAWN, FIGURES, PYPROJECT, STORE, ProjectPaths
+from sierra.provenance import environment, programs, source
+from sierra.record import Context
+from sierra.store.tables import check_name
+from sierra.version import __version__
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """A query with all that its answer depends on, and nothing executed yet."""
+
+    project: LoadedProject
+    query: Query
+    text: str
+    batch: Batch
+    expansion: Expansion
+    source: source.Source
+    programs: programs.Programs
+    environment: Mapping[str, Any]
+    engine: Engine
+    limits: Limits
+    template_sha256: str
+    notes: tuple[str, ...] = ()
+
+
+def ask(
+    project: LoadedProject,
+    words: Sequence[str],
+    *,
+    runs: int | None = None,
+    controller: str | None = None,
+    scenario: str | None = None,
+    sets: Sequence[tuple[str, str]] = (),
+) -> Query:
+    """The query that these words are: criteria, or the name of one in `sierra.toml`.
+
+    `sets` are pairs of an XPath and a value. Raises QueryError, UsageError.
+    """
+    if runs is not None and runs < 1:
+        raise UsageError(f"{runs} runs per experiment; ask for 1 or more")
+    config = project.config
+    named = config.queries.get(words[0]) if len(words) == 1 else None
+    criteria = query.parse_all(named.criteria if named else words)
+    return Query(
+        criteria=criteria,
+        runs=runs or (named and named.runs) or config.runs,
+        controller=controller or (named and named.controller) or None,
+        scenario=scenario or (named and named.scenario) or None,
+        sets=tuple(Set(path, value, why=f"--set {path}") for path, value in sets),
+        base_seed=config.seed.base,
+    )
+
+
+def plan(project: LoadedProject, asked: Query, *, engine: str = "none") -> Plan:
+    """All that a query's answer depends on. Nothing is executed or written (but the source's tree, by git).
+
+    Raises what is wrong with project, query, template, source or programs.
+    """
+    config, root = project.config, project.root
+    _check_outputs(project)
+    template = inputs.read(root / config.template)
+    platform = platforms.find(config.platform, config)
+    contained = engines.find(engine)
+    command = jobs.command(platform, root)
+    variables = jobs.environment(platform, config)
+    own = (STORE, *_drawn(root), CONFIG, PYPROJECT if project.file.name == PYPROJECT else CONFIG, *_inside(config.template))
+    code = source.capture(root, paths=config.source.paths, without=own)
+    unversioned = programs.beside((*command, *variables.values()), root, source.paths(code.manifest))
+    recipe = Recipe(config.platform, command, variables, code.tree, contained.image())
+    designed = design(asked, config, platform, template)
+    expansion = Expansion(designed, template, platform, recipe)
+    return Plan(
+        project=project,
+        query=asked,
+        text=" ".join(query.text(criterion) for criterion in asked.criteria),
+        batch=expansion.batch(),
+        expansion=expansion,
+        source=code,
+        programs=programs.find(jobs.fill(command, root), jobs.search_path(variables), root, unversioned),
+        environment=environment.capture(__version__),
+        engine=contained,
+        limits=jobs.limits(config),
+        template_sha256=template.sha256,
+        notes=(*_doubts(designed, command), *_texts(designed, config, template)),
+    )
+
+
+def context(plan: Plan, session: str = "") -> Context:
+    """What recording needs to know of a session that executes this."""
+    config = plan.project.config
+    return Context(
+        session=session,
+        batch=plan.batch.id,
+        purpose="run",
+        environment=plan.environment["environment"],
+        programs=plan.programs.id,
+        outputs=config.outputs,
+        success=config.success,
+    )
+
+
+def _drawn(root: Path) -> list[str]:
+    """The folders that figures were drawn to; what else is in `figures` is the project's."""
+    return [f"{FIGURES}/{memory.parent.name}" for memory in ProjectPaths(root).figures.glob(f"*/{DRAWN}")]
+
+
+def _inside(template: str) -> list[str]:
+    """The template, where it lies in the project: it is hashed by what is made from it."""
+    path = os.path.normpath(template)
+    return [] if path.startswith((os.pardir, os.sep)) else [path]
+
+
+def _doubts(designed: Design, command: Sequence[str]) -> Iterator[str]:
+    """What is allowed, and yet hardly meant."""
+    mentioned = " ".join(command)
+    if designed.query.runs > 1 and not designed.per_run and "{seed}" not in mentioned:
+        yield 'the seed goes nowhere: say where with seed = "XPATH", or {seed} in the command (SIERRA_SEED has it too)'
+    if "{input}" not in mentioned and "{run}" not in mentioned:
+        yield "the command does not name {input}: unless it finds the generated file itself, all experiments are the same"
+
+
+def _texts(designed: Design, config: Project, template: inputs.Template) -> Iterator[str]:
+    """Texts as values of a variable where the template has a number: a range that was mistyped, perhaps."""
+    for axis in designed.axes:
+        variable = config.variables.get(axis.name)
+        if variable is not None and variable.set is not None and not axis.numeric:
+            here = template.find(variable.set)
+            if here and all(re.fullmatch(r"\s*[+-]?\d+(\.\d*)?\s*", value) for value in here):
+                yield f"{axis.name} gets texts ({axis.values[0]!r}, …), and the template has {here[0].strip()} there"
+
+
+def _check_outputs(project: LoadedProject) -> None:
+    for name in project.config.outputs:
+        if not check_name(name):
+            raise ConfigError(f"{project.file}: [outputs.{name}]: the store has a table {name!r} of its own; take another name")
+    root = ProjectPaths(project.root)
+    if root.store.exists() and not root.store.is_dir():
+        raise Missing(f"{root.store} is a file; the store is to be a folder there")

@@ -1,0 +1,37 @@
+"""What can be named: shipped classes, and those that other packages add by entry points.
+
+A table of shipped ones maps a name to `module:Class`, so that nothing is imported before it is asked for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from importlib import import_module
+from typing import Any
+
+from sierra.errors import ConfigError
+
+
+def find(kind: str, shipped: Mapping[str, str], name: str) -> Any:
+    """The class called `name` among the shipped ones, or in the entry points of the group `sierra.<kind>s`.
+
+    `kind` is singular, as messages call it: platform, runner, engine. Raises ConfigError where there is none.
+    """
+    if name in shipped:
+        module, _, attribute = shipped[name].partition(":")
+        return getattr(import_module(module), attribute)
+    for point in _entry_points(kind):
+        if point.name == name:
+            return point.load()
+    raise ConfigError(f"unknown {kind} {name!r}; known are {', '.join(names(kind, shipped))}")
+
+
+def names(kind: str, shipped: Mapping[str, str]) -> tuple[str, ...]:
+    """All names that `find` knows here, the shipped ones first."""
+    return (*shipped, *sorted({point.name for point in _entry_points(kind)} - shipped.keys()))
+
+
+def _entry_points(kind: str) -> Any:
+    from importlib.metadata import entry_points
+
+    return entry_points(group=f"sierra.{kind}s")
