@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from datetime import UTC, datetime
 from typing import Any
 
@@ -15,7 +15,10 @@ from sierra.plans import Plan, context
 from sierra.sessions import Session
 from sierra.store import Store
 from sierra.store.objects import Objects
+from sierra.store.tables import arrow_schema
 
+AT_A_TIME = 10_000
+"""Members that are in memory as rows."""
 COUNTS = ("executed", "reused", "failed", "missing", "interrupted")
 
 
@@ -54,7 +57,7 @@ def keep(plan: Plan, store: Store, session: SessionPaths) -> None:
     writer.rows("environments", [plan.environment])
     writer.rows("programs", plan.programs.rows())
     writer.table("experiments", _experiments(batch))
-    writer.table("members", _members(batch))
+    writer.tables("members", _members(batch))
     with sessions.exclusively(store.paths):
         if not is_kept(plan, store):
             store.publish(writer)
@@ -98,10 +101,13 @@ def _known_inputs(plan: Plan, store: Store) -> set[str]:
     """Runs of the batch whose input files the store has: those that belong to an earlier batch."""
     import pyarrow as pa
 
+    recipe = {"recipe": plan.batch.recipe_id}
     with store.ask() as question:
-        question.register("asked", pa.table({"run": [run.id for run in plan.batch.runs]}))
         question.views.make(("members",))
-        return {row[0] for row in question.run("SELECT DISTINCT run FROM members JOIN asked USING (run)")}
+        if not question.run("SELECT 1 FROM members WHERE recipe = $recipe LIMIT 1", recipe):
+            return set()
+        question.register("asked", pa.table({"run": [run.id for run in plan.batch.runs]}))
+        return {row[0] for row in question.run("SELECT DISTINCT run FROM members SEMI JOIN asked USING (run)")}
 
 
 def _batch_row(plan: Plan) -> dict[str, Any]:
@@ -138,21 +144,17 @@ def _experiments(batch: Batch) -> Any:
     return pa.table(columns)
 
 
-def _members(batch: Batch) -> Any:
+def _members(batch: Batch) -> Iterator[Any]:
     import pyarrow as pa
 
-    runs = batch.runs
-    return pa.table(
-        {
-            "batch": pa.array([batch.id]).take(pa.array([0] * len(runs))),
-            "ordinal": [run.experiment for run in runs],
-            "number": [run.number for run in runs],
-            "run": [run.id for run in runs],
-            "seed": [run.seed for run in runs],
-            "input": [run.inputs[0][1] for run in runs],
-            "recipe": pa.array([batch.recipe_id]).take(pa.array([0] * len(runs))),
-        }
-    )
+    schema = arrow_schema("members")
+    for at in range(0, len(batch.runs), AT_A_TIME):
+        rows = (
+            (batch.id, run.experiment, run.number, run.id, run.seed, run.inputs[0][1], batch.recipe_id)
+            for run in batch.runs[at : at + AT_A_TIME]
+        )
+        columns = zip(zip(*rows, strict=True), schema, strict=True)
+        yield pa.table([pa.array(column, field.type) for column, field in columns], schema)
 
 
 def _json(value: Mapping[str, str]) -> str:

@@ -49,7 +49,9 @@ class Asking:
         self.store = store
         self.session = session
         self.interrupted = False
-        self.attempted: set[str] = set()
+        self._before: dict[str, int] | None = None
+        self._claimed: set[str] = set()
+        self._open: set[str] = set()
         self.failed: set[str] = set()
         self.notes: tuple[str, ...] = ()
         self._runner = runner
@@ -59,35 +61,46 @@ class Asking:
         self._total = len({run.id for run in plan.batch.runs})
         self._context = context(plan, session.id)
 
+    @property
+    def attempted(self) -> set[str]:
+        """The runs that this asking has executed to their end."""
+        return self._claimed - self._open
+
     def answer(self) -> None:
         """Execute what is missing; wait for what other sessions execute, and take over what they leave."""
-        before: dict[str, int] | None = None
         while not self.interrupted:
             recorded = len(self.store.segments())
-            now = {run: state.executions for run, state in states(self.plan, self.store).items() if not state.good}
-            wanted = set(now)
-            if before is None:
-                before, self.reused = now, self._total - len(now)
-            # What another session executed since this asking began, and without success, has been tried.
-            self.failed |= {run for run in wanted if now[run] > before.get(run, 0)}
-            wanted -= self.failed | self.attempted
+            wanted = self._wanted()
             if not wanted or (self._fail_fast and self.failed):
                 return
             mine = self.session.claim(wanted)
             if len(self.store.segments()) != recorded:
                 continue  # what is claimed now may have been executed since the store was asked
-            if mine:
-                tried = len(self.attempted)
-                self._execute(mine)
-                if len(self.attempted) == tried and not self.interrupted:
-                    raise Missing(f"{self.session.paths.root}: the worker has ended, and said of no run how it went")
-                if wanted <= self.attempted:
-                    return
-            else:
+            if not mine:
                 self._wait(wanted)
+                continue
+            self._execute(mine)
+            if mine <= self._open and not self.interrupted:
+                raise Missing(f"{self.session.paths.root}: the worker has ended, and said of no run how it went")
+            if len(mine) == len(wanted) and not self._open:
+                return
+
+    def _wanted(self) -> set[str]:
+        """The runs that have no good execution, and that nobody has tried since this asking began."""
+        now = states(self.plan, self.store)
+        wanted = {run for run, state in now.items() if not state.good}
+        if self._before is None:
+            self._before = {run: now[run].executions for run in wanted if now[run].executions}
+            self.reused = self._total - len(wanted)
+        self.failed |= {run for run in wanted if now[run].executions > self._before.get(run, 0)}
+        wanted -= self.failed
+        wanted -= self.attempted
+        return wanted
 
     def _execute(self, wanted: AbstractSet[str]) -> None:
         self._context.save(self.session.paths.context)
+        self._claimed |= wanted
+        self._open |= wanted
         recorder = Recorder(self.store, self.session.paths, self._context)
         runner = self._runner()
         with _noted() as signals:
@@ -141,7 +154,7 @@ class Asking:
         for result in results:
             status = recorder.add(result)
             if status is not Status.INTERRUPTED:
-                self.attempted.add(result.run)
+                self._open.discard(result.run)
                 if status is not Status.OK:
                     self.failed.add(result.run)
 
@@ -161,7 +174,9 @@ class Asking:
         self.interrupted = bool(signals)
 
     def _tell(self, running: int, elsewhere: int = 0) -> None:
-        self._watch(Progress(self._total, self.reused, len(self.attempted), len(self.failed), running, elsewhere))
+        self._watch(
+            Progress(self._total, self.reused, len(self._claimed) - len(self._open), len(self.failed), running, elsewhere)
+        )
 
 
 @contextlib.contextmanager

@@ -273,9 +273,10 @@ class Batch:
     recipe: Recipe
     recipe_id: str
 
-    @property
-    def runs(self) -> tuple[Run, ...]:
-        return tuple(run for experiment in self.experiments for run in experiment.runs)
+    runs: tuple[Run, ...] = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "runs", tuple(run for experiment in self.experiments for run in experiment.runs))
 
 
 # ---------------------------------------------------------------- executing

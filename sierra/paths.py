@@ -5,7 +5,7 @@ PROJECT/figures/<batch>/            what is drawn, and in .drawn.json from what
 PROJECT/.sierra/format              the version of the store's format
 PROJECT/.sierra/segments/<segment>/ what is recorded; see sierra.store.segments
 PROJECT/.sierra/work/<session>/     what executes now; gone once it is recorded
-    lock  claims.json  context.json  journal.jsonl  segment/
+    lock  owner.0  claims.json  context.json  journal.jsonl  segment/
     <number>/                       one run: input files, stdout, stderr, home/ tmp/ output/
 """
 
@@ -90,6 +90,9 @@ class SessionPaths:
     @property
     def lock(self) -> Path:
         return self.root / "lock"
+
+    def owner(self, generation: int) -> Path:
+        return self.root / f"owner.{generation}"
 
     @property
     def claims(self) -> Path:

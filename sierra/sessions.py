@@ -4,6 +4,10 @@ Claims only save work, never guard truth: two processes that execute the same ru
 locks) record two executions of it, and neither is lost. A session whose lock nobody holds has died; whoever
 finds it ends what it left running, records what had finished, and removes it. Until then its claims hold, so
 that nobody executes again what only waits to be recorded.
+
+Where a file system has no locks, claims are not heeded, and a session has died once its owner's process is gone, as
+far as its own host can tell: `owner.0` names the process that made it, `owner.1` the one that finishes it because
+that has died, and so on. Each is created by one process alone.
 """
 
 from __future__ import annotations
@@ -14,8 +18,10 @@ import fcntl
 import json
 import os
 import secrets
+import socket
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 from sierra import worker
 from sierra.paths import SessionPaths, StorePaths
@@ -33,6 +39,7 @@ class Session:
         """Whether all that has finished here is recorded; otherwise the session is left to whoever asks next."""
         with exclusively(store), disk_errors(self.paths.root):
             self.paths.root.mkdir(parents=True)
+            _own(self.paths, 0)
             self._lock = _locked(self.paths.lock)
 
     def claim(self, runs: set[str]) -> set[str]:
@@ -65,9 +72,13 @@ def dead(store: StorePaths) -> Iterator[list[SessionPaths]]:
     found: list[SessionPaths] = []
     with exclusively(store):
         for paths in _all(store):
-            lock = _locked(paths.lock, wait=False)
+            try:
+                lock = _locked(paths.lock, wait=False)
+            except BlockingIOError:
+                continue
             if lock is not None:
                 held.append(lock)
+            if lock is not None or _take_over(paths):
                 found.append(paths)
     try:
         yield found
@@ -122,16 +133,53 @@ def _remove(store: StorePaths, paths: SessionPaths) -> None:
 
 
 def _locked(path: Path, *, wait: bool = True) -> int | None:
-    """A descriptor that holds the lock; None where somebody else does, or where the file system has no locks.
-
-    Without locks no session is ever taken for dead, and claims are not heeded.
-    """
+    """A descriptor that holds the lock; None where the file system has no locks. BlockingIOError: somebody else has it."""
     descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
     except OSError as error:
         os.close(descriptor)
-        if error.errno not in (errno.EWOULDBLOCK, errno.ENOLCK, errno.ENOTSUP, errno.EINVAL, errno.ENOSYS):
+        if error.errno not in (errno.ENOLCK, errno.ENOTSUP, errno.EINVAL, errno.ENOSYS):
             raise
         return None
     return descriptor
+
+
+def _own(paths: SessionPaths, generation: int) -> bool:
+    """Become a session's owner of that generation; False where another process has."""
+    try:
+        with paths.owner(generation).open("x") as file:
+            json.dump(_process(os.getpid()), file)
+    except FileExistsError:
+        return False
+    return True
+
+
+def _take_over(paths: SessionPaths) -> bool:
+    """Become the owner of a session whose last owner was a process of this host that is gone."""
+    generation = 0
+    while paths.owner(generation + 1).exists():
+        generation += 1
+    try:
+        owner = json.loads(paths.owner(generation).read_text())
+    except (OSError, json.JSONDecodeError):
+        return False
+    known = owner["born"] is not None and owner["where"] == _where()
+    return known and owner != _process(owner["pid"]) and _own(paths, generation + 1)
+
+
+def _process(pid: int) -> dict[str, Any]:
+    """What names one process for ever; `born` is None where there is none, or where that can't be told."""
+    try:
+        boot = Path("/proc/sys/kernel/random/boot_id").read_text().strip()
+    except OSError:
+        boot = None
+    return {"pid": pid, "born": boot and worker.birth(pid), "boot": boot, "where": _where()}
+
+
+def _where() -> list[str]:
+    """Who can tell whether a process lives: this host, in this namespace of process ids (a container has its own)."""
+    try:
+        return [socket.gethostname(), str(Path("/proc/self/ns/pid").readlink())]
+    except OSError:
+        return [socket.gethostname()]

@@ -4,19 +4,52 @@ from __future__ import annotations
 
 import contextlib
 from dataclasses import dataclass
-from typing import Any
 
 from sierra.plans import Plan, context
 from sierra.store import Question, Store
 
+FAILED, OTHER_RULES, OTHER_PROGRAMS, GOOD = range(4)
+"""What an execution is worth to an asking, the better the greater."""
+MANY = 4
+"""Times as many executions as runs, beyond which the store is asked for these runs alone; it is quick, and takes memory."""
+
 
 @dataclass(frozen=True, slots=True)
 class State:
-    """What the store has of a run: good, or why it must execute."""
+    """What the store has of a run: the worth of its best execution, or None without any."""
 
-    good: bool
-    why: str
+    worth: int | None = None
+    reason: str | None = None
+    """Why the last one failed, where all did."""
+    failed: int = 0
+    """When that ended, in microseconds since the epoch."""
     executions: int = 0
+
+    @property
+    def good(self) -> bool:
+        return self.worth == GOOD
+
+    @property
+    def why(self) -> str:
+        """Why the run is to be executed, or not."""
+        match self.worth:
+            case None:
+                return "new"
+            case 0:
+                return f"failed: {self.reason}"
+            case 1:
+                return "[outputs] or [success] have changed"
+            case 2:
+                return "executed with other programs"
+            case _:
+                return "reused"
+
+    def after(self, worth: int, reason: str | None, failed: int) -> State:
+        """This, and one execution more."""
+        count = self.executions + 1
+        if self.worth is None or worth > self.worth or (worth == FAILED == self.worth and failed > self.failed):
+            return State(worth, reason, failed, count)
+        return State(self.worth, self.reason, self.failed, count)
 
 
 def is_answered(plan: Plan, store: Store) -> bool:
@@ -31,34 +64,39 @@ def is_answered(plan: Plan, store: Store) -> bool:
 
 def states(plan: Plan, asked: Store | Question | None) -> dict[str, State]:
     """What the store has of each run of the batch."""
-    runs = dict.fromkeys((run.id for run in plan.batch.runs), State(False, "new"))
+    new = State()
+    runs = dict.fromkeys((run.id for run in plan.batch.runs), new)
     if asked is None:
         return runs
-    import pyarrow as pa
-
-    seen: dict[tuple[Any, ...], State] = {}
+    same: dict[State, State] = {}
     with asked.ask() if isinstance(asked, Store) else contextlib.nullcontext(asked) as question:
-        question.register("asked", pa.table({"run": list(runs)}))
         question.run("SET threads = 1")  # of 100,000 runs, each thread would hold its own
-        question.views.make(("executions",))
-        parameters = {"programs": plan.programs.id, "reading": context(plan).reading}
-        for run, *found in question.each(STATES, parameters):
-            key = tuple(found)
-            runs[run] = seen.get(key) or seen.setdefault(key, _state(*found))
+        for run, worth, reason, failed in question.each(*_statement(plan, question, list(runs))):
+            if run in runs:
+                state = runs[run].after(worth, reason, failed)
+                runs[run] = same.setdefault(state, state)
     return runs
 
 
-STATES = """
-SELECT run, bool_or(ok AND programs = $programs AND reading = $reading), bool_or(ok AND reading = $reading),
-       bool_or(ok), arg_max(reason, ended), count(*)
-FROM (SELECT *, status = 'ok' AS ok FROM executions) e JOIN asked USING (run)
-WHERE purpose = 'run' GROUP BY run
+# The runs of one recipe were executed for batches of that recipe, and for no others.
+THOSE = "FROM executions WHERE purpose = 'run' AND batch IN (SELECT batch FROM batches WHERE recipe = $recipe)"
+EACH = f"""
+SELECT run, CASE WHEN status <> 'ok' THEN {FAILED} WHEN reading <> $reading THEN {OTHER_RULES}
+    WHEN programs <> $programs THEN {OTHER_PROGRAMS} ELSE {GOOD} END AS worth,
+    CASE WHEN worth = {FAILED} THEN reason END, CASE WHEN worth = {FAILED} THEN epoch_us(ended) ELSE 0 END
+{THOSE}
 """
 
 
-def _state(good: bool, same_reading: bool, ever: bool, reason: str | None, executions: int) -> State:
-    if good:
-        return State(True, "reused", executions)
-    if same_reading:
-        return State(False, "executed with other programs", executions)
-    return State(False, "[outputs] or [success] have changed" if ever else f"failed: {reason}", executions)
+def _statement(plan: Plan, question: Question, runs: list[str]) -> tuple[str, dict[str, str]]:
+    """The executions that may be of these runs."""
+    recipe = {"recipe": plan.batch.recipe_id}
+    question.views.make(("executions", "batches"))
+    [(count,)] = question.run(f"SELECT count(*) {THOSE}", recipe)
+    statement = EACH
+    if count > MANY * len(runs):
+        import pyarrow as pa
+
+        question.register("asked", pa.table({"run": runs}))
+        statement += " AND run IN (SELECT run FROM asked)"
+    return statement, {**recipe, "programs": plan.programs.id, "reading": context(plan).reading}

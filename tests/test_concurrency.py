@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import errno
 import fcntl
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -173,6 +177,35 @@ def test_where_a_file_system_has_no_locks_claims_are_not_heeded(tmp_path: Any, m
     assert (one.claim({"a"}), two.claim({"a"})) == ({"a"}, {"a"})
     with sessions.dead(store) as found:
         assert found == []
+
+
+WITHOUT_LOCKS = """
+import errno, fcntl
+def flock(descriptor, how):
+    raise OSError(errno.ENOLCK, "No locks available")
+fcntl.flock = flock
+from sierra.cli import main
+main()
+"""
+
+
+def test_where_a_file_system_has_no_locks_what_died_is_finished_all_the_same(simulate: Simulate, tmp_path: Path) -> None:
+    project = simulate()
+    program = tmp_path / "without_locks.py"
+    program.write_text(WITHOUT_LOCKS)
+    words = [sys.executable, str(program), "run", "size.Log8", "--runs", "5", "-j1", "--no-figures"]
+    ask = partial(subprocess.Popen, words, cwd=project.folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    died = ask()
+    project.until_executed(5, died)
+    died.kill()
+    died.communicate()
+    assert len(project.work()) == 1
+    assert project.end_of(ask()).returncode == 0
+    assert (project.work(), project.left_running()) == ([], [])
+    assert sum(project.executed().values()) <= 21, "only what was in flight is executed twice"
+    assert project.sql("SELECT count(*) AS n, count(DISTINCT run) AS runs FROM executions WHERE status = 'ok'") == [
+        {"n": 20, "runs": 20}
+    ]
 
 
 def test_a_store_that_cannot_be_written_is_said(tmp_path: Any) -> None:

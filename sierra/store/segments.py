@@ -14,6 +14,7 @@ Nothing here is ever changed. Folders of any number of processes and hosts can b
 from __future__ import annotations
 
 import errno
+import itertools
 import os
 import shutil
 from collections.abc import Iterable, Iterator, Mapping
@@ -80,10 +81,17 @@ class Writer:
 
     def table(self, name: str, table: Any) -> None:
         """An Arrow table, as it is."""
+        self.tables(name, (table,))
+
+    def tables(self, name: str, parts: Iterable[Any]) -> None:
+        """Arrow tables of one schema, one after the other: a row group each. There must be one at least."""
         import pyarrow.parquet as pq
 
-        with disk_errors(self.folder):
-            pq.write_table(table, self.path(name), compression="zstd")
+        parts = iter(parts)
+        first = next(parts)
+        with disk_errors(self.folder), pq.ParquetWriter(self.path(name), first.schema, compression="zstd") as writer:
+            for part in itertools.chain((first,), parts):
+                writer.write_table(part)
 
     def publish(self, segments: Path) -> bool:
         """Sync all, and rename; True if there was anything to publish."""
