@@ -38,7 +38,7 @@ def keep(plan: Plan, store: Store, session: SessionPaths) -> None:
     objects.close()
     recipe = batch.recipe
     first = batch.experiments[0].runs[0]
-    writer.rows("batches", [_batch_row(plan)])
+    writer.rows("batches", [batch_row(plan)])
     writer.rows(
         "recipes",
         [
@@ -110,7 +110,8 @@ def _known_inputs(plan: Plan, store: Store) -> set[str]:
         return {row[0] for row in question.run("SELECT DISTINCT run FROM members SEMI JOIN asked USING (run)")}
 
 
-def _batch_row(plan: Plan) -> dict[str, Any]:
+def batch_row(plan: Plan) -> dict[str, Any]:
+    """What `batches` says of a plan."""
     return {
         "batch": plan.batch.id,
         "created": datetime.now(UTC),

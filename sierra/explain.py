@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from typing import Any
 
+from sierra.asked import batch_row
+from sierra.hashing import short
 from sierra.plans import Plan
 from sierra.provenance.source import changed
 from sierra.store import Store
@@ -16,7 +19,13 @@ USING (batch)
 WHERE b.axes = $axes AND b.batch <> $batch
 ORDER BY coalesce(s.answered, b.created) DESC LIMIT 1
 """
+KNOWN = """
+SELECT (SELECT count(*) FROM batches WHERE batch = $batch) AS kept,
+       (SELECT arg_max(programs, ended) FROM sessions WHERE batch = $batch) AS programs
+"""
 SHOWN = 10
+ASKED = ("query", "runs", "controller", "scenario", "base_seed")
+CHANGES = "sierra.toml makes other changes to the template (variables, changes, controllers, scenarios, seed)"
 
 
 def why_new(plan: Plan, store: Store | None) -> list[str]:
@@ -29,14 +38,30 @@ def why_new(plan: Plan, store: Store | None) -> list[str]:
     if not rows:
         return ["no batch over these variables is recorded"]
     before = rows[0]
-    lines = [f"compared with batch {before['batch'][:10]} ({before['query']}):"]
-    lines += _recipe(plan, before)
+    lines = [*_made_from(plan, store, before), *_asked(plan, before)]
+    return [f"compared with batch {short(before['batch'])} ({before['query']}):", *(lines or [CHANGES])]
+
+
+def why_again(plan: Plan, store: Store | None) -> list[str]:
+    """Why the runs of a plan execute again although the same was asked before; empty where it was not, or where they don't."""
+    if store is None:
+        return []
+    [known] = store.rows(KNOWN, batch=plan.batch.id)
+    if known["kept"]:
+        return other_programs(plan, store) if known["programs"] not in (None, plan.programs.id) else []
+    rows = store.rows(LIKE, axes=[axis.name for axis in plan.batch.axes], batch=plan.batch.id)
+    if not rows or _asked(plan, rows[0]):
+        return []
+    return list(_made_from(plan, store, rows[0])) or [CHANGES]
+
+
+def _made_from(plan: Plan, store: Store, before: dict[str, Any]) -> Iterator[str]:
+    """What runs are made from now that they were not then."""
+    yield from _recipe(plan, before)
     if before["source"] != plan.batch.recipe.source:
-        lines += _source(plan, store, before["source"])
+        yield from _source(plan, store, before["source"])
     if before["template_sha256"] != plan.template_sha256:
-        lines.append(f"the template {plan.project.config.template} has changed")
-    lines += _asked(plan, before)
-    return lines if len(lines) > 1 else [*lines, "other values, runs or changes are asked for"]
+        yield f"the template {plan.project.config.template} has changed"
 
 
 PROGRAMS = """
@@ -84,9 +109,8 @@ def _source(plan: Plan, store: Store, tree: str) -> list[str]:
 
 
 def _asked(plan: Plan, before: dict[str, Any]) -> list[str]:
-    now = {
-        "controller": plan.query.controller or plan.project.config.controller,
-        "scenario": plan.query.scenario or plan.project.config.scenario,
-        "base_seed": plan.query.base_seed,
-    }
-    return [f"{name} was {before[name]!r} and is {value!r}" for name, value in now.items() if before[name] != value]
+    """What is asked for now that was not then."""
+    now = batch_row(plan)
+    lines = [f"{name} was {before[name]!r} and is {now[name]!r}" for name in ASKED if before[name] != now[name]]
+    lines += [f"--set {change} is new" for change in now["sets"] if change not in before["sets"]]
+    return lines + [f"--set {change} is gone" for change in before["sets"] if change not in now["sets"]]

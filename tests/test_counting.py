@@ -195,6 +195,26 @@ def test_explain_names_the_program_that_has_changed(tmp_path: Path) -> None:
     assert f"{program}: was {program} (" in said
 
 
+def test_before_anything_executes_again_the_reason_is_said(tmp_path: Path) -> None:
+    program = tmp_path / "sim"
+    root = projects.make(tmp_path / "project", projects.CONFIG.replace("python3 sim.py", f"{program} {{project}}/sim.py"))
+
+    def ask(value: int = 1) -> str:
+        program.write_text(f"#!/bin/sh\nprintf 'tick,v\\n0,{value}\\n' > out.csv\n")
+        program.chmod(0o755)
+        return projects.sierra(root, "run", "population_size=1", "--no-figures").stderr
+
+    assert "asked before" not in ask() + ask()
+    assert f"this was asked before, and executes again: {program}: was {program} (" in ask(2)
+    (root / "sim.py").write_text("another")
+    assert "this was asked before, and executes again: the source has changed: sim.py" in ask(2)
+    (root / "arena.xml").write_text(projects.TEMPLATE.replace("an arena", "the arena"))
+    assert "executes again: the template arena.xml has changed" in ask(2)
+    (root / "sierra.toml").write_text((root / "sierra.toml").read_text().replace('"//swarm/@count"', '"/arena/@size"'))
+    assert "executes again: sierra.toml makes other changes to the template" in ask(2)
+    assert "asked before" not in projects.sierra(root, "run", "population_size=1", "--runs", "3", "--no-figures").stderr
+
+
 def test_runs_that_write_no_table_are_said_to(tmp_path: Path) -> None:
     summary = sierra.open(projects.make(tmp_path, simulator="pass\n")).run("population_size=1")
     assert any("no run wrote a table" in note for note in summary.notes)

@@ -71,6 +71,8 @@ def run(
             if as_json:
                 print_json(told)
             return
+    else:
+        told = _again(project, plan)
     with watching(quiet=as_json) as watch:
         summary = project.execute(plan, jobs=jobs, fail_fast=fail_fast, figures=not no_figures, watch=watch)
     for text in summary.notes:
@@ -150,6 +152,17 @@ def _preview(project: Project, plan: Plan, *, explain: bool, as_json: bool) -> d
     else:
         print(f"{todo} of {len(states)} runs would execute")
     return told
+
+
+def _again(project: Project, plan: Plan) -> dict[str, Any]:
+    """Say, before hours are spent, why runs execute again although the same was asked before."""
+    from sierra.cli.output import note
+    from sierra.explain import why_again
+
+    why = why_again(plan, project.stored())
+    if why:
+        note(f"this was asked before, and executes again: {'; '.join(why)}")
+    return {"new_because": why} if why else {}
 
 
 def _row(values: Mapping[str, Any], states: list[State]) -> list[Any]:
