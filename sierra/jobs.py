@@ -2,7 +2,8 @@
 
 Placeholders of a command: `{input}` the first input file, `{output}` the folder to write to (also the working
 directory), `{run}` the run's own folder, `{seed}`, `{project}` the project's root, `{python}` the Python that
-runs SIERRA. A word that names a file of the project stands for `{project}/word`.
+runs SIERRA; `{{name}}` stands for `{name}` itself. A word that names a file, as seen from the project's root,
+stands for `{project}/word`: runs have folders of their own.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from sierra.model import Job, Limits, Recipe, Run
 from sierra.paths import RUN_HOME, RUN_OUTPUT, RUN_TMP
 from sierra.platforms import Platform
 
-PLACEHOLDER = re.compile(r"\{([a-z_]+)\}")
+PLACEHOLDER = re.compile(r"\{\{([a-z_]+)\}\}|\{([a-z_]+)\}")
 KNOWN = ("input", "output", "run", "seed", "project", "python")
 FIXED = {
     "PYTHONHASHSEED": "0",
@@ -45,10 +46,11 @@ def command(platform: Platform, root: Path) -> tuple[str, ...]:
     """The command as a run's identity holds it. Raises ConfigError for an unknown placeholder."""
     words = tuple(_in_project(word, root) for word in platform.command())
     for word in words:
-        for name in PLACEHOLDER.findall(word):
-            if name not in KNOWN:
+        for _, name in PLACEHOLDER.findall(word):
+            if name and name not in KNOWN:
                 known = ", ".join("{" + known + "}" for known in KNOWN)
-                raise ConfigError(f"command: unknown placeholder {{{name}}} in {word!r}; known are {known}")
+                told = f"known are {known}; {{{{{name}}}}} stands for {{{name}}} itself"
+                raise ConfigError(f"command: unknown placeholder {{{name}}} in {word!r}; {told}")
     return words
 
 
@@ -72,7 +74,11 @@ def search_path(variables: Mapping[str, str]) -> str:
 def fill(words: Iterable[str], root: Path, values: Mapping[str, str] | None = None) -> tuple[str, ...]:
     """The placeholders of the machine filled in; those of a run too, where `values` are given."""
     known = {"project": str(root), "python": sys.executable, **(values or {})}
-    return tuple(PLACEHOLDER.sub(lambda match: known.get(match[1], match[0]), word) for word in words)
+
+    def filled(match: re.Match[str]) -> str:
+        return f"{{{match[1]}}}" if match[1] else known.get(match[2], match[0])
+
+    return tuple(PLACEHOLDER.sub(filled, word) for word in words)
 
 
 def limits(project: Project) -> Limits:
@@ -115,11 +121,11 @@ class Maker:
 
 
 def _in_project(word: str, root: Path) -> str:
-    """`sim.py` is `{project}/sim.py` where there is such a file."""
+    """`sim.py` is `{project}/sim.py` where there is such a file, and `../build/sim` likewise."""
     if "{" in word or not word or word.startswith(("/", "-")):
         return word
     try:
-        inside = (root / word).is_file() and (root / word).resolve().is_relative_to(root)
+        there = (root / word).is_file()
     except (OSError, ValueError):
         return word
-    return "{project}/" + word.removeprefix("./") if inside else word
+    return "{project}/" + word.removeprefix("./") if there else word

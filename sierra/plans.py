@@ -13,13 +13,13 @@ from sierra import engines, inputs, jobs, platforms, query
 from sierra.config import LoadedProject, Project
 from sierra.design import design
 from sierra.engines import Engine
-from sierra.errors import ConfigError, Missing, UsageError
+from sierra.errors import ConfigError, Missing, QueryError, UsageError
 from sierra.expansion import Expansion
 from sierra.model import Batch, Design, Limits, Query, Recipe, Set
 from sierra.paths import CONFIG, DRAWN, FIGURES, PYPROJECT, STORE, ProjectPaths
 from sierra.provenance import environment, programs, source
 from sierra.record import Context
-from sierra.store.tables import check_name
+from sierra.store.tables import RESERVED, check_name
 from sierra.version import __version__
 
 
@@ -50,17 +50,20 @@ def ask(
     scenario: str | None = None,
     sets: Sequence[tuple[str, str]] = (),
 ) -> Query:
-    """The query that these words are: criteria, or the name of one in `sierra.toml`.
+    """The query that these words are: criteria, and the name of a query in `sierra.toml`, which stands for its criteria.
 
     `sets` are pairs of an XPath and a value. Raises QueryError, UsageError.
     """
     if runs is not None and runs < 1:
         raise UsageError(f"{runs} runs per experiment; ask for 1 or more")
     config = project.config
-    named = config.queries.get(words[0]) if len(words) == 1 else None
-    criteria = query.parse_all(named.criteria if named else words)
+    names = [word for word in words if word in config.queries]
+    if len(names) > 1:
+        raise QueryError(f"{names[0]!r} and {names[1]!r} are queries of their own; ask for one, with more criteria if need be")
+    named = config.queries[names[0]] if names else None
+    spelled = [part for word in words for part in (named.criteria if named and word in names else (word,))]
     return Query(
-        criteria=criteria,
+        criteria=query.parse_all(spelled),
         runs=runs or (named and named.runs) or config.runs,
         controller=controller or (named and named.controller) or None,
         scenario=scenario or (named and named.scenario) or None,
@@ -75,7 +78,7 @@ def plan(project: LoadedProject, asked: Query, *, engine: str = "none") -> Plan:
     Raises what is wrong with project, query, template, source or programs.
     """
     config, root = project.config, project.root
-    _check_outputs(project)
+    _check_names(project)
     template = inputs.read(root / config.template)
     platform = platforms.find(config.platform, config)
     contained = engines.find(engine)
@@ -147,10 +150,14 @@ def _texts(designed: Design, config: Project, template: inputs.Template) -> Iter
                 yield f"{axis.name} gets texts ({axis.values[0]!r}, …), and the template has {here[0].strip()} there"
 
 
-def _check_outputs(project: LoadedProject) -> None:
+def _check_names(project: LoadedProject) -> None:
+    """What becomes a table or a column of the store may not be called like one of the store's own."""
     for name in project.config.outputs:
         if not check_name(name):
             raise ConfigError(f"{project.file}: [outputs.{name}]: the store has a table {name!r} of its own; take another name")
+    for name in project.config.variables:
+        if name.lower() in RESERVED:
+            raise ConfigError(f"{project.file}: variable {name!r}: the store has a column of that name; take another name")
     root = ProjectPaths(project.root)
     if root.store.exists() and not root.store.is_dir():
         raise Missing(f"{root.store} is a file; the store is to be a folder there")

@@ -81,6 +81,7 @@ def ask(project: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFi
         (COMMAND, "", "needs a command"),
         (COMMAND, 'command = "python3 \'sim.py"', "command: No closing quotation"),
         (COMMAND, 'command = "python3 sim.py {inputs}"', "unknown placeholder {inputs}"),
+        ("noise =", "number =", "variable 'number': the store has a column of that name"),
         ("//random/@seed", "//rnd/@seed", "//rnd/@seed matches nothing"),
         ("", '[[changes]]\nset = "//nothing"\nvalue = 3', "//nothing matches nothing"),
     ],

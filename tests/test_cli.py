@@ -124,6 +124,17 @@ def test_explaining_and_answering_in_json_is_one_object(answered: Path) -> None:
     assert (told["reused"], told["reasons"]) == (8, {"reused": 8})
 
 
+def test_braces_that_are_no_placeholder_are_written_twice(tmp_path: Path) -> None:
+    folder = make(
+        tmp_path / "p", simulator="import sys\nopen('said.csv', 'w').write('words\\n' + ' '.join(sys.argv[2:]) + '\\n')\n"
+    )
+    words = '["python3", "sim.py", "{input}", "{{output}}", "{\\"a\\":{\\"b\\":1}}"]'
+    (folder / "sierra.toml").write_text(CONFIG.replace('"python3 sim.py {input}"', words))
+    assert sierra(folder, "run", "noise=1", "--runs", "1", "--no-figures").returncode == 0
+    [said] = json.loads(sierra(folder, "sql", "SELECT words FROM said", "--json").stdout)
+    assert said["words"] == '{output} {"a":{"b":1}}'
+
+
 def test_named_queries_controllers_and_scenarios(tmp_path: Path) -> None:
     simulator = (
         "import sys, xml.etree.ElementTree as ET\n"
@@ -142,6 +153,8 @@ def test_named_queries_controllers_and_scenarios(tmp_path: Path) -> None:
         (2, "narrow", 1, "fast"),
         (2, "wide", 20, "fast"),
     ]
+    more = json.loads(sierra(folder, "run", "scalability", "noise=1,2", "-n", "--json").stdout)
+    assert (more["query"], more["experiments"]) == ("population_size.Log2 scenario=wide,narrow noise=1,2", 8)
     refused = sierra(folder, "run", "scalability", "--scenario", "wide")
     assert (refused.returncode, refused.stdout) == (2, "")
     assert "leave out --scenario wide" in refused.stderr

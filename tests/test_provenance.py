@@ -301,6 +301,21 @@ def test_changed_programs_execute_again_and_the_reason_is_told(tmp_path: Path) -
     assert project.sql("SELECT DISTINCT v FROM out").column(0).to_pylist() == [2]
 
 
+@pytest.mark.parametrize("link", [False, True])
+def test_a_simulator_outside_the_project_executes_again_when_it_changes(tmp_path: Path, link: bool) -> None:
+    script = tmp_path / "shared" / "sim.sh"
+    script.parent.mkdir()
+    script.write_text("echo v > out.csv; echo 1 >> out.csv\n")
+    project = make_project(tmp_path / "p", f"sh {'sim.sh' if link else '../shared/sim.sh'} {{input}}")
+    if link:
+        (project.root / "sim.sh").symlink_to(script)
+    assert project.run("n=1", figures=False).failed == 0
+    assert project.run("n=1", figures=False).reused == 2
+    script.write_text("echo v > out.csv; echo 2 >> out.csv\n")
+    assert project.run("n=1", figures=False).executed == 2
+    assert project.sql("SELECT DISTINCT v FROM out").column(0).to_pylist() == [2]
+
+
 def test_a_changed_source_file_is_named(tmp_path: Path) -> None:
     project = make_project(tmp_path / "p", "sh sim.sh {input}")
     (project.root / "sim.sh").write_text("exit 0\n")

@@ -22,7 +22,9 @@ if TYPE_CHECKING:
 def run(
     query: Annotated[
         list[str],
-        typer.Argument(metavar="QUERY", help="Criteria, one for each axis, or the name of a query in sierra.toml."),
+        typer.Argument(
+            metavar="QUERY", help="Criteria, one for each axis. The name of a query in sierra.toml stands for its own."
+        ),
     ],
     runs: Annotated[int | None, typer.Option("--runs", metavar="N", help="Runs per experiment.")] = None,
     controller: Annotated[str | None, typer.Option("--controller", metavar="NAME", help="The controller.")] = None,
@@ -56,7 +58,7 @@ def run(
       sierra run population_size.Log8 --runs 10
       sierra run noise=0:1:5 scenario=low,high -j 4
       sierra run population_size=4 --set "//arena/@size=20"
-      sierra run scalability --dry-run --explain
+      sierra run scalability noise=0,0.1 --dry-run --explain
     """
     from sierra.cli import opened
     from sierra.cli.output import note, print_json
@@ -112,6 +114,7 @@ def _answer(summary: Summary) -> dict[str, Any]:
     answer["figures"] = list(summary.figures)
     answer["failures"] = [asdict(failure) for failure in summary.failures]
     answer["notes"] = list(summary.notes)
+    answer["undrawn"] = summary.undrawn
     return answer
 
 
@@ -179,6 +182,8 @@ def _print(project: Project, summary: Summary) -> None:
     missing = f", {summary.missing} not executed" if summary.missing else ""
     print(f"{summary.runs} runs: {summary.executed} executed, {summary.reused} reused{failed}{missing}")
     _print_failures(summary)
+    if summary.interrupted:
+        print("interrupted: what had finished is recorded; ask the same again to go on")
     if summary.figures:
         print("figures:")
         for path in summary.figures:

@@ -63,16 +63,18 @@ def find(argv: Sequence[str], search: str, root: Path, more: tuple[Program, ...]
 
 
 def beside(words: Iterable[str], root: Path, source: Container[bytes]) -> tuple[Program, ...]:
-    """Files of the project that a command or a variable names by `{project}/…`, and that the source does not hold.
+    """Files that a command or a variable names by `{project}/…`, and that the source does not hold.
 
-    What git ignores is such: `{project}/build/lib`, say. A folder counts as all files in it.
+    What git ignores is such: `{project}/build/lib`, say; and what lies outside, be it by a link. A folder counts as all
+    files in it.
     """
     found = {}
     for word in words:
         for inside in re.findall(r"\{project\}/([^:;,=]+)", word):
             for path in _files(root / inside):
                 relative = path.relative_to(root) if path.is_relative_to(root) else path
-                if os.fsencode(relative.as_posix()) not in source:
+                outside = not path.resolve().is_relative_to(root.resolve())
+                if outside or os.fsencode(relative.as_posix()) not in source:
                     found[path] = Program(f"{{project}}/{relative}", str(path), _fingerprint(str(path)))
     return tuple(found.values())
 
