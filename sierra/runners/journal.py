@@ -11,6 +11,8 @@ from typing import Any
 
 from sierra.model import OutputFile, Result
 
+AT_ONCE = 1 << 20
+
 
 @dataclass(frozen=True, slots=True)
 class Started:
@@ -35,18 +37,27 @@ class Journal:
 
     def read(self) -> Iterator[Started | Result]:
         """All events since the last reading."""
+        while lines := self._lines():
+            yield from filter(None, map(_event, lines))
+
+    def some(self) -> tuple[list[Started | Result], bool]:
+        """The next events, at most a MiB of them; and whether there was anything, so that there may be more."""
+        lines = self._lines()
+        return list(filter(None, map(_event, lines))), bool(lines)
+
+    def _lines(self) -> list[bytes]:
+        """The next whole lines: of a MiB, or one that is longer."""
         try:
             with self._path.open("rb") as file:
                 file.seek(self._offset)
-                data = file.read()
+                data = file.read(AT_ONCE)
+                while b"\n" not in data and (more := file.read(AT_ONCE)):
+                    data += more
         except FileNotFoundError:
-            return
+            return []
         whole = data[: data.rfind(b"\n") + 1]
         self._offset += len(whole)
-        for line in whole.splitlines():
-            event = _event(line)
-            if event is not None:
-                yield event
+        return whole.splitlines()
 
 
 def _event(line: bytes) -> Started | Result | None:

@@ -66,16 +66,17 @@ class Local:
     def look(self) -> Look:
         ended = self._process is None or self._process.poll() is not None
         results = []
-        for event in self._journal.read():
+        events, more = self._journal.some()
+        for event in events:
             match event:
                 case Started():
                     self._running.add(event.execution)
                 case Result():
                     self._running.discard(event.execution)
                     results.append(event)
-        if ended and not results and self._process is not None:
+        if ended and not more and self._process is not None:
             self._check(self._process)
-        return Look(tuple(results), len(self._running), alive=not ended or bool(results))
+        return Look(tuple(results), len(self._running), alive=not ended or more)
 
     def stop(self) -> None:
         if self._process is not None and self._process.poll() is None:
