@@ -14,7 +14,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sierra import config
+from sierra import config, settings
 from sierra.errors import Missing, NotFound, UsageError
 from sierra.paths import ProjectPaths, StorePaths
 from sierra.store import Store
@@ -81,7 +81,7 @@ class Project:
     ) -> Summary:
         """Answer a query: execute what is missing, record it, draw the figures.
 
-        `jobs` is how many runs execute at a time (default: usable cores). `watch` hears of the progress.
+        `jobs` is how many runs execute at a time (default: the user's setting, or usable cores). `watch` hears of the progress.
         """
         plan = self.plan(*query, runs=runs, controller=controller, scenario=scenario, sets=sets)
         return self.execute(plan, jobs=jobs, fail_fast=fail_fast, figures=figures, watch=watch)
@@ -99,7 +99,7 @@ class Project:
         from sierra import pipeline
         from sierra.provenance.environment import usable_cores
 
-        slots = usable_cores() if jobs is None else jobs
+        slots = (settings.load().jobs or usable_cores()) if jobs is None else jobs
         if slots < 1:
             raise UsageError(f"{slots} runs at a time; ask for 1 or more")
         store = Store.create(self.paths.store)

@@ -12,7 +12,9 @@ from importlib import metadata
 from pathlib import Path
 from typing import Literal
 
+from sierra import settings
 from sierra.errors import SierraError
+from sierra.paths import user_settings
 from sierra.provenance.environment import usable_cores
 
 
@@ -31,7 +33,7 @@ LIBRARIES = ("duckdb", "pyarrow", "lxml", "pydantic", "matplotlib", "typer", "ri
 
 def all_checks() -> list[Check]:
     """Everything, the machine first."""
-    return [check for part in (_machine, _libraries, _programs, _project) for check in part()]
+    return [check for part in (_machine, _settings, _libraries, _programs, _project) for check in part()]
 
 
 def _machine() -> Iterator[Check]:
@@ -49,6 +51,14 @@ def _machine() -> Iterator[Check]:
         "escaped processes are found and ended" if reaper else "processes that leave their group are not found",
         "" if reaper else "Linux with CONFIG_PROC_CHILDREN",
     )
+
+
+def _settings() -> Iterator[Check]:
+    file = user_settings()
+    if not file.is_file():
+        yield Check("settings", "ok", f"none of your own in {file}")
+        return
+    yield _tried("settings", lambda: ", ".join(f"{name} = {value}" for name, value in settings.load()) + f" ({file})")
 
 
 def _libraries() -> Iterator[Check]:

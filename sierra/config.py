@@ -336,9 +336,9 @@ def load(folder: Path) -> LoadedProject:
     for root in (folder, *folder.parents):
         file = root / CONFIG
         if file.is_file():
-            return LoadedProject(root, file, parse(_read_toml(file), str(file)))
+            return LoadedProject(root, file, parse(read_toml(file), str(file)))
         file = root / PYPROJECT
-        if file.is_file() and (table := _read_toml(file).get("tool", {}).get("sierra")) is not None:
+        if file.is_file() and (table := read_toml(file).get("tool", {}).get("sierra")) is not None:
             return LoadedProject(root, file, parse(table, f"{file} [tool.sierra]"))
     raise Missing(f"no {CONFIG} in {folder} or above it; make one with: sierra init")
 
@@ -369,7 +369,8 @@ def _frozen(value: Any, origin: str) -> Any:
             return value
 
 
-def _read_toml(file: Path) -> dict[str, Any]:
+def read_toml(file: Path) -> dict[str, Any]:
+    """What a TOML file holds. Raises ConfigError for what is none, Missing for one that can't be read."""
     try:
         with file.open("rb") as stream:
             return tomllib.load(stream)

@@ -1,5 +1,7 @@
 """Every file name that SIERRA gives, in one place; and how a file appears whole.
 
+$XDG_CONFIG_HOME/sierra/config.toml a user's own defaults
+$XDG_STATE_HOME/sierra/             reports of faults; what was asked at the SQL prompt
 PROJECT/sierra.toml
 PROJECT/figures/<batch>/            what is drawn, and in .drawn.json from what
 PROJECT/.sierra/format              the version of the store's format
@@ -109,6 +111,22 @@ class SessionPaths:
     @property
     def journal(self) -> Path:
         return self.root / "journal.jsonl"
+
+
+def user_settings() -> Path:
+    """The file of a user's own defaults; it need not be there."""
+    return _user("XDG_CONFIG_HOME", ".config") / "config.toml"
+
+
+def user_state() -> Path:
+    """A folder of the user's for what outlives a command, and nobody misses; it need not be there."""
+    return _user("XDG_STATE_HOME", ".local/state")
+
+
+def _user(variable: str, fallback: str) -> Path:
+    """By the XDG Base Directory Specification: a path there that is not absolute is not heeded."""
+    said = Path(os.environ.get(variable, ""))
+    return (said if said.is_absolute() else Path.home() / fallback) / "sierra"
 
 
 def write_whole(path: Path, data: bytes) -> Path:

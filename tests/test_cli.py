@@ -369,6 +369,31 @@ def test_the_example_is_copied_into_new_folders_only(tmp_path: Path) -> None:
     assert not (tmp_path / "other").exists()
 
 
+def test_a_users_own_settings_hold_in_all_projects(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
+    file = tmp_path / "config" / "sierra" / "config.toml"
+    file.parent.mkdir(parents=True)
+    file.write_text("jobs = 1\nfigures = false\n")
+    folder = make(tmp_path / "p")
+
+    def slots(noise: int, *words: str) -> int:
+        said = json.loads(sierra(folder, "run", f"noise={noise}", "--runs", "1", "--json", *words).stdout)
+        assert said["figures"] == []
+        rows = sierra(folder, "sql", f"SELECT slots FROM sessions WHERE query = 'noise={noise}'", "--json").stdout
+        return int(json.loads(rows)[0]["slots"])
+
+    assert slots(1) == 1
+    monkeypatch.setenv("SIERRA_JOBS", "3")
+    assert slots(2) == 3
+    assert slots(3, "-j", "2") == 2
+    monkeypatch.setenv("SIERRA_JOBS", "several")
+    refused = sierra(folder, "run", "noise=4")
+    assert (refused.returncode, refused.stderr.count("\n")) == (2, 1)
+    assert "SIERRA_JOBS='several': should be a valid integer" in refused.stderr
+    file.write_text("job = 1\n")
+    assert "unknown key 'job'; did you mean 'jobs'?" in sierra(folder, "run", "noise=4").stderr
+
+
 def test_doctor_answers_everywhere(tmp_path: Path) -> None:
     outside = {check["name"]: check["state"] for check in json.loads(quick(tmp_path, "doctor", "--json").stdout)}
     assert outside["project"] == "absent"

@@ -51,14 +51,27 @@ def _usage(error: Any) -> int:
 
 
 def _unforeseen(error: Exception) -> int:
+    if os.environ.get("SIERRA_DEBUG"):
+        raise error
+    message = f"a fault in SIERRA itself: {type(error).__name__}: {error}"
+    try:
+        return _say(f"{message}; please report it with {_report(error)}", 1)
+    except OSError:
+        return _say(f"{message}; please report it (SIERRA_DEBUG=1 shows where)", 1)
+
+
+def _report(error: Exception) -> str:
+    """Write what is known of a fault to a file; its path. Raises OSError."""
     import tempfile
     import traceback
 
-    if os.environ.get("SIERRA_DEBUG"):
-        raise error
-    with tempfile.NamedTemporaryFile("w", prefix="sierra-error-", suffix=".txt", delete=False) as file:
+    from sierra.paths import user_state
+
+    folder = user_state()
+    folder.mkdir(parents=True, exist_ok=True)
+    with tempfile.NamedTemporaryFile("w", prefix="fault-", suffix=".txt", dir=folder, delete=False) as file:
         traceback.print_exception(error, file=file)
-    return _say(f"a fault in SIERRA itself: {type(error).__name__}: {error}; please report it with {file.name}", 1)
+    return file.name
 
 
 def _say(message: str, code: int) -> int:

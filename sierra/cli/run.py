@@ -36,7 +36,9 @@ def run(
     dry_run: Annotated[bool, typer.Option("-n", "--dry-run", help="Say what would execute, and execute nothing.")] = False,
     explain: Annotated[bool, typer.Option("--explain", help="Say why runs execute or are reused.")] = False,
     fail_fast: Annotated[bool, typer.Option("--fail-fast", help="End all at the first run that fails.")] = False,
-    no_figures: Annotated[bool, typer.Option("--no-figures", help="Draw nothing.")] = False,
+    figures: Annotated[
+        bool | None, typer.Option("--figures/--no-figures", help="Draw figures, or nothing (default: figures).")
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead.")] = False,
 ) -> None:
     """Answer a research query.
@@ -60,6 +62,7 @@ def run(
       sierra run population_size=4 --set "//arena/@size=20"
       sierra run scalability noise=0,0.1 --dry-run --explain
     """
+    from sierra import settings
     from sierra.cli import opened
     from sierra.cli.output import note, print_json
     from sierra.cli.progress import watching
@@ -76,7 +79,9 @@ def run(
     else:
         told = _again(project, plan)
     with watching(quiet=as_json) as watch:
-        summary = project.execute(plan, jobs=jobs, fail_fast=fail_fast, figures=not no_figures, watch=watch)
+        summary = project.execute(
+            plan, jobs=jobs, fail_fast=fail_fast, figures=settings.load().figures if figures is None else figures, watch=watch
+        )
     for text in summary.notes:
         note(text)
     if as_json:
