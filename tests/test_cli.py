@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import json
-import os
-import pty
 import re
 import subprocess
-import tomllib
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from tests.projects import CONFIG, SIERRA, TEMPLATE, make, quick, sierra
+from tests.projects import CONFIG, SIERRA, make, quick, sierra
 
 COMMANDS = ("init", "run", "ls", "show", "sql", "figures", "doctor", "schema")
 RICH = """
@@ -305,68 +302,7 @@ def test_a_reader_that_leaves_early_is_no_fault(answered: Path) -> None:
     assert asking.returncode == 0
 
 
-# init, doctor
-
-
-def test_init_finds_out_what_the_folder_shows(tmp_path: Path) -> None:
-    folder = make(tmp_path / "p")
-    (folder / "sierra.toml").unlink()
-    ended = sierra(folder, "init")
-    assert ended.returncode == 0
-    said = tomllib.loads((folder / "sierra.toml").read_text())
-    assert said["command"] == "python3 sim.py {input}"
-    assert said["variables"] == {"population_size": "//swarm/@count"} or len(said["variables"]) == 1
-    lines = [line for line in (folder / "sierra.toml").read_text().splitlines() if line and not line.startswith("#")]
-    assert len(lines) <= 10
-    assert json.loads(sierra(folder, "run", "-n", "--json", "population_size.Log2").stdout)["experiments"] == 2
-    before = (folder / "sierra.toml").read_bytes()
-    again = sierra(folder, "init")
-    assert again.returncode == 2
-    assert "is there already" in again.stderr
-    assert (folder / "sierra.toml").read_bytes() == before
-
-
-def test_init_takes_flags(tmp_path: Path) -> None:
-    (tmp_path / "a.xml").write_text(TEMPLATE)
-    (tmp_path / "b.xml").write_text(TEMPLATE)
-    assert "say which with --template" in quick(tmp_path, "init", "-y").stderr
-    assert "--command" in quick(tmp_path, "init", "-y", "--template", "a.xml").stderr
-    flags = ("init", "-y", "--template", "a.xml", "--command", "true {input}")
-    for wrong in (("--variable", "x"), ("--variable", "x=//nope"), ("--seed", "//nope"), ("--variable", "x=//[")):
-        ended = quick(tmp_path, *flags, *wrong)
-        assert (ended.returncode, ended.stdout, ended.stderr.count("\n")) == (2, "", 1)
-        assert not (tmp_path / "sierra.toml").exists()
-    assert quick(tmp_path, *flags, "--variable", "x=//noise", "--seed", "//random/@seed").returncode == 0
-    assert tomllib.loads((tmp_path / "sierra.toml").read_text())["variables"] == {"x": "//noise"}
-
-
-def test_init_in_an_empty_folder_or_none_says_what_it_needs(tmp_path: Path) -> None:
-    assert quick(tmp_path, "init").returncode == 3
-    ended = quick(tmp_path, "init", "nowhere")
-    assert (ended.returncode, ended.stdout, ended.stderr.count("\n")) == (3, "", 1)
-
-
-def test_init_asks_on_a_terminal(tmp_path: Path) -> None:
-    folder = make(tmp_path / "p")
-    (folder / "sierra.toml").unlink()
-    ours, theirs = pty.openpty()
-    with subprocess.Popen([SIERRA, "init"], cwd=folder, stdin=theirs, stdout=theirs, stderr=theirs) as asked:
-        os.close(theirs)
-        os.write(ours, b"\n\nnoise_level=//noise\n\n")
-        asked.wait(60)
-    os.close(ours)
-    assert asked.returncode == 0
-    assert tomllib.loads((folder / "sierra.toml").read_text())["variables"] == {"noise_level": "//noise"}
-
-
-def test_the_example_is_copied_into_new_folders_only(tmp_path: Path) -> None:
-    assert quick(tmp_path, "init", "--example", "swarm", "demo").returncode == 0
-    assert (tmp_path / "demo" / "sierra.toml").is_file()
-    again = quick(tmp_path, "init", "--example", "swarm", "demo")
-    assert (again.returncode, again.stderr.count("\n")) == (2, 1)
-    assert "is not empty; name a new folder" in again.stderr
-    assert "no example 'swram'" in quick(tmp_path, "init", "--example", "swram", "other").stderr
-    assert not (tmp_path / "other").exists()
+# doctor
 
 
 def test_a_users_own_settings_hold_in_all_projects(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

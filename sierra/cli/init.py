@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
 if TYPE_CHECKING:
-    from sierra.start import Guess
+    from sierra.start import Guess, Question
+
+T = TypeVar("T")
 
 
 def init(
@@ -24,12 +28,18 @@ def init(
     variables: Annotated[
         list[str] | None, typer.Option("--variable", metavar="NAME=XPATH", help="An independent variable. May be repeated.")
     ] = None,
-    seed: Annotated[str | None, typer.Option("--seed", metavar="XPATH", help="Where the seed goes.")] = None,
+    seed: Annotated[str | None, typer.Option("--seed", metavar="XPATH", help="Where the seed goes; - is nowhere.")] = None,
+    source: Annotated[
+        list[str] | None,
+        typer.Option("--source", metavar="PATH", help="Code that results depend on (default: all). May be repeated."),
+    ] = None,
     yes: Annotated[bool, typer.Option("--yes", "-y", help="Ask nothing; take what was found.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Ask nothing; print a JSON object of what was written.")] = False,
 ) -> None:
     """Write a sierra.toml, or copy the bundled example.
 
-    What the folder shows is found out; the rest is asked for.
+    What the folder shows is found out; the rest is asked for, on a terminal. A sierra.toml that is there is never
+    written over.
 
     \b
     Examples:
@@ -41,30 +51,83 @@ def init(
     from sierra import start
 
     if example is not None:
-        files = start.copy_example(example, folder)
-        print(f"{folder}: {', '.join(files)}")
-        print(f"now: cd {folder} && sierra run population_size.Log8")
+        _say_example(folder, start.copy_example(example, folder), as_json=as_json)
         return
-    guess = start.find_out(folder, template=template, command=command, variables=variables or (), seed=seed)
-    if not yes and sys.stdin.isatty():
-        guess = _asked(guess)
-    path = start.write(folder, guess)
+    said = start.Options(template, command, seed, tuple(variables or ()), tuple(source or ()))
+    somebody = not yes and not as_json and sys.stdin.isatty() and sys.stdout.isatty()
+    guess = start.find_out(folder, said, _ask if somebody else None)
+    _say(folder, start.write(folder, guess), guess, as_json=as_json)
+
+
+def _ask(question: Question, check: Callable[[str], T]) -> T:
+    """The answer to a question, or to its number among the choices, asked again until it is right."""
+    from sierra.errors import SierraError
+
+    text, before, last = question.text.rpartition("\n")
+    print(text, end=before)
+    for number, choice in enumerate(question.choices if question.choices != (question.default,) else (), 1):
+        print(f"  {number}  {_one_line(choice)}")
+    while True:
+        shown = f"{last} [{_one_line(question.default)}]" if question.default else last
+        answer = typer.prompt(shown, default="", show_default=False).strip() or question.default
+        if answer is None:
+            continue
+        if answer not in question.choices and answer.isdecimal() and 0 < int(answer[:6]) <= len(question.choices):
+            answer = question.choices[int(answer) - 1]
+        try:
+            return check(answer)
+        except (SierraError, OSError) as error:
+            print(f"  {error}")
+
+
+def _say(folder: Path, path: Path, guess: Guess, *, as_json: bool) -> None:
+    from sierra.cli.output import note, print_json
+
+    command = f"{_there(folder)}sierra run {guess.next} -n" if guess.next else None
+    if as_json:
+        print_json(_answer(path, guess) | {"next": command})
+        return
     print(f"wrote {path}")
-    for line in start.next_steps(guess):
-        print(line)
+    started = guess.command.text if guess.command else f"platform {guess.platform}"
+    seed = f"; seed {_one_line(guess.seed)}" if guess.seed else ""
+    print(f"  template {_one_line(guess.template)}; {_one_line(started)}{seed}")
+    for name, place in guess.variables.items():
+        print(f"  {name} = {_one_line(place)}")
+    for text in guess.notes:
+        note(_one_line(text))
+    if command:
+        print(f"now: {command}    (it shows what would execute; without -n it does)")
+    else:
+        print(f'now: name a variable in {path}, under [variables]: name = "XPATH"')
 
 
-def _asked(guess: Guess) -> Guess:
-    """The same, with what the user says instead."""
-    from dataclasses import replace
+def _answer(path: Path, guess: Guess) -> dict[str, Any]:
+    return {
+        "written": str(path),
+        "template": guess.template,
+        "platform": guess.platform,
+        "command": guess.command.text if guess.command else None,
+        "seed": guess.seed,
+        "variables": dict(guess.variables),
+        "source": list(guess.source),
+        "notes": list(guess.notes),
+    }
 
-    from sierra.start import variable
 
-    template = typer.prompt("template (the XML file that runs read)", default=guess.template)
-    command = typer.prompt("command ({input} is the generated file, {output} the working directory)", default=guess.command)
-    first = next(iter(guess.variables.items()), ("", ""))
-    named = typer.prompt("an independent variable, as NAME=XPATH", default="=".join(first))
-    where = "where the seed goes (an XPath; empty: nowhere)"
-    seed = typer.prompt(where, default=guess.seed or "", show_default=bool(guess.seed))
-    variables = dict([variable(named)]) if named.strip("=") else {}
-    return replace(guess, template=template, command=command, variables=variables, seed=seed or None)
+def _say_example(folder: Path, files: list[str], *, as_json: bool) -> None:
+    from sierra.cli.output import print_json
+
+    command = f"{_there(folder)}sierra run population_size.Log8"
+    if as_json:
+        print_json({"written": [str(folder / file) for file in files], "next": command})
+        return
+    print(f"{folder}: {', '.join(files)}")
+    print(f"now: {command}")
+
+
+def _there(folder: Path) -> str:
+    return "" if folder.resolve() == Path.cwd() else f"cd {shlex.quote(str(folder))} && "
+
+
+def _one_line(text: str) -> str:
+    return "".join(c if c.isprintable() else c.encode("unicode_escape", "backslashreplace").decode() for c in text)

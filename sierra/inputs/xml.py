@@ -25,6 +25,7 @@ import codecs
 import copy
 import difflib
 import re
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -112,13 +113,29 @@ class XmlDocument:
         return found
 
     def attributes(self) -> Iterator[tuple[str, str]]:
-        """Paths by tag, or by tag and name or id where there are several of a tag, with the values they select."""
+        """Paths by tag, or by tag and name or id where there are several of a tag, with the values they select.
+
+        Attributes, and texts of elements that have no children.
+        """
+        counted = Counter(call for element in self._root.iter(etree.Element) for call in self._calls(element))
         for element in self._root.iter(etree.Element):
-            tag = f"//{self._qualified(element.tag)}"
-            named = [f"{tag}[@{key}='{element.get(key)}']" for key in ("name", "id") if "'" not in element.get(key, "'")]
-            place = next((place for place in (tag, *named) if len(self._found(place)) == 1), None)
-            for name, value in element.attrib.items() if place else ():
+            place = next((call for call in self._calls(element) if counted[call] == 1 and self._alone(call)), None)
+            if place is None:
+                continue
+            for name, value in element.attrib.items():
                 yield f"{place}/@{self._qualified(name)}", value
+            if not len(element) and (element.text or "").strip():
+                yield place, element.text
+
+    def _calls(self, element: Element) -> list[str]:
+        """What paths may call an element: its tag, with its name, with its id."""
+        tag = f"//{self._qualified(element.tag)}"
+        named = [f"{tag}[@{key}='{element.get(key)}']" for key in ("name", "id") if "'" not in element.get(key, "'")]
+        return [tag, *named]
+
+    def _alone(self, call: str) -> bool:
+        """Whether a call that is written once selects one: a namespace without prefix is called as any other."""
+        return "local-name()" not in call or len(self._found(call)) == 1
 
     def _body(self) -> str:
         text: str = etree.tostring(self._root, encoding="unicode", with_tail=False)
