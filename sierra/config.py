@@ -125,7 +125,7 @@ class ChangeTable(Table):
     )
     attribute: str | None = Field(None, description="for `set`: the attribute, added where it is absent")
     xml: str | None = Field(None, description="for `add`: the element, as XML")
-    at: int | None = Field(None, ge=0, description="for `add`: the index among the children; last where absent")
+    at: int | None = Field(None, ge=0, description="for `add`: the index among the children, from 0; last where absent")
     to: str | None = Field(None, description="for `rename`: the new tag")
     expect: PositiveInt | None = Field(None, description="how many matches there must be; at least one where absent")
 
@@ -158,7 +158,7 @@ class Variable(Table):
 
     set: str | None = Field(None, description="XPath of what gets the value itself")
     changes: tuple[ChangeTable, ...] = Field((), description="further changes; `{name}` is the value")
-    label: str = Field("", description="what figures call it")
+    label: str = Field("", description="what figures call it; its name where absent")
     unit: str = Field("", description="its unit, for figures")
 
     @model_validator(mode="after")
@@ -175,21 +175,23 @@ class Seed(Table):
 
     set: str | None = Field(None, description="XPath of what gets the seed")
     base: int = Field(0, ge=0, description="the number that all seeds derive from")
-    independent: bool = Field(False, description="other seeds in each experiment (default: the same, common random numbers)")
+    independent: bool = Field(False, description="other seeds in each experiment; else the same, common random numbers")
 
 
 class Group(Table):
     """A controller or a scenario: a named group of changes."""
 
-    changes: tuple[ChangeTable, ...] = ()
+    changes: tuple[ChangeTable, ...] = Field((), description="what it changes in the template; may be nothing")
 
 
 class Output(Table):
     """One kind of file that runs write, and the table that it becomes."""
 
     file: Inside = Field(min_length=1, description="path or glob, relative to the run's output folder")
-    format: Literal["csv", "parquet", "jsonl", "file"] | None = Field(None, description="by the file's ending where absent")
-    delimiter: str = Field("", max_length=1, description="of a CSV; found out where absent")
+    format: Literal["csv", "parquet", "jsonl", "file"] | None = Field(
+        None, description="how it is read; `file` is kept and no table; by its ending where absent"
+    )
+    delimiter: str = Field("", max_length=1, description="what separates the columns of a CSV; found out where absent")
     header: bool = Field(True, description="whether a CSV's first line holds the columns' names")
     columns: Annotated[tuple[Name, ...], AfterValidator(_once)] = Field(
         (), description="the columns' names of a CSV without header"
@@ -198,10 +200,9 @@ class Output(Table):
     required: bool = Field(True, description="whether a run without it has failed")
     min_rows: int = Field(0, ge=0, description="a run with fewer has failed")
     mismatch: Literal["strict", "ragged"] = Field(
-        "strict",
-        description="other row counts (in a CSV, other columns too) than its siblings: fail the run, or keep it and report n",
+        "strict", description="other row counts or columns than its siblings: fail the run, or keep it and report n"
     )
-    units: Mapping[str, str] = Field(default_factory=dict, description="the unit of each column")
+    units: Mapping[str, str] = Field(default_factory=dict, description="the unit of each column, for figures")
 
     @property
     def kind(self) -> str:
@@ -220,12 +221,12 @@ class Success(Table):
 
 
 class LimitsTable(Table):
-    """What one execution may use."""
+    """What one execution may use; where a limit is absent, there is none."""
 
-    wall: Seconds | None = Field(None, description="seconds")
-    cpu: Seconds | None = Field(None, description="seconds of CPU, of all its processes")
-    memory: Size | None = Field(None, description="resident bytes of all its processes, as in `2 GiB`")
-    output: Size | None = Field(None, description="bytes written to its folder, as in `500 MB`")
+    wall: Seconds | None = Field(None, description="seconds from its start to its end")
+    cpu: Seconds | None = Field(None, description="seconds of CPU time of all its processes")
+    memory: Size | None = Field(None, description="resident bytes of all its processes, a number or as in `2 GiB`")
+    output: Size | None = Field(None, description="bytes written to its folder, a number or as in `500 MB`")
     grace: Seconds = Field(5.0, description="seconds between SIGTERM and SIGKILL")
 
 
@@ -251,35 +252,52 @@ class QueryTable(Table):
         tuple[str, ...],
         BeforeValidator(lambda v: tuple(v.split()) if isinstance(v, str) else v, json_schema_input_type=Words),
         Field(min_length=1),
-    ]
-    runs: PositiveInt | None = None
-    controller: str | None = None
-    scenario: str | None = None
+    ] = Field(description="one for each axis, as on the command line; a text is split at blanks")
+    runs: PositiveInt | None = Field(None, description="runs per experiment; the project's `runs` where absent")
+    controller: str | None = Field(None, description="its name; the project's `controller` where absent")
+    scenario: str | None = Field(None, description="its name; the project's `scenario` where absent")
 
 
 class Figure(Table):
     """One figure. Without any, each numeric column of each output gets a time series and a summary."""
 
-    kind: Literal["timeseries", "summary", "box", "violin", "heatmap", "stacked"] = "timeseries"
+    kind: Literal["timeseries", "summary", "box", "violin", "heatmap", "stacked"] = Field(
+        "timeseries", description="lines over time; points, boxes or violins over the first variable; a map of two; areas"
+    )
     table: str = Field("", description="the output; may be left out where there is only one")
     columns: Annotated[
         tuple[str, ...], BeforeValidator(lambda v: (v,) if isinstance(v, str) else v, json_schema_input_type=Words)
     ] = Field((), alias="column", description="the column (for `stacked`: the columns)")
+    times: Literal["own", "carry", "linear"] | None = Field(
+        None,
+        description="what is drawn over time is drawn at the runs' own times, or at common ones, with the last values carried "
+        "forward, or interpolated linearly; where absent, `own`, or `carry` where most times differ between runs",
+    )
     measure: Literal["final", "mean", "time_to"] = Field(
         "final", description="what a run is reduced to: its last value, its mean over time, the time until `threshold`"
     )
-    threshold: float | None = Field(None, description="for `time_to`")
-    center: Literal["mean", "median", "iqm"] = "mean"
-    title: str = ""
-    xlabel: str = ""
-    ylabel: str = ""
-    log_x: bool = False
-    log_y: bool = False
+    threshold: Annotated[float, Field(allow_inf_nan=False)] | None = Field(
+        None, description="for `time_to`: the value that has to be reached or exceeded, in the column's unit"
+    )
+    center: Literal["mean", "median", "iqm"] = Field(
+        "mean", description="mean with its 95 % interval, median with quartiles, or interquartile mean with its 95 % interval"
+    )
+    title: str = Field("", description="what stands above it")
+    xlabel: str = Field("", description="below the x axis; the time's or the variable's name and unit where absent")
+    ylabel: str = Field("", description="what the values are; the column's name and unit where absent")
+    log_x: bool = Field(False, description="a logarithmic x axis; variables whose values are 1, 2, 4, … have one anyway")
+    log_y: bool = Field(False, description="logarithmic values (in a heatmap: colours)")
 
     @model_validator(mode="after")
-    def _threshold(self) -> Figure:
+    def _fitting(self) -> Figure:
         if self.measure == "time_to" and self.threshold is None:
             raise ValueError('measure "time_to" needs a "threshold"')
+        if self.measure != "time_to" and self.threshold is not None:
+            raise ValueError('"threshold" goes with measure = "time_to"')
+        if self.kind == "timeseries" and self.measure != "final":
+            raise ValueError(f'measure {self.measure!r} needs another kind, as in: kind = "summary"')
+        if self.times and self.kind not in ("timeseries", "stacked"):
+            raise ValueError(f'"times" goes with kind "timeseries" or "stacked", not {self.kind!r}')
         return self
 
 
@@ -291,13 +309,13 @@ class Project(Table):
         (),
         description="the program and its arguments; {input}, {output}, {seed}, {project}, {python} stand for the run's own",
     )
-    platform: str = Field("command", description="how the simulator is driven")
+    platform: str = Field("command", description="how the simulator is driven: `command`, `argos`, or one that is installed")
     runs: PositiveInt = Field(10, description="runs per experiment")
     controller: str | None = Field(None, description="the controller, where none is asked for")
     scenario: str | None = Field(None, description="the scenario, where none is asked for")
     seed: Annotated[Seed, BeforeValidator(_set_to, json_schema_input_type=str | Seed)] = Seed()
     variables: Mapping[Name, Annotated[Variable, BeforeValidator(_set_to, json_schema_input_type=str | Variable)]] = Field(
-        default_factory=dict
+        default_factory=dict, description="what queries vary, by name"
     )
     changes: tuple[ChangeTable, ...] = Field((), description="made in every run of every batch")
     per_run: Mapping[Name, Annotated[tuple[Scalar, ...], Field(min_length=1)]] = Field(
@@ -306,15 +324,20 @@ class Project(Table):
     run_changes: tuple[ChangeTable, ...] = Field(
         (), description="made in each run; may use {seed}, {run} and the lists of per_run"
     )
-    controllers: Mapping[Name, Group] = Field(default_factory=dict)
-    scenarios: Mapping[Name, Group] = Field(default_factory=dict)
-    outputs: Mapping[Name, Output] = Field(default_factory=dict)
+    controllers: Mapping[Name, Group] = Field(
+        default_factory=dict, description="for `controller` and --controller, by name; `{controller}` in changes is the name"
+    )
+    scenarios: Mapping[Name, Group] = Field(default_factory=dict, description="for `scenario` and --scenario, by name")
+    outputs: Mapping[Name, Output] = Field(
+        default_factory=dict,
+        description="what runs write, by the table's name; where absent, each .csv, .parquet and .jsonl of the output folder",
+    )
     success: Success = Success()
     limits: LimitsTable = LimitsTable()
     environment: Environment = Environment()
     source: Source = Source()
-    queries: Mapping[Name, QueryTable] = Field(default_factory=dict)
-    figures: Mapping[Name, Figure] = Field(default_factory=dict)
+    queries: Mapping[Name, QueryTable] = Field(default_factory=dict, description="research queries, by name")
+    figures: Mapping[Name, Figure] = Field(default_factory=dict, description="figures, by name")
     platforms: Mapping[str, Mapping[str, Any]] = Field(default_factory=dict, description="options of platforms, by name")
 
 

@@ -11,6 +11,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.metadata import version
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,7 @@ from sierra.model import Axis
 from sierra.paths import ProjectPaths, write_whole
 from sierra.store import Store
 from sierra.store.frame import Frame, OutputTable
+from sierra.store.reading import column_names
 from sierra.store.segments import disk_errors
 from sierra.version import __version__
 
@@ -60,18 +62,57 @@ def figures(
 
 
 def statistics(
-    project: LoadedProject, store: Store, batch: str, output: str, column: str, measure: str | None, threshold: float | None
+    project: LoadedProject,
+    store: Store,
+    batch: str,
+    output: str,
+    column: str,
+    measure: str | None,
+    threshold: float | None = None,
+    times: str | None = None,
 ) -> Any:
-    """All statistics of one column, as `sierra.api.Project.statistics` says. Raises NotFound, UsageError."""
+    """All statistics of one column, as `sierra.api.Project.statistics` says, with the values of the axes.
+
+    Column `experiment`, one for each axis, and those of `analysis`; where an axis is called like one of these, that one
+    gets a `_` behind its name, as outputs' columns do in SQL. The schema's metadata hold the statement (`sierra:sql`)
+    and what a reader must know (`sierra:note`). Raises NotFound, UsageError.
+    """
+    _check_reduction(measure, threshold, times)
     with Frame(store, batch) as frame:
         gallery = _Gallery(project, frame)
-        figure = Figure(table=output, column=(column,))
-        column_frame, seen = gallery.column(figure)
+        samples, seen = gallery.column(Figure(table=output, column=(column,)))
         if measure is None:
-            return analysis.by_time(column_frame, analysis.STATISTICS, seen)[0]
-        if measure not in MEASURES:
-            raise UsageError(f"unknown measure {measure!r}; known are {', '.join(MEASURES)}, or None for each time")
-        return analysis.by_experiment(column_frame, measure, analysis.STATISTICS, seen, threshold)[0]
+            table, text, notes = analysis.at_times(samples, times or "own", analysis.STATISTICS, seen)
+        else:
+            table, text = analysis.by_experiment(samples, measure, analysis.STATISTICS, seen, threshold)
+            notes = []
+        notes = [*analysis.left_out([table], seen, gallery.planned, threshold), *notes]
+        told = {"sierra:batch": batch, "sierra:sql": text, "sierra:note": "; ".join(notes)}
+        return _with_axes(table, frame).replace_schema_metadata(told)
+
+
+def _check_reduction(measure: str | None, threshold: float | None, times: str | None) -> None:
+    if measure is not None and measure not in MEASURES:
+        raise UsageError(f"unknown measure {measure!r}; known are {', '.join(MEASURES)}, or None for each time")
+    if (measure == "time_to") != (threshold is not None):
+        raise UsageError("measure 'time_to' needs a threshold, as in threshold = 0.9; no other measure has one")
+    if threshold is not None and not isfinite(threshold):
+        raise UsageError(f"a threshold is a finite number, not {threshold}")
+    if measure is not None and times is not None:
+        raise UsageError(f"times {times!r} needs statistics for each time; a measure ({measure!r}) gives one for all")
+
+
+def _with_axes(table: Any, frame: Frame) -> Any:
+    """Statistics with the values of the axes after `experiment`."""
+    import pyarrow as pa
+
+    axes, cells = frame.axes(), frame.cells()
+    table = table.rename_columns(column_names(table.column_names, taken=[axis.name for axis in axes]))
+    ordinals = table.column(0).to_pylist()
+    for place, axis in enumerate(axes):
+        values = [cells[ordinal][axis.name] for ordinal in ordinals]
+        table = table.add_column(1 + place, axis.name, pa.array(values))
+    return table
 
 
 class _Drawer:
@@ -137,7 +178,7 @@ class _Gallery:
         self._outputs = {output.name: output for output in frame.outputs()}
         self._axes = tuple(map(self._labelled, frame.axes()))
         self._cells = frame.cells()
-        self._planned = {ordinal: runs for ordinal, (_, runs) in frame.counts().items()}
+        self.planned = {ordinal: runs for ordinal, (_, runs) in frame.counts().items()}
         self._seen: dict[str, analysis.Coverage] = {}
 
     def wanted(self, name: str | None) -> tuple[Mapping[str, Figure], list[str]]:
@@ -190,7 +231,7 @@ class _Gallery:
         columns = figure.columns or tuple(column for column in output.columns if column != time)[:1]
         self._check(output, columns)
         frames = {column: _Column(self._frame, output.name, column, time) for column in columns}
-        computed = analysis.compute(figure, self._axes, frames, planned=self._planned, known=self._coverage(output))
+        computed = analysis.compute(figure, self._axes, frames, planned=self.planned, known=self._coverage(output))
         declared = self._config.outputs.get(output.name)
         return Drawing(
             name=name,

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import itertools
+import json
 import os
 import re
 import subprocess
 import sys
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,9 +20,9 @@ import pyarrow as pa
 import pytest
 from PIL import Image
 
-from sierra import figures
+from sierra import config, figures
 from sierra.config import Figure
-from sierra.errors import Missing, SierraError, UsageError
+from sierra.errors import ConfigError, Missing, SierraError, UsageError
 from sierra.figures import Drawing
 from sierra.model import Axis
 
@@ -102,6 +103,11 @@ def xs(line: Any) -> list[float]:
 
 def said(shown: Drawing) -> str:
     return texts(svg(shown))
+
+
+def flowing(shown: Drawing) -> str:
+    """What is written, in one line."""
+    return " ".join(said(shown).split())
 
 
 @pytest.mark.parametrize("kind", [*KINDS, "heatmap"])
@@ -292,6 +298,133 @@ def test_a_mark_is_hollow_where_runs_never_reached_the_threshold() -> None:
     with style.applied():
         plot = points.summary(drawing("summary", tables={"energy": censored}, measure="time_to", threshold=1)).axes[0]
     assert [xs(line) for line in plot.lines if line.get_markerfacecolor() == "white"] == [[2.0]]
+
+
+def test_experiments_in_which_no_run_reached_the_threshold_are_marked_at_the_upper_edge() -> None:
+    from sierra.figures import points, style
+
+    nan = np.array([10.0, 20.0, np.nan, np.nan])
+    late = table(4, n=np.array([10, 7, 0, 0]), never=np.array([0, 3, 10, 10]), mean=nan, low=nan, high=nan)
+    runs = reduced(2)
+    for kind, places in {"summary": [4.0, 8.0], "box": [2.0, 3.0], "violin": [2.0, 3.0]}.items():
+        shown = replace(drawing(kind, tables={"energy": late}, measure="time_to", threshold=1), runs=runs)
+        with style.applied():
+            plot = getattr(points, kind)(shown).axes[0]
+        marks = [line for line in plot.lines if line.get_marker() == "^" and len(xs(line))]
+        assert sorted(x for line in marks for x in xs(line)) == places
+        assert all(list(line.get_ydata()) == [1.0] * len(xs(line)) for line in marks)
+
+
+def ragged(n: int = 2, reach: float = 500.0) -> dict[str, Any]:
+    """Lines of ten runs that end early but for `n`, whose interval then reaches far."""
+    few = np.tile(np.arange(20) >= 15, 4)
+    center = table(4, 20).column("mean").to_numpy()
+    half = np.where(few, reach, 1.0)
+    return {"energy": table(4, 20, n=np.where(few, n, 10), low=center - half, high=center + half)}
+
+
+def plot_of(shown: Drawing) -> Any:
+    from sierra.figures import points, series, style
+
+    with style.applied():
+        return {"timeseries": series.timeseries, "summary": points.summary}[shown.figure.kind](shown).axes[0]
+
+
+def test_intervals_of_few_runs_do_not_set_the_range_and_are_said_to_be_cut_off() -> None:
+    shown = drawing(tables=ragged())
+    low, high = plot_of(shown).get_ylim()
+    assert 5 < low < 9  # the lines go from 10 to 59, their intervals are of ± 1
+    assert 60 < high < 64
+    assert "some intervals of n ≤ 2 are cut off" in flowing(shown)
+    assert figures.rendered(shown) == figures.rendered(shown)
+
+
+def test_intervals_that_have_room_or_are_of_most_of_the_runs_are_not_cut_off() -> None:
+    for tables in (ragged(n=6), ragged(reach=10.0), {"energy": table(4, 20)}):
+        shown = drawing(tables=tables)
+        low, high = plot_of(shown).get_ylim()
+        spread = tables["energy"]
+        assert low <= min(spread["low"].to_pylist())
+        assert high >= max(spread["high"].to_pylist())
+        assert "cut off" not in flowing(shown)
+
+
+def test_an_experiment_of_few_runs_does_not_set_the_range_of_a_summary() -> None:
+    few = table(4, n=np.array([10, 2, 10, 10]), low=np.array([9, -980, 29, 39.0]), high=np.array([11, 1020, 31, 41.0]))
+    shown = drawing("summary", tables={"energy": few})
+    assert plot_of(shown).get_ylim() == pytest.approx((9 - 1.6, 41 + 1.6))
+    assert "some intervals of n ≤ 2 are cut off" in flowing(shown)
+    wide = drawing("summary", tables={"energy": few}, log_y=True)
+    assert plot_of(wide).get_ylim() == pytest.approx((9 * (9 / 41) ** 0.05, 41 * (41 / 9) ** 0.05))
+
+
+def test_what_has_no_place_on_a_logarithmic_axis_is_said() -> None:
+    means = np.array([0.0, -1.0, 30.0, 40.0])
+    lacking = table(4, mean=means, low=means - 1, high=means + 1)
+    for kind, axes in (("summary", (SIZES,)), ("heatmap", (Axis("a", (1, 2)), Axis("b", (1, 2))))):
+        assert "log scale: 2 of 4 means not above 0 left out" in flowing(drawing(kind, axes, {"energy": lacking}, log_y=True))
+        assert "log scale" not in flowing(drawing(kind, axes, {"energy": lacking}))
+    wide = drawing(tables={"energy": table(4, 20, low=np.full(80, -5.0))}, log_y=True)
+    assert "log scale: intervals that reach 0 are cut off" in flowing(wide)
+    values = np.where(np.arange(40) % 10 == 0, 0.0, np.arange(40) + 1.0)
+    runs = pa.table({"experiment": np.repeat(np.arange(4), 10), "run": [str(k) for k in range(40)], "value": values})
+    for kind in ("box", "violin"):
+        assert "log scale: 4 of 40 runs not above 0 left out" in flowing(replace(drawing(kind, log_y=True), runs=runs))
+
+
+def test_a_run_without_a_place_does_not_take_the_density_of_the_others_away() -> None:
+    from sierra.figures import points, style
+
+    runs = reduced(4)
+    lowered = np.where(np.arange(40) % 10 == 0, 0.0, runs.column("value").to_numpy())
+    shown = replace(drawing("violin", log_y=True), runs=runs.set_column(2, "value", pa.array(lowered)))
+    with style.applied():
+        assert len(points.violin(shown).axes[0].collections) == 4
+
+
+def test_the_colour_bar_of_a_logarithmic_heatmap_has_powers_of_ten_and_no_tex() -> None:
+    wide = table(8, mean=10.0 ** np.arange(-2, 6))
+    lines = said(drawing("heatmap", (SIZES, NAMES), {"energy": wide}, log_y=True)).splitlines()
+    assert {"0.01", "100", "10⁴", "1e5"} <= set(lines)
+    assert not [line for line in lines if "$" in line or "e+" in line]
+
+
+def test_intervals_of_several_groups_at_one_number_lie_side_by_side() -> None:
+    plot = plot_of(drawing("summary", (SIZES, NAMES)))
+    marks = [line for line in plot.lines if line.get_linestyle() == "None" and len(xs(line)) == 4 and line.get_marker() in "os"]
+    places = [line.get_transform().transform([(2.0, 20.0)])[0][0] for line in marks]
+    assert [xs(line) for line in marks] == [[1, 2, 4, 8]] * 2
+    assert places[1] - places[0] == pytest.approx(1.6 * 300 / 72)
+    assert len(plot.collections) == 2
+    assert {bar.get_transform().transform([(2.0, 20.0)])[0][0] for bar in plot.collections} == set(places)
+
+
+@pytest.mark.parametrize(
+    ("keys", "complaint"),
+    [
+        ({"kind": "box", "times": "linear"}, '"times" goes with kind "timeseries" or "stacked", not \'box\''),
+        ({"times": "cubic"}, "figures.f.times should be 'own', 'carry' or 'linear', not \"cubic\""),
+        ({"kind": "box", "threshold": 1.0}, '"threshold" goes with measure = "time_to"'),
+        ({"measure": "mean"}, "measure 'mean' needs another kind, as in: kind = \"summary\""),
+        ({"kind": "box", "measure": "time_to", "threshold": float("nan")}, "should be a finite number"),
+    ],
+)
+def test_keys_of_a_figure_that_would_do_nothing_are_refused(keys: Mapping[str, Any], complaint: str) -> None:
+    with pytest.raises(ConfigError, match=re.escape(complaint)):
+        config.parse({"template": "t.xml", "figures": {"f": keys}}, "sierra.toml")
+
+
+def test_files_are_named_from_the_working_directory_where_that_is_shorter(simulate: Callable[..., Any]) -> None:
+    project = simulate()
+    project.ask("run", "size=1,2", "--runs", "2", "--no-figures")
+    listed = project.ask("figures").stdout.splitlines()
+    assert listed
+    assert all(re.fullmatch(r"figures/\w{10}/\w+\.(png|pdf|svg)", line) for line in listed)
+    assert set(listed) == {str(path.relative_to(project.folder)) for path in project.folder.glob("figures/*/*.*g")} | {
+        str(path.relative_to(project.folder)) for path in project.folder.glob("figures/*/*.pdf")
+    }
+    whole = json.loads(project.ask("figures", "--json").stdout)
+    assert whole == [str(project.folder / line) for line in listed]
 
 
 def nan_table(count: int, times: int) -> pa.Table:

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import json
 import math
 import re
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import duckdb
 import numpy as np
 import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 import scipy.stats
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import sierra
 from sierra import analysis
 from sierra.analysis import student_t
 from sierra.config import Figure
@@ -233,8 +236,80 @@ def test_linear_interpolation_is_that_of_numpy(points: list[tuple[int, float]], 
 def test_a_figure_of_runs_with_different_times_says_that_they_were_resampled() -> None:
     frame = Memory((0, run, t + run / 10, float(t)) for run in range(8) for t in range(20))
     computed = analysis.compute(figure(), AXIS, {"energy": frame})
-    assert "carried forward to 20 common ones" in computed.note
+    assert "times differ: last values carried forward to 20 common times" in computed.note
     assert max(computed.tables["energy"]["n"].to_pylist()) == 8
+
+
+def interpolated(points: list[tuple[float, float | None]], grid: list[float]) -> list[float]:
+    """numpy's, NaN where a value beside is missing, and before and after the first and the last time."""
+    t, v = np.array(points, dtype=float).T
+    return np.interp(grid, t, v, left=np.nan, right=np.nan).tolist()
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    st.lists(
+        st.tuples(st.integers(0, 1000), st.one_of(NUMBERS, st.none(), st.just(math.nan))),
+        min_size=2, max_size=20, unique_by=lambda p: p[0],
+    ),
+    st.sets(st.one_of(st.floats(-10, 1010), st.integers(0, 1000).map(float)), min_size=1, max_size=20),
+)  # fmt: skip
+def test_linear_interpolation_bridges_no_missing_value_and_goes_beyond_no_end(
+    points: list[tuple[int, float | None]], times: set[float]
+) -> None:
+    rows, grid = sorted((float(t), v) for t, v in points), sorted(times)
+    frame = Memory((0, 0, t, v) for t, v in rows)
+    table, _ = analysis.resampled(frame, grid, ["mean"], analysis.coverage(frame), linear=True)
+    found = dict(zip(table["t"].to_pylist(), table["mean"].to_pylist(), strict=True))
+    expected = {t: v for t, v in zip(grid, interpolated(rows, grid), strict=True) if not math.isnan(v)}
+    assert {t for t, v in found.items() if v is not None} == set(expected)
+    assert [found[t] for t in expected] == pytest.approx(list(expected.values()), rel=1e-9, abs=1e-6)
+    inside = [t for t in grid if rows[0][0] <= t <= rows[-1][0]]
+    assert sum(table["missing"].to_pylist()) == len(inside) - len(expected)
+
+
+SHIFTED = [(0, run, t + run / 10, float(t)) for run in range(8) for t in range(20)]
+
+
+def test_a_figure_interpolates_where_it_is_asked_to_and_says_so() -> None:
+    computed = analysis.compute(figure(times="linear"), AXIS, {"energy": Memory(SHIFTED)})
+    assert "; interpolated linearly to 20 common times" in computed.note
+    assert "-- $linear: True" in computed.sql
+    grid = np.linspace(0.0, 19.7, 20).tolist()
+    runs = [interpolated([(t, v) for _, n, t, v in SHIFTED if n == run], grid) for run in range(8)]
+    table = computed.tables["energy"]
+    assert table["t"].to_pylist() == pytest.approx(grid)
+    assert table["mean"].to_pylist() == pytest.approx(np.nanmean(runs, axis=0).tolist(), rel=1e-12)
+    assert table["n"].to_pylist() == np.isfinite(runs).sum(axis=0).tolist()
+
+
+def test_a_figure_keeps_to_the_runs_own_times_where_it_is_asked_to_and_says_that_they_differ() -> None:
+    computed = analysis.compute(figure(times="own"), AXIS, {"energy": Memory(SHIFTED)})
+    assert computed.tables["energy"].num_rows == 160
+    assert computed.note == "mean, no interval, n = 1; times differ: each run at its own"
+
+
+@pytest.mark.parametrize("times", ["carry", "linear"])
+def test_times_that_all_runs_share_are_the_common_ones_in_spite_of_rounding(times: str) -> None:
+    """A simulator adds 0.1 again and again: a grid just before its times would show the value of one row before."""
+    clock = np.cumsum(np.full(100, 0.1)).tolist()
+    frame = Memory((0, run, clock[t], float(t * run)) for run in range(3) for t in range(100))
+    table, _, said = analysis.at_times(frame, times, ["interval"], analysis.coverage(frame))
+    assert table["mean"].to_pylist() == pytest.approx([float(t) for t in range(100)], abs=1e-9)
+    assert said == [f"{'interpolated linearly' if times == 'linear' else 'last values carried forward'} to 100 common times"]
+
+
+@pytest.mark.parametrize("times", ["own", "carry", "linear", None])
+def test_runs_of_one_time_count_once_each(times: str | None) -> None:
+    frame = Memory((0, run, 7.0, float(run)) for run in range(5))
+    table, _, _ = analysis.at_times(frame, times, ["interval"], analysis.coverage(frame))
+    assert (table["t"].to_pylist(), table["n"].to_pylist(), table["mean"].to_pylist()) == ([7.0], [5], [2.0])
+
+
+def test_unknown_times_are_refused() -> None:
+    frame = Memory(SHIFTED)
+    with pytest.raises(UsageError, match="unknown times 'cubic'; known are own, carry, linear"):
+        analysis.at_times(frame, "cubic", ["mean"], analysis.coverage(frame))
 
 
 def test_a_run_that_ended_early_is_no_reason_to_resample() -> None:
@@ -263,6 +338,25 @@ def test_nothing_recorded_is_an_error_of_one_line() -> None:
         analysis.compute(figure(), AXIS, {"energy": Memory([])})
     with pytest.raises(SierraError, match="no finite value in energy"):
         analysis.compute(figure(), AXIS, {"energy": Memory([(0, 0, 0.0, None)])})
+
+
+def test_a_threshold_that_no_run_reaches_is_said_with_its_value_and_the_number_of_runs() -> None:
+    rows = [(e, run, float(t), float(t)) for e in range(2) for run in range(6) for t in range(5)]
+    asked = figure("summary", measure="time_to", threshold=5.5)
+    with pytest.raises(SierraError, match=r"^energy reaches the threshold 5.5 in none of 12 runs; there is no time to draw$"):
+        analysis.compute(asked, AXIS, {"energy": Memory(rows)})
+    with pytest.raises(SierraError, match=r"in none of 13 runs, 1 without any value of it; there is"):
+        analysis.compute(asked, AXIS, {"energy": Memory([*rows, (1, 6, 0.0, None)])})
+
+
+@pytest.mark.parametrize(
+    ("kind", "mark"),
+    [("summary", " (hollow: not in all runs, △: in none)"), ("box", " (△: in none)"), ("violin", " (△: in none)")],
+)
+def test_the_note_says_which_threshold_was_not_reached_how_often_and_how_that_looks(kind: str, mark: str) -> None:
+    frame = Memory((e, run, float(t), float(t + run * e)) for e in range(2) for run in range(4) for t in range(5))
+    note = analysis.compute(figure(kind, measure="time_to", threshold=6), AXIS, {"energy": frame}).note
+    assert note.endswith(f"; threshold 6 never reached in 6 of 8 runs{mark}")
 
 
 def test_a_heatmap_of_one_variable_is_refused() -> None:
@@ -335,3 +429,83 @@ def test_student_quantiles_near_the_median_go_to_zero(p: float, df: int) -> None
 def test_no_quantile_where_there_is_none(p: float, df: float) -> None:
     with pytest.raises(ValueError, match="no Student-t quantile"):
         student_t.quantile(p, df)
+
+
+RUNS = r"""
+size=$(sed 's/.* size="\([0-9]*\)".*/\1/' "$1")
+echo t,v > swarm.csv
+for t in 0 1 2 3; do echo "$t.$size,$((t * size))" >> swarm.csv; done
+"""
+
+
+@pytest.fixture
+def simulated(simulate: Callable[..., Any]) -> Any:
+    project = simulate(RUNS)
+    assert project.ask("run", "size=1,2,3", "--runs", "2", "--no-figures").returncode == 0
+    return project
+
+
+def test_statistics_are_a_command_whose_table_has_the_values_of_the_axes(simulated: Any) -> None:
+    rows = json.loads(simulated.ask("stats", "swarm", "v", "--json").stdout)
+    assert [(row["size"], row["n"], row["mean"], row["low"]) for row in rows] == [(1, 2, 3, 3), (2, 2, 6, 6), (3, 2, 9, 9)]
+    first = simulated.ask("stats", "swarm", "v").stdout.splitlines()[0].split()
+    assert first[:5] == ["experiment", "size", "missing", "infinite", "never"]
+    for kind, begin in (("csv", "experiment,size,"), ("markdown", "| experiment | size |")):
+        assert simulated.ask("stats", "swarm", "v", "--format", kind).stdout.startswith(begin)
+    assert simulated.ask("stats", "swarm", "v", "-f", "parquet", "-o", "table.parquet").returncode == 0
+    table = pq.read_table(simulated.folder / "table.parquet")
+    assert table["size"].to_pylist() == [1, 2, 3]
+    assert b"list_avg" in table.schema.metadata[b"sierra:sql"]
+
+
+def test_statistics_can_be_reduced_in_each_way_and_have_a_row_for_each_time(simulated: Any) -> None:
+    def ask(*options: str) -> list[dict[str, Any]]:
+        rows: list[dict[str, Any]] = json.loads(simulated.ask("stats", "swarm", "v", "--json", *options).stdout)
+        return rows
+
+    assert [row["mean"] for row in ask("--measure", "mean")] == [1.5, 3, 4.5]
+    late = simulated.ask("stats", "swarm", "v", "--measure", "time_to", "--threshold", "4", "--json")
+    assert [(row["n"], row["never"], row["mean"]) for row in json.loads(late.stdout)] == [
+        (0, 2, None),
+        (2, 0, 2.2),
+        (2, 0, 2.3),
+    ]
+    assert "threshold 4 never reached in 2 of 6 runs" in late.stderr
+    assert [(row["size"], row["t"], row["mean"]) for row in ask("--times", "own")][:2] == [(1, 0.1, 0), (1, 1.1, 1)]
+    linear = simulated.ask("stats", "swarm", "v", "--times", "linear", "--json")
+    assert "interpolated linearly to 4 common times" in linear.stderr
+    times = [row["t"] for row in json.loads(linear.stdout) if row["size"] == 1]
+    assert times == pytest.approx([0.1, 0.1 + 3.2 / 3, 0.1 + 6.4 / 3])
+
+
+def test_statistics_that_make_no_sense_are_refused(simulated: Any) -> None:
+    together, choose = "--measure time_to and --threshold X go together", "choose one of them"
+    for words, complaint in {
+        ("--measure", "time_to"): together,
+        ("--threshold", "4"): together,
+        ("--times", "own", "--measure", "mean"): choose,
+        ("--measure", "time_to", "--threshold", "nan"): "a threshold is a finite number, not nan",
+    }.items():
+        asked = simulated.ask("stats", "swarm", "v", *words)
+        assert (asked.returncode, asked.stdout) == (2, "")
+        assert complaint in asked.stderr
+
+
+def test_statistics_in_python_take_the_times_and_say_what_was_done(simulated: Any) -> None:
+    project = sierra.open(simulated.folder)
+    table = project.statistics(None, "swarm", "v", measure=None, times="carry")
+    assert table.schema.metadata[b"sierra:note"] == b"last values carried forward to 4 common times"
+    assert project.statistics(None, "swarm", "v", measure=None).num_rows == 12
+    with pytest.raises(UsageError, match="times 'own' needs statistics for each time"):
+        project.statistics(None, "swarm", "v", times="own")
+    with pytest.raises(UsageError, match="'time_to' needs a threshold"):
+        project.statistics(None, "swarm", "v", measure="time_to")
+
+
+def test_an_axis_that_is_called_like_a_statistic_keeps_its_name(simulate: Callable[..., Any]) -> None:
+    project = simulate()
+    config = project.folder / "sierra.toml"
+    config.write_text(config.read_text().replace('size = "', 'n = "'))
+    assert project.ask("run", "n=3,5", "--runs", "2", "--no-figures").returncode == 0
+    rows = json.loads(project.ask("stats", "swarm", "v", "--json").stdout)
+    assert [(row["n"], row["n_"]) for row in rows] == [(3, 2), (5, 2)]

@@ -33,6 +33,8 @@ HERE = Path(__file__).parent
 LEVEL = 0.95
 GRID = 500
 """The most points of a common time axis, where the runs' own times differ."""
+TIMES = ("own", "carry", "linear")
+"""Where statistics over time are computed: at the runs' own times, or at common ones, in one of two ways."""
 
 STATISTICS: Mapping[str, tuple[str, ...]] = {
     "n": (),
@@ -137,14 +139,14 @@ def compute(
     tables, texts = {}, []
     for column, frame in frames.items():
         if over_time(figure, axes, seen):
-            table, text, how = _by_time(frame, statistics, seen)
+            table, text, how = at_times(frame, figure.times, statistics, seen)
             notes |= dict.fromkeys(how)
         else:
             table, text = by_experiment(frame, figure.measure, statistics, seen, figure.threshold)
         tables[column] = table
         texts.append(text)
     if not any(_total(table, "n") for table in tables.values()):
-        raise SierraError(f"no finite value in {', '.join(frames)}; there is nothing to draw")
+        raise SierraError(_nothing(figure, tables, seen))
     runs = None
     if figure.kind in ("box", "violin"):
         runs = reduced(next(iter(frames.values())), figure.measure, figure.threshold)
@@ -199,6 +201,26 @@ def by_time(frame: Frame, statistics: Iterable[str], seen: Coverage) -> tuple[An
     return _run(frame, text, seen)
 
 
+def at_times(frame: Frame, times: str | None, statistics: Iterable[str], seen: Coverage) -> tuple[Any, str, list[str]]:
+    """As `by_time`, at the runs' `own` times or at common ones (`carry`, `linear`); the statement; what to say of it.
+
+    None is `own` where most runs share their times, else `carry`. Common times lie at equal distances, as many as the
+    longest run has rows, but for those that are a run's own but for rounding: these are taken as they are.
+    """
+    if times not in (*TIMES, None):
+        raise UsageError(f"unknown times {times!r}; known are {', '.join(TIMES)}")
+    if times in ("own", None):
+        table, text = by_time(frame, statistics, seen)
+        runs = seen.runs.values()
+        differ = max(runs) > 1 and seen.rows / max(1, table.num_rows) < sum(runs) / len(runs) / 2
+        if times == "own" or not differ:
+            return table, text, ["times differ: each run at its own"] if differ else []
+    grid = _common(frame, seen)
+    table, text = resampled(frame, grid, statistics, seen, linear=times == "linear")
+    how = "interpolated linearly" if times == "linear" else "last values carried forward"
+    return table, text, [f"{'times differ: ' if times is None else ''}{how} to {len(grid)} common times"]
+
+
 def resampled(
     frame: Frame, grid: Sequence[float], statistics: Iterable[str], seen: Coverage, *, linear: bool = False
 ) -> tuple[Any, str]:
@@ -228,16 +250,18 @@ def statement(observations: str, grouping: str, statistics: Iterable[str]) -> st
     )
 
 
-def _by_time(frame: Frame, statistics: Iterable[str], seen: Coverage) -> tuple[Any, str, list[str]]:
-    """At the runs' own times where most runs share them, else on a common time axis; and what to say of it."""
-    table, text = by_time(frame, statistics, seen)
-    mean_runs = sum(seen.runs.values()) / len(seen.runs)
-    if max(seen.runs.values()) == 1 or seen.rows / max(1, table.num_rows) >= mean_runs / 2:
-        return table, text, []
+def _common(frame: Frame, seen: Coverage) -> list[float]:
+    """The times of a common axis. A time that rounding puts just before a run's own would show what was one row before."""
+    import numpy as np
+
     points = max(2, min(seen.most, GRID))
-    grid = [seen.first + (seen.last - seen.first) * k / (points - 1) for k in range(points)]
-    table, text = resampled(frame, grid, statistics, seen)
-    return table, text, [f"times differ: last values carried forward to {points} common ones"]
+    even = np.linspace(seen.first, seen.last, points)
+    own = frame.sql("SELECT DISTINCT t FROM samples WHERE isfinite(t) ORDER BY t").column("t").to_numpy()
+    after = np.clip(np.searchsorted(own, even), 1, max(1, len(own) - 1))
+    near = np.where(even - own[after - 1] < own[after % len(own)] - even, own[after - 1], own[after % len(own)])
+    close = np.abs(near - even) <= 1e-9 * (seen.last - seen.first)
+    grid: list[float] = np.unique(np.where(close, near, even)).tolist()
+    return grid
 
 
 def _run(frame: Frame, text: str, seen: Coverage, **params: Any) -> tuple[Any, str]:
@@ -293,12 +317,23 @@ def _check(figure: Figure, axes: Sequence[Axis], frames: Mapping[str, Frame]) ->
 
 
 def _note(figure: Figure, tables: Iterable[Any], seen: Coverage, planned: Mapping[int, int] | None) -> list[str]:
-    """What a reader must know: n, and everything that is not in the numbers."""
+    """What a reader must know: what is shown, n, and everything that is not in the numbers."""
     tables = list(tables)
     counts = [table.column("n").to_numpy() for table in tables]
     low, high = int(min(n.min() for n in counts)), int(max(n.max() for n in counts))
-    notes = [f"n = {low}" if low == high else f"n = {low}–{high}"]
-    notes[0] = f"{_shown(figure, several=high > 1)}, {notes[0]}"
+    shown = f"{_shown(figure, several=high > 1)}, n = {low}" + (f"–{high}" if low < high else "")
+    return [shown, *left_out(tables, seen, planned, figure.threshold, _marked(figure, tables[0]))]
+
+
+def left_out(
+    tables: Iterable[Any],
+    seen: Coverage,
+    planned: Mapping[int, int] | None = None,
+    threshold: float | None = None,
+    marked: str = "",
+) -> list[str]:
+    """Everything that is not in the numbers: runs, values, rows. `marked` is how a figure shows late runs."""
+    tables, notes = list(tables), []
     wanted = sum((planned or {}).values())
     absent = sum(max(0, count - seen.runs.get(experiment, 0)) for experiment, count in (planned or {}).items())
     if absent:
@@ -306,12 +341,23 @@ def _note(figure: Figure, tables: Iterable[Any], seen: Coverage, planned: Mappin
     for name, what in (("missing", "missing value"), ("infinite", "infinite value")):
         if count := sum(_total(table, name) for table in tables):
             notes.append(f"{_count(count, what)} left out")
-    mark = " (hollow)" if figure.kind == "summary" else ""
     if never := sum(_total(table, "never") for table in tables if "never" in table.column_names):
-        notes.append(f"threshold never reached in {never} of {_count(sum(seen.runs.values()), 'run')}{mark}")
+        runs = _count(sum(seen.runs.values()), "run")
+        notes.append(f"threshold {threshold:.12g} never reached in {never} of {runs}{marked}")
     if seen.untimed:
         notes.append(f"{_count(seen.untimed, 'row')} without a time left out")
     return notes
+
+
+def _nothing(figure: Figure, tables: Mapping[str, Any], seen: Coverage) -> str:
+    """Why there is nothing to draw."""
+    columns, runs = ", ".join(tables), _count(sum(seen.runs.values()), "run")
+    never = sum(_total(table, "never") for table in tables.values() if "never" in table.column_names)
+    if not never:
+        return f"no finite value in {columns}; there is nothing to draw"
+    rest = sum(seen.runs.values()) - never
+    missing = f", {rest} without any value of it" if rest else ""
+    return f"{columns} reaches the threshold {figure.threshold:.12g} in none of {runs}{missing}; there is no time to draw"
 
 
 def _shown(figure: Figure, *, several: bool) -> str:
@@ -327,6 +373,17 @@ def _shown(figure: Figure, *, several: bool) -> str:
             return center
         case _:
             return f"{center}, {spread if several else 'no interval'}"
+
+
+def _marked(figure: Figure, table: Any) -> str:
+    """How a figure marks the experiments of which some, or all, runs never reached the threshold."""
+    if "never" not in table.column_names:
+        return ""
+    late = table.column("never").to_numpy() > 0
+    reached = table.column("n").to_numpy() > 0
+    some = ["hollow: not in all runs"] if figure.kind == "summary" and (late & reached).any() else []
+    none = [f"{'hatched' if figure.kind == 'heatmap' else '△'}: in none"] if (late & ~reached).any() else []
+    return f" ({', '.join([*some, *none])})" if some or none else ""
 
 
 def _total(table: Any, column: str) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from typing import Annotated
 
 import typer
@@ -28,9 +29,14 @@ def figures(
     paths, notes = project().draw(prefix, name)
     for text in notes:
         note(text)
-    drawn = [str(path) for path in paths]
     if as_json:
-        print_json(drawn)
+        print_json([str(path) for path in paths])
     else:
-        for path in drawn:
-            print(path)
+        for path in paths:
+            print(from_here(path))
+
+
+def from_here(path: str | os.PathLike[str]) -> str:
+    """A path as short as it can be named from the working directory."""
+    whole = os.fspath(path)
+    return min(os.path.relpath(whole), whole, key=len)

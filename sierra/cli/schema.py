@@ -10,11 +10,11 @@ import typer
 
 def schema(
     name: Annotated[str | None, typer.Argument(metavar="TABLE", help="One table of the store (default: all).")] = None,
-    toml: Annotated[bool, typer.Option("--toml", help="The JSON Schema of sierra.toml instead.")] = False,
+    toml: Annotated[bool, typer.Option("--toml", help="All keys of sierra.toml instead, as commented TOML.")] = False,
     write: Annotated[
-        Path | None, typer.Option("--write", metavar="FOLDER", help="Write both there, as in the project's schemas/.")
+        Path | None, typer.Option("--write", metavar="FOLDER", help="Write the contracts there, as in schemas/.")
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="The tables as JSON.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="The tables as JSON; with --toml, the JSON Schema.")] = False,
 ) -> None:
     """Say what tables, columns and the keys of sierra.toml mean.
 
@@ -22,7 +22,8 @@ def schema(
     Examples:
       sierra schema
       sierra schema executions
-      sierra schema --toml > sierra.toml.schema.json
+      sierra schema --toml
+      sierra schema --toml --json > sierra.toml.schema.json
     """
     from dataclasses import asdict
 
@@ -34,7 +35,7 @@ def schema(
         schemas.write(write)
         return
     if toml:
-        print(schemas.toml(), end="")
+        print(schemas.toml_schema() if as_json else schemas.toml(), end="")
         return
     tables = schemas.tables()
     if name is not None and name not in tables:

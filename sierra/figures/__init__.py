@@ -69,7 +69,7 @@ def draw(drawing: Drawing, folder: Path) -> tuple[Path, ...]:
 
 def rendered(drawing: Drawing) -> list[tuple[Format, bytes]]:
     """The content of the files, by format."""
-    from sierra.figures import grid, points, series, style
+    from sierra.figures import grid, limits, points, series, style
 
     painters = {
         "timeseries": series.timeseries,
@@ -79,6 +79,7 @@ def rendered(drawing: Drawing) -> list[tuple[Format, bytes]]:
         "violin": points.violin,
         "heatmap": grid.heatmap,
     }
+    drawing = limits.said(drawing)
     with style.applied():
         figure = painters[drawing.figure.kind](drawing)
         style.settle(figure, drawing)

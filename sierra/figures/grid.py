@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from sierra.figures import style
-from sierra.figures.series import CENTERS
+from sierra.figures.limits import CENTERS
 
 if TYPE_CHECKING:
     from sierra.figures import Drawing
@@ -46,13 +46,16 @@ def heatmap(drawing: Drawing) -> Figure:
 
 
 def _paint(figure: Figure, plot: Any, cells: Any, drawing: Drawing) -> None:
-    norm = (LogNorm if drawing.figure.log_y else Normalize)(*_limits(cells))
+    norm_limits = _limits(cells)
+    norm = (LogNorm if drawing.figure.log_y else Normalize)(*norm_limits)
     edges = (np.arange(size + 1) - 0.5 for size in reversed(cells.shape))
     edge = {"edgecolors": "white", "linewidth": 0.5} if max(cells.shape) <= 12 else {"linewidth": 0, "rasterized": True}
     mesh = plot.pcolormesh(*edges, np.ma.masked_invalid(cells), norm=norm, cmap=colormaps["viridis"], **edge)
     bar = figure.colorbar(mesh, ax=plot, pad=0.02, aspect=24, fraction=0.06, use_gridspec=False)
     bar.outline.set_visible(False)
     bar.ax.tick_params(labelsize=6, length=2)
+    if drawing.figure.log_y:
+        style.log_ticks(bar.ax, *norm_limits)
     bar.set_label(style.shortened(style.value_label(drawing), 40))
     fits = cells.shape[1] <= LEGIBLE and cells.shape[0] <= 16
     for (row, place), value in np.ndenumerate(cells):
@@ -65,7 +68,7 @@ def _paint(figure: Figure, plot: Any, cells: Any, drawing: Drawing) -> None:
             plot.text(
                 place,
                 row,
-                f"{value:.3g}".replace("-", "−"),
+                style.number(value, 3),
                 ha="center",
                 va="center",
                 fontsize=6,

@@ -9,15 +9,19 @@ import numpy as np
 from matplotlib.cbook import violin_stats
 from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
+from matplotlib.transforms import ScaledTranslation
 
-from sierra.figures import style
-from sierra.figures.series import CENTERS, first_axis, others, rest_of, value_of, with_n
+from sierra.figures import limits, style
+from sierra.figures.limits import CENTERS
+from sierra.figures.series import first_axis, others, rest_of, value_of, with_n
 from sierra.model import Axis, Value
 
 if TYPE_CHECKING:
     from sierra.figures import Drawing
 
 GOLDEN = 0.6180339887498949
+APART = 1.6
+"""Points between the intervals of two groups at the same number."""
 DENSE = 5
 """From how many runs on a density says more than the runs themselves."""
 
@@ -36,9 +40,13 @@ def summary(drawing: Drawing) -> Figure:
     for (place, _), look in zip(enumerate(groups.values), looks, strict=True):
         rows = [k for k, o in enumerate(ordinals) if others(drawing).index(rest_of(drawing, o)) == place]
         x = _places(drawing, first, [ordinals[k] for k in rows], place, len(groups.values))
-        censored = np.array([table["never"][k].as_py() > 0 for k in rows], dtype=bool)
-        _interval(plot, x, center[rows], low[rows], high[rows], look, joined=first.numeric)
-        plot.plot(np.asarray(x)[censored], center[rows][censored], **look, linestyle="none", markerfacecolor="white", zorder=3)
+        censored = style.column(table, "never")[rows] > 0
+        made = _interval(plot, x, center[rows], low[rows], high[rows], look, joined=first.numeric)
+        hollow = {**look, "linestyle": "none", "markerfacecolor": "white", "zorder": 3}
+        made += plot.plot(np.asarray(x)[censored], center[rows][censored], **hollow)
+        made += _never(plot, np.asarray(x)[censored & (style.column(table, "n")[rows] == 0)], look["color"])
+        if first.numeric:
+            _shift(made, (place - (len(groups.values) - 1) / 2) * APART)
     style.scale_values(plot, first, log=drawing.figure.log_x)
     _frame(figure, plot, drawing, first, groups, looks, table, float(np.nanmin(center)), float(np.nanmax(center)))
     return figure
@@ -64,11 +72,13 @@ def _side_by_side(drawing: Drawing, paint: Callable[..., None]) -> Figure:
     style.side_by_side(plot, first)
     runs = _runs(drawing)
     for row in table.to_pylist():
-        if not row["n"]:
-            continue
         place = others(drawing).index(rest_of(drawing, row["experiment"]))
         x = first.values.index(value_of(drawing, row["experiment"])) + _dodge(place, count)
-        paint(plot, x, 0.7 / count, row, style.drawable(runs[row["experiment"]], drawing), colours[place])
+        if not row["n"]:
+            _never(plot, [x] if row["never"] else [], colours[place])
+            continue
+        shown = style.drawable(runs[row["experiment"]], drawing)
+        paint(plot, x, 0.7 / count, row, shown[np.isfinite(shown)], colours[place])
     looks = [{"color": colour, "linewidth": 4} for colour in colours]
     values = np.concatenate(list(runs.values()))
     plot.set_xlim(-0.6, len(first.values) - 0.4)
@@ -128,16 +138,27 @@ def _violin(plot: Any, x: float, width: float, row: dict[str, Any], runs: Any, c
     )
 
 
-def _interval(plot: Any, x: Any, center: Any, low: Any, high: Any, look: dict[str, Any], *, joined: bool) -> None:
-    x = np.asarray(x, dtype=float)
+def _interval(plot: Any, x: Any, center: Any, low: Any, high: Any, look: dict[str, Any], *, joined: bool) -> list[Any]:
+    x, made = np.asarray(x, dtype=float), []
     if joined:
         known = np.isfinite(center)
-        plot.plot(x[known], center[known], **{**look, "marker": "none"})
+        made += plot.plot(x[known], center[known], **{**look, "marker": "none"})
     some = np.isfinite(center) & np.isfinite(low) & np.isfinite(high)
     if some.any():
         reach = [(center - low)[some], (high - center)[some]]
-        plot.errorbar(x[some], center[some], reach, fmt="none", ecolor=look["color"], elinewidth=0.9, capsize=2, capthick=0.9)
-    plot.plot(x, center, **{**look, "linestyle": "none"})
+        thin = {"ecolor": look["color"], "elinewidth": 0.9, "capsize": 2, "capthick": 0.9}
+        _, caps, bars = plot.errorbar(x[some], center[some], reach, fmt="none", **thin)
+        made += [*caps, *bars]
+    return [*made, *plot.plot(x, center, **{**look, "linestyle": "none"})]
+
+
+def _never(plot: Any, x: Any, colour: Any) -> list[Any]:
+    """Triangles at the upper edge, for experiments of which no run reached the threshold."""
+    marks = {"marker": "^", "markersize": 4, "markerfacecolor": "white", "linestyle": "none", "color": colour}
+    if not len(x):
+        return []
+    made: list[Any] = plot.plot(x, np.ones(len(x)), transform=plot.get_xaxis_transform(), clip_on=False, zorder=4, **marks)
+    return made
 
 
 def _places(drawing: Drawing, first: Axis, ordinals: list[int], place: int, count: int) -> list[float]:
@@ -145,6 +166,12 @@ def _places(drawing: Drawing, first: Axis, ordinals: list[int], place: int, coun
     if first.numeric:
         return [float(value) for value in values]
     return [first.values.index(value) + _dodge(place, count) for value in values]
+
+
+def _shift(made: list[Any], points: float) -> None:
+    """Moves what is drawn aside by so many points, so that the intervals of several groups at one number are all seen."""
+    for artist in made:
+        artist.set_transform(artist.get_transform() + ScaledTranslation(points / 72, 0, artist.figure.dpi_scale_trans))
 
 
 def _dodge(place: int, count: int) -> float:
@@ -186,6 +213,7 @@ def _frame(
     highest: float,
 ) -> None:
     style.scale_y(plot, drawing, lowest, highest)
+    limits.apply(plot, drawing)
     style.outer_labels([plot], drawing.figure.xlabel or style.axis_label(first), style.value_label(drawing))
     counts = [0] * len(groups.values)
     for ordinal, n in zip(table.column("experiment").to_pylist(), table.column("n").to_pylist(), strict=True):

@@ -10,13 +10,13 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from sierra.errors import UsageError
-from sierra.figures import style
+from sierra.figures import limits, style
+from sierra.figures.limits import CENTERS
 from sierra.model import Axis, Value
 
 if TYPE_CHECKING:
     from sierra.figures import Drawing
 
-CENTERS = {"mean": ("mean", "low", "high"), "median": ("median", "q1", "q3"), "iqm": ("iqm", "iqm_low", "iqm_high")}
 TICKS = 2000
 """More times than this cannot be told apart on paper: every k-th is drawn, and the last."""
 PANELS = 36
@@ -39,6 +39,7 @@ def timeseries(drawing: Drawing) -> Figure:
     center = style.column(table, CENTERS[drawing.figure.center][0])
     for plot, values in zip(plots, rest, strict=True):
         style.scale_y(plot, drawing, float(np.nanmin(center)), float(np.nanmax(center)))
+        limits.apply(plot, drawing)
         style.scale_time(plot, drawing, float(style.column(table, "t")[0]))
         if len(plots) > 1:
             plot.set_title(_others_of(drawing, values), fontsize=7)

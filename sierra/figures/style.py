@@ -208,9 +208,9 @@ def time_label(drawing: Drawing) -> str:
     return drawing.figure.xlabel or label(drawing.time, drawing.units.get(drawing.time, ""))
 
 
-def number(value: float) -> str:
-    """A number as short as six digits allow."""
-    return f"{value:.6g}".replace("e+0", "e").replace("e+", "e").replace("e-0", "e-").replace("-", "−")
+def number(value: float, digits: int = 6) -> str:
+    """A number as short as so many digits allow."""
+    return f"{value:.{digits}g}".replace("e+0", "e").replace("e+", "e").replace("e-0", "e-").replace("-", "−")
 
 
 def named(value: Value, limit: int = 28) -> str:
@@ -357,6 +357,11 @@ def scale_y(plot: Any, drawing: Drawing, lowest: float, highest: float) -> None:
     if not highest > 0:
         raise UsageError(f"figure {drawing.name}: log_y needs values above 0, and there is none")
     plot.set_yscale("log", nonpositive="clip")
+    log_ticks(plot, lowest, highest)
+
+
+def log_ticks(plot: Any, lowest: float, highest: float) -> None:
+    """Ticks of a logarithmic y axis: powers of 10, where there are enough of them."""
     wide = lowest <= 0 or highest / lowest >= 10
     plot.yaxis.set_major_locator(LogLocator(numticks=8) if wide else AutoLocator())
     plot.yaxis.set_major_formatter(FuncFormatter(lambda value, _: _power(value)))

@@ -1,0 +1,75 @@
+"""`sierra stats`: the numbers that figures are drawn from."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from sierra.cli.sql import Format, write
+from sierra.errors import UsageError
+
+
+class Measure(StrEnum):
+    """What a run is reduced to."""
+
+    final = "final"
+    mean = "mean"
+    time_to = "time_to"
+
+
+class Times(StrEnum):
+    """At which times there is a row."""
+
+    own = "own"
+    carry = "carry"
+    linear = "linear"
+
+
+def stats(
+    output: Annotated[str, typer.Argument(metavar="OUTPUT", help="The output, as SHOW TABLES in SQL has it.")],
+    column: Annotated[str, typer.Argument(metavar="COLUMN", help="One of its columns.")],
+    batch: Annotated[
+        str | None, typer.Option("--batch", "-b", metavar="HASH", help="The batch (default: the last asked for).")
+    ] = None,
+    measure: Annotated[
+        Measure | None, typer.Option("--measure", "-m", help="What a run is reduced to (default: final, its last value).")
+    ] = None,
+    threshold: Annotated[
+        float | None, typer.Option("--threshold", metavar="X", help="For time_to: the value to be reached or exceeded.")
+    ] = None,
+    times: Annotated[
+        Times | None,
+        typer.Option("--times", help="A row for each time instead: the runs' own, or common ones (carried, interpolated)."),
+    ] = None,
+    format: Annotated[Format, typer.Option("--format", "-f", help="How the table is written.")] = Format.table,
+    file: Annotated[Path | None, typer.Option("--output", "-o", metavar="FILE", help="Write it to a file.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Short for --format json.")] = False,
+) -> None:
+    """Compute statistics over the runs.
+
+    For one column, and each experiment: n, mean, sd, the 95 % interval of the mean (low, high), median, quartiles,
+    whiskers, range, interquartile mean (iqm) with its interval, and how many values are missing or infinite, or how many
+    runs never reached the threshold.
+
+    \b
+    Examples:
+      sierra stats swarm coverage
+      sierra stats swarm coverage -b 774d --format markdown
+      sierra stats swarm coverage --measure time_to --threshold 0.5
+      sierra stats swarm coverage --times own --format csv -o coverage.csv
+    """
+    from sierra.cli.opened import project
+    from sierra.cli.output import note
+
+    if (measure is Measure.time_to) != (threshold is not None):
+        raise UsageError("--measure time_to and --threshold X go together")
+    if times and measure:
+        raise UsageError("--times gives a row for each time, --measure one for each experiment; choose one of them")
+    reduced = None if times else (measure or Measure.final).value
+    table = project().statistics(batch, output, column, measure=reduced, threshold=threshold, times=times and times.value)
+    if said := (table.schema.metadata or {}).get(b"sierra:note"):
+        note(said.decode())
+    write(table, Format.json if as_json else format, file)
