@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from sierra.store import Found, Question, Store
+from sierra.store.files import recorded, take
 
 BATCHES = """
 WITH last AS (
@@ -61,7 +62,8 @@ def _batch(question: Question, found: Found) -> dict[str, Any]:
     [recipe] = question.sql("SELECT * FROM recipes WHERE recipe = $r", r=row["recipe"]).to_pylist()
     row["recipe"] = recipe
     row["source"] = _source(question, found.id, recipe["source"])
-    row["experiments"] = _experiments(question, found.id)
+    row["experiments"] = _experiments(question, found.id, row["axes"])
+    row["failures"] = _failures(question, found.id, row["experiments"], row["axes"])
     row["sessions"] = question.sql("SELECT * FROM sessions WHERE batch = $b ORDER BY ended", b=found.id).to_pylist()
     return row
 
@@ -76,7 +78,8 @@ def _source(question: Question, batch: str, tree: str | None) -> dict[str, Any] 
     return rows[0] if rows else None
 
 
-def _experiments(question: Question, batch: str) -> list[dict[str, Any]]:
+def _experiments(question: Question, batch: str, axes: Sequence[str]) -> list[dict[str, Any]]:
+    """The experiments of a batch; its axes stand in the order of its query, and those of other batches do not stand here."""
     rows: list[dict[str, Any]] = question.sql(
         "WITH tried AS (SELECT run, arg_max(status, ended) AS last FROM executions WHERE purpose = 'run' GROUP BY run), "
         "good AS (SELECT ordinal, run, true AS good FROM counting WHERE batch = $b), "
@@ -88,14 +91,49 @@ def _experiments(question: Question, batch: str) -> list[dict[str, Any]]:
         "WHERE x.batch = $b ORDER BY ordinal",
         b=batch,
     ).to_pylist()
-    return [_without_nulls(row) for row in rows]
+    columns = ("ordinal", "experiment", *axes, "runs", "good", "failed")
+    return [{name: row[name] for name in columns} for row in rows]
+
+
+FAILURES = """
+WITH tried AS (
+    SELECT run, arg_max({'status': status, 'reason': reason}, ended) AS last
+    FROM executions WHERE purpose = 'run' GROUP BY run
+),
+failed AS (
+    SELECT m.ordinal, m.number, m.run, coalesce(t.last.reason, t.last.status) AS reason
+    FROM (SELECT DISTINCT ordinal, number, run FROM members WHERE batch = $b) m JOIN tried t USING (run)
+    ANTI JOIN (SELECT ordinal, run FROM counting WHERE batch = $b) c ON c.ordinal = m.ordinal AND c.run = m.run
+    WHERE t.last.status <> 'ok'
+)
+SELECT reason, count(*) AS runs, arg_min({'run': run, 'ordinal': ordinal, 'number': number}, (ordinal, number)) AS example
+FROM failed GROUP BY reason ORDER BY runs DESC, reason
+"""
+
+
+def _failures(
+    question: Question, batch: str, experiments: Sequence[Mapping[str, Any]], axes: Sequence[str]
+) -> list[dict[str, Any]]:
+    """Why runs of a batch failed: for each reason, the most frequent first, how many runs, and the first of them."""
+    values = {row["ordinal"]: {name: row[name] for name in axes} for row in experiments}
+    return [
+        {
+            "reason": row["reason"],
+            "runs": row["runs"],
+            "run": row["example"]["run"],
+            "number": row["example"]["number"],
+            "values": values[row["example"]["ordinal"]],
+        }
+        for row in question.sql(FAILURES, b=batch).to_pylist()
+    ]
 
 
 def _experiment(question: Question, found: Found) -> dict[str, Any]:
     [row] = question.sql(
         "SELECT * FROM experiments WHERE experiment = $x AND batch = $b", x=found.id, b=found.batch
     ).to_pylist()
-    row = _without_nulls(row)
+    [axes] = question.sql("SELECT axes FROM batches WHERE batch = $b", b=found.batch).column("axes").to_pylist()
+    row = {name: row[name] for name in ("experiment", "batch", "ordinal", *axes)}
     row["runs"] = question.sql(
         "SELECT m.number, m.run, m.seed, count(e.execution) AS executions, "
         "CASE WHEN any_value(c.execution) IS NOT NULL THEN 'ok' "
@@ -121,6 +159,8 @@ def _run(question: Question, found: Found) -> dict[str, Any]:
     row["executions"] = question.sql(
         "SELECT * EXCLUDE (run) FROM executions WHERE run = $r ORDER BY ended", r=found.id
     ).to_pylist()
+    files = recorded(question, take(question, found))
+    row["files"] = [{"path": file.path, "kind": file.kind, "bytes": file.bytes, "sha256": file.sha256} for file in files]
     return row
 
 

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 if TYPE_CHECKING:
     from sierra.api import Project
+
+SHOWN_REASONS = 10
 
 
 def ls(
@@ -60,8 +63,28 @@ def show(
     shown = project().show(prefix)
     if as_json:
         print_json(shown)
-    else:
-        _print(shown)
+        return
+    failures = shown.pop("failures", [])
+    _print(shown)
+    _print_failures(failures)
+    if shown["kind"] in ("run", "execution"):
+        print(f"\nsierra files {shown[shown['kind']][:10]} PATH writes a file out again, and --to FOLDER all of them")
+
+
+def _print_failures(failures: Sequence[Mapping[str, Any]]) -> None:
+    """Why runs failed, a line for each reason."""
+    from sierra.cli.output import cell, readable
+
+    if failures:
+        print("\nfailures:")
+    for failure in failures[:SHOWN_REASONS]:
+        values = "".join(f"{name}={cell(value)}, " for name, value in failure["values"].items())
+        runs = "1 run" if failure["runs"] == 1 else f"{failure['runs']} runs"
+        example = f"run {failure['run'][:10]} ({values}number {failure['number']})"
+        print(f"  {runs}: {readable(failure['reason'])}, e.g. {example}")
+    if len(failures) > SHOWN_REASONS:
+        runs = sum(failure["runs"] for failure in failures[SHOWN_REASONS:])
+        print(f"  and {len(failures) - SHOWN_REASONS} more reasons, of {runs} runs (--json has them all)")
 
 
 def print_experiments(project: Project, batch: str) -> None:

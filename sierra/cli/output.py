@@ -49,6 +49,11 @@ def cell(value: Any) -> str:
             return " ".join(str(value).split("\n"))
 
 
+def readable(text: str) -> str:
+    """A text from outside in one line: what moves a terminal's cursor, or cannot be seen, as an escape."""
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+
+
 def fields(record: Mapping[str, Any], indent: str = "") -> None:
     """Names and values, a line each."""
     width = max((len(name) for name in record), default=0)

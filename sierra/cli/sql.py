@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sierra.errors import SqlError, UsageError
+from sierra.errors import UsageError
 from sierra.paths import write_whole
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
-    from sierra.api import Project
+    from sierra.store import Store
 
 SHOWN_ROWS = 200
 
@@ -58,13 +58,31 @@ def sql(
     from sierra.cli.opened import project
 
     opened = project()
+    within = None if batch is None else opened._batch(batch)
     if statement is None:
-        _prompt(opened, batch)
+        from sierra.cli.prompt import prompt
+
+        prompt(lambda text: write(_ask(opened.store, text, within), Format.table, None))
         return
     text = sys.stdin.read() if statement == "-" else statement
     if not text.strip():
         raise UsageError('no statement; ask something, as in: sierra sql "SHOW TABLES"')
-    write(opened.sql(text, within=batch), Format.json if as_json else format, output)
+    write(_ask(opened.store, text, within), Format.json if as_json else format, output)
+
+
+def _ask(store: Store, text: str, within: str | None) -> pa.Table:
+    """The answer to a statement, which Ctrl-C stops: DuckDB itself does not heed it, so that a thread of its own waits."""
+    from concurrent.futures import ThreadPoolExecutor, wait
+
+    with store.ask(within) as question, ThreadPoolExecutor(1) as asking:
+        answer = asking.submit(question.sql, text)
+        try:
+            return answer.result()
+        except KeyboardInterrupt:
+            while not answer.done():
+                question.connection.interrupt()
+                wait((answer,), timeout=0.1)
+            raise
 
 
 def write(answer: pa.Table, format: Format, output: Path | None) -> None:
@@ -142,37 +160,3 @@ FORMATS = {
     Format.markdown: _markdown,
     Format.parquet: _parquet,
 }
-
-
-def _prompt(project: Project, batch: str | None) -> None:
-    """Statements, one after the other, each ended by a semicolon or an empty line."""
-    import contextlib
-
-    with contextlib.suppress(ImportError):
-        import readline  # noqa: F401
-    interactive = sys.stdin.isatty()
-    if interactive:
-        print("One statement, then ; or an empty line. SHOW TABLES lists tables, Ctrl-D ends.")
-    lines: list[str] = []
-    while True:
-        try:
-            line = input(("sql> " if not lines else "...> ") if interactive else "")
-        except EOFError:
-            line, ended = "", True
-        else:
-            ended = False
-        lines.append(line)
-        if ended or not line.strip() or line.rstrip().endswith(";"):
-            _answer(project, batch, "\n".join(lines))
-            lines = []
-        if ended:
-            return
-
-
-def _answer(project: Project, batch: str | None, text: str) -> None:
-    if not text.strip(" ;\n"):
-        return
-    try:
-        write(project.sql(text, within=batch), Format.table, None)
-    except SqlError as error:
-        print(f"sierra: {error}", file=sys.stderr)

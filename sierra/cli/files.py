@@ -1,0 +1,189 @@
+"""`sierra files`: recorded files, listed or written out again."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from sierra.errors import UsageError
+
+if TYPE_CHECKING:
+    from sierra.api import Project
+    from sierra.extract import Listing, Outcome
+    from sierra.store.files import Recorded, Taken
+
+SPOOLED = 64 << 20
+SHOWN_FAILURES = 20
+WHICH = {
+    "counts": "the one that counts",
+    "last": "the last one; none counts",
+    "asked": "the one asked for",
+    "none": "never executed",
+}
+
+
+def files(
+    prefix: Annotated[str, typer.Argument(metavar="HASH", help="The beginning of an id, as `sierra show` shows them.")],
+    paths: Annotated[
+        list[str] | None, typer.Argument(metavar="PATH", show_default=False, help="Files as listed, or globs of them.")
+    ] = None,
+    to: Annotated[Path | None, typer.Option("--to", metavar="FOLDER", help="Write them into this folder.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead.")] = False,
+) -> None:
+    """List recorded files, or write them out.
+
+    One PATH is written to standard output. With --to, files go to FOLDER/EXPERIMENT/NUMBER/: the run's input/, output/,
+    stdout and stderr; nothing is overwritten. Of a run, the execution that counts is taken, else its last.
+
+    What became a table is written from it, as CSV: the same values, though perhaps in other bytes.
+
+    \b
+    Examples:
+      sierra files 4f2c
+      sierra files 4f2c swarm.csv
+      sierra files 774d --to recorded
+      sierra files 774d "*.csv" stderr --to recorded
+    """
+    from sierra.cli.opened import project
+    from sierra.cli.output import print_json
+    from sierra.extract import extract, listing
+
+    opened = project()
+    listed = listing(opened.store, prefix, paths or ())
+    if to is not None:
+        outcomes = list(extract(opened.store, listed, to))
+        _doubt(opened, to)
+        _told(listed, outcomes, to, as_json=as_json)
+    elif as_json:
+        print_json(_as_json(listed))
+    elif paths:
+        _print_one(opened, listed)
+    else:
+        _print(listed)
+
+
+def _print_one(opened: Project, listed: Listing) -> None:
+    """A file's content to standard output, once all of it is known to be what was recorded."""
+    import shutil
+    import tempfile
+
+    from sierra.cli.output import note, readable
+    from sierra.errors import Damaged
+    from sierra.extract import content
+
+    if len(listed.files) > 1:
+        raise UsageError(f"that is {len(listed.files)} files; name one of one run, or say where with --to FOLDER")
+    [file] = listed.files
+    with tempfile.SpooledTemporaryFile(SPOOLED) as spooled:
+        try:
+            identical = content(opened.store, file, spooled)
+        except Damaged as error:
+            raise Damaged(f"{readable(file.path)}: {error}") from error
+        if file.taken.which == "last" and file.kind != "input":
+            note(_execution(file.taken))
+        if not identical:
+            note(f"{readable(file.path)}: {_other(file)}")
+        spooled.seek(0)
+        sys.stdout.flush()
+        shutil.copyfileobj(spooled, sys.stdout.buffer)
+        sys.stdout.buffer.flush()
+
+
+def _other(file: Recorded) -> str:
+    return "written from the table; its bytes are not those that the run wrote" if file.kind == "table" else file.remark
+
+
+def _doubt(opened: Project, folder: Path) -> None:
+    """Files in the project may count as its source, and would make all runs new."""
+    from sierra.cli.output import note
+
+    target = folder.resolve()
+    if target.is_relative_to(opened.root) and not opened.config.source.paths:
+        note(f"{folder} is in the project, and so counts as its source unless git ignores it: the next runs would be new")
+
+
+def _execution(run: Taken) -> str:
+    from sierra.hashing import short
+
+    if run.execution is None:
+        return "never executed: nothing but its input is recorded"
+    return f"execution {short(run.execution)} ({run.status}) is {WHICH[run.which]}"
+
+
+def _print(listed: Listing) -> None:
+    from sierra.cli.output import fields, readable, table
+    from sierra.hashing import short
+
+    several = len(listed.runs) > 1
+    owner = ("experiment", "number", "run", "execution", "status") if several else ()
+    if not several:
+        [run] = listed.runs
+        fields({"run": run.run, "experiment": run.experiment, "number": run.number, "files": _execution(run)})
+        print()
+    rows: list[Sequence[Any]] = []
+    for file in listed.files:
+        run = file.taken
+        mine = (short(run.experiment), run.number, short(run.run), short(run.execution or ""), run.status) if several else ()
+        rows.append((*mine, readable(file.path), file.kind, file.bytes, short(file.sha256 or ""), file.remark))
+    table((*owner, "path", "kind", "bytes", "sha256", "remark"), rows, right=("number", "bytes"))
+    for line in _doubtful(listed.runs) if several else ():
+        print(line)
+
+
+def _doubtful(runs: Iterable[Taken]) -> Iterable[str]:
+    which = [run.which for run in runs]
+    if count := which.count("last"):
+        yield f"{count} runs have no execution that counts; these files are from their last one"
+    if count := which.count("none"):
+        yield f"{count} runs were never executed; their input is all that is recorded"
+
+
+def _told(listed: Listing, outcomes: Sequence[Outcome], folder: Path, *, as_json: bool) -> None:
+    """What was written and what was not; exit code 1 if anything was not."""
+    from sierra.cli.output import print_json, readable
+
+    failures = [outcome for outcome in outcomes if outcome.failure]
+    if as_json:
+        print_json({"folder": str(folder), **_as_json(listed, {id(outcome.file): outcome for outcome in outcomes})})
+    else:
+        _summary(listed, outcomes, folder)
+    for outcome in failures[:SHOWN_FAILURES]:
+        print(f"sierra: {readable(outcome.path)}: {outcome.failure}", file=sys.stderr)
+    if len(failures) > SHOWN_FAILURES:
+        print(f"sierra: and {len(failures) - SHOWN_FAILURES} more are not written", file=sys.stderr)
+    if failures:
+        raise typer.Exit(1)
+
+
+def _summary(listed: Listing, outcomes: Sequence[Outcome], folder: Path) -> None:
+    written = [outcome for outcome in outcomes if not outcome.failure]
+    tables = [outcome for outcome in written if outcome.file.kind == "table"]
+    identical = sum(outcome.identical for outcome in tables)
+    cut = sum(outcome.file.kind == "log" and not outcome.identical for outcome in written)
+    print(f"{len(written)} files of {len({outcome.file.taken for outcome in written})} runs written to {folder}")
+    if tables:
+        rest = "" if identical == len(tables) else f"; {len(tables) - identical} have the same values in other bytes"
+        print(f"{identical} of {len(tables)} tables are byte for byte what the runs wrote{rest}")
+    if cut:
+        print(f"{cut} logs were cut when they were recorded: their beginning and end are written")
+    for line in _doubtful(listed.runs):
+        print(line)
+
+
+def _as_json(listed: Listing, outcomes: dict[int, Outcome] | None = None) -> dict[str, Any]:
+    names = ("experiment", "ordinal", "number", "run", "execution", "status", "which")
+    runs: dict[Taken, dict[str, Any]] = {
+        run: {**{name: getattr(run, name) for name in names}, "files": []} for run in listed.runs
+    }
+    for file in listed.files:
+        told = {name: getattr(file, name) for name in ("path", "kind", "bytes", "kept", "sha256", "output", "rows", "remark")}
+        if outcomes is not None:
+            outcome = outcomes[id(file)]
+            told |= {"written": None if outcome.failure else outcome.path, "failure": outcome.failure}
+            told |= {"identical": None if outcome.failure else outcome.identical}
+        runs[file.taken]["files"].append(told)
+    return {"kind": listed.kind, "id": listed.id, "runs": list(runs.values())}

@@ -1,0 +1,443 @@
+"""Recorded files: which there are of which runs, and their bytes, streamed and checked.
+
+Input files, logs, and outputs that are no tables lie in the store byte for byte, as objects. An output that became a table
+does not: it is written from its rows, as CSV with the names that its columns had, each value as it is recorded (a float with
+the fewest digits that give it back). Often those are the very bytes that the run wrote, which their SHA-256 tells.
+
+Memory goes with the number of files that are asked for, never with their bytes.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import re
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from hashlib import sha256
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+from sierra.errors import Damaged
+from sierra.hashing import sha256_file
+from sierra.store import Found, Question, explain
+from sierra.store.reading import column_names, first_line, identifier, is_number
+from sierra.store.segments import MANIFEST, Segment
+from sierra.store.views import read_parquet
+
+INPUT_FOLDER = "input/"
+OUTPUT_FOLDER = "output/"
+LINES = 1 << 16
+"""Lines of a table in memory at a time."""
+UNREADABLE = (OSError, ValueError)
+"""What pyarrow raises for a damaged file; its ArrowInvalid is a ValueError."""
+
+
+@dataclass(frozen=True, slots=True)
+class Taken:
+    """A run in its place in a batch, and the execution of it whose files are meant."""
+
+    experiment: str
+    ordinal: int
+    number: int
+    run: str
+    execution: str | None
+    status: str | None
+    which: str
+    """`counts`, `last` (none counts), `asked` (it was named itself), or `none` (it was never executed)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Recorded:
+    """One file that is recorded of a run."""
+
+    taken: Taken
+    path: str
+    """`input/…`, `output/…`, `stdout` or `stderr`."""
+    kind: str
+    """input, table, file or log."""
+    bytes: int | None
+    sha256: str | None
+    """Of a log that was cut: of what is kept. None for an input that the store does not know by its name."""
+    kept: int | None
+    """How many of its bytes are in the store; None where it is a table or absent."""
+    output: str | None
+    form: str | None
+    rows: int | None
+
+    @property
+    def remark(self) -> str:
+        """What is not as one would expect, in a few words."""
+        match self.kind:
+            case "table":
+                return "written from the table; bytes may differ"
+            case _ if self.sha256 is None:
+                return "recorded without a name: the store knows a run's first input only"
+            case _ if self.kept is None:
+                return "not in the store"
+            case "log" if self.kept != self.bytes:
+                return f"cut: {self.kept} bytes of its beginning and end are kept"
+            case _:
+                return ""
+
+
+def take(question: Question, found: Found) -> list[Taken]:
+    """The runs that an id names, in order, each with its execution that counts, else its last one.
+
+    A run or an experiment of several batches is taken as it stands in the one that was last asked for.
+    """
+    with _readable():
+        return list(_take(question, found))
+
+
+def _take(question: Question, found: Found) -> Iterator[Taken]:
+    question.views.make(("members", "experiments", "batches", "executions", "counting", "sessions"))
+    batch, only, asked = found.id, "", {}
+    if found.kind == "execution":
+        [(run,)] = question.run("SELECT run FROM executions WHERE execution = $e", {"e": found.id})
+        [(batch, ordinal), *_] = question.run(LATEST, {"run": run, "experiment": None})
+        only, asked = "AND m.ordinal = $o AND m.run = $r", {"o": ordinal, "r": run}
+    elif found.kind == "run":
+        [(batch, ordinal), *_] = question.run(LATEST, {"run": found.id, "experiment": None})
+        only, asked = "AND m.ordinal = $o AND m.run = $r", {"o": ordinal, "r": found.id}
+    elif found.kind == "experiment":
+        [(batch, ordinal), *_] = question.run(LATEST, {"run": None, "experiment": found.id})
+        only, asked = "AND m.ordinal = $o", {"o": ordinal}
+    parameters = {"b": batch, "named": found.id if found.kind == "execution" else None, **asked}
+    for row in question.each(TAKEN.format(only=only), parameters):
+        yield Taken(*row)
+
+
+@contextlib.contextmanager
+def _readable() -> Iterator[None]:
+    """Turns what DuckDB says of a damaged segment into Damaged."""
+    import duckdb
+
+    try:
+        yield
+    except duckdb.Error as error:
+        raise Damaged(f"the store cannot be read: {explain(error)}") from error
+
+
+LATEST = """
+SELECT m.batch, m.ordinal
+FROM members m JOIN experiments x USING (batch, ordinal) JOIN batches b USING (batch)
+LEFT JOIN (SELECT batch, max(ended) AS ended FROM sessions GROUP BY batch) s USING (batch)
+WHERE m.run = $run OR x.experiment = $experiment
+ORDER BY coalesce(s.ended, b.created) DESC, m.batch, m.ordinal LIMIT 1
+"""
+
+TAKEN = """
+WITH m AS (SELECT DISTINCT m.ordinal, m.number, m.run FROM members m WHERE m.batch = $b {only}),
+c AS (SELECT ordinal, run, execution FROM counting WHERE batch = $b),
+l AS (SELECT run, arg_max(execution, ended) AS execution FROM executions WHERE purpose = 'run' GROUP BY run),
+t AS (
+    SELECT x.experiment, m.ordinal, m.number, m.run, coalesce($named, c.execution, l.execution) AS execution,
+           CASE WHEN $named IS NOT NULL THEN 'asked' WHEN c.execution IS NOT NULL THEN 'counts'
+                WHEN l.execution IS NOT NULL THEN 'last' ELSE 'none' END AS which
+    FROM m JOIN experiments x ON x.batch = $b AND x.ordinal = m.ordinal
+    LEFT JOIN c ON c.ordinal = m.ordinal AND c.run = m.run LEFT JOIN l ON l.run = m.run
+)
+SELECT t.experiment, t.ordinal, t.number, t.run, t.execution, e.status, t.which
+FROM t LEFT JOIN executions e ON e.execution = t.execution ORDER BY t.ordinal, t.number
+"""
+
+
+def recorded(question: Question, runs: Sequence[Taken]) -> list[Recorded]:
+    """All files of these runs, in their order: input files, what they wrote, logs."""
+    import pyarrow as pa
+
+    columns = {"place": range(len(runs)), "run": [t.run for t in runs], "execution": [t.execution for t in runs]}
+    question.register("taken", pa.table({name: list(values) for name, values in columns.items()}))
+    with _readable():
+        question.views.make(("members", "recipes", "artifacts", "objects"))
+        return [Recorded(runs[place], *rest) for place, *rest in question.each(FILES, {})]
+
+
+FILES = f"""
+WITH inputs AS (
+    SELECT t.place, m.input, r.files, unnest(range(len(r.files))) AS nth
+    FROM taken t JOIN (SELECT run, any_value(input) AS input, any_value(recipe) AS recipe FROM members
+                       WHERE run IN (SELECT run FROM taken) GROUP BY run) m USING (run) JOIN recipes r USING (recipe)
+),
+listed AS (
+    SELECT place, 0 AS part, '{INPUT_FOLDER}' || files[nth + 1] AS path, 'input' AS kind, NULL::BIGINT AS size,
+           CASE WHEN nth = 0 THEN input END AS sha256, NULL AS output, NULL AS form, NULL::BIGINT AS rows FROM inputs
+    UNION ALL
+    SELECT t.place, CASE a.kind WHEN 'log' THEN 2 ELSE 1 END,
+           CASE a.kind WHEN 'log' THEN a.path ELSE '{OUTPUT_FOLDER}' || a.path END, a.kind, a.size, a.sha256, a.output,
+           a.form, a.rows
+    FROM taken t JOIN artifacts a USING (execution)
+),
+kept AS (SELECT sha256, any_value(size) AS kept FROM objects GROUP BY sha256)
+SELECT l.place, l.path, l.kind, coalesce(l.size, k.kept), l.sha256, CASE WHEN l.kind <> 'table' THEN k.kept END,
+       l.output, l.form, l.rows
+FROM listed l LEFT JOIN kept k ON k.sha256 = l.sha256 ORDER BY l.place, l.part, l.path
+"""
+
+
+# The bytes of files.
+
+
+class Content:
+    """One file's bytes, to be read once, and before the next file's."""
+
+    def __init__(self, file: Recorded, pieces: Callable[[Content], Iterator[bytes]]) -> None:
+        self.file = file
+        self.identical: bool | None = None
+        """Whether these are the bytes that the run had; known at the end of `pieces`."""
+        self.pieces = pieces(self)
+        """The bytes in order. Raises Damaged where they are not what was recorded: at the end, for a table."""
+
+
+def contents(question: Question, files: Sequence[Recorded]) -> Iterator[Content]:
+    """What these files hold, in the order in which it lies in the store; each of them once."""
+    holding = _holding(question, {file.taken.execution for file in files if file.taken.execution})
+    yield from _objects(question.segments, holding, [file for file in files if file.kind != "table"])
+    yield from _tables(question, holding, [file for file in files if file.kind == "table"])
+
+
+def _holding(question: Question, executions: Iterable[str]) -> list[Segment]:
+    """The segments in which these executions are recorded."""
+    import pyarrow as pa
+
+    segments = {s.files["executions"]: s for s in question.segments if "executions" in s.files}
+    if not segments:
+        return []
+    question.register("asked", pa.table({"execution": pa.array(executions, pa.string())}))
+    with _readable():
+        source = read_parquet(list(segments), rows=True)
+        named = {row[0] for row in question.run(f"SELECT DISTINCT filename FROM {source} JOIN asked USING (execution)")}
+    return [segment for path, segment in segments.items() if path in named]
+
+
+# Objects: found by their digests first, then read a row group at a time.
+
+
+def _objects(segments: Sequence[Segment], holding: Sequence[Segment], files: Sequence[Recorded]) -> Iterator[Content]:
+    wanted: dict[str, list[Recorded]] = {}
+    for file in files:
+        wanted.setdefault(file.sha256 or "", []).append(file)
+    first = {id(segment) for segment in holding}
+    ordered = sorted(segments, key=lambda segment: id(segment) not in first)
+    groups = _Groups([segment.files["objects"] for segment in ordered if "objects" in segment.files])
+    for digest in sorted(wanted, key=groups.find(wanted)):
+        for file in wanted[digest]:
+            yield Content(file, groups.pieces)
+
+
+class _Groups:
+    """Objects in some files; the row group that was read last stays in memory (32 MiB at most)."""
+
+    def __init__(self, paths: Sequence[str]) -> None:
+        self._paths = paths
+        self._parts: dict[str, list[tuple[int, int, int]]] = {}
+        """Where the parts of each object are: file, row group, row."""
+        self._file: tuple[int, Any] = (-1, None)
+        self._group: tuple[tuple[int, int], Any] = ((-1, -1), None)
+
+    def find(self, wanted: Iterable[str]) -> Callable[[str], tuple[int, int, int]]:
+        """Find these digests; where each begins, as a key to sort them by."""
+        missing = set(wanted)
+        for place in range(len(self._paths)):
+            if not missing:
+                break
+            for digest, group, row in self._in_file(place, missing):
+                self._parts.setdefault(digest, []).append((place, group, row))
+            missing -= self._parts.keys()
+        return lambda digest: self._parts[digest][0] if digest in self._parts else (-1, -1, -1)
+
+    def _in_file(self, place: int, wanted: set[str]) -> Iterator[tuple[str, int, int]]:
+        """Parts of wanted objects: digest, row group, row. What cannot be read is missed later, by its digest."""
+        with contextlib.suppress(*UNREADABLE):
+            for group in range(self._open(place).num_row_groups):
+                with contextlib.suppress(*UNREADABLE):
+                    digests = self._open(place).read_row_group(group, columns=["sha256"]).column(0).to_pylist()
+                    yield from ((digest, group, row) for row, digest in enumerate(digests) if digest in wanted)
+
+    def pieces(self, content: Content) -> Iterator[bytes]:
+        """One object, all of it hashed before its first byte is given."""
+        file = content.file
+        if file.sha256 is None:
+            raise Damaged(file.remark)
+        parts = self._parts.get(file.sha256)
+        if parts is None:
+            raise Damaged(f"not in the store, or not to be read there (SHA-256 {file.sha256})")
+        try:
+            whole = [self._read(*parts[0])] if len(parts) == 1 else None
+            found = sha256()
+            for piece in whole or (self._read(*part) for part in parts):
+                found.update(piece)
+        except UNREADABLE as error:
+            raise Damaged(f"cannot be read from {self._paths[parts[0][0]]}: {first_line(error)}") from error
+        if found.hexdigest() != file.sha256:
+            raise Damaged(f"the store has other content than was recorded (SHA-256 {file.sha256})")
+        content.identical = file.bytes == file.kept
+        yield from whole or (self._read(*part) for part in parts)
+
+    def _open(self, place: int) -> Any:
+        import pyarrow.parquet as pq
+
+        if self._file[0] != place:
+            self._file = (place, pq.ParquetFile(self._paths[place]))
+        return self._file[1]
+
+    def _read(self, place: int, group: int, row: int) -> bytes:
+        if self._group[0] != (place, group):
+            self._group = ((-1, -1), None)
+            self._group = ((place, group), self._open(place).read_row_group(group, columns=["content"]).column(0))
+        piece: bytes = self._group[1][row].as_py()
+        return piece
+
+
+# Tables: each file of a segment is read once, in its order, and cut where another file's rows begin.
+
+
+Key = tuple[str, str]
+"""An execution, and, where it wrote several files of one table, which of them."""
+
+
+def _tables(question: Question, holding: Sequence[Segment], files: Sequence[Recorded]) -> Iterator[Content]:
+    """Each of these files; of those that have the same rows (a run that is in two experiments), one at a time."""
+    if not files:
+        return
+    import pyarrow as pa
+
+    executions = {file.taken.execution for file in files}
+    question.register("asked", pa.table({"execution": pa.array(executions, pa.string())}))
+    question.run("SET threads = 1")
+    question.run("SET TimeZone = 'UTC'")
+    question.run("SET disabled_optimizers = 'join_order,build_side_probe_side'")  # rows keep their order
+    while files:
+        mine = {_key(file): file for file in reversed(files)}
+        files = [file for file in files if mine[_key(file)] is not file]
+        yield from _once(question, holding, mine)
+
+
+def _once(question: Question, holding: Sequence[Segment], files: dict[tuple[str, Key], Recorded]) -> Iterator[Content]:
+    outputs = {output for output, _ in files}
+    for segment in holding:
+        for name, path in segment.outputs():
+            if name in outputs:
+                part = _Part(question, path)
+                for key, chunks in groupby(part.chunks(), lambda chunk: chunk[0]):
+                    file = files.pop((name, key), None)
+                    if file is not None:
+                        yield Content(file, partial(_csv, chunks=chunks, names=part.names, is_sound=part.is_sound))
+    for file in files.values():
+        yield Content(file, partial(_csv, chunks=iter(()), names=(), is_sound=lambda: True))
+
+
+def _key(file: Recorded) -> tuple[str, Key]:
+    """What of which table's rows are this file's."""
+    name = file.path.removeprefix(OUTPUT_FOLDER) if json.loads(file.form or "{}").get("file", "") is None else ""
+    return file.output or "", (file.taken.execution or "", name)
+
+
+class _Part:
+    """A file of a segment that holds the rows of one table."""
+
+    def __init__(self, question: Question, path: str) -> None:
+        import duckdb
+
+        self._question = question
+        self._path = path
+        described: list[tuple[Any, ...]] = []
+        with contextlib.suppress(duckdb.Error):
+            described = question.run(f"DESCRIBE SELECT * FROM {read_parquet([path])}")
+        self._columns = [(row[0], row[1]) for row in described if row[0] not in ("run", "execution", "file")]
+        self._many = any(row[0] == "file" for row in described)
+        self._sound: bool | None = None
+        self.names = tuple(name for name, _ in self._columns)
+
+    def chunks(self) -> Iterator[tuple[Key, int, bytes]]:
+        """Lines in their order: whose they are, how many, and their text, a line feed before each.
+
+        Ends early where the file cannot be read on.
+        """
+        import duckdb
+        import pyarrow.compute as pc
+
+        if not self._columns:
+            return
+        cells = ", ".join(_cell(f"o.{identifier(name)}", kind) for name, kind in self._columns)
+        one = len(self._columns) == 1
+        line = f"coalesce(nullif(concat_ws(chr(44), {cells}), ''), '\"\"')" if one else f"concat_ws(chr(44), {cells})"
+        statement = (
+            f"SELECT o.execution || '/' || {'o.file' if self._many else repr('')} AS key, {line} AS line "
+            f"FROM {read_parquet([self._path])} o SEMI JOIN asked USING (execution)"
+        )
+        with contextlib.suppress(duckdb.Error, *UNREADABLE):
+            for batch in self._question.connection.sql(statement).to_arrow_reader(LINES):
+                runs = pc.run_end_encode(batch.column(0))
+                begin = 0
+                for key, end in zip(runs.values.to_pylist(), runs.run_ends.to_pylist(), strict=True):
+                    execution, _, name = key.partition("/")
+                    lines = batch.column(1).slice(begin, end - begin).to_pylist()
+                    yield (execution, name), end - begin, "".join(f"\n{line}" for line in lines).encode()
+                    begin = end
+
+    def is_sound(self) -> bool:
+        """Whether the file is the one that its segment vouches for."""
+        if self._sound is None:
+            path = Path(self._path)
+            try:
+                listed = path.with_name(MANIFEST).read_text().splitlines()
+                self._sound = f"{sha256_file(path)}  {path.name}" in listed
+            except OSError:
+                self._sound = False
+        return self._sound
+
+
+def _csv(
+    content: Content,
+    *,
+    chunks: Iterator[tuple[Key, int, bytes]],
+    names: Sequence[str],
+    is_sound: Callable[[], bool],
+) -> Iterator[bytes]:
+    """A table's rows as the text of a file. Raises Damaged at the end where these are not the rows that were recorded."""
+    file = content.file
+    form = json.loads(file.form or "{}")
+    own = tuple(form.get("columns", ()))
+    header = own if column_names(own) == tuple(names) or not names else names
+    found, count = sha256(), 0
+
+    def pieces() -> Iterator[bytes]:
+        nonlocal count
+        yield ",".join(_quoted(name) for name in header).encode()
+        for _, lines, text in chunks:
+            count += lines
+            yield text
+        if header and form.get("ended", True):
+            yield b"\n"
+
+    for piece in pieces():
+        found.update(piece)
+        yield piece
+    content.identical = found.hexdigest() == file.sha256
+    if count != file.rows:
+        raise Damaged(f"{count} of its {file.rows} rows can be read in table {file.output!r}")
+    if not content.identical and not is_sound():
+        raise Damaged(f"the segment that holds its rows (table {file.output!r}) is not what was recorded")
+
+
+def _cell(value: str, kind: str) -> str:
+    """A value as a field of a CSV, in SQL."""
+    text = f"{value}::VARCHAR"
+    if re.fullmatch(r"BOOLEAN|DATE|TIME|TIMESTAMP.*", kind) or is_number(kind):
+        return f"coalesce({text}, '')"
+    return (
+        f"CASE WHEN {value} IS NULL THEN '' WHEN {text} = '' OR regexp_matches({text}, '[\",\\r\\n]') "
+        f"THEN '\"' || replace({text}, '\"', '\"\"') || '\"' ELSE {text} END"
+    )
+
+
+def _quoted(name: str) -> str:
+    special = not name or any(c in name for c in '",\r\n')
+    return '"' + name.replace('"', '""') + '"' if special else name
+
+
+__all__ = ["Content", "Recorded", "Taken", "contents", "recorded", "take"]
