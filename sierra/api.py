@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
     from sierra.asking import Watch
+    from sierra.extract import Listing, Outcome
     from sierra.pipeline import Summary
     from sierra.plans import Plan
 
@@ -118,7 +119,7 @@ class Project:
         `$name` in the statement takes its value from the keyword. With `within`, the beginning of a batch's id, members,
         runs and outputs are those of that batch; else of all, whatever code they were made from. Raises SqlError.
         """
-        return self.store.sql(text, within=None if within is None else self._batch(within), **parameters)
+        return self.store.sql(text, within=None if within is None else self.batch(within), **parameters)
 
     @property
     def batches(self) -> list[dict[str, Any]]:
@@ -133,27 +134,47 @@ class Project:
 
         return listing.show(self.store, prefix)
 
+    def files(self, prefix: str, *paths: str, to: str | os.PathLike[str] | None = None) -> Listing | list[Outcome]:
+        """The recorded files of what an id names; with `to`, written into that folder: what became of each.
+
+        `paths` are those of the listing, or globs; all files without any. Raises NotFound for one that matches nothing.
+        """
+        from sierra import extract
+
+        listed = extract.listing(self.store, prefix, paths)
+        return listed if to is None else list(extract.extract(self.store, listed, Path(to)))
+
     def figures(self, prefix: str | None = None, name: str | None = None) -> list[Path]:
         """Draw a batch's figures again (all, or the one called `name`); the files. Default: the batch last asked for."""
         return self.draw(prefix, name)[0]
 
     def draw(self, prefix: str | None = None, name: str | None = None) -> tuple[list[Path], list[str]]:
         """As `figures`; and what could not be drawn, and why."""
-        return self._deliver(self._batch(prefix), name)
+        return self._deliver(self.batch(prefix), name)
 
     def statistics(
-        self, prefix: str, output: str, column: str, *, measure: str | None = "final", threshold: float | None = None
+        self,
+        prefix: str | None,
+        output: str,
+        column: str,
+        *,
+        measure: str | None = "final",
+        threshold: float | None = None,
+        times: str | None = None,
     ) -> pa.Table:
         """All statistics of a column over the runs of each experiment of a batch: n, mean, sd, interval, median, ….
 
         Each run is reduced by `measure` (`final`, `mean`, or `time_to` a `threshold`) first; with `measure=None` there is
-        a row for each experiment and time instead. `experiment` is its place in the batch (see `experiments` in SQL).
+        a row for each experiment and time instead: the runs' `own` times, or common ones (`carry`: last values carried
+        forward, `linear`: interpolated). `experiment` is its place in the batch; the values of the axes follow it. The
+        schema's metadata say what was done, `sierra:sql`, and what is not in the numbers, `sierra:note`.
         """
         from sierra import deliver
 
-        return deliver.statistics(self._loaded, self.store, self._batch(prefix), output, column, measure, threshold)
+        return deliver.statistics(self._loaded, self.store, self.batch(prefix), output, column, measure, threshold, times)
 
-    def _batch(self, prefix: str | None) -> str:
+    def batch(self, prefix: str | None = None) -> str:
+        """The id of a batch, by a beginning of it; that of the batch last asked for without. Raises NotFound, Missing."""
         if prefix is not None:
             found = self.store.resolve(prefix)
             if found.kind != "batch":

@@ -12,7 +12,7 @@ import pytest
 
 from tests.projects import CONFIG, SIERRA, make, quick, sierra
 
-COMMANDS = ("init", "run", "ls", "show", "sql", "figures", "doctor", "schema")
+COMMANDS = ("init", "run", "ls", "show", "files", "sql", "stats", "figures", "doctor", "schema")
 RICH = """
 [controllers.fast]
 changes = [{ set = "//swarm/@controller", value = "fast" }]
@@ -197,7 +197,7 @@ def test_everything_that_reads_can_answer_in_json(answered: Path, answer: dict[s
     assert json.loads(quick(answered, "show", run.upper(), "--json").stdout)["kind"] == "run"
     assert {check["name"] for check in json.loads(quick(answered, "doctor", "--json").stdout)} >= {"project", "template"}
     assert {table["name"] for table in json.loads(quick(answered, "schema", "--json").stdout)} >= {"runs", "executions"}
-    assert json.loads(quick(answered, "schema", "--toml").stdout)["type"] == "object"
+    assert json.loads(quick(answered, "schema", "--toml", "--json").stdout)["type"] == "object"
 
 
 def test_people_read_tables(answered: Path, answer: dict[str, Any]) -> None:

@@ -209,10 +209,12 @@ def test_axes_of_all_batches_are_columns_and_types_meet(project: Project) -> Non
     run(project, "n=1", "k=0.5,1.5")
     run(project, "k=7")
     run(project, "scenario=low,high")
+    run(project, "n=9", scenario="low")
     found = project.sql("SELECT n, k, scenario, count(*) AS c FROM runs GROUP BY ALL ORDER BY ALL").to_pylist()
     assert [tuple(row.values()) for row in found] == [
         (1, 0.5, None, 2),
         (1, 1.5, None, 2),
+        (9, None, "low", 2),
         (None, 7.0, None, 2),
         (None, None, "high", 2),
         (None, None, "low", 2),
@@ -223,6 +225,17 @@ def test_an_output_column_called_like_an_axis_keeps_its_values(project: Project)
     (project.root / "sim.sh").write_text("printf 'N,n_\\n5,6\\n' > out.csv\n")
     run(project, "n=1", runs=1)
     assert project.sql('SELECT n, "N_", "n__" FROM out').to_pylist() == [{"n": 1, "N_": 5, "n__": 6}]
+
+
+def test_the_axes_of_other_batches_rename_nothing_in_one_batch(project: Project) -> None:
+    (project.root / "sim.sh").write_text("printf 'k\\n5\\n' > out.csv\n")
+    batch = run(project, "n=1", runs=1).batch
+    run(project, "k=7", runs=1)
+    assert project.sql("SELECT n, k FROM out", within=batch).to_pylist() == [{"n": 1, "k": 5}]
+    assert project.sql("SELECT n, k, k_ FROM out ORDER BY n").to_pylist() == [
+        {"n": 1, "k": None, "k_": 5},
+        {"n": None, "k": 7, "k_": 5},
+    ]
 
 
 def test_the_last_good_execution_with_the_last_programs_counts(project: Project, tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from sierra.cli import deliver, doctor, files, init, look, run, schema, sql
+from sierra.cli import deliver, doctor, files, init, look, run, schema, sql, stats
 
 EXIT_CODES = "Exit codes: 0 fine; 1 a run failed, or results differ; 2 usage; 3 something needed is missing; 130 interrupted."
 
@@ -43,5 +43,16 @@ def _options(
     """
 
 
-for command in (init.init, run.run, look.ls, look.show, files.files, sql.sql, deliver.figures, doctor.doctor, schema.schema):
+for command in (
+    init.init,
+    run.run,
+    look.ls,
+    look.show,
+    files.files,
+    sql.sql,
+    stats.stats,
+    deliver.figures,
+    doctor.doctor,
+    schema.schema,
+):
     app.command(epilog=EXIT_CODES)(command)

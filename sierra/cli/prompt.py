@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import re
 import signal
 import sys
 from collections.abc import Callable, Iterator
-from pathlib import Path
 
 from sierra.errors import SierraError
+from sierra.paths import user_state
 
 WELCOME = "SQL, each statement ended by a semicolon. .help says more; .quit, exit or Ctrl-D ends."
 HELP = """\
@@ -101,7 +100,7 @@ def _history() -> Iterator[None]:
     except ImportError:
         yield
         return
-    file = _state() / HISTORY
+    file = user_state() / HISTORY
     with contextlib.suppress(OSError):
         readline.read_history_file(file)
     try:
@@ -112,9 +111,3 @@ def _history() -> Iterator[None]:
             file.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
             readline.set_history_length(REMEMBERED)
             readline.write_history_file(file)
-
-
-def _state() -> Path:
-    """SIERRA's folder for what is nice to remember, by the XDG Base Directory Specification."""
-    said = os.environ.get("XDG_STATE_HOME", "")
-    return (Path(said) if Path(said).is_absolute() else Path.home() / ".local" / "state") / "sierra"

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import asdict
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -178,6 +177,7 @@ def _row(values: Mapping[str, Any], states: list[State]) -> list[Any]:
 
 
 def _print(project: Project, summary: Summary) -> None:
+    from sierra.cli.deliver import from_here
     from sierra.cli.look import print_experiments
     from sierra.hashing import short
 
@@ -193,13 +193,7 @@ def _print(project: Project, summary: Summary) -> None:
         print("figures:")
         for path in summary.figures:
             if path.endswith(".png"):
-                print(f"  {_from_here(path)} (and .pdf, .svg)")
-
-
-def _from_here(path: str) -> str:
-    """A path as short as it can be named from the working directory."""
-    here = Path.cwd()
-    return str(Path(path).relative_to(here)) if Path(path).is_relative_to(here) else path
+                print(f"  {from_here(path)} (and .pdf, .svg)")
 
 
 def _print_failures(summary: Summary) -> None:

@@ -58,7 +58,7 @@ def sql(
     from sierra.cli.opened import project
 
     opened = project()
-    within = None if batch is None else opened._batch(batch)
+    within = None if batch is None else opened.batch(batch)
     if statement is None:
         from sierra.cli.prompt import prompt
 

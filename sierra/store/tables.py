@@ -247,9 +247,9 @@ DERIVED = {
     )
 }
 
-RESERVED = frozenset(("batch", "experiment", "run", "number", "seed", "execution", "row", "file", "session", "ordinal")) | {
-    column.name for table in DERIVED.values() for column in table.columns
-}
+RESERVED = frozenset(
+    ("batch", "experiment", "run", "number", "seed", "execution", "row", "file", "session", "ordinal", "runs", "good", "failed")
+) | {column.name for table in DERIVED.values() for column in table.columns}
 """Names that no axis may have, because a column of the store has them."""
 
 BESIDE_OUTPUTS = frozenset(("run", "execution", "file", "number", "filename", "file_row_number"))

@@ -13,8 +13,8 @@ from sierra.store.tables import DERIVED, RECORDED
 NEEDS = {
     "executions": ("findings",),
     "counting": ("members", "sessions", "executions"),
-    "points": ("members", "experiments"),
-    "runs": ("members", "experiments", "executions", "counting"),
+    "points": ("members", "experiments", "batches"),
+    "runs": ("members", "experiments", "batches", "executions", "counting"),
 }
 ONCE = {
     "batches": ("batch",),
@@ -60,7 +60,11 @@ class Views:
                 self._make(name)
 
     def axes(self) -> list[str]:
-        """The independent variables of all batches, as columns of `experiments`."""
+        """The independent variables as columns: those of all batches, as in `experiments`; of one batch, in its order."""
+        if self._within is not None:
+            self._make("batches")
+            rows = self._sql.execute("SELECT unnest(axes) FROM batches WHERE batch = $batch", {"batch": self._within})
+            return [row[0] for row in rows.fetchall()]
         self._make("experiments")
         fixed = {column.name for column in RECORDED["experiments"].columns}
         rows = self._sql.execute("DESCRIBE experiments").fetchall()
@@ -112,7 +116,7 @@ class Views:
         return [row[0] for row in self._sql.execute(f"DESCRIBE SELECT * FROM {source}").fetchall()]
 
     def _runs(self) -> str:
-        axes = "".join(f"{_only(f'x.{identifier(axis)}')} AS {identifier(axis)}, " for axis in self.axes())
+        axes = "".join(f"{_only(_value(axis))} AS {identifier(axis)}, " for axis in self.axes())
         return (
             "WITH state AS (SELECT run, count(*) AS executions, arg_max(status, ended) AS last FROM executions GROUP BY run), "
             f"counted AS ({COUNTED}) "
@@ -120,17 +124,19 @@ class Views:
             "any_value(m.recipe) AS recipe, CASE WHEN any_value(c.execution) IS NOT NULL THEN 'ok' "
             "WHEN any_value(s.last) = 'ok' THEN 'stale' ELSE coalesce(any_value(s.last), 'missing') END AS status, "
             "any_value(c.execution) AS execution, coalesce(any_value(s.executions), 0) AS executions "
-            "FROM members m JOIN experiments x USING (batch, ordinal) LEFT JOIN state s USING (run) "
+            "FROM members m JOIN experiments x USING (batch, ordinal) LEFT JOIN batches b USING (batch) "
+            "LEFT JOIN state s USING (run) "
             "LEFT JOIN counted c USING (run) GROUP BY m.run"
         )
 
     def _points(self) -> str:
         axes = [identifier(axis) for axis in self.axes()]
-        seen = "".join(f", x.{axis}" for axis in axes)
+        seen = "".join(f", {_value(axis)} AS {identifier(axis)}" for axis in self.axes())
         merged = "".join(f", max({axis}) AS {axis}" for axis in axes)
         alike = " AND ".join(f"min({axis}) IS NOT DISTINCT FROM max({axis})" for axis in axes) or "true"
         return (
-            f"WITH seen AS (SELECT DISTINCT m.run, m.number{seen} FROM members m JOIN experiments x USING (batch, ordinal)), "
+            f"WITH seen AS (SELECT DISTINCT m.run, m.number{seen} FROM members m JOIN experiments x USING (batch, ordinal) "
+            "LEFT JOIN batches b USING (batch)), "
             f"alike AS (SELECT run, {alike} AS alike FROM seen GROUP BY run) "
             f"SELECT run, min(number) AS number{merged} FROM seen JOIN alike USING (run) WHERE alike GROUP BY run UNION ALL "
             f"SELECT run, min(number) AS number{''.join(f', {axis}' for axis in axes)} FROM seen JOIN alike USING (run) "
@@ -174,6 +180,11 @@ GROUP BY m.batch, m.ordinal, m.run
 
 COUNTED = "SELECT run, arg_max(execution, asked) AS execution FROM counting GROUP BY run"
 """A run's execution that counts for the batch last asked for."""
+
+
+def _value(axis: str) -> str:
+    """An axis's value in an experiment; a controller or a scenario may be that of the whole batch."""
+    return f"coalesce(x.{axis}, b.{axis})" if axis in ("controller", "scenario") else f"x.{identifier(axis)}"
 
 
 def _only(column: str) -> str:
