@@ -1,8 +1,9 @@
 """Recording: what workers say becomes segments of the store, checked on the way.
 
 An execution is judged here and nowhere else: by its exit status, the outputs and the marker that the project
-asks for, and by the tables it wrote (see `sierra.store.reading`). What is only known once its siblings are
-there too (other row counts or columns than theirs, a table that it alone lacks or has) becomes a *finding*.
+asks for, and by the tables it wrote (see `sierra.store.reading`). What is only known once its siblings, the other
+runs of its experiment, are there too (other row counts or columns than theirs, a table that it alone lacks or has)
+becomes a *finding*, and so does a column that holds what it holds in no other experiment.
 
 Recording may be repeated: what is in the store already is not recorded again, so a session that died is
 finished by reading its journal once more.
@@ -28,9 +29,9 @@ from sierra.config import Output, Success
 from sierra.hashing import digest, merkle
 from sierra.model import OutputFile, Result, Status
 from sierra.paths import RUN_OUTPUT, RUN_STDERR, RUN_STDOUT, SessionPaths, write_whole
-from sierra.store import Store
+from sierra.store import Question, Store
 from sierra.store.objects import Objects
-from sierra.store.reading import Reading, Shape, Written, difference, kinds, read, shown
+from sierra.store.reading import Reading, Shape, Written, column_names, difference, identifier, read, shown
 from sierra.store.segments import OUTPUT, Writer, disk_errors
 from sierra.store.tables import check_name
 
@@ -40,6 +41,12 @@ LOG_SHOWN = 2000
 AUTOMATIC = {".csv": "csv", ".tsv": "csv", ".parquet": "parquet", ".jsonl": "jsonl", ".ndjson": "jsonl"}
 AUTOMATIC_AT_MOST = 20
 """Undeclared tables of one run; beyond, its undeclared files are kept as files."""
+NOTED_AT_MOST = 1000
+IN_FOLDERS = 'undeclared, in a subfolder ([outputs.NAME] file = "{glob}" makes a table of them)'
+TOO_MANY = f'undeclared, and of more than {AUTOMATIC_AT_MOST} in a run ([outputs.NAME] file = "{{glob}}" makes a table of them)'
+TAKEN = 'undeclared, and another has the table of that name already ([outputs.NAME] file = "{file}" makes it a table)'
+NOT_UTF8 = "with a name that is no UTF-8"
+"""Why files that look like tables are kept as files."""
 PENDING_RUNS = 4_000
 PENDING_BYTES = 256 << 20
 SOON_S, LATE_S = 2.0, 600.0
@@ -134,6 +141,11 @@ def table_name(path: str) -> str:
     return name if check_name(name) else name + "_"
 
 
+def _automatic(path: str) -> str | None:
+    """The format of what is a table by its ending."""
+    return AUTOMATIC.get(PurePosixPath(path).suffix.lower())
+
+
 @dataclass(frozen=True, slots=True)
 class _Judged:
     result: Result
@@ -153,7 +165,8 @@ class Recorder:
         self._bytes = 0
         self._began = self._flushed = time.monotonic()
         self._shapes: dict[str, Shape] = {}
-        self._heads: dict[str, list[str]] = {}
+        self._kept: dict[str, dict[str, None]] = {}
+        """Files that look like tables and become none: why, and which."""
 
     def add(self, result: Result) -> Status:
         """Take one result; how it is judged so far. One that was interrupted is not kept."""
@@ -188,6 +201,43 @@ class Recorder:
         self._pending, self._bytes = [], 0
         return [(one.result.run, one.status, one.reason or "") for one in judged if one.status is not Status.OK]
 
+    def notes(self) -> list[str]:
+        """What of the tables that were recorded is allowed, and yet hardly meant; a line each.
+
+        Asks the store, so it is to be called once, when all is recorded and `find_odd` has looked at it.
+        """
+        return [*self._kept_as_files(), *self._alone(), *self._renamed()]
+
+    def _kept_as_files(self) -> Iterator[str]:
+        for why, files in self._kept.items():
+            first = PurePosixPath(next(iter(files)))
+            told = why.replace("{glob}", str(first.with_name("*" + first.suffix))).replace("{file}", str(first))
+            some = "or more " if len(files) == NOTED_AT_MOST else ""
+            these = f"{str(first)!r} and {len(files) - 1} {some}others are" if len(files) > 1 else f"{str(first)!r} is"
+            yield f"{these} kept as {'files' if len(files) > 1 else 'a file'}: {told}"
+
+    def _alone(self) -> Iterator[str]:
+        """Columns that one run alone has in its whole batch, as it may be where there is one run per experiment."""
+        sets: dict[str, Counter[tuple[str, ...]]] = {}
+        for row in self._store.rows(GOOD + FORMS, **_asked(self._context)) if self._shapes else ():
+            sets.setdefault(row["output"], Counter())[tuple(json.loads(row["form"])["columns"])] += row["executions"]
+        for name, counts in sets.items():
+            declared = self._context.outputs.get(name)
+            alone = sum(number == 1 for number in counts.values())
+            if name in self._shapes and len(counts) > 1 and alone and (declared is None or declared.mismatch == "strict"):
+                whose = "one run has columns" if alone == 1 else f"{alone} runs have columns, each its own,"
+                yield f"output {name!r}: {whose} that no other run has; none of its experiment shows whether that is right"
+
+    def _renamed(self) -> Iterator[str]:
+        """Columns that SQL knows by another name, because an axis has theirs, and not their values."""
+        if not self._shapes:
+            return
+        with self._store.ask(self._context.batch) as question:
+            for name in self._shapes:
+                for axis, column, called in _hidden(question, name):
+                    told = f"the column {column!r} of output {name!r} is called {called!r} in SQL"
+                    yield f"{told}: {axis!r} there is the independent variable, and its values are others"
+
     def _write(self, writer: Writer, pending: Sequence[_Judged]) -> list[_Judged]:
         tables, readings, faults = self._tables(writer, pending)
         judged = [self._judge_again(one, tables, readings, faults) for one in pending]
@@ -210,22 +260,19 @@ class Recorder:
 
         belongs: dict[tuple[str, str], str] = {}
         files: dict[str, list[Written]] = {}
-        shapes: dict[str, Shape] = {}
         for one in pending:
             if one.status is Status.OK:
                 for name, shape, file in self._assigned(one.result):
-                    part = self._part(name, shape, file)
-                    belongs[one.result.execution, file.path] = part
-                    shapes.setdefault(part, shape)
-                    files.setdefault(part, []).append(_written(one.result, file))
+                    belongs[one.result.execution, file.path] = name
+                    self._shapes.setdefault(name, shape)
+                    files.setdefault(name, []).append(_written(one.result, file))
         readings: dict[str, Reading] = {}
         faults: dict[str, str] = {}
         if files:
             connection = connect()
             try:
                 for name, written in files.items():
-                    shape = self._shapes.get(name, shapes[name])
-                    reading = read(connection, written, shape, writer.path(OUTPUT + name))
+                    reading = read(connection, written, self._shapes[name], writer.path(OUTPUT + name))
                     self._shapes[name] = reading.shape
                     readings[name] = reading
                     for execution, fault in reading.faults.items():
@@ -234,37 +281,40 @@ class Recorder:
                 connection.close()
         return belongs, readings, faults
 
-    def _part(self, name: str, shape: Shape, file: OutputFile) -> str:
-        """Which file of a segment a table's rows go to: where columns may differ, one for each set of columns."""
-        declared = self._context.outputs.get(name)
-        if declared is None or declared.mismatch == "strict" or shape.format != "csv" or not shape.header:
-            return name
-        heads = self._heads.setdefault(name, [])
-        if file.head not in heads:
-            heads.append(file.head)
-        place = heads.index(file.head) + 1
-        return name if place == 1 else f"{name}~{place}"
-
     def _assigned(self, result: Result) -> Iterator[tuple[str, Shape, OutputFile]]:
         """The files of one execution that become tables: the declared ones, then what ends like a table."""
         automatic = []
         for file in result.outputs:
-            if shown(file.path) != file.path:
-                continue
             declared = next((n for n, o in self._context.outputs.items() if matches(file.path, o.file)), None)
-            if declared is not None:
-                output = self._context.outputs[declared]
-                if output.kind != "file":
-                    yield declared, _shape(output), file
-            elif "/" not in file.path and PurePosixPath(file.path).suffix.lower() in AUTOMATIC:
+            kind = self._context.outputs[declared].kind if declared else _automatic(file.path)
+            if kind in (None, "file"):
+                continue
+            if shown(file.path) != file.path:
+                self._keep(NOT_UTF8, file)
+            elif declared is not None:
+                yield declared, _shape(self._context.outputs[declared]), file
+            elif "/" in file.path:
+                self._keep(IN_FOLDERS, file)
+            else:
                 automatic.append(file)
-        if len(automatic) <= AUTOMATIC_AT_MOST:
-            taken = {name.lower() for name in self._context.outputs}
+        if len(automatic) > AUTOMATIC_AT_MOST:
             for file in automatic:
-                name = table_name(file.path)
-                if name.lower() not in taken:
-                    taken.add(name.lower())
-                    yield name, Shape(AUTOMATIC[PurePosixPath(file.path).suffix.lower()]), file  # type: ignore[arg-type]
+                self._keep(TOO_MANY, file)
+            return
+        taken = {name.lower() for name in self._context.outputs}
+        for file in automatic:
+            name = table_name(file.path)
+            if name.lower() in taken:
+                self._keep(TAKEN, file)
+            else:
+                taken.add(name.lower())
+                yield name, Shape(_automatic(file.path)), file  # type: ignore[arg-type]
+
+    def _keep(self, why: str, file: OutputFile) -> None:
+        """Note that a file is kept as it is, though it looks like a table."""
+        kept = self._kept.setdefault(why, {})
+        if len(kept) < NOTED_AT_MOST:
+            kept[shown(file.path)] = None
 
     def _judge_again(
         self,
@@ -278,11 +328,11 @@ class Recorder:
         if execution in faults:
             return _Judged(one.result, Status.MISMATCH, faults[execution])
         for file in one.result.outputs if one.status is Status.OK else ():
-            part = tables.get((execution, file.path), "")
-            output = self._context.outputs.get(_table_of(part))
-            count = readings[part].rows.get((execution, file.path)) if part else None
+            name = tables.get((execution, file.path), "")
+            output = self._context.outputs.get(name)
+            count = readings[name].rows.get((execution, file.path)) if name else None
             if output and count is not None and count < output.min_rows:
-                reason = f"{file.path}: {count} rows; [outputs.{_table_of(part)}] min_rows asks for {output.min_rows}"
+                reason = f"{file.path}: {count} rows; [outputs.{name}] min_rows asks for {output.min_rows}"
                 return _Judged(one.result, Status.FAILED, reason)
         return one
 
@@ -307,11 +357,11 @@ class Recorder:
                 **mine,
                 "path": shown(file.path),
                 "kind": "file" if count is None else "table",
-                "output": _table_of(table) if table else None,
+                "output": table,
                 "size": file.bytes,
                 "sha256": file.sha256,
                 "rows": count,
-                "form": _form(reading, file) if reading and count is not None else None,
+                "form": _form(reading, result.execution, file) if reading and count is not None else None,
             }
         for name in (RUN_STDOUT, RUN_STDERR):
             content, size = _log(Path(result.directory, name))
@@ -346,11 +396,6 @@ class Recorder:
         }
 
 
-def _table_of(part: str) -> str:
-    """The table whose rows a file of a segment holds."""
-    return part.partition("~")[0]
-
-
 def result_hash(outputs: Iterable[OutputFile]) -> str:
     """The Merkle hash of an execution's outputs: their names and digests, in the order of the names."""
     return merkle("result", (f"{file.sha256} {shown(file.path)}" for file in sorted(outputs, key=lambda file: file.path)))
@@ -361,22 +406,32 @@ def find_odd(store: Store, session: SessionPaths, context: Context) -> int:
 
     Siblings are the good executions of one experiment with the same programs, whenever they were recorded. What most
     of them have is right (of two that as many have, the more). Row counts and columns of an output with
-    `mismatch = "ragged"` may differ, and one that is not required may be absent.
+    `mismatch = "ragged"` may differ, and one that is not required may be absent. What a column holds (numbers, text, …)
+    must be the same in all experiments of a batch, or no statement could use it.
     """
     if not store.rows("SELECT 1 FROM artifacts WHERE kind = 'table' LIMIT 1"):
         return 0
+    asked = _asked(context)
     tables: dict[tuple[int, str], list[dict[str, Any]]] = {}
-    for row in store.rows(ODD, batch=context.batch, programs=context.programs, reading=context.reading):
+    for row in store.rows(GOOD + ODD, **asked):
         tables.setdefault((row["ordinal"], row["output"]), []).append(row)
-    found: dict[str, dict[str, Any]] = {}
+    found: dict[str, str] = {}
     for (_, name), siblings in sorted(tables.items()):
         for execution, reason in _odd(siblings, name, context.outputs.get(name)):
-            now = datetime.now(UTC)
-            found.setdefault(execution, {"execution": execution, "found": now, "status": "mismatch", "reason": reason})
+            found.setdefault(execution, reason)
+    for form, reason in _incompatible(store.rows(GOOD + FORMS, **asked)):
+        for row in store.rows(GOOD + HAVING, **asked, output=form["output"], form=form["form"]):
+            found.setdefault(row["execution"], reason)
+    now = datetime.now(UTC)
     writer = store.writer(session.segment, context.batch)
-    writer.rows("findings", found.values())
+    findings = ({"execution": one, "found": now, "status": "mismatch", "reason": reason} for one, reason in found.items())
+    writer.rows("findings", findings)
     store.publish(writer)
     return len(found)
+
+
+def _asked(context: Context) -> dict[str, str]:
+    return {"batch": context.batch, "programs": context.programs, "reading": context.reading}
 
 
 def _odd(siblings: Sequence[Mapping[str, Any]], name: str, declared: Output | None) -> Iterator[tuple[str, str]]:
@@ -393,48 +448,115 @@ def _odd(siblings: Sequence[Mapping[str, Any]], name: str, declared: Output | No
         for row in lacking:
             yield row["execution"], f"table {name!r} is not there; {len(having)} of its {count} siblings have it"
     forms = Counter(form for row in having for form in row["forms"])
-    likely = json.loads(max(forms, key=lambda form: (forms[form], *_fullness(json.loads(form)))))
+    parsed = {form: json.loads(form) for form in forms}
+    likely = _likely([(parsed[form], number) for form, number in forms.items()])
+    allow = _allowing(name, None if declared else likely["file"])
     for row in having:
         for form in row["forms"]:
-            if reason := _unlike(json.loads(form), likely, ragged=ragged):
+            if reason := _unlike(parsed[form], likely, ragged, allow):
                 yield row["execution"], f"table {name!r} {reason}"
     if not ragged:
         rows = Counter(row["rows"] for row in having)
         most = max(rows, key=lambda number: (rows[number], number))
-        allow = f'(if that may be so: mismatch = "ragged" in [outputs.{name}])'
         for row in having:
             if row["rows"] != most:
                 told = f"has {row['rows']} rows where {rows[most]} of its {count} siblings have {most}"
                 yield row["execution"], f"table {name!r} {told} {allow}"
 
 
-def _fullness(form: Mapping[str, Any]) -> tuple[bool, int, int]:
-    return form["ended"], len(form["columns"]), list(form["columns"].values()).count("number")
+def _allowing(name: str, undeclared: str | None) -> str:
+    """How to say that tables may differ."""
+    file = f"file = {json.dumps(undeclared, ensure_ascii=False)}, " if undeclared else ""
+    return f'(if that may be so: {file}mismatch = "ragged" in [outputs.{name}])'
 
 
-def _unlike(form: Mapping[str, Any], likely: Mapping[str, Any], *, ragged: bool) -> str | None:
+def _likely(forms: Sequence[tuple[Mapping[str, Any], int]]) -> dict[str, Any]:
+    """What most tables look like, each in its turn: where they come from, their columns, what those hold, their end."""
+    files: Counter[str | None] = Counter()
+    columns: Counter[tuple[str, ...]] = Counter()
+    ended: Counter[bool] = Counter()
+    for form, number in forms:
+        files[form["file"]] += number
+        columns[tuple(form["columns"])] += number
+        ended[form["ended"]] += number
+    return {
+        "file": max(files, key=lambda file: files[file]),
+        "columns": max(columns, key=lambda names: (columns[names], len(names))),
+        "kinds": _likely_kinds(forms),
+        "ended": ended[True] >= ended[False],
+    }
+
+
+def _likely_kinds(forms: Iterable[tuple[Mapping[str, Any], int]]) -> dict[str, str]:
+    """What each column holds in most tables (of two that as many have: numbers)."""
+    counts: dict[str, Counter[str]] = {}
+    for form, number in forms:
+        for name, kind in form["columns"].items():
+            if kind != "empty":
+                counts.setdefault(name, Counter())[kind] += number
+    return {name: max(kinds, key=lambda kind: (kinds[kind], kind == "number")) for name, kinds in counts.items()}
+
+
+def _unlike(form: Mapping[str, Any], likely: Mapping[str, Any], ragged: bool, allow: str) -> str | None:
     """What makes a table unlike its siblings', beside its rows."""
     if form["file"] != likely["file"]:
         return f"comes from {form['file']!r} where its siblings' come from {likely['file']!r}"
-    columns, others = form["columns"], likely["columns"]
-    if columns.keys() != others.keys() and columns and not ragged:
-        return difference(tuple(columns), tuple(others))
-    for name, kind in columns.items():
-        if kind not in ("number", others.get(name)) and others.get(name) == "number":
-            return f"has {kind} in the column {name!r} where its siblings have numbers"
+    columns = tuple(form["columns"])
+    if columns and columns != likely["columns"] and not ragged:
+        return f"{difference(columns, likely['columns'])} {allow}"
+    if wrong := _misfit(form["columns"], likely["kinds"]):
+        name, kind = wrong
+        return f"has {_many(kind)} in the column {name!r} where its siblings have {_many(likely['kinds'][name])}"
     if likely["ended"] and not form["ended"]:
         return "is cut short: its last line has no line feed at its end"
     return None
 
 
-ODD = """
+def _misfit(columns: Mapping[str, str], kinds: Mapping[str, str]) -> tuple[str, str] | None:
+    """The first column that does not hold what it should, and what it holds. Where texts are, numbers are texts too."""
+    for name, kind in columns.items():
+        right = kinds.get(name, kind)
+        if kind not in (right, "empty") and not (right == "text" and kind in ("number", "flag")):
+            return name, kind
+    return None
+
+
+def _incompatible(forms: Sequence[Mapping[str, Any]]) -> Iterator[tuple[Mapping[str, Any], str]]:
+    """Of the forms that a batch's tables have, those with a column that holds something else than in most, and why."""
+    for output in sorted({form["output"] for form in forms}):
+        mine = [(json.loads(form["form"]), form) for form in forms if form["output"] == output]
+        kinds = _likely_kinds((parsed, form["executions"]) for parsed, form in mine)
+        for parsed, form in mine:
+            if wrong := _misfit(parsed["columns"], kinds):
+                name, kind = wrong
+                told = f"has {_many(kind)} in the column {name!r} where most runs of the batch have {_many(kinds[name])}"
+                yield form, f"table {output!r} {told}"
+
+
+def _many(kind: str) -> str:
+    return {"number": "numbers", "flag": "flags"}.get(kind, kind)
+
+
+GOOD = """
 WITH good AS (
     SELECT m.ordinal, e.run, arg_max(e.execution, e.ended) AS execution
     FROM (SELECT DISTINCT ordinal, run FROM members WHERE batch = $batch) m
     JOIN executions e ON e.run = m.run AND e.status = 'ok' AND e.purpose = 'run'
         AND e.programs = $programs AND e.reading = $reading
     GROUP BY ALL
-),
+)"""
+"""The good executions of a batch, by the place of their experiment."""
+FORMS = """
+SELECT a.output, a.form, count(DISTINCT a.execution) AS executions
+FROM artifacts a WHERE a.kind = 'table' AND a.execution IN (SELECT execution FROM good)
+GROUP BY ALL ORDER BY ALL
+"""
+HAVING = """
+SELECT DISTINCT a.execution
+FROM artifacts a WHERE a.kind = 'table' AND a.execution IN (SELECT execution FROM good)
+    AND a.output = $output AND a.form = $form
+"""
+ODD = """,
 tables AS (
     SELECT g.ordinal, g.execution, a.output, sum(a.rows)::BIGINT AS rows, list_sort(list(DISTINCT a.form)) AS forms
     FROM good g JOIN artifacts a ON a.execution = g.execution AND a.kind = 'table'
@@ -453,16 +575,49 @@ SELECT c.* FROM counted c JOIN differing USING (ordinal, output) ORDER BY execut
 """
 
 
+def _hidden(question: Question, name: str) -> Iterator[tuple[str, str, str]]:
+    """The columns of an output that an axis hides in SQL, where their values differ: axis, column, what it is called there."""
+    axes = {axis.lower(): axis for axis in question.views.axes()}
+    files = [path for segment in question.segments for output, path in segment.outputs() if output.lower() == name.lower()]
+    question.views.make((name,))
+    if not axes or not files:
+        return
+    described = question.run("DESCRIBE SELECT * FROM read_parquet($files, union_by_name = true)", {"files": files})
+    stored = [row[0] for row in described]
+    for column, called in zip(stored, column_names(stored, taken=axes.values()), strict=True):
+        axis = axes.get(column.lower())
+        if axis is not None and question.run(
+            UNLIKE.format(axis=identifier(axis), column=identifier(called), table=identifier(name))
+        ):
+            yield axis, column, called
+
+
+UNLIKE = """
+SELECT 1 FROM {table}
+WHERE {column} IS NOT NULL AND {column}::VARCHAR IS DISTINCT FROM {axis}::VARCHAR
+    AND coalesce(TRY_CAST({column} AS DOUBLE) <> TRY_CAST({axis} AS DOUBLE), true)
+LIMIT 1
+"""
+
+
 def discard(folder: Path) -> None:
     """Remove a run's folder; what is recorded is not needed there any more."""
     worker.remove(str(folder))
 
 
-def _form(reading: Reading, file: OutputFile) -> str:
-    """What a table looks like, for a comparison with its siblings'."""
+def _form(reading: Reading, execution: str, file: OutputFile) -> str:
+    """What a table looks like, for a comparison with its siblings'. Only a CSV's columns have an order of their own."""
     shape = reading.shape
-    whole = file.ended or shape.format != "csv"
-    return json.dumps({"file": None if shape.many else shown(file.path), "columns": kinds(shape), "ended": whole})
+    columns = reading.columns[execution, file.path]
+    csv = shape.format == "csv"
+    whole = file.ended or not csv
+    return json.dumps(
+        {
+            "file": None if shape.many else shown(file.path),
+            "columns": columns if csv else dict(sorted(columns.items())),
+            "ended": whole,
+        }
+    )
 
 
 def _shape(output: Output) -> Shape:

@@ -1,7 +1,8 @@
 """The values that a scale spans: exact where they can be, never a silently different range.
 
-A scale is *right* where its values are distinct, finite, within 64-bit integers, at most a million, and
-just those that its text says; `check` raises QueryError for any other, and names right ones that are near.
+A scale is *right* where its values are distinct, finite, at most a million, and just those that its text says,
+and whole numbers are within 64 bits (beside decimals: within 2**53, as far as a float has them all); `check`
+raises QueryError for any other, and names right ones that are near.
 Ends with decimals have at most 18 places, so that each has one plain text. No value is reached by adding
 up: the i-th is computed from the ends, in whole numbers, and rounded at most once.
 """
@@ -31,6 +32,8 @@ MOST = 1_000_000
 """Values that one scale, and experiments that one query, may have."""
 LARGEST = 2**63 - 1
 """The largest whole number, the store's BIGINT."""
+EXACT = 2**53
+"""The largest whole number up to which a float, and so a column of decimals, has them all."""
 PLACES = 18
 """Decimals that an end or a density may have."""
 
@@ -166,7 +169,7 @@ def _check_steps(start: int, end: int, count: int) -> None:
     distance = abs(end - start)
     if distance % (count - 1):
         near = [f".{start}.{end}.C{gaps + 1}" for gaps in _divisors(distance, count - 1) if gaps < MOST]
-        if _apart(Fraction(start), Fraction(end), count):
+        if max(abs(start), abs(end)) <= EXACT and _apart(Fraction(start), Fraction(end), count):
             near.insert(0, f"={start}:{end}:{count}")
         raise QueryError(f"{start} to {end} does not divide into {count - 1} equal whole gaps; use {_either(near)}")
 
@@ -175,6 +178,7 @@ def _check_span(start: Fraction, end: Fraction, count: int) -> None:
     _check_ends(start, end, count)
     if not _apart(start, end, count):
         raise QueryError("its values lie closer together than floats can tell apart; use fewer, or a wider range")
+    _check_mixed(_spread(start, end, count) if max(abs(start), abs(end)) > EXACT else ())
 
 
 def _apart(start: Fraction, end: Fraction, count: int) -> bool:
@@ -208,6 +212,15 @@ def _check_listed(listed: tuple[Value, ...]) -> None:
         if value in seen:
             raise QueryError(f"{value!r} is listed twice; use it once")
         seen.add(value)
+    _check_mixed(listed)
+
+
+def _check_mixed(values: tuple[Value, ...]) -> None:
+    """Whole numbers among decimals are kept as floats, which must have them exactly."""
+    large = [value for value in values if isinstance(value, int) and abs(value) > EXACT]
+    if large and any(isinstance(value, float) for value in values):
+        told = f"{large[0]} is beyond 2**53, where a decimal can't be told from its neighbours"
+        raise QueryError(f"{told}; use whole numbers alone, or smaller ones")
 
 
 def _check_listed_size(number: int | float) -> None:

@@ -19,6 +19,9 @@ time, so that an orphan can be recognised) and `end` (sierra.model.Result). A li
 written. The exit status is 0 where all jobs have been executed, 1 where the worker was asked to stop, and 3
 where it could not go on; its last line on stderr then says why.
 
+`started` is the clock's time just before the program was started, and `ended` lies after it by the time that
+went by, whatever was done to the clock meanwhile: no run takes less than no time, or less than its CPU time.
+
 Processes that leave their group are found all the same: the worker is their subreaper (Linux), so an orphan
 becomes a child of the worker's main thread, which starts no process itself.
 """
@@ -226,12 +229,13 @@ class Worker:
         """One run, from its folder to the line in the journal."""
         with self.lock:
             folder = os.path.join(self.folder, str(next(self.numbers)))
-        began = time.time()
         prepare(job, folder)
+        began, started = time.time(), time.monotonic()
         try:
             process = start(job, folder)
         except (OSError, ValueError) as error:
-            self.journal.write(self.report(job, slot, folder, began, error="could not be started: " + explain(error)))
+            wall = time.monotonic() - started
+            self.journal.write(self.report(job, slot, folder, began, wall, error="could not be started: " + explain(error)))
             return
         running = Running(job, folder, process)
         with self.lock:
@@ -245,6 +249,7 @@ class Worker:
         if running.limited or self.stopping:
             self.bell.ring()
         status, usage = await_end(running)
+        wall = time.monotonic() - started
         process.returncode = status
         with self.lock:
             del self.running[running.pid]
@@ -257,7 +262,7 @@ class Worker:
                 slot,
                 folder,
                 began,
-                ended=began + time.monotonic() - running.started,
+                wall,
                 exit_code=os.WEXITSTATUS(status) if os.WIFEXITED(status) else None,
                 signal=os.WTERMSIG(status) if os.WIFSIGNALED(status) else None,
                 user_s=usage.ru_utime,
@@ -267,14 +272,15 @@ class Worker:
             )
         )
 
-    def report(self, job: dict[str, Any], slot: int, folder: str, began: float, **fields: Any) -> dict[str, Any]:
+    def report(self, job: dict[str, Any], slot: int, folder: str, began: float, wall: float, **fields: Any) -> dict[str, Any]:
+        """The line in the journal; `began` in seconds since the epoch, `wall` in seconds."""
         report = {
             "event": "end",
             "run": job["run"],
             "execution": job["execution"],
             "directory": folder,
             "started": began,
-            "ended": time.time(),
+            "ended": began + wall,
             "exit_code": None,
             "signal": None,
             "stopped": None,

@@ -614,3 +614,33 @@ def test_the_worker_is_one_file_for_python_3_8_on_the_standard_library_alone() -
     imported = {name.name for node in ast.walk(tree) if isinstance(node, ast.Import) for name in node.names}
     imported |= {str(node.module) for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
     assert imported <= sys.stdlib_module_names
+
+
+# ---------------------------------------------------------------- time
+
+
+def test_no_run_takes_less_time_than_its_one_thread_computed(start: Callable[..., Worker]) -> None:
+    worker = start()
+    worker.send(*(job("true", name=f"run {number}") for number in range(40)))
+    assert worker.finish() == 0
+    ends = worker.events("end")
+    assert len(ends) == 40
+    assert all(end["ended"] - end["started"] >= end["user_s"] + end["system_s"] for end in ends)
+
+
+def test_a_clock_that_is_set_back_makes_no_time_negative(tmp_path: Path) -> None:
+    code = (
+        "import itertools, runpy, sys, time; hours = itertools.count(); clock = time.time\n"
+        "time.time = lambda: clock() - 3600 * next(hours)\n"
+        f"sys.argv = ['worker', {str(tmp_path)!r}, '1']\n"
+        f"runpy.run_path({PROGRAM!r}, run_name='__main__')"
+    )
+    sent = [shell("sleep 0.1", name="good"), job("/no/such/program", name="bad"), {"end": True}]
+    (tmp_path / "jobs").write_text("".join(json.dumps(one) + "\n" for one in sent))
+    with (tmp_path / "jobs").open() as lines:
+        done = subprocess.run([sys.executable, "-I", "-c", code], stdin=lines, timeout=PATIENCE_S, check=False)
+    assert done.returncode == 0
+    events = [json.loads(line) for line in (tmp_path / "journal.jsonl").read_text().splitlines()]
+    walls = {event["execution"]: event["ended"] - event["started"] for event in events if event["event"] == "end"}
+    assert 0 <= walls["bad"] < 5
+    assert 0.1 <= walls["good"] < 5

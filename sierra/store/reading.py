@@ -1,11 +1,12 @@
 """What runs wrote becomes tables: many files at once, each checked, none averaged away.
 
-All files of one output are read by one statement where they are as they should be. Where one is not, those at fault
-are found by halving, and the fault is said with its line. A file is at fault if
+All files of one output that have the same columns make a *part*, which is one Parquet file: columns may differ between
+experiments, and whether they may differ between two runs is not for here to say (see `sierra.record.find_odd`). A part
+is read by one statement where all is as it should be. Where it is not, the files at fault are found by halving, and the
+fault is said with its line. A file is at fault if
 
-- its columns are not those that most of its siblings have,
 - a line has too few or too many fields, or its last line is cut short,
-- there is text where at least half of its siblings have nothing but numbers,
+- there is text where at least half of the files with such a column have nothing but numbers,
 - it cannot be read at all.
 
 Whole numbers are BIGINT (DECIMAL(38,0) where they are too great), other numbers DOUBLE, `true`/`false` BOOLEAN, all else
@@ -18,11 +19,12 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 import re
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -37,11 +39,19 @@ HEAD_BYTES = 4096
 WHOLE = r" *([+]?[0-9]+|-0*[1-9][0-9]*) *"
 """-0 is a number, but no whole one: a BIGINT has no such zero."""
 LOGICAL = r" *(?i:true|false) *"
+CONTROL = re.compile(r"[\x00-\x08\x0e-\x1f]")
+"""Characters that no column's name has."""
 IN_ONE_GO = 4 << 20
 """Larger JSON files are read in pieces, which several threads would put in any order."""
+FEW = 10
+"""Names of columns that one line shows."""
 AT_ONCE = 50
-"""Columns that one statement looks at: what DuckDB needs to plan it grows with their square."""
+"""Columns that a statement looks at side by side: what DuckDB needs to plan it grows with their square."""
+PARTS = 1000
+"""Sets of columns that one output may have: each is a file in each segment, and files are not to multiply with runs."""
 HUGE = "DECIMAL(38,0)"
+EMPTY = '"NULL"'
+"""What DuckDB calls the type of a Parquet column that says itself that it has no values."""
 NUMBERS = ("BIGINT", HUGE, "DOUBLE")
 
 
@@ -61,35 +71,55 @@ class Written:
 
 
 @dataclass(frozen=True, slots=True)
+class Part:
+    """Those files of an output that have the same columns, as far as they have been read."""
+
+    names: tuple[str, ...]
+    delimiter: str = ""
+    types: Mapping[str, str] = field(default_factory=dict)
+    """As the last files had them."""
+    empty: frozenset[str] = frozenset()
+    """Columns in which no file had a value."""
+    files: int = 0
+    """How many files were read; they have a vote on what is right."""
+
+    def kinds(self) -> dict[str, str]:
+        """What each column holds, in a word: number, text, flag, empty, or the type itself."""
+        return {name: "empty" if name in self.empty else kind_of(self.types.get(name, EMPTY)) for name in self.names}
+
+
+@dataclass(frozen=True, slots=True)
 class Shape:
     """How the files of one output are to be read: as declared, and as earlier files were found to be."""
 
     format: Literal["csv", "parquet", "jsonl"]
     delimiter: str = ""
+    """Of a CSV; found out, for each part, where it is empty."""
     header: bool = True
     names: tuple[str, ...] = ()
-    """Column names, where known already."""
+    """The columns of a CSV without header, where they are declared."""
     many: bool = False
     """Whether a run writes several such files; the table then has the column `file`."""
-    types: Mapping[str, str] | None = None
-    """Types that earlier files had."""
+    parts: tuple[Part, ...] = ()
     files: int = 0
-    """How many files were read before; they have a vote on what is right."""
+    """How many files were read before."""
     ended: int = 0
     """How many of them had a line feed at their end."""
 
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """What came of it: rows by execution and file, faults by execution, and the shape that was found."""
+    """What came of it: rows and what columns hold, by execution and file; faults by execution; the shape that was found."""
 
     rows: Mapping[tuple[str, str], int]
+    columns: Mapping[tuple[str, str], Mapping[str, str]]
     faults: Mapping[str, str]
     shape: Shape
 
 
 def read(connection: Any, files: Sequence[Written], shape: Shape, target: Path) -> Reading:
-    """Read all files into one Parquet file, without those of executions that are at fault.
+    """Read all files, without those of executions that are at fault, into Parquet files: `target` and, where columns differ,
+    others beside it (`target~2`, …).
 
     Raises Missing where what is sound cannot be written.
     """
@@ -98,17 +128,11 @@ def read(connection: Any, files: Sequence[Written], shape: Shape, target: Path) 
     return readers[shape.format](connection, shape, target).read(files)
 
 
-def kinds(shape: Shape) -> dict[str, str]:
-    """What each column of a table holds, in a word: what must be the same for all siblings."""
-    types = shape.types or {}
-    return {name: kind_of(types.get(name, "BOOLEAN")) for name in shape.names}
-
-
 def kind_of(kind: str) -> str:
-    """number, text, flag, or the type itself."""
+    """number, text, flag, empty, or the type itself."""
     if is_number(kind):
         return "number"
-    return {"VARCHAR": "text", "BOOLEAN": "flag"}.get(kind, kind)
+    return {"VARCHAR": "text", "BOOLEAN": "flag", EMPTY: "empty"}.get(kind, kind)
 
 
 def is_number(kind: str) -> bool:
@@ -145,37 +169,93 @@ def column_names(names: Sequence[str], taken: Iterable[str] = BESIDE_OUTPUTS) ->
 
 
 class _Reader:
-    """What all formats have in common: writing what is sound, counting it, and noting what is not."""
+    """What all formats have in common: sorting files by their columns, writing what is sound, noting what is not."""
 
     def __init__(self, connection: Any, shape: Shape, target: Path) -> None:
         import duckdb
 
         self.sql = connection
         self.shape = shape
-        self.target = target
+        self.parts = list(shape.parts)
+        self.part = Part(())
+        """The one that is being read, into `target`."""
+        self.target = self._first = target
+        self.votes: dict[str, Counter[str]] = {}
+        """The types that columns of each name had in the files that were read before, in all parts."""
+        for part in self.parts:
+            self._vote(part, part.files)
         self.faults: dict[str, str] = {}
         self.error: type[Exception] = duckdb.Error
 
     def read(self, files: Sequence[Written]) -> Reading:
+        rows: dict[tuple[str, str], int] = {}
+        columns: dict[tuple[str, str], Mapping[str, str]] = {}
+        for place, some in self._by_part(files):
+            sound = self._read_part(place, self.sound(some))
+            kinds = self.part.kinds()
+            rows |= dict.fromkeys(((file.execution, file.name) for file in sound), 0)
+            if place is not None and sound:
+                rows |= self._count(sound)
+            columns |= {(file.execution, file.name): kinds for file in sound}
+        ended = sum(file.ended for file in files if (file.execution, file.name) in rows)
+        shape = self.shape
+        shape = replace(shape, parts=tuple(self.parts), files=shape.files + len(rows), ended=shape.ended + ended)
+        return Reading(rows, columns, self.faults, shape)
+
+    def _read_part(self, place: int | None, files: list[Written]) -> list[Written]:
+        """Read the files of one part; those that were sound. Files without rows and columns (no place) need no reading."""
+        self.part = Part(()) if place is None else self.parts[place]
+        if place is None or not files:
+            return files
+        self.target = self._first.with_stem(f"{self._first.stem}~{place + 1}") if place else self._first
+        sound = self.one(files)
+        self.parts[place] = self.part
+        return sound
+
+    def sort(self, files: Sequence[Written]) -> Mapping[str, Part | None]:
+        """The columns (and delimiter) of each file that is not at fault, by its path; None where it has no rows nor columns."""
         raise NotImplementedError
 
+    def one(self, files: Sequence[Written]) -> list[Written]:
+        """Read files of one part; those that were sound. `self.part` knows what was found."""
+        raise NotImplementedError
+
+    def _by_part(self, files: Sequence[Written]) -> list[tuple[int | None, list[Written]]]:
+        """The files of each part, by its place; first those that have most, since they have a vote on the others' types."""
+        found = self.sort(files)
+        places = {self.key(part): place for place, part in enumerate(self.parts)}
+        members: dict[int | None, list[Written]] = {}
+        for file in self.sound(files):
+            part = found[file.path]
+            place = None if part is None else places.setdefault(self.key(part), len(places))
+            if place is not None and place >= PARTS:
+                self.fault(file, f"has other columns than {PARTS} other sets of columns; a table has at most so many")
+                continue
+            if part is not None and place == len(self.parts):
+                self.parts.append(part)
+            members.setdefault(place, []).append(file)
+        return sorted(members.items(), key=lambda item: -len(item[1]))
+
+    def key(self, part: Part) -> Any:
+        """What is the same for files of one part. The order of columns matters in a CSV alone."""
+        return frozenset(part.names)
+
     def fault(self, file: Written, what: str) -> None:
-        self.faults.setdefault(file.execution, f"{shown(file.name)}: {what}")
+        self.faults.setdefault(file.execution, f"{shown(file.name)}: {what.replace(file.path, shown(file.name))}")
 
     def sound(self, files: Iterable[Written]) -> list[Written]:
         return [file for file in files if file.execution not in self.faults]
 
-    def done(self, files: Sequence[Written], names: Sequence[str], types: Mapping[str, str], **found: Any) -> Reading:
-        """What was read: `files`, with `names` and `types`."""
-        shape = replace(
-            self.shape,
-            names=tuple(names),
-            types=dict(types),
-            files=self.shape.files + len(files),
-            ended=self.shape.ended + sum(file.ended for file in files),
-            **found,
-        )
-        return Reading(self.count(files), self.faults, shape)
+    def _vote(self, part: Part, files: int) -> None:
+        for name, kind in part.types.items():
+            if name not in part.empty:
+                self.votes.setdefault(name, Counter())[kind] += files
+
+    def done(self, files: Sequence[Written], types: Mapping[str, str], empty: Iterable[str]) -> list[Written]:
+        """Note what was read: `files`, with these types."""
+        self.part = replace(self.part, types=dict(types), empty=frozenset(empty), files=self.part.files + len(files))
+        self._vote(self.part, len(files))
+        return list(files)
 
     def halve(self, files: Sequence[Written], attempt: Callable[[Sequence[Written]], Any], explain: Callable[..., str]) -> None:
         """Find the files with which `attempt` fails; they are at fault."""
@@ -220,16 +300,13 @@ class _Reader:
         finally:
             self.sql.unregister("owners")
 
-    def count(self, files: Sequence[Written]) -> dict[tuple[str, str], int]:
+    def _count(self, files: Sequence[Written]) -> dict[tuple[str, str], int]:
         """Rows by execution and file, as they were written."""
-        rows = {(file.execution, file.name): 0 for file in files}
-        if self.target.exists():
-            name = "file" if self.shape.many else "NULL"
-            only = {(file.execution, shown(file.name) if self.shape.many else None): file.name for file in files}
-            statement = f"SELECT execution, {name}, count(*) FROM read_parquet({quote(str(self.target))}) GROUP BY ALL"
-            for execution, file, count in self.sql.execute(statement).fetchall():
-                rows[execution, only[execution, file]] = count
-        return rows
+        name = "file" if self.shape.many else "NULL"
+        only = {(file.execution, shown(file.name) if self.shape.many else None): file.name for file in files}
+        statement = f"SELECT execution, {name}, count(*) FROM read_parquet({quote(str(self.target))}) GROUP BY ALL"
+        counted = self.sql.execute(statement).fetchall()
+        return {(execution, only[execution, file]): count for execution, file, count in counted}
 
     def fetch(self, statement: str, files: Sequence[Written]) -> list[tuple[Any, ...]]:
         rows: list[tuple[Any, ...]] = self.sql.execute(statement, _these(files)).fetchall() if files else []
@@ -238,16 +315,12 @@ class _Reader:
     def unwritten(self, error: Exception) -> Missing:
         return Missing(f"cannot write to {self.target.parent}: {first_line(error)}")
 
-    def likely(self, candidates: Iterable[tuple[str, ...]]) -> tuple[str, ...]:
-        """The columns that most files have, those read earlier included; of two that as many have, the more."""
-        counts = Counter(candidates)
-        if self.shape.files and self.shape.names:
-            counts[self.shape.names] += self.shape.files
-        return max(counts, key=lambda names: (counts[names], len(names)))
-
 
 class _Text(_Reader):
     """Formats whose fields are texts: what the texts of a column look like decides its type."""
+
+    _empty: Sequence[str] = ()
+    """The columns that no file of the part had a value in, as last decided."""
 
     def relation(self, names: Sequence[str], types: Mapping[str, str]) -> str:
         """A relation on $files with the columns c0, c1, … and the file; those that may be VARCHAR or as in `types`."""
@@ -261,12 +334,14 @@ class _Text(_Reader):
         """The first line of a file that is not as it should be, found the slow way."""
         raise NotImplementedError
 
-    def table(self, files: Sequence[Written], names: Sequence[str], **found: Any) -> Reading:
-        """Read files that have these columns."""
+    def one(self, files: Sequence[Written]) -> list[Written]:
+        names = self.part.names
         try:
             types = self._types(files, names)
-            files = self.sound(files)
-            self._write(files, names, types)
+            self._write(self.sound(files), names, types)
+            if self._misread(self.sound(files), names, types):
+                types = self._agreed(self.sound(files), names)
+                self._write(self.sound(files), names, types, by_text=True)
         except self.error:
             texts = dict.fromkeys(names, "VARCHAR")
 
@@ -275,28 +350,56 @@ class _Text(_Reader):
 
             self.halve(files, lambda some: self._try(some, names), explain)
             types = self._agreed(self.sound(files), names)
-            files = self.sound(files)
             try:
-                self._write(files, names, types)
+                self._write(self.sound(files), names, types, by_text=True)
             except self.error as error:
                 raise self.unwritten(error) from error
-        if not files:
-            return Reading({}, self.faults, self.shape)
-        return self.done(files, names, types, **found)
+        sound = self.sound(files)
+        return self.done(sound, types, self._empty) if sound else []
 
-    def _write(self, files: Sequence[Written], names: Sequence[str], types: Mapping[str, str]) -> None:
+    def _write(
+        self, files: Sequence[Written], names: Sequence[str], types: Mapping[str, str], *, by_text: bool = False
+    ) -> None:
+        """Write what the files hold; with `by_text`, slower, numbers too that DuckDB does not know."""
         if not files:
             return
-        columns = {name: self._typed(f"t.c{place}", types[name]) for place, name in enumerate(names)}
-        self.write(files, self.relation(names, types), columns)
+        columns = {name: self._typed(f"t.c{place}", types[name], by_text) for place, name in enumerate(names)}
+        self.write(files, self.relation(names, dict.fromkeys(names, "VARCHAR") if by_text else types), columns)
 
-    def _typed(self, cell: str, kind: str) -> str:
+    def _misread(self, files: Sequence[Written], names: Sequence[str], types: Mapping[str, str]) -> bool:
+        """Whether something that is no number was written as one: looked for only where there is a sign of it."""
+        doubles = [name for name in names if types[name] == "DOUBLE"]
+        if not doubles or not files:
+            return False
+        stored = dict(zip(names, column_names(names), strict=True))
+        written = f"read_parquet({quote(str(self.target))})"
+        if not self._any("isinf({})", (identifier(stored[name]) for name in doubles), written, {}):
+            files = [file for file in files if self.has_underscores(file)]
+            if not files:
+                return False
+        places = {name: place for place, name in enumerate(names)}
+        relation = self.relation(names, dict.fromkeys(names, "VARCHAR"))
+        return self._any(_odd("{}"), (f"c{places[name]}" for name in doubles), relation, _these(files))
+
+    def _any(self, condition: str, cells: Iterable[str], relation: str, given: Mapping[str, Any]) -> bool:
+        """Whether a condition holds for any of these cells of any row."""
+        cells = list(cells)
+        either = " OR ".join(condition.replace("{}", cell) for cell in cells)
+        if len(cells) > AT_ONCE:
+            relation, either = f"(SELECT unnest([{', '.join(cells)}]) AS cell FROM {relation})", condition.replace("{}", "cell")
+        return bool(self.sql.execute(f"SELECT 1 FROM {relation} WHERE {either} LIMIT 1", given).fetchall())
+
+    def has_underscores(self, file: Written) -> bool:
+        """Whether there may be an underscore within a number."""
+        return False
+
+    def _typed(self, cell: str, kind: str, by_text: bool) -> str:
         """A cell as a value of its column's type; what does not fit is an error, never rounded."""
         match kind:
             case "VARCHAR":
                 return self.text(cell)
             case "DOUBLE":
-                return f"CAST({cell} AS DOUBLE)"
+                return f"CAST({_no_nan(cell) if by_text else cell} AS DOUBLE)"  # and see `_misread`
             case "BOOLEAN":
                 sound = f"regexp_full_match({cell}, {quote(LOGICAL)})"
                 value = f"CAST(trim({cell}) AS BOOLEAN)"
@@ -313,13 +416,11 @@ class _Text(_Reader):
         """Each column's type, as a sample of the files has it; where that leaves a doubt, as all have it."""
         sample = [files[place] for place in sorted({0, len(files) // 2, len(files) - 1})]
         found = self._seen(sample, names)
-        known = self.shape.types or {}
         doubtful = []
         for name in names:
             seen = {kind for kind in found[name].values() if kind}
             sure = seen and "VARCHAR" not in seen
-            other = known.get(name) == "VARCHAR"
-            if other or not sure:
+            if not sure or "VARCHAR" in self.votes.get(name, ()):
                 doubtful.append(name)
         if doubtful and len(sample) < len(files):
             found |= self._seen(files, names, doubtful)
@@ -332,9 +433,13 @@ class _Text(_Reader):
 
     def _decided(self, names: Sequence[str], found: Mapping[str, Mapping[str, str | None]], bad: set[str]) -> dict[str, str]:
         types = {}
+        self._empty = []
         for name in names:
             kinds = {kind for path, kind in found[name].items() if kind and path not in bad}
-            types[name] = _common(kinds, (self.shape.types or {}).get(name))
+            known = None if name in self.part.empty else self.part.types.get(name)
+            types[name] = _common(kinds, known)
+            if not kinds and known is None:
+                self._empty.append(name)
         return types
 
     def _at_fault(
@@ -348,15 +453,15 @@ class _Text(_Reader):
             seen = {path: kind for path, kind in found[name].items() if kind}
             numbers = sum(kind in NUMBERS for kind in seen.values())
             others = len(seen) - numbers
-            known = (self.shape.types or {}).get(name)
-            numbers += self.shape.files if known in NUMBERS else 0
-            others += self.shape.files if known == "VARCHAR" else 0
+            before = self.votes.get(name, Counter())
+            numbers += sum(before[kind] for kind in NUMBERS)
+            others += before["VARCHAR"]
             if numbers and numbers >= others:
                 numeric[name] = "DOUBLE"
                 bad |= {path for path, kind in seen.items() if kind not in NUMBERS}
         for path in sorted(bad):
             what = self.first_fault(by_path[path], names, numeric)
-            self.fault(by_path[path], what or "has text where its siblings have numbers")
+            self.fault(by_path[path], what or "has text where most have numbers")
         return bad
 
     def _seen(
@@ -365,13 +470,21 @@ class _Text(_Reader):
         """The narrowest type that holds all of a column, by column and file; None where it has no value."""
         wanted = names if wanted is None else wanted
         relation = self.relation(names, dict.fromkeys(names, "VARCHAR"))
+        places = {name: place for place, name in enumerate(names)}
         found: dict[str, dict[str, str | None]] = {name: {} for name in wanted}
-        for at in range(0, len(wanted), AT_ONCE):
-            some = wanted[at : at + AT_ONCE]
-            columns = ", ".join(f"bit_or({_bit(f'c{names.index(name)}')})" for name in some)
-            for path, *seen in self.fetch(f"SELECT {identifier(FILE)}, {columns} FROM {relation} GROUP BY 1", files):
-                for name, bits in zip(some, seen, strict=True):
-                    found[name][path] = _narrowest(bits or 0)
+        if len(wanted) > AT_ONCE:
+            cells = ", ".join(f"c{places[name]}" for name in wanted)
+            each = (
+                f"(SELECT {identifier(FILE)}, unnest([{cells}]) AS cell, unnest(range({len(wanted)})) AS place FROM {relation})"
+            )
+            rows = self.fetch(f"SELECT {identifier(FILE)}, place, bit_or({_bit('cell')}) FROM {each} GROUP BY 1, 2", files)
+            for path, place, bits in rows:
+                found[wanted[place]][path] = _narrowest(bits or 0)
+            return found
+        columns = ", ".join(f"bit_or({_bit(f'c{places[name]}')})" for name in wanted)
+        for path, *seen in self.fetch(f"SELECT {identifier(FILE)}, {columns} FROM {relation} GROUP BY 1", files):
+            for name, bits in zip(wanted, seen, strict=True):
+                found[name][path] = _narrowest(bits or 0)
         return found
 
 
@@ -380,9 +493,20 @@ def _bit(cell: str) -> str:
     whole = f"regexp_full_match({cell}, {quote(WHOLE)})"
     return (
         f"CASE WHEN {cell} IS NULL THEN 0 WHEN {whole} AND TRY_CAST({cell} AS BIGINT) IS NOT NULL THEN 2 "
-        f"WHEN {whole} AND TRY_CAST({cell} AS {HUGE}) IS NOT NULL THEN 4 WHEN TRY_CAST({cell} AS DOUBLE) IS NOT NULL THEN 8 "
+        f"WHEN {whole} AND TRY_CAST({cell} AS {HUGE}) IS NOT NULL THEN 4 "
+        f"WHEN TRY_CAST({_no_nan(cell)} AS DOUBLE) IS NOT NULL AND NOT {_odd(cell)} THEN 8 "
         f"WHEN regexp_full_match({cell}, {quote(LOGICAL)}) THEN 1 ELSE 16 END"
     )
+
+
+def _no_nan(cell: str) -> str:
+    """The same text, but for the -nan that C prints, as DuckDB knows it."""
+    return f"CASE WHEN regexp_full_match({cell}, ' *[-+](?i:nan) *') THEN 'nan' ELSE {cell} END"
+
+
+def _odd(cell: str) -> str:
+    """Whether DuckDB takes a text for a number that it is not: 12_34 for 1234, 1e400 for infinity."""
+    return f"(contains({cell}, '_') OR (isinf(TRY_CAST({cell} AS DOUBLE)) AND regexp_matches({cell}, '[0-9]')))"
 
 
 def _narrowest(bits: int) -> str | None:
@@ -409,23 +533,60 @@ def _common(kinds: set[str], known: str | None) -> str:
 class _Csv(_Text):
     """Delimited text."""
 
-    def __init__(self, connection: Any, shape: Shape, target: Path) -> None:
-        super().__init__(connection, shape, target)
-        self._delimiter = shape.delimiter
-        self._longest = 0
+    _longest = 0
+    """Bytes of the longest line of the part, where it has files of megabytes."""
 
-    def read(self, files: Sequence[Written]) -> Reading:
-        files = [file for file in files if self._whole(file)]
-        if not files:
-            return Reading({}, self.faults, self.shape)
-        names = self._columns(files)
-        self._cut(files)
-        files = self.sound(files)
-        if not files:
-            return Reading({}, self.faults, self.shape)
-        if any(file.bytes >= 2_000_000 for file in files):
-            self._longest = max(_longest_line(file) for file in files if file.bytes >= 2_000_000)
-        return self.table(files, names, delimiter=self._delimiter)
+    def sort(self, files: Sequence[Written]) -> Mapping[str, Part | None]:
+        for file in files:
+            if file.bytes == 0 and self.shape.header:
+                self.fault(file, "is empty; not even a header")
+        self._cut(self.sound(files))
+        heads = {file.path: _first_record(file) for file in self.sound(files)}
+        described = self._described(Counter(heads.values()))
+        for file in self.sound(files):
+            part = described[heads[file.path]]
+            if isinstance(part, str):
+                self.fault(file, f"line 1: {part}")
+        return {path: part for path, head in heads.items() if not isinstance(part := described[head], str)}
+
+    def key(self, part: Part) -> Any:
+        return part.names, part.delimiter
+
+    def _described(self, heads: Counter[str]) -> dict[str, Part | str | None]:
+        """What the first lines say of columns; a sentence where they say nothing sensible."""
+        if self.shape.header:
+            return {head: self._named(head) for head in heads}
+        delimiter = self.shape.delimiter or delimiter_of(heads.most_common(1)[0][0] if heads else "")
+        return {head: self._numbered(head, delimiter) for head in heads}
+
+    def _named(self, head: str) -> Part | str:
+        delimiter = self.shape.delimiter or delimiter_of(head)
+        names = split(head, delimiter)
+        if not any(names):
+            return "is empty, where the names of the columns should be"
+        if "\ufffd" in head or CONTROL.search(head):
+            return f"is no text in UTF-8 (is it compressed?): {head[:80]!r}"
+        if head.count('"') % 2:
+            return f"quotes are not closed: {head[:80]!r}"
+        if all(_is_number(name) for name in names):
+            return "numbers, no names of columns (if it has no header: header = false in [outputs.…])"
+        names = tuple(name or f"column{place}" for place, name in enumerate(names))
+        doubled = [name for name, count in Counter(names).items() if count > 1]
+        if doubled:
+            return f"the column {doubled[0]!r} is there twice"
+        return Part(names, delimiter)
+
+    def _numbered(self, head: str, delimiter: str) -> Part | None:
+        """Columns of a file without header: as declared, or as many as its first line has fields."""
+        width = len(split(head, delimiter))
+        if self.shape.names or width:
+            return Part(self.shape.names or tuple(f"column{number}" for number in range(width)), delimiter)
+        return None
+
+    def one(self, files: Sequence[Written]) -> list[Written]:
+        large = [file for file in files if file.bytes >= 2_000_000]
+        self._longest = max(map(_longest_line, large), default=0)
+        return super().one(files)
 
     def relation(self, names: Sequence[str], types: Mapping[str, str]) -> str:
         columns = ", ".join(
@@ -434,42 +595,18 @@ class _Csv(_Text):
         longest = f", max_line_size = {self._longest + 1}" if self._longest >= 2_000_000 else ""
         return (
             f"read_csv($files, columns = {{{columns}}}, auto_detect = false, header = {str(self.shape.header).lower()}, "
-            f"delim = {quote(self._delimiter)}, quote = '\"', escape = '\"', nullstr = '', filename = {quote(FILE)}, "
+            f"delim = {quote(self.part.delimiter)}, quote = '\"', escape = '\"', nullstr = '', filename = {quote(FILE)}, "
             f"strict_mode = true{longest})"
         )
 
-    def _whole(self, file: Written) -> bool:
-        if file.bytes == 0 and self.shape.header:
-            self.fault(file, "is empty; not even a header")
-            return False
-        return True
-
-    def _columns(self, files: Sequence[Written]) -> tuple[str, ...]:
-        """The columns that most files have; files with others are at fault."""
-        heads = {file.path: _first_record(file) for file in files}
-        if not self._delimiter:
-            self._delimiter = delimiter_of(Counter(heads.values()).most_common(1)[0][0])
-        if not self.shape.header:
-            widths = Counter(len(split(head, self._delimiter)) for head in heads.values() if head)
-            width = max(widths, key=lambda width: (widths[width], width), default=1)
-            return self.shape.names or tuple(f"column{number}" for number in range(width))
-        has = {head: split(head, self._delimiter) for head in set(heads.values())}
-        names = self.likely(has[heads[file.path]] for file in files)
-        if names and all(_is_number(name) for name in names):
-            for file in files:
-                self.fault(file, "line 1: numbers, no names of columns (if it has no header: header = false in [outputs.…])")
-            return names
-        doubled = [name for name, count in Counter(names).items() if count > 1 and name]
-        for file in files:
-            own = has[heads[file.path]]
-            if own != names:
-                self.fault(file, "line 1: " + difference(own, names))
-            elif doubled:
-                self.fault(file, f"line 1: the column {doubled[0]!r} is there twice")
-        return names
+    def has_underscores(self, file: Written) -> bool:
+        with Path(file.path).open("rb") as data:
+            if self.shape.header:
+                data.readline()
+            return any(b"_" in piece for piece in iter(lambda: data.read(1 << 20), b""))
 
     def _cut(self, files: Sequence[Written]) -> None:
-        """A last line without its line feed is suspicious where at least half of the siblings have one."""
+        """A last line without its line feed is suspicious where at least half of all files have one."""
         cut = [file for file in files if not file.ended]
         ended = len(files) - len(cut) + self.shape.ended
         if ended >= len(cut) + self.shape.files - self.shape.ended:
@@ -478,20 +615,20 @@ class _Csv(_Text):
 
     def first_fault(self, file: Written, names: Sequence[str], types: Mapping[str, str]) -> str | None:
         ends = set()
-        for line, record, end in _records(file, self._delimiter):
+        for line, record, end in _records(file, self.part.delimiter):
             if isinstance(record, str):
                 return f"line {line}: {record}"
             if not record or (line == 1 and self.shape.header):
                 continue
-            text = self._delimiter.join(record)
+            text = self.part.delimiter.join(record)
             if any("\udc80" <= character <= "\udcff" for character in text):
                 return f"line {line}: is not UTF-8: {shown(text)[:80]!r}"
             if len(record) != len(names) and not (len(record) == len(names) + 1 and not record[-1]):
                 few = "too few" if len(record) < len(names) else "too many"
                 return f"line {line}: {few} fields ({len(record)}, not {len(names)}): {text[:80]!r}"
-            for name, field in zip(names, record, strict=False):
-                if types[name] == "DOUBLE" and field and not _is_number(field):
-                    return f"line {line}: text where numbers are in column {name!r}: {field[:80]!r}"
+            for name, cell in zip(names, record, strict=False):
+                if types[name] == "DOUBLE" and cell and not _is_number(cell):
+                    return f"line {line}: text where numbers are in column {name!r}: {cell[:80]!r}"
             ends.add(end)
         return "some lines end in CR LF, and some in LF" if len(ends) > 1 else None
 
@@ -503,28 +640,17 @@ class _Jsonl(_Text):
         if any(file.bytes >= IN_ONE_GO for file in files):
             self.sql.execute("SET threads = 1")
         try:
-            return self._read(files)
+            return super().read(files)
         finally:
             self.sql.execute("RESET threads")
 
-    def _read(self, files: Sequence[Written]) -> Reading:
+    def sort(self, files: Sequence[Written]) -> Mapping[str, Part | None]:
         try:
             found = self._keys(files)
         except self.error:
             self.halve(files, self._keys, lambda file, error: self.first_fault(file, (), {}) or first_line(error))
-            files = self.sound(files)
-            found = self._keys(files) if files else {}
-        candidates = [tuple(found[file.path]) for file in files if file.path in found]
-        if not candidates:
-            return Reading({(file.execution, file.name): 0 for file in files}, self.faults, self.shape)
-        first = {frozenset(names): names for names in reversed(candidates)}
-        names = self.likely(first[frozenset(names)] for names in candidates)
-        for file in files:
-            has = tuple(found.get(file.path, names))
-            if set(has) != set(names):
-                self.fault(file, difference(has, names))
-        files = self.sound(files)
-        return self.table(files, names) if files else Reading({}, self.faults, self.shape)
+            found = self._keys(self.sound(files))
+        return {file.path: Part(tuple(found[file.path])) if file.path in found else None for file in files}
 
     def _keys(self, files: Sequence[Written]) -> dict[str, dict[str, None]]:
         """The keys that a file's objects have, by file."""
@@ -544,11 +670,11 @@ class _Jsonl(_Text):
 
     def relation(self, names: Sequence[str], types: Mapping[str, str]) -> str:
         pointers = ("/" + name.replace("~", "~0").replace("/", "~1") for name in names)
-        cells = ", ".join(
-            f"nullif(json_extract(json, {quote(pointer)})::VARCHAR, 'null') AS c{place}"
+        cells = "".join(
+            f"nullif(json_extract(json, {quote(pointer)})::VARCHAR, 'null') AS c{place}, "
             for place, pointer in enumerate(pointers)
         )
-        return f"(SELECT {cells}, {identifier(FILE)} FROM {self._objects()})"
+        return f"(SELECT {cells}{identifier(FILE)} FROM {self._objects()})"
 
     def text(self, cell: str) -> str:
         return f"CASE WHEN starts_with({cell}, '\"') THEN json_extract_string({cell}, '$') ELSE {cell} END"
@@ -583,35 +709,35 @@ class _Pairs(list[tuple[str, Any]]):
 class _Parquet(_Reader):
     """Parquet knows its types."""
 
-    def read(self, files: Sequence[Written]) -> Reading:
+    def __init__(self, connection: Any, shape: Shape, target: Path) -> None:
+        super().__init__(connection, shape, target)
+        self._found: Mapping[str, Mapping[str, str]] = {}
+
+    def sort(self, files: Sequence[Written]) -> Mapping[str, Part | None]:
         try:
-            found = self._schemas(files)
+            self._found = self._schemas(files)
         except self.error:
-            files = self._readable(files)
-            found = self._schemas(files) if files else {}
-        if not files:
-            return Reading({}, self.faults, self.shape)
-        names = self.likely(tuple(found[file.path]) for file in files)
-        types = {name: self._type(name, [found[file.path] for file in files]) for name in names}
+            self._found = self._schemas(self._readable(files))
+        return {path: Part(tuple(columns)) for path, columns in self._found.items()}
+
+    def one(self, files: Sequence[Written]) -> list[Written]:
+        names = self.part.names
+        types = {name: self._type(name, files) for name in names}
         for file in files:
-            self._compare(file, found[file.path], names, types)
-        files = self.sound(files)
-        if not files:
-            return Reading({}, self.faults, self.shape)
+            self._compare(file, types)
         try:
-            self._write(files, names, types)
+            self._write(self.sound(files), names, types)
         except self.error:
-            files = self._readable(files)
-            if not files:
-                return Reading({}, self.faults, self.shape)
+            self._readable(self.sound(files))
             try:
-                self._write(files, names, types)
+                self._write(self.sound(files), names, types)
             except self.error as error:
                 raise self.unwritten(error) from error
-        return self.done(files, names, types)
+        return self.done(self.sound(files), types, [name for name in names if types[name] == EMPTY])
 
     def _write(self, files: Sequence[Written], names: Sequence[str], types: Mapping[str, str]) -> None:
-        self.write(files, self._source(), {name: f"CAST(t.{identifier(name)} AS {types[name]})" for name in names})
+        if files:
+            self.write(files, self._source(), {name: f"CAST(t.{identifier(name)} AS {types[name]})" for name in names})
 
     def _source(self) -> str:
         return f"read_parquet($files, filename = {quote(FILE)}, union_by_name = true)"
@@ -639,21 +765,21 @@ class _Parquet(_Reader):
             found[path] = described[key]
         return found
 
-    def _type(self, name: str, found: Sequence[Mapping[str, str]]) -> str:
-        counts = Counter(columns[name] for columns in found if name in columns)
+    def _type(self, name: str, files: Sequence[Written]) -> str:
+        """What most files have in a column, those of other parts included; the widest of numbers, where those are most."""
+        here = Counter(self._found[file.path][name] for file in files)
+        counts = here + self.votes.get(name, Counter())
+        del counts[EMPTY]
         numbers = {kind for kind in counts if is_number(kind)}
         if len(numbers) > 1 and 2 * sum(counts[kind] for kind in numbers) >= sum(counts.values()):
             whole = all("INT" in kind for kind in numbers)
             return HUGE if whole and "UBIGINT" in numbers else "BIGINT" if whole else "DOUBLE"
-        return max(counts, key=lambda kind: (counts[kind], is_number(kind)))
+        return max(counts, key=lambda kind: (counts[kind], is_number(kind)), default=EMPTY)
 
-    def _compare(self, file: Written, has: Mapping[str, str], names: Sequence[str], types: Mapping[str, str]) -> None:
-        if set(has) != set(names):
-            self.fault(file, difference(tuple(has), tuple(names)))
-            return
-        for name, kind in has.items():
-            if kind != types[name] and not (is_number(kind) and is_number(types[name])):
-                self.fault(file, f"column {name!r} is {kind} where its siblings have {types[name]}")
+    def _compare(self, file: Written, types: Mapping[str, str]) -> None:
+        for name, kind in self._found[file.path].items():
+            if kind not in (types[name], EMPTY) and not (is_number(kind) and is_number(types[name])):
+                self.fault(file, f"column {name!r} is {kind} where most have {types[name]}")
 
 
 def _these(files: Sequence[Written]) -> dict[str, list[str]]:
@@ -713,10 +839,10 @@ def _end(ends: list[str]) -> str:
 
 def _is_number(field: str) -> bool:
     try:
-        float(field)
+        number = float(field)
     except ValueError:
         return False
-    return True
+    return "_" not in field and not (math.isinf(number) and any(map(str.isdigit, field)))
 
 
 def split(head: str, delimiter: str) -> tuple[str, ...]:
@@ -731,15 +857,19 @@ def difference(has: tuple[str, ...], names: tuple[str, ...]) -> str:
     """What is wrong with a file's columns, seen from its siblings'."""
     missing = [name for name in names if name not in has]
     extra = [name for name in has if name not in names]
-    doubled = [name for name, count in Counter(has).items() if count > names.count(name) > 0]
     parts = []
     if missing:
-        parts.append(f"lacks the column {', '.join(map(repr, missing))}")
+        parts.append(f"lacks the column{'s' * (len(missing) > 1)} {_few(map(repr, missing))}")
     if extra:
-        parts.append(f"has the further column {', '.join(map(repr, extra))}")
-    if doubled:
-        parts.append(f"has the column {doubled[0]!r} twice")
-    return (" and ".join(parts) or "has its columns in another order") + " (its siblings have " + ", ".join(names) + ")"
+        parts.append(f"has the further column{'s' * (len(extra) > 1)} {_few(map(repr, extra))}")
+    return (" and ".join(parts) or "has its columns in another order") + f" (its siblings have {_few(names)})"
+
+
+def _few(names: Iterable[str]) -> str:
+    """Some names, and how many more there are."""
+    names = list(names)
+    more = f" and {len(names) - FEW} more" if len(names) > FEW + 1 else ""
+    return ", ".join(names[:FEW] if more else names) + more
 
 
 def shown(path: str) -> str:
