@@ -711,3 +711,22 @@ def test_links_pipes_and_odd_names_among_the_outputs_do_no_harm(make: Make) -> N
     project = make("write(good); os.symlink('out.csv', 'link.csv'); os.mkfifo('pipe.csv'); write(good, 'new\\nline.csv')")
     assert run(project).failed == 0
     assert project.store.outputs() == ["new_line", "out"]
+
+
+@pytest.mark.parametrize("kind", ["csv", "jsonl", "parquet"])
+def test_rows_of_a_large_file_keep_their_order(tmp_path: Path, kind: str) -> None:
+    path, count = tmp_path / f"big.{kind}", 250_000
+    pads = [f"{number * 7919 % 1_000_003:06}" * 8 for number in range(count)]
+    match kind:
+        case "csv":
+            path.write_text("tick,pad\n" + "".join(f"{number},x{pad}\n" for number, pad in enumerate(pads)))
+        case "jsonl":
+            path.write_text("".join(f'{{"tick": {number}, "pad": "x{pad}"}}\n' for number, pad in enumerate(pads)))
+        case _:
+            pq.write_table(pa.table({"tick": range(count), "pad": pads}), path, row_group_size=2000)
+    data = path.read_bytes()
+    file = Written(str(path), "run", "execution", path.name, "tick,pad", data.count(b"\n"), True, len(data))
+    connection = duckdb.connect(config={"threads": 4})
+    reading = read(connection, [file], Shape(kind), tmp_path / "table.parquet")
+    assert (dict(reading.faults), list(reading.rows.values())) == ({}, [count])
+    assert pq.read_table(tmp_path / "table.parquet", columns=["tick"])["tick"].to_pylist() == list(range(count))

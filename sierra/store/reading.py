@@ -41,8 +41,6 @@ WHOLE = r" *([+]?[0-9]+|-0*[1-9][0-9]*) *"
 LOGICAL = r" *(?i:true|false) *"
 CONTROL = re.compile(r"[\x00-\x08\x0e-\x1f]")
 """Characters that no column's name has."""
-IN_ONE_GO = 4 << 20
-"""Larger JSON files are read in pieces, which several threads would put in any order."""
 FEW = 10
 """Names of columns that one line shows."""
 AT_ONCE = 50
@@ -287,6 +285,7 @@ class _Reader:
         )
         name = "o.name AS file, " if self.shape.many else ""
         self.sql.register("owners", owners)
+        self.sql.execute("SET threads = 1")  # several would put the pieces of a large file in any order
         try:
             self.sql.execute(
                 f"COPY (SELECT o.run, o.execution, {name}{named} FROM {source} t "
@@ -298,6 +297,7 @@ class _Reader:
             self.target.unlink(missing_ok=True)
             raise
         finally:
+            self.sql.execute("RESET threads")
             self.sql.unregister("owners")
 
     def _count(self, files: Sequence[Written]) -> dict[tuple[str, str], int]:
@@ -635,14 +635,6 @@ class _Csv(_Text):
 
 class _Jsonl(_Text):
     """JSON lines: an object each."""
-
-    def read(self, files: Sequence[Written]) -> Reading:
-        if any(file.bytes >= IN_ONE_GO for file in files):
-            self.sql.execute("SET threads = 1")
-        try:
-            return super().read(files)
-        finally:
-            self.sql.execute("RESET threads")
 
     def sort(self, files: Sequence[Written]) -> Mapping[str, Part | None]:
         try:
