@@ -79,10 +79,10 @@ class Asking:
             if not mine:
                 self._wait(wanted)
                 continue
-            self._execute(mine)
+            odd = self._execute(mine)
             if mine <= self._open and not self.interrupted:
                 raise Missing(f"{self.session.paths.root}: the worker has ended, and said of no run how it went")
-            if len(mine) == len(wanted) and not self._open:
+            if len(mine) == len(wanted) and not self._open and not odd:
                 return
 
     def _wanted(self) -> set[str]:
@@ -97,7 +97,8 @@ class Asking:
         wanted -= self.attempted
         return wanted
 
-    def _execute(self, wanted: AbstractSet[str]) -> None:
+    def _execute(self, wanted: AbstractSet[str]) -> int:
+        """Execute these runs; how many executions, of these or of earlier ones, were found to be unlike their siblings."""
         self._context.save(self.session.paths.context)
         self._claimed |= wanted
         self._open |= wanted
@@ -107,11 +108,13 @@ class Asking:
             try:
                 runner.submit(self._jobs(wanted), self.session.paths)
                 self._follow(runner, recorder, signals)
-                find_odd(self.store, self.session.paths, self._context)
+                odd = find_odd(self.store, self.session.paths, self._context)
+                self.notes += tuple(recorder.notes())
             except BaseException:
                 self._give_up(runner)
                 raise
         self.interrupted = bool(signals)
+        return odd
 
     def _give_up(self, runner: Runner) -> None:
         """End what runs, and record by the journal what had finished; if that fails too, whoever asks next does so."""

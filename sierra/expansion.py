@@ -90,4 +90,4 @@ def run_id(recipe: str, inputs: Iterable[tuple[str, str]], seed: int) -> str:
 
 def exact(value: Value) -> Value:
     """A value as a pre-image holds it: numbers that JSON cannot hold exactly as text."""
-    return str(value) if isinstance(value, int) and abs(value) > 2**53 else value
+    return str(value) if isinstance(value, int) and abs(value) >= 2**53 else value

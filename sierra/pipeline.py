@@ -78,10 +78,9 @@ def run(
         return _summary(plan, store)
     session = Session(store.paths)
     try:
-        if asked.is_kept(plan, store):
-            find_odd(store, session.paths, context(plan, session.id))
-        else:
+        if not asked.is_kept(plan, store):
             asked.keep(plan, store, session.paths)
+        find_odd(store, session.paths, context(plan, session.id))
         asking = Asking(plan, store, session, partial(runners.find(runner), slots), fail_fast, watch)
         asking.answer()
         summary = _sum_up(asking)
@@ -130,7 +129,7 @@ def _summary(
         missing=len(missing),
         interrupted=interrupted,
         failures=tuple(_failures(plan, store, failed)) if failed else (),
-        notes=(*plan.notes, *notes),
+        notes=(*plan.notes, *dict.fromkeys(notes)),
     )
 
 

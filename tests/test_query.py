@@ -69,7 +69,9 @@ SCALES: st.SearchStrategy[Scale] = st.one_of(
     st.builds(lambda step, count: Linear(step * count, count), st.integers(1, 10**9), st.integers(1, 40)),
     steps(),
     spans(),
-    st.lists(st.one_of(WHOLES, FLOATS), min_size=1, max_size=9, unique=True).map(lambda each: Listed(tuple(each))),
+    st.lists(st.one_of(WHOLES, FLOATS), min_size=1, max_size=9, unique=True)
+    .map(lambda each: Listed(tuple(each)))
+    .filter(right),
     st.lists(CATEGORIES, min_size=1, max_size=9, unique=True).map(lambda each: Listed(tuple(each))),
     st.builds(ConstantDensity, POSITIVES, POSITIVES, st.integers(1, 40)),
 )

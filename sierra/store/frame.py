@@ -12,6 +12,7 @@ from sierra.errors import NotFound, SqlError
 from sierra.model import Axis, Value
 from sierra.store import Question, Store, explain, read_parquet
 from sierra.store.reading import identifier
+from sierra.store.segments import is_first_part
 from sierra.store.tables import RECORDED
 
 if TYPE_CHECKING:
@@ -74,7 +75,15 @@ class Frame:
             if segment.files["executions"] in holding:
                 for name, path in segment.outputs():
                     files.setdefault(name, []).append(path)
-        return files
+        return {name: self._counting(paths) for name, paths in files.items()}
+
+    def _counting(self, files: list[str]) -> list[str]:
+        """Of an output whose columns differ, the files with an execution that counts."""
+        if all(map(is_first_part, files)):
+            return files
+        source = read_parquet(files, rows=True)
+        holding = self._question.run(f"SELECT DISTINCT filename FROM {source} SEMI JOIN membership USING (execution)")
+        return [file for file in files if (file,) in holding] or files
 
     def axes(self) -> tuple[Axis, ...]:
         """The batch's axes with their values in order (labels and units are the project's)."""

@@ -3,8 +3,8 @@
     segments/<batch, 12 digits>-<16 digits>/
         MANIFEST                      SHA-256 and name of each file, as `sha256sum -c` reads it
         executions.parquet …          records, a file for each table
-        output.<table>.parquet …      what the runs wrote, a file for each output; where runs may have other
-                                      columns, output.<table>~2.parquet … for those who have
+        output.<table>.parquet …      what the runs wrote, a file for each output; where some have other columns
+                                      than others, output.<table>~2.parquet … for these
 
 The last 16 digits are the beginning of the SHA-256 of MANIFEST, so that a segment's name vouches for all in
 it. A segment is written beside its target, synced and renamed; a name that exists holds the same content.
@@ -43,6 +43,11 @@ class Segment:
         for name, path in self.files.items():
             if name.startswith(OUTPUT):
                 yield name.removeprefix(OUTPUT).partition("~")[0], path
+
+
+def is_first_part(path: str) -> bool:
+    """Whether a file of an output holds those of its rows that have the usual columns."""
+    return "~" not in Path(path).name
 
 
 def listed(folder: Path) -> Iterator[Segment]:

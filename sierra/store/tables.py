@@ -135,7 +135,7 @@ RECORDED = {
             ("kind", TEXT, "table, file or log"),
             ("output", TEXT, "the declared or found output that it belongs to: the table's name"),
             ("size", INT, "its size", "bytes"),
-            ("sha256", ID, "SHA-256 of its bytes"),
+            ("sha256", ID, "SHA-256 of its bytes; of a log over 1 MiB, of what is kept of it, its beginning and end"),
             ("rows", INT, "rows it gave its table", "1"),
             (
                 "form",

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 from sierra.store.reading import column_names, identifier, quote
-from sierra.store.segments import Segment
+from sierra.store.segments import Segment, is_first_part
 from sierra.store.tables import DERIVED, RECORDED
 
 NEEDS = {
@@ -146,7 +146,7 @@ class Views:
     def _output(self, name: str) -> str:
         self._make("counting")
         self._make("points")
-        source = read_parquet(self._outputs[name], union=True)
+        source = read_parquet(self._holding(self._outputs[name]), union=True)
         axes = self.axes()
         theirs = [row[0] for row in self._sql.execute(f"DESCRIBE SELECT * FROM {source}").fetchall()]
         free = column_names(theirs, taken=axes)
@@ -157,6 +157,15 @@ class Views:
             f"SELECT {ours}p.number, o.*{rename} FROM {source} o JOIN points p ON o.run = p.run "
             f"WHERE o.execution IN (SELECT execution FROM ({COUNTED}))"
         )
+
+    def _holding(self, files: list[str]) -> list[str]:
+        """Of an output whose columns differ, the files with an execution that counts: others have columns that nobody sees."""
+        if all(map(is_first_part, files)):
+            return files
+        source = read_parquet(files, rows=True)
+        statement = f"SELECT DISTINCT filename FROM {source} WHERE execution IN (SELECT execution FROM ({COUNTED}))"
+        holding = {row[0] for row in self._sql.execute(statement).fetchall()}
+        return [file for file in files if file in holding] or files
 
 
 COUNTING = """
