@@ -1,8 +1,14 @@
 """From a query to a design: the axes, and what each experiment and each run changes in the template.
 
 Changes are made in this order, later ones over earlier ones: the platform's, the project's own, the
-controller's, the scenario's, the criteria's (in their order), `--set`; then, in each run, the seed and the
-project's `run_changes`.
+controller's, the scenario's, the criteria's (in their order, the platform's own last), `--set`; then, in each run,
+the seed and the project's `run_changes`.
+
+A platform's own criterion may depend on what the template has become: a density needs the arena. So it is asked
+with all other changes made, once for each combination of the other axes' values, and must span the same axis for all.
+
+Where one axis, or `--set`, changes what an axis has set before, its values would be untrue, however the paths are
+written: so what each has set is set again at the end, and must change nothing.
 """
 
 from __future__ import annotations
@@ -11,11 +17,15 @@ import difflib
 import itertools
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Protocol
 
 from sierra import scales
 from sierra.config import ChangeTable, Group, Project
-from sierra.errors import ConfigError, QueryError
+from sierra.errors import ConfigError, QueryError, TemplateError
 from sierra.model import (
     Add,
     Axis,
@@ -39,28 +49,73 @@ AT_MOST = 1_000_000
 """Runs that a batch may have."""
 
 
-def design(query: Query, project: Project, platform: Platform, template: Reader) -> Design:
-    """What `query` asks for. Raises QueryError, ConfigError for names that are not there."""
-    spanned = [_span(criterion, project, platform, template) for criterion in query.criteria]
-    axes = tuple(axis for axis, _ in spanned)
-    _check_independent(spanned)
-    _check_count(query, axes)
-    chosen = _chosen(query, project, axes)
+class Document(Protocol):
+    """A template with changes made; see `sierra.inputs.Document`."""
+
+    def render(self) -> bytes: ...
+
+
+class Template(Reader, Protocol):
+    """What a design asks of a template; see `sierra.inputs.Template`."""
+
+    def __init__(self, data: bytes, name: str) -> None: ...
+
+    def changed(self, changes: Sequence[Change], values: Mapping[str, Value]) -> Document: ...
+
+
+Spanned = tuple[Axis, tuple[Point, ...]]
+Placed = tuple[Axis, Point]
+
+
+@dataclass(frozen=True)
+class Changed:
+    """A template as changes leave it. They are made when it is first asked."""
+
+    template: Template
+    changes: tuple[Change, ...]
+    values: Mapping[str, Value]
+
+    def find(self, path: str) -> tuple[str, ...]:
+        return self._read.find(path)
+
+    def again(self, changes: Iterable[Change]) -> bytes:
+        """As a file, with more changes made."""
+        return self.template.changed((*self.changes, *changes), self.values).render()
+
+    def but(self, changes: Sequence[Change]) -> Changed:
+        return Changed(self.template, tuple(change for change in self.changes if change not in changes), self.values)
+
+    @cached_property
+    def rendered(self) -> bytes:
+        return self.again(())
+
+    @cached_property
+    def _read(self) -> Template:
+        return type(self.template)(self.rendered, "the changed template")
+
+
+def design(query: Query, project: Project, platform: Platform, template: Template) -> Design:
+    """What `query` asks for. Raises QueryError, ConfigError for names that are not there; TemplateError."""
+    chosen = _chosen(query, project)
     common = (
         *platform.changes(template),
         *changes(project.changes, "sierra.toml: changes"),
-        *(change for kind, name in chosen.items() if name for change in _group(project, kind, name)),
+        *(change for kind, name in chosen.items() for change in _group(project, kind, name)),
     )
-    cells = tuple(
-        _cell(ordinal, axes, points, chosen, common, query.sets)
-        for ordinal, points in enumerate(itertools.product(*(points for _, points in spanned)))
-    )
+    before = Changed(template, common, chosen)
+    spans = _spans(query, project, platform, before)
+    placed = tuple(_cells(query, spans, before))
+    cells = tuple(cell for cell, _ in placed)
     per_run = (*_seed_changes(project, platform), *changes(project.run_changes, "sierra.toml: run_changes"))
-    _check_lists(project, axes)
+    _check_lists(project, spans.axes)
     _check_effect(project, cells, per_run)
+    for cell, where in placed:
+        made = Changed(template, cell.changes, cell.values)
+        platform.check(made)
+        _check_lasting(made, where, query.sets)
     return Design(
         query=query,
-        axes=axes,
+        axes=spans.axes,
         cells=cells,
         per_run=per_run,
         lists=dict(project.per_run),
@@ -86,29 +141,99 @@ def _change(table: ChangeTable, why: str, value: str | None) -> Change:
     return Rename(table.rename or "", table.to or "", table.expect, why)
 
 
-def _span(criterion: Criterion, project: Project, platform: Platform, template: Reader) -> tuple[Axis, tuple[Point, ...]]:
-    """The axis of one criterion, and what each of its values changes."""
-    if isinstance(criterion.scale, MonteCarlo):
-        values = scales.values(criterion.scale)
-        return Axis(criterion.name, values), tuple(Point(v, (), stream) for stream, v in enumerate(values))
-    if criterion.name in GROUPED:
-        return _grouped(criterion, project)
-    if criterion.name in project.variables:
-        variable = project.variables[criterion.name]
-        why = f"variable {criterion.name!r}"
-        own = "{" + criterion.name + "}"
-        first = (Set(variable.set, own, why=why),) if variable.set else ()
-        made = (*first, *changes(variable.changes, why, own))
-        values = scales.values(criterion.scale)
-        axis = Axis(criterion.name, values, variable.label, variable.unit)
-        return axis, tuple(Point(value, made) for value in values)
+@dataclass(frozen=True, slots=True)
+class Spans:
+    """All axes with their points. Those of the platform's own axes depend on where one is on the others."""
+
+    axes: tuple[Axis, ...]
+    own: tuple[bool, ...]
+    """Which axes are the platform's own."""
+    points: Mapping[tuple[int, ...], tuple[tuple[Point, ...], ...]]
+    """Of each axis, by the places on the others; where no axis is the platform's own, by ()."""
+
+    def at(self, places: tuple[int, ...]) -> list[Placed]:
+        """One point of each axis, as their changes are made: the platform's own last."""
+        others = tuple(place for place, own in zip(places, self.own, strict=True) if not own)
+        points = self.points[others if any(self.own) else ()]
+        placed = [(axis, all_of[place]) for axis, all_of, place in zip(self.axes, points, places, strict=True)]
+        theirs = itertools.compress(placed, self.own)
+        return [pair for pair, own in zip(placed, self.own, strict=True) if not own] + list(theirs)
+
+
+def _spans(query: Query, project: Project, platform: Platform, common: Changed) -> Spans:
+    """What the criteria mean. Raises QueryError where one of the platform's own spans several axes."""
+    known = [_span(criterion, project) for criterion in query.criteria]
+    own = tuple(span is None for span in known)
+    others = [span for span in known if span is not None]
+    _check_count(query, [axis for axis, _ in others])
+    others = others if any(own) else []
+    names = [criterion.name for criterion, theirs in zip(query.criteria, own, strict=True) if theirs]
+    found: dict[tuple[int, ...], tuple[Spanned, ...]] = {}
+    for places in itertools.product(*(range(len(axis.values)) for axis, _ in others)):
+        chosen = [(axis, points[place]) for (axis, points), place in zip(others, places, strict=True)]
+        here = _without(common, chosen, query.sets, names)
+        found[places] = tuple(
+            span or _asked(criterion, project, platform, here) for criterion, span in zip(query.criteria, known, strict=True)
+        )
+        _check_same(next(iter(found.values())), found[places], chosen)
+    first = next(iter(found.values()))
+    axes = tuple(axis for axis, _ in first)
+    _check_independent(first)
+    _check_count(query, axes)
+    return Spans(axes, own, {places: tuple(points for _, points in spanned) for places, spanned in found.items()})
+
+
+def _without(common: Changed, chosen: Sequence[Placed], sets: Sequence[Set], names: Sequence[str]) -> Changed:
+    """What an input is without the criteria of these names, and without what uses a value of theirs."""
+    made = (*common.changes, *(change for _, point in chosen for change in point.changes), *sets)
+    apart = tuple(change for change in made if not any(_mentions(change, name) for name in names))
+    return Changed(common.template, apart, {**common.values, **{axis.name: point.value for axis, point in chosen}})
+
+
+def _asked(criterion: Criterion, project: Project, platform: Platform, template: Reader) -> Spanned:
     found = platform.criterion(criterion, template)
     if found is None:
         raise QueryError(_unknown(criterion.name, project, platform))
     return found
 
 
-def _check_independent(spanned: Sequence[tuple[Axis, tuple[Point, ...]]]) -> None:
+def _check_same(first: Sequence[Spanned], here: Sequence[Spanned], chosen: Sequence[Placed]) -> None:
+    """An axis has one meaning in a batch; `first` is what the axes are at the first value of each."""
+    for (one, _), (other, _) in zip(first, here, strict=True):
+        if one != other:
+            starts = {axis.name: axis.values[0] for axis, _ in chosen}
+            differ = [(axis.name, point.value) for axis, point in chosen if point.value != starts[axis.name]]
+            there = ", ".join(f"{name}={starts[name]}" for name, _ in differ)
+            where = ", ".join(f"{name}={value}" for name, value in differ)
+            raise QueryError(
+                f"{one.name} is {_few(one)} with {there}, but {_few(other)} with {where}; ask for one of these at a time"
+            )
+
+
+def _few(axis: Axis) -> str:
+    return ", ".join(map(str, axis.values[:4])) + (", …" if len(axis.values) > 4 else "")
+
+
+def _span(criterion: Criterion, project: Project) -> Spanned | None:
+    """The axis of one criterion, and what each of its values changes; None where only the platform may know it."""
+    if isinstance(criterion.scale, MonteCarlo):
+        values = scales.values(criterion.scale)
+        return Axis(criterion.name, values), tuple(Point(v, (), stream) for stream, v in enumerate(values))
+    if criterion.name in GROUPED:
+        return _grouped(criterion, project)
+    if criterion.name not in project.variables:
+        return None
+    variable = project.variables[criterion.name]
+    why = f"variable {criterion.name!r}"
+    own = "{" + criterion.name + "}"
+    first = (Set(variable.set, own, why=why),) if variable.set else ()
+    made = (*first, *changes(variable.changes, why, own))
+    values = scales.values(criterion.scale)
+    axis = Axis(criterion.name, values, variable.label, variable.unit)
+    return axis, tuple(Point(value, made) for value in values)
+
+
+def _check_independent(spanned: Sequence[Spanned]) -> None:
     """Two axes that set the same thing would make each other's values untrue."""
     setters: dict[tuple[str, str | None], str] = {}
     for axis, points in spanned:
@@ -182,33 +307,46 @@ def _group(project: Project, kind: str, name: str) -> tuple[Change, ...]:
     return changes(groups[name].changes, f"{kind} {name!r}")
 
 
-def _chosen(query: Query, project: Project, axes: tuple[Axis, ...]) -> dict[str, str | None]:
+def _chosen(query: Query, project: Project) -> dict[str, str]:
     """Controller and scenario where they are no axes: asked for, or the project's own."""
-    chosen: dict[str, str | None] = {}
-    spanned = {axis.name for axis in axes}
+    chosen: dict[str, str] = {}
+    spanned = {criterion.name for criterion in query.criteria}
     for kind in GROUPED:
         asked = getattr(query, kind)
         if kind in spanned:
             if asked:
                 raise QueryError(f"{kind} is an axis of this query; leave out --{kind} {asked}")
-            continue
-        chosen[kind] = asked or getattr(project, kind)
+        elif name := asked or getattr(project, kind):
+            chosen[kind] = name
     return chosen
 
 
-def _cell(
-    ordinal: int,
-    axes: tuple[Axis, ...],
-    points: tuple[Point, ...],
-    chosen: Mapping[str, str | None],
-    common: tuple[Change, ...],
-    sets: tuple[Set, ...],
-) -> Cell:
-    values: dict[str, Value] = {axis.name: point.value for axis, point in zip(axes, points, strict=True)}
-    names = {kind: name for kind, name in chosen.items() if name}
-    own = tuple(change for point in points for change in point.changes)
-    stream = max((point.stream for point in points), default=0)
-    return Cell(ordinal, {**names, **values}, (*common, *own, *sets), stream)
+def _cells(query: Query, spans: Spans, common: Changed) -> Iterator[tuple[Cell, list[Placed]]]:
+    """The experiments, each with its place on the axes."""
+    every = itertools.product(*(range(len(axis.values)) for axis in spans.axes))
+    for ordinal, places in enumerate(every):
+        placed = spans.at(places)
+        values = {axis.name: axis.values[place] for axis, place in zip(spans.axes, places, strict=True)}
+        own = (change for _, point in placed for change in point.changes)
+        stream = max((point.stream for _, point in placed), default=0)
+        yield Cell(ordinal, {**common.values, **values}, (*common.changes, *own, *query.sets), stream), placed
+
+
+def _check_lasting(made: Changed, placed: Sequence[Placed], sets: Sequence[Set]) -> None:
+    """What an axis sets is still so in the end: set again, nothing changes. Raises QueryError where it isn't."""
+    later = [(f"{axis.name}={point.value}", point.changes) for axis, point in placed]
+    later += [(f"--set {change.path}", (change,)) for change in sets]
+    for number, (name, changes) in enumerate(later[: len(placed)], 1):
+        own = tuple(change for change in changes if isinstance(change, Set))
+        if own and later[number:] and not _lasts(made, own):
+            who = next((who for who, theirs in later[number:] if _lasts(made.but(theirs), own)), "what comes later")
+            raise QueryError(f"{name} does not last: {who} changes what it sets; ask for one of them, or in another order")
+
+
+def _lasts(made: Changed, own: tuple[Set, ...]) -> bool:
+    with suppress(TemplateError):  # what selects by the value that it sets selects nothing now
+        return made.again(own) == made.rendered
+    return True
 
 
 def _seed_changes(project: Project, platform: Platform) -> tuple[Change, ...]:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import json
+import subprocess
 from collections.abc import Mapping
 from contextlib import suppress
 from fractions import Fraction
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -18,6 +21,7 @@ from sierra.errors import ConfigError, QueryError, TemplateError
 from sierra.inputs.xml import XmlTemplate
 from sierra.model import Change, Criterion, MonteCarlo
 from sierra.platforms.argos import Argos, Size
+from tests import projects
 
 TEMPLATE = """<?xml version="1.0"?>
 <argos-configuration>
@@ -98,17 +102,28 @@ def make(changes: tuple[Change, ...], template: str = TEMPLATE, controller: str 
 
 
 def prepared(template: str = TEMPLATE, **options: object) -> Made:
-    return make(platform(**options).changes(reader(template)), template)
+    """What the platform makes of a template, and accepts."""
+    driven = platform(**options)
+    changes = driven.changes(reader(template))
+    driven.check(changed(template, changes))
+    return make(changes, template)
+
+
+def changed(template: str, changes: tuple[Change, ...]) -> XmlTemplate:
+    """A template to be asked, once changes are made, as a design does it."""
+    values: dict[str, int | float | str] = {"controller": "foraging"}
+    return XmlTemplate(reader(template).changed(changes, values).render(), "t.argos")
 
 
 def experiments(criterion: str, template: str = TEMPLATE, **options: object) -> dict[Any, Made]:
     """What a criterion makes of the template, by the axis' values."""
     driven, read = platform(**options), reader(template)
-    answer = driven.criterion(query.parse(criterion), read)
+    common = driven.changes(read)
+    answer = driven.criterion(query.parse(criterion), changed(template, common))
     assert answer is not None
     axis, points = answer
     assert axis.values == tuple(point.value for point in points)
-    return {point.value: make((*driven.changes(read), *point.changes), template) for point in points}
+    return {point.value: make((*common, *point.changes), template) for point in points}
 
 
 def one(made: Made, path: str) -> str:
@@ -570,7 +585,8 @@ def test_constant_density_is_refused_or_exact(density: object, increment: object
 )
 def test_criteria_that_need_or_make_an_arena_set_its_size(criterion: str) -> None:
     """So that a design can see that two of them contradict each other: they change the same."""
-    answer = platform(arena="20x20").criterion(query.parse(criterion), reader())
+    driven = platform(arena="20x20")
+    answer = driven.criterion(query.parse(criterion), changed(TEMPLATE, driven.changes(reader())))
     assert answer is not None
     assert all("/argos-configuration/arena/@size" in {c.path for c in point.changes} for point in answer[1])
 
@@ -595,3 +611,241 @@ def test_hostile_ids_of_walls_are_told_in_one_line_or_fine(hostile: str) -> None
     assert len(str(told.value).splitlines()) == 1
     made = prepared(instead('"wall_north"', f'"wall{hostile}"'), arena="10x8")
     assert len(made.xpath("arena/box[@size='10,0.1,0.5']")) == 2
+
+
+# Batches, with a program in ARGoS' place that says what it was given
+
+SEEN = """\
+import sys
+import xml.etree.ElementTree as ET
+
+root = ET.parse(sys.argv[1]).getroot()
+arena = root.find("arena")
+x, y, _ = arena.get("size").split(",")
+robots = next(entity for entity in arena.iter("entity") if entity.find("foot-bot") is not None)
+walls = [box.get("size") for box in arena.iter("box") if box.get("id").startswith("wall")]
+with open("seen.csv", "w") as file:
+    print("x,y,robots,length,walls", file=file)
+    length = root.find("framework/experiment").get("length")
+    fitting = sum(wall in (f"{float(x):g},0.1,0.5", f"0.1,{float(y):g},0.5") for wall in walls)
+    print(float(x), float(y), robots.get("quantity"), length, fitting, sep=",", file=file)
+"""
+CONFIG = """\
+template = "arena.argos"
+platform = "argos"
+command = "{python} {project}/sim.py {input}"
+controller = "foraging"
+runs = 1
+[platforms.argos]
+arena = "10x10"
+[controllers.foraging]
+[variables]
+seconds = "/argos-configuration/framework/experiment[1]/@length"
+length = "//experiment/@length"
+"""
+BIG = """
+[scenarios.big]
+changes = [
+    { set = "//arena/@size", value = "20,20,2" },
+    { set = "//box[@id='wall_north']/body/@position", value = "0,10,0" },
+    { set = "//box[@id='wall_south']/body/@position", value = "0,-10,0" },
+    { set = "//box[@id='wall_east']/body/@position", value = "10,0,0" },
+    { set = "//box[@id='wall_west']/body/@position", value = "-10,0,0" },
+]
+[scenarios.plain]
+"""
+
+
+def argos_project(folder: Path, config: str = CONFIG, template: str = TEMPLATE) -> Path:
+    projects.make(folder, config, simulator=SEEN)
+    (folder / "arena.argos").write_text(template)
+    return folder
+
+
+def seen(folder: Path, *words: str) -> list[dict[str, Any]]:
+    """What the runs of a query were given, in the order of its experiments."""
+    ran = projects.sierra(folder, "run", *words, "--no-figures")
+    assert ran.returncode == 0, ran.stderr + ran.stdout
+    asked = projects.sierra(folder, "sql", "--json", "SELECT x, y, robots, length, walls FROM seen ORDER BY robots, x, length")
+    assert asked.returncode == 0, asked.stderr
+    rows: list[dict[str, Any]] = json.loads(asked.stdout)
+    return rows
+
+
+def refused(folder: Path, *words: str) -> str:
+    """The one line that says why a query is none."""
+    ran = projects.quick(folder, "run", *words, "-n")
+    assert ran.returncode == 2, ran.stderr + ran.stdout
+    assert len(ran.stderr.splitlines()) == 1
+    return ran.stderr
+
+
+@pytest.mark.parametrize(
+    ("criterion", "expected"),
+    [
+        ("population_variable_density.1p0.3p0.C3", [(20, 4), (20, 8), (20, 12)]),
+        ("population_constant_density.1p0.I10.C2", [(20, 4), (30, 9)]),
+    ],
+)
+def test_a_density_is_that_of_the_scenarios_arena(tmp_path: Path, criterion: str, expected: list[tuple[int, int]]) -> None:
+    rows = seen(argos_project(tmp_path / "p", CONFIG + BIG), criterion, "--scenario", "big")
+    assert [(row["x"], row["robots"]) for row in rows] == expected
+
+
+def test_a_density_is_that_of_an_arena_that_is_set_on_the_command_line(tmp_path: Path) -> None:
+    template = TEMPLATE.replace('id="wall_', 'id="block_')
+    folder = argos_project(tmp_path / "p", CONFIG.replace('arena = "10x10"', ""), template)
+    rows = seen(folder, "population_variable_density.1p0.2p0.C2", "--set", "//arena/@size=20,10,2")
+    assert [(row["x"], row["y"], row["robots"]) for row in rows] == [(20, 10, 2), (20, 10, 4)]
+
+
+def test_a_growing_arena_takes_its_walls_along(tmp_path: Path) -> None:
+    rows = seen(argos_project(tmp_path / "p"), "population_constant_density.1p0.I10.C3")
+    assert [(row["x"], row["robots"], row["walls"]) for row in rows] == [(10, 1, 4), (20, 4, 4), (30, 9, 4)]
+
+
+def test_a_fixed_arena_contradicts_one_that_grows(tmp_path: Path) -> None:
+    told = refused(argos_project(tmp_path / "p"), "population_constant_density.1p0.I10.C3", "--set", "//arena/@size=20,20,2")
+    assert "does not last: --set //arena/@size changes what it sets" in told
+
+
+def test_a_density_means_one_thing_in_a_batch(tmp_path: Path) -> None:
+    folder = argos_project(tmp_path / "p", CONFIG + BIG)
+    told = refused(folder, "scenario=plain,big", "population_variable_density.1p0.3p0.C3")
+    assert "population_variable_density is 1, 2, 3 with scenario=plain, but 4, 8, 12 with scenario=big; ask for one" in told
+
+
+@pytest.mark.parametrize("query", [("population_variable_density.1p0.3p0.C3",), ("population_size.Log4",)])
+def test_a_population_that_is_set_otherwise_is_no_axis(tmp_path: Path, query: tuple[str, ...]) -> None:
+    told = refused(argos_project(tmp_path / "p"), *query, "--set", "//entity/@quantity=7")
+    assert "=1 does not last: --set //entity/@quantity changes what it sets" in told
+
+
+def test_two_axes_may_not_set_the_same_by_different_paths(tmp_path: Path) -> None:
+    told = refused(argos_project(tmp_path / "p"), "length=30,60", "seconds=10,20")
+    assert "length=30 does not last: seconds=10 changes what it sets; ask for one of them" in told
+
+
+def test_what_a_later_axis_adds_has_the_value_of_an_earlier_one_only_in_the_right_order(tmp_path: Path) -> None:
+    """Robots that a scenario adds would not have the value that the axis before it sets in all robots."""
+    more = """
+speed = "//wheel_turning/@max_speed"
+[scenarios.more]
+changes = [{ add = "//controllers", xml = '<other id="other"><params><wheel_turning max_speed="3"/></params></other>' }]
+"""
+    folder = argos_project(tmp_path / "p", CONFIG + more)
+    told = refused(folder, "speed=1,2", "scenario=more")
+    assert "speed=1 does not last: scenario=more changes what it sets; ask for one of them, or in another order" in told
+    assert projects.quick(folder, "run", "scenario=more", "speed=1,2", "-n").returncode == 0
+
+
+def test_other_axes_combine_with_the_platforms_own(tmp_path: Path) -> None:
+    rows = seen(argos_project(tmp_path / "p"), "population_size.Log2", "length=30,60", "arena=10x10,20x20")
+    assert {(row["robots"], row["length"], row["x"]) for row in rows} == {
+        (robots, length, side) for robots in (1, 2) for length in (30, 60) for side in (10, 20)
+    }
+    assert all(row["walls"] == 4 for row in rows)
+
+
+def test_a_length_may_come_from_the_projects_own_changes(tmp_path: Path) -> None:
+    config = 'changes = [{ set = "//experiment/@length", value = 30 }]\n' + CONFIG
+    rows = seen(argos_project(tmp_path / "p", config, instead('length="60"', 'length="0"')), "population_size=1")
+    assert rows[0]["length"] == 30
+
+
+@pytest.mark.parametrize("words", [("population_size=1", "--set", "//experiment/@length=0"), ("length=60,0",)])
+def test_whoever_makes_a_run_endless_is_refused(tmp_path: Path, words: tuple[str, ...]) -> None:
+    assert "would run for ever" in refused(argos_project(tmp_path / "p"), *words)
+
+
+def test_threads_that_would_hang_are_refused_whoever_asks_for_them(tmp_path: Path) -> None:
+    template = instead('threads="4"', 'threads="4" method="balance_length"')
+    told = refused(argos_project(tmp_path / "p", template=template), "population_size=1", "--set", "//system/@threads=2")
+    assert "hangs with 2 threads" in told
+
+
+def test_an_example_of_argos_own_becomes_this() -> None:
+    """As examples are written: paths from the project's folder, blanks in sizes, no length, a camera."""
+    template = """<argos-configuration>
+  <framework>
+    <system threads="0" />
+    <experiment length="0"
+                ticks_per_second="10"
+                random_seed="124" />
+  </framework>
+  <arena size="5, 5, 1" center="0,0,0.5">
+    <box id="wall_north" size="4,0.1,0.5" movable="false"><body position="0,2,0" orientation="0,0,0" /></box>
+    <box id="wall_south" size="4,0.1,0.5" movable="false"><body position="0,-2,0" orientation="0,0,0" /></box>
+    <box id="wall_east" size="0.1,4,0.5" movable="false"><body position="2,0,0" orientation="0,0,0" /></box>
+    <box id="wall_west" size="0.1,4,0.5" movable="false"><body position="-2,0,0" orientation="0,0,0" /></box>
+    <distribute>
+      <position method="uniform" min="-2,-2,0" max="2,2,0" />
+      <entity quantity="10" max_trials="100"><foot-bot id="fb"><controller config="fdc" /></foot-bot></entity>
+    </distribute>
+    <distribute>
+      <position method="uniform" min="-2,-2,0" max="2,2,0" />
+      <entity quantity="5" max_trials="100"><box id="b" size="0.3,0.3,0.5" movable="false" /></entity>
+    </distribute>
+  </arena>
+  <visualization><qt-opengl><camera /></qt-opengl></visualization>
+</argos-configuration>
+"""
+    driven = platform(length=20, arena="6x6")
+    common = driven.changes(reader(template))
+    answer = driven.criterion(query.parse("population_constant_density.20p0.I2.C2"), changed(template, common))
+    assert answer is not None
+    made = make((*common, *answer[1][1].changes, *driven.seed_changes()), template)
+    assert (
+        etree.tostring(made, encoding="unicode")
+        == """<argos-configuration>
+  <framework>
+    <system threads="0"/>
+    <experiment length="20" ticks_per_second="10" random_seed="7"/>
+  </framework>
+  <arena size="8,8,1" center="0,0,0.5">
+    <box id="wall_north" size="8,0.1,0.5" movable="false"><body position="0,3.95,0" orientation="0,0,0"/></box>
+    <box id="wall_south" size="8,0.1,0.5" movable="false"><body position="0,-3.95,0" orientation="0,0,0"/></box>
+    <box id="wall_east" size="0.1,8,0.5" movable="false"><body position="3.95,0,0" orientation="0,0,0"/></box>
+    <box id="wall_west" size="0.1,8,0.5" movable="false"><body position="-3.95,0,0" orientation="0,0,0"/></box>
+    <distribute>
+      <position method="uniform" min="-3.9,-3.9,0" max="3.9,3.9,0"/>
+      <entity quantity="12" max_trials="100"><foot-bot id="fb"><controller config="fdc"/></foot-bot></entity>
+    </distribute>
+    <distribute>
+      <position method="uniform" min="-3.9,-3.9,0" max="3.9,3.9,0"/>
+      <entity quantity="5" max_trials="100"><box id="b" size="0.3,0.3,0.5" movable="false"/></entity>
+    </distribute>
+  </arena>
+</argos-configuration>"""
+    )
+
+
+# Libraries
+
+
+def test_libraries_are_sought_from_the_projects_folder_and_where_they_are_built() -> None:
+    assert platform().environment() == {"ARGOS_PLUGIN_PATH": "{project}:{project}/build"}
+    assert platform(libraries=["lib", "a/b"]).environment() == {"ARGOS_PLUGIN_PATH": "{project}:{project}/lib:{project}/a/b"}
+
+
+@pytest.mark.parametrize("folder", ["", ".", "..", "/lib", "a/../..", "a:b", "{seed}", "a,b"])
+def test_libraries_are_below_the_project(folder: str) -> None:
+    with pytest.raises(ConfigError, match=r'libraries: .* is not a folder below the project; use one as in \["build"\]'):
+        platform(libraries=[folder])
+
+
+def test_a_library_that_is_built_anew_makes_runs_execute_again_though_git_ignores_it(tmp_path: Path) -> None:
+    folder = argos_project(tmp_path / "p")
+    subprocess.run(["git", "init", "-q"], cwd=folder, check=True)
+    (folder / ".gitignore").write_text("build/\n")
+    library = folder / "build" / "controllers" / "libforaging.so"
+    library.parent.mkdir(parents=True)
+
+    def executed(content: str) -> int:
+        library.write_text(content)
+        ran = projects.sierra(folder, "run", "population_size=1", "--no-figures", "--json")
+        assert ran.returncode == 0, ran.stderr
+        count: int = json.loads(ran.stdout)["executed"]
+        return count
+
+    assert [executed("one"), executed("one"), executed("two")] == [1, 0, 1]

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Mapping
-from typing import Any
+from pathlib import Path
+from typing import Any, ClassVar
 
 import pytest
+from pydantic import ConfigDict
 
-from sierra import config, jobs, query
+from sierra import config, jobs, platforms, query
+from sierra.errors import ConfigError, TemplateError
 from sierra.inputs.xml import XmlTemplate
 from sierra.model import Add, Axis, Change, Criterion, Point, Remove, Rename, Set
 from sierra.platforms import Platform, Reader, conformance
@@ -60,6 +63,8 @@ def test_argos_conforms_with_all_its_options() -> None:
 def test_command_conforms() -> None:
     project = config.parse({"template": "t.xml", "command": "python3 sim.py {input} {seed}"}, "sierra.toml")
     conformance.gives_the_same_answers(Command, project, TEMPLATE, {})
+    conformance.says_what_its_options_are(Command(project))
+    conformance.checks_in_one_line(Command(project), TEMPLATE)
     conformance.changes_are_well_formed(Command(project), TEMPLATE)
     conformance.seed_changes_are_well_formed(Command(project))
     conformance.says_none_for_unknown_criteria(Command(project), TEMPLATE)
@@ -87,6 +92,8 @@ def span(*values: Any, name: str = "speed", changes: tuple[Change, ...] | None =
 class Sound:
     """A platform that conforms; the tests break one answer of it each."""
 
+    Options: ClassVar[type[config.Table]] = config.Table
+
     def __init__(self, project: config.Project) -> None:
         config.options(config.Table, project.platforms.get("sound", {}), "[platforms.sound]")
 
@@ -101,6 +108,9 @@ class Sound:
 
     def criteria(self) -> Mapping[str, str]:
         return {"speed": "how fast"}
+
+    def check(self, document: Reader) -> None:
+        pass
 
     def command(self) -> tuple[str, ...]:
         return ("sound", "{input}")
@@ -207,6 +217,67 @@ def test_options_that_nobody_reads_are_noticed() -> None:
 
     with pytest.raises(AssertionError, match="is no ConfigError"):
         check(Broken)
+
+
+def test_options_that_take_anything_are_noticed() -> None:
+    class Anything(config.Table):
+        model_config = ConfigDict(extra="allow")
+
+    class Broken(Sound):
+        Options = Anything
+
+    with pytest.raises(AssertionError, match="takes the unknown option"):
+        check(Broken)
+
+
+def test_a_check_that_answers_or_rambles_is_noticed() -> None:
+    class Answers(Sound):
+        def check(self, document: Reader) -> Any:
+            return False
+
+    with pytest.raises(AssertionError, match="is False, not None"):
+        check(Answers)
+
+    class Rambles(Sound):
+        def check(self, document: Reader) -> None:
+            raise TemplateError("no\nno")
+
+    with pytest.raises(AssertionError, match="is not one line"):
+        check(Rambles)
+
+
+@pytest.mark.parametrize("driving", ["command", "argos"])
+def test_the_options_of_a_platform_are_checked_whichever_drives(driving: str) -> None:
+    project = config.parse(
+        {"template": "t.xml", "platform": driving, "command": "x {input}", "platforms": {"argos": {"lenght": 3}}}, "sierra.toml"
+    )
+    with pytest.raises(ConfigError, match=r"\[platforms.argos\]: .*lenght.*length"):
+        platforms.find(driving, project)
+
+
+def test_options_of_a_platform_that_is_not_there_are_told_those_that_are() -> None:
+    project = config.parse({"template": "t.xml", "command": "x {input}", "platforms": {"argus": {}}}, "sierra.toml")
+    with pytest.raises(ConfigError, match=r"\[platforms.argus\]: unknown platform 'argus'; known are command, argos"):
+        platforms.find("command", project)
+
+
+def test_an_installed_platform_and_its_options_are_found_by_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "soundly.py").write_text(
+        "from sierra.config import Table\n"
+        "class Options(Table):\n    volume: int = 1\n"
+        "class Soundly:\n    Options = Options\n    def __init__(self, project): self.project = project\n"
+    )
+    info = tmp_path / "soundly-1.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: soundly\nVersion: 1\n")
+    (info / "entry_points.txt").write_text("[sierra.platforms]\nsoundly = soundly:Soundly\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    table = {"template": "t.xml", "platform": "soundly", "command": "x {input}", "platforms": {"soundly": {"volume": 2}}}
+    assert "soundly" in platforms.names()
+    assert type(platforms.find("soundly", config.parse(table, "sierra.toml"))).__name__ == "Soundly"
+    wrong = config.parse({**table, "platform": "command", "platforms": {"soundly": {"volumes": 2}}}, "sierra.toml")
+    with pytest.raises(ConfigError, match=r"\[platforms.soundly\]: .*volume"):
+        platforms.find("command", wrong)
 
 
 def test_answers_that_change_are_noticed() -> None:

@@ -7,10 +7,10 @@ each naming a class that fulfils `Platform`; `sierra.platforms.conformance` hold
 from __future__ import annotations
 
 from collections.abc import Mapping
-from importlib import import_module
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol
 
-from sierra.config import Project
+from sierra import plugins
+from sierra.config import Project, Table, options
 from sierra.errors import ConfigError
 from sierra.model import Axis, Change, Criterion, Point
 
@@ -21,7 +21,7 @@ SHIPPED = {
 
 
 class Reader(Protocol):
-    """What a platform may ask of a template."""
+    """What a platform may ask of a template, be it as it is in its file or as changes have left it."""
 
     def find(self, path: str) -> tuple[str, ...]:
         """The text of each attribute, text or element that an XPath 1.0 expression selects, in document order."""
@@ -35,12 +35,15 @@ class Platform(Protocol):
     what they return becomes part of what a run's identity is made from.
     """
 
+    Options: ClassVar[type[Table]]
+    """What `[platforms.NAME]` may hold. Such a table is checked wherever it stands, whichever platform drives."""
+
     def __init__(self, project: Project) -> None:
         """Raises ConfigError where the project's options for this platform are not as they should be."""
         ...
 
     def changes(self, template: Reader) -> tuple[Change, ...]:
-        """What this platform changes in every run's input, before anybody else does."""
+        """What this platform changes in every run's input, before anybody else does; `template` is as in its file."""
         ...
 
     def seed_changes(self) -> tuple[Change, ...]:
@@ -50,6 +53,9 @@ class Platform(Protocol):
     def criterion(self, criterion: Criterion, template: Reader) -> tuple[Axis, tuple[Point, ...]] | None:
         """What a criterion of this platform's own means, or None where it has none of that name.
 
+        `template` is what an experiment's input is without this criterion: with all changes made, this platform's
+        own, the project's, controller's, scenario's, variables' and `--set`, but those that use a value of this
+        platform's criteria. It may be asked with several templates for one batch; the axis must be the same for all.
         A variable of the project of the same name goes first. Raises QueryError where the criterion is the
         platform's, but its scale does not fit. `sierra.scales.values` gives a scale's numbers.
         """
@@ -57,6 +63,10 @@ class Platform(Protocol):
 
     def criteria(self) -> Mapping[str, str]:
         """The names of the criteria that `criterion` knows, each with a sentence."""
+        ...
+
+    def check(self, document: Reader) -> None:
+        """Raises TemplateError where an experiment's input, with all changes made but those of each run, can't be right."""
         ...
 
     def command(self) -> tuple[str, ...]:
@@ -73,30 +83,22 @@ class Platform(Protocol):
 
 
 def find(name: str, project: Project) -> Platform:
-    """The platform of that name, made for a project. Raises ConfigError where there is none."""
-    for other in project.platforms:
+    """The platform of that name, made for a project.
+
+    Raises ConfigError where there is none, and where a table `[platforms.NAME]` is not as that platform's should be.
+    """
+    for other, table in project.platforms.items():
         if other not in names():
             raise ConfigError(f"[platforms.{other}]: unknown platform {other!r}; known are {', '.join(names())}")
+        options(_load(other).Options, table, f"[platforms.{other}]")
     made: Platform = _load(name)(project)
     return made
 
 
 def names() -> tuple[str, ...]:
     """All platforms that can be named here, the shipped ones first."""
-    return (*SHIPPED, *sorted({point.name for point in _entry_points()} - SHIPPED.keys()))
+    return plugins.names("platform", SHIPPED)
 
 
 def _load(name: str) -> Any:
-    if name in SHIPPED:
-        module, _, attribute = SHIPPED[name].partition(":")
-        return getattr(import_module(module), attribute)
-    for point in _entry_points():
-        if point.name == name:
-            return point.load()
-    raise ConfigError(f"unknown platform {name!r}; known are {', '.join(names())}")
-
-
-def _entry_points() -> Any:
-    from importlib.metadata import entry_points
-
-    return entry_points(group="sierra.platforms")
+    return plugins.find("platform", SHIPPED, name)

@@ -2,8 +2,8 @@
 
 What of the template is replaced in every run, and then left to the project's own changes:
 
-- `framework/experiment` gets `random_seed`; `length` and `ticks_per_second` where the options say so. A
-  length of 0 (or less than a tick) makes ARGoS run for ever, so such a template is refused.
+- `framework/experiment` gets `random_seed`; `length` and `ticks_per_second` where the options say so. A length of 0
+  (or less than a tick) makes ARGoS run for ever, so that it is refused, whoever sets it.
 - `framework/system/@threads` becomes the option `threads`. The results are the same for any number; many
   runs side by side are faster than many threads, hence 0. With two or more, `method="balance_length"` hangs.
 - The placeholder `__CONTROLLER__`, as a tag and as an attribute, becomes the controller's name.
@@ -20,19 +20,24 @@ of ARGoS's where a smaller arena leaves a light outside):
 - The boxes of `distribute/position[@method="uniform"]` are stretched as the space between the walls is (or,
   without walls, the arena), and cut at the walls. A nest along one wall remains a nest along that wall.
 
-*Densities* are percent of robots per m² of `arena/@size`: a population is ⌊area · density / 100⌋.
+*Densities* are percent of robots per m² of `arena/@size`, as it is once project, controller, scenario, variables and
+`--set` have changed it: a population is ⌊area · density / 100⌋.
 `population_constant_density.5p0.I16.C4` starts with the arena as it is and makes both sides of each next one
 16 m longer; `population_variable_density.1p0.5p0.C4` keeps the arena. Populations are the values of both axes.
 Two equal ones, or less than one robot, are errors. Both fix `arena/@size`, so that no other criterion may.
 
-*Libraries.* ARGoS looks for them in `ARGOS_PLUGIN_PATH`, and the loader in `LD_LIBRARY_PATH`. A path of one
-machine would be a part of every run's id, so name those inside the project by placeholder,
+*Libraries.* ARGoS looks for those that a template names in `ARGOS_PLUGIN_PATH`: first below the project's folder,
+where `library="build/controllers/libx"` means what it means to who starts `argos3` there, then in the folders of
+the project that the option `libraries` names, `build` by default. All files in these count as programs: a run
+executes again where one has changed, also where git ignores them. A path of one machine would be a part of every run's
+id, so let ARGoS itself be installed where its loader finds it: in an image, or by `make install` and ldconfig. Otherwise
+`[environment] pass = ["LD_LIBRARY_PATH"]` works as well, but makes the value a part of the ids. A variable
+`ARGOS_PLUGIN_PATH` of the project's own replaces all this.
 
-    [environment]
-    set = { ARGOS_PLUGIN_PATH = "{project}/build/lib" }
-
-and let ARGoS itself be installed where its loader finds it: in an image, or by `make install` and ldconfig.
-`pass = ["ARGOS_PLUGIN_PATH"]` works as well, but makes the value a part of the ids.
+*Failures.* ARGoS ends with exit status 1 where a library, a controller's id, a device, or the room for robots is missing,
+and where a loop function or, without threads, a controller throws; with threads such a controller, as one that
+crashes always does, ends it by a signal. It writes nothing at its end by which a run that was left early with exit
+status 0 would be known: `min_rows` in `[outputs.…]` says so.
 
 An `output_dir` in the template is relative to where the run starts, its output folder; the worker keeps stdout and
 stderr, so neither `-l` nor `-e` is needed.
@@ -45,7 +50,8 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Annotated
+from pathlib import PurePosixPath
+from typing import Annotated, ClassVar
 
 from pydantic import Field, NonNegativeInt, PositiveInt, StringConstraints
 
@@ -121,6 +127,9 @@ class ArgosOptions(Table):
     population: str | None = Field(
         None, description="XPath of what population_size sets; the quantity of the one distributed robot where absent"
     )
+    libraries: tuple[str, ...] = Field(
+        ("build",), description="folders of the project where the libraries are that the template names"
+    )
     label: Annotated[str, StringConstraints(pattern=r"^[A-Za-z_][A-Za-z0-9_.-]*$")] | None = Field(
         None, description=f"the tag that {PLACEHOLDER} becomes; the controller's name where absent"
     )
@@ -171,6 +180,8 @@ class Space:
 class Argos:
     """The platform `argos`."""
 
+    Options: ClassVar[type[Table]] = ArgosOptions
+
     def __init__(self, project: Project) -> None:
         self._options = options(ArgosOptions, project.platforms.get("argos", {}), TABLE)
         if project.command and not any("{input}" in word for word in project.command):
@@ -179,11 +190,13 @@ class Argos:
         self._arena = _size(self._options.arena) if self._options.arena else None
         if self._arena and not all((self._arena.x, self._arena.y, self._arena.z != 0)):
             raise ConfigError(f"{TABLE}: arena: {self._options.arena!r} is empty; write it as 10x10")
+        for folder in self._options.libraries:
+            _check_folder(folder)
 
     def changes(self, template: Reader) -> tuple[Change, ...]:
         resized = self._resized(template, self._arena, f"{TABLE} arena") if self._arena else ()
         return (
-            *self._length(template),
+            *self._length(),
             *self._threads(template),
             *self._controller(template),
             *self._visualization(template),
@@ -208,6 +221,13 @@ class Argos:
     def criteria(self) -> Mapping[str, str]:
         return CRITERIA
 
+    def check(self, document: Reader) -> None:
+        """What ARGoS would run for ever, or hang in, or not find: whoever made it so."""
+        _check_length(document)
+        _check_method(document)
+        if left := document.find(f"//@*[contains(., '{PLACEHOLDER}')]"):
+            raise TemplateError(f"{left[0]!r} holds {PLACEHOLDER} among other text, or was added later; use {{controller}}")
+
     def command(self) -> tuple[str, ...]:
         return self._command
 
@@ -215,39 +235,25 @@ class Argos:
         return ((INPUT, document),)
 
     def environment(self) -> Mapping[str, str]:
-        return {}
+        folders = ("{project}", *(f"{{project}}/{folder}" for folder in self._options.libraries))
+        return {"ARGOS_PLUGIN_PATH": ":".join(folders)}
 
-    def _length(self, template: Reader) -> tuple[Change, ...]:
+    def _length(self) -> tuple[Change, ...]:
         wanted = {"length": self._options.length, "ticks_per_second": self._options.ticks_per_second}
-        changes = tuple(
+        return tuple(
             Set(EXPERIMENT, repr(value).removesuffix(".0"), attribute=name, expect=1, why=f"{TABLE} {name}")
             for name, value in wanted.items()
             if value is not None
         )
-        given = {change.attribute: change.value for change in changes}
-        if len(template.find(EXPERIMENT)) != 1:
-            raise TemplateError(f"the template has not one {EXPERIMENT}; ARGoS needs it")
-        length = given.get("length") or _at_most_one(template, f"{EXPERIMENT}/@length") or "0"
-        ticks = given.get("ticks_per_second") or _at_most_one(template, f"{EXPERIMENT}/@ticks_per_second")
-        if ticks is None:
-            raise TemplateError(f"{EXPERIMENT} has no ticks_per_second; add it, or set it in {TABLE}")
-        _check_ticks(_number(length, f"{EXPERIMENT}/@length") * _number(ticks, f"{EXPERIMENT}/@ticks_per_second"), length)
-        return changes
 
     def _threads(self, template: Reader) -> tuple[Change, ...]:
         threads, why = str(self._options.threads), f"{TABLE} threads"
         if not template.find(SYSTEM):
             added = Add(f"{ROOT}/framework", f'<system threads="{threads}"/>', at=0, expect=1, why=why)
             return (added,) if self._options.threads else ()
-        if self._options.threads > 1 and _at_most_one(template, f"{SYSTEM}/@method") == "balance_length":
-            raise TemplateError(
-                f'{SYSTEM} has method="balance_length", which hangs with {threads} threads; use balance_quantity'
-            )
         return (Set(SYSTEM, threads, attribute="threads", expect=1, why=why),)
 
     def _controller(self, template: Reader) -> tuple[Change, ...]:
-        if stray := template.find(f"//@*[contains(., '{PLACEHOLDER}') and . != '{PLACEHOLDER}']"):
-            raise TemplateError(f"{stray[0]!r} holds {PLACEHOLDER} among other text; use it as a whole attribute")
         tags, attributes = f"//{PLACEHOLDER}", f"//@*[. = '{PLACEHOLDER}']"
         changes: list[Change] = []
         if template.find(attributes):
@@ -274,7 +280,7 @@ class Argos:
         scale, name = criterion.scale, criterion.name
         if not isinstance(scale, ConstantDensity):
             raise QueryError(f"{name} has a density, an increment in metres and a count; use {name}.5p0.I16.C4")
-        first, path = self._size(template), self._population(template)
+        first, path = _arena_size(template), self._population(template)
         sizes = tuple(Size(first.x + longer, first.y + longer) for longer in scales.growths(scale))
         populations = tuple(_agents(name, size.area, scale.density) for size in sizes)
         if len(set(populations)) < len(populations):
@@ -289,13 +295,12 @@ class Argos:
         scale, name = criterion.scale, criterion.name
         if not isinstance(scale, VariableDensity):
             raise QueryError(f"{name} has two densities and a count; use {name}.1p0.5p0.C4")
-        size, path = self._size(template), self._population(template)
-        if self._arena is None:
-            self._check_walls(template, size)
+        size, path = _arena_size(template), self._population(template)
+        self._check_walls(template, size)
         populations = tuple(_agents(name, size.area, density) for density in scales.densities(scale))
         if len(set(populations)) < len(populations):
             raise QueryError(_too_close(name, size, scale, populations))
-        fixed = Set(f"{ARENA}/@size", self._sides(template, size), expect=1, why=name)
+        fixed = Set(f"{ARENA}/@size", _sides(template, size), expect=1, why=name)
         points = tuple(Point(n, (fixed, _quantity(path, n, name))) for n in populations)
         return Axis(name, populations, label=LABEL), points
 
@@ -317,16 +322,6 @@ class Argos:
             raise ConfigError(f"{TABLE}: population: {path!r} selects an element; use an attribute, as in {path}/@quantity")
         return path
 
-    def _size(self, template: Reader) -> Size:
-        """The arena's size, as it is before a criterion changes it."""
-        return self._arena or _template_size(template)
-
-    def _sides(self, template: Reader, size: Size) -> str:
-        z = size.z
-        if z is None and self._arena:
-            z = self._arena.z
-        return _joined((size.x, size.y, _vector(template, f"{ARENA}/@size")[2] if z is None else z))
-
     def _resized(self, template: Reader, size: Size, why: str) -> tuple[Change, ...]:
         """All that makes the arena, its walls and what is distributed in it fit a size."""
         if template.find(BOUNDARIES):
@@ -335,9 +330,9 @@ class Argos:
         center = _center(template)
         arena = _space(center, size)
         inner = _between(arena, walls)
-        before = _within(walls) if walls else _space(center, _template_size(template))
+        before = _within(walls) if walls else _space(center, _arena_size(template))
         return (
-            Set(f"{ARENA}/@size", self._sides(template, size), expect=1, why=why),
+            Set(f"{ARENA}/@size", _sides(template, size), expect=1, why=why),
             *_lifted(template, center, size, why),
             *(change for wall in walls for change in self._moved(wall, arena, why)),
             *_stretched(template, before, inner, why),
@@ -388,13 +383,33 @@ class Argos:
         )
 
 
-def _check_ticks(ticks: Fraction, length: str) -> None:
-    if ticks < 1:
+def _check_folder(folder: str) -> None:
+    """One whose files can be told apart from the rest of the project, and that a list with `:` can hold."""
+    parts = PurePosixPath(folder).parts
+    if not parts or parts[0] == "/" or ".." in parts or set(folder) & set(":;,={}"):
+        raise ConfigError(f'{TABLE}: libraries: {folder!r} is not a folder below the project; use one as in ["build"]')
+
+
+def _check_length(document: Reader) -> None:
+    if len(document.find(EXPERIMENT)) != 1:
+        raise TemplateError(f"the template has not one {EXPERIMENT}; ARGoS needs it")
+    length = _at_most_one(document, f"{EXPERIMENT}/@length") or "0"
+    ticks = _at_most_one(document, f"{EXPERIMENT}/@ticks_per_second")
+    if ticks is None:
+        raise TemplateError(f"{EXPERIMENT} has no ticks_per_second; add it, or set it in {TABLE}")
+    count = _number(length, f"{EXPERIMENT}/@length") * _number(ticks, f"{EXPERIMENT}/@ticks_per_second")
+    if count < 1:
         raise TemplateError(
             f"{EXPERIMENT}/@length is {length!r}, less than a tick, and would run for ever; set length = 300 in {TABLE}"
         )
-    if ticks > LARGEST:
+    if count > LARGEST:
         raise TemplateError(f"{EXPERIMENT}/@length is {length!r}, more ticks than the {LARGEST} that ARGoS counts; use fewer")
+
+
+def _check_method(document: Reader) -> None:
+    threads = _at_most_one(document, f"{SYSTEM}/@threads") or "0"
+    if _number(threads, f"{SYSTEM}/@threads") > 1 and _at_most_one(document, f"{SYSTEM}/@method") == "balance_length":
+        raise TemplateError(f'{SYSTEM} has method="balance_length", which hangs with {threads} threads; use balance_quantity')
 
 
 def _quantity(path: str, population: int, why: str) -> Set:
@@ -459,11 +474,15 @@ def _size(text: str) -> Size:
     return Size(Fraction(x), Fraction(y), Fraction(z) if z else None)
 
 
-def _template_size(template: Reader) -> Size:
+def _arena_size(template: Reader) -> Size:
     x, y, _ = _vector(template, f"{ARENA}/@size")
     if min(x, y) <= 0:
         raise TemplateError(f"{ARENA}/@size is empty; use a size as 10,10,2")
     return Size(x, y)
+
+
+def _sides(template: Reader, size: Size) -> str:
+    return _joined((size.x, size.y, _vector(template, f"{ARENA}/@size")[2] if size.z is None else size.z))
 
 
 def _center(template: Reader) -> Vector:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import PurePosixPath
+from typing import ClassVar
 
 from sierra.config import Project, Table, options
 from sierra.errors import ConfigError
@@ -11,15 +12,17 @@ from sierra.model import Axis, Change, Criterion, Point
 from sierra.platforms import Reader
 
 
-class Options(Table):
+class CommandOptions(Table):
     """`[platforms.command]`: there is nothing to say."""
 
 
 class Command:
     """The platform `command`: argv with placeholders, all else as the project says."""
 
+    Options: ClassVar[type[Table]] = CommandOptions
+
     def __init__(self, project: Project) -> None:
-        options(Options, project.platforms.get("command", {}), "[platforms.command]")
+        options(CommandOptions, project.platforms.get("command", {}), "[platforms.command]")
         if not project.command:
             raise ConfigError('platform "command" needs a command, as in: command = "python3 sim.py {input}"')
         self._command = project.command
@@ -36,6 +39,9 @@ class Command:
 
     def criteria(self) -> Mapping[str, str]:
         return {}
+
+    def check(self, document: Reader) -> None:
+        """Nothing is known of what any program reads."""
 
     def command(self) -> tuple[str, ...]:
         return self._command

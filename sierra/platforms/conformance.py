@@ -19,7 +19,7 @@ from pathlib import Path
 from types import UnionType
 from typing import Any
 
-from sierra.config import Project
+from sierra.config import Project, Table, options
 from sierra.errors import ConfigError, SierraError
 from sierra.model import Add, Axis, Change, Criterion, Linear, Listed, Log, MonteCarlo, Point, Remove, Rename, Set
 from sierra.platforms import Platform, Reader
@@ -44,6 +44,8 @@ def check(make: Make, project: Project, template: Reader, examples: Mapping[str,
     """All claims. `examples` has, by name, one criterion that fits for each that the platform knows."""
     gives_the_same_answers(make, project, template, examples)
     refuses_unknown_options(make, project)
+    says_what_its_options_are(make(project))
+    checks_in_one_line(make(project), template)
     changes_are_well_formed(make(project), template)
     seed_changes_are_well_formed(make(project))
     says_none_for_unknown_criteria(make(project), template)
@@ -75,6 +77,27 @@ def refuses_unknown_options(make: Make, project: Project) -> None:
         _is_one_line(str(error))
         return
     raise AssertionError(f"the unknown option {OPTION_NOBODY_HAS!r} is no ConfigError")
+
+
+def says_what_its_options_are(platform: Platform) -> None:
+    """`Options` is a table that refuses what it does not know: it is checked also where another platform drives."""
+    model: Any = platform.Options
+    _holds(isinstance(model, type) and issubclass(model, Table), f"Options is {model!r}, not a class of options")
+    try:
+        options(model, {OPTION_NOBODY_HAS: 1}, "[platforms.…]")
+    except ConfigError:
+        return
+    raise AssertionError(f"Options takes the unknown option {OPTION_NOBODY_HAS!r}")
+
+
+def checks_in_one_line(platform: Platform, template: Reader) -> None:
+    """An input is accepted, or refused as a user's error is: the template may be one that only changes make right."""
+    try:
+        answer: object = platform.check(template)  # type: ignore[func-returns-value]
+    except SierraError as error:
+        _is_one_line(str(error))
+        return
+    _holds(answer is None, f"check() is {answer!r}, not None")
 
 
 def changes_are_well_formed(platform: Platform, template: Reader) -> None:
