@@ -87,7 +87,7 @@ CREATE TABLE artifacts (
     "kind" VARCHAR,  -- table, file or log
     "output" VARCHAR,  -- the declared or found output that it belongs to: the table's name
     "size" BIGINT,  -- its size [bytes]
-    "sha256" VARCHAR,  -- SHA-256 of its bytes
+    "sha256" VARCHAR,  -- SHA-256 of its bytes; of a log over 1 MiB, of what is kept of it, its beginning and end
     "rows" BIGINT,  -- rows it gave its table [1]
     "form" VARCHAR  -- what its table looks like, as JSON: its file, what each column holds, whether its last line is whole
 );

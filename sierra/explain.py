@@ -25,7 +25,7 @@ SELECT (SELECT count(*) FROM batches WHERE batch = $batch) AS kept,
 """
 SHOWN = 10
 ASKED = ("query", "runs", "controller", "scenario", "base_seed")
-CHANGES = "sierra.toml makes other changes to the template (variables, changes, controllers, scenarios, seed)"
+CHANGES = "sierra.toml makes other changes to the template (variables, changes, controllers, scenarios, seed, platforms)"
 
 
 def why_new(plan: Plan, store: Store | None) -> list[str]:

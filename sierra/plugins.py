@@ -22,8 +22,16 @@ def find(kind: str, shipped: Mapping[str, str], name: str) -> Any:
         return getattr(import_module(module), attribute)
     for point in _entry_points(kind):
         if point.name == name:
-            return point.load()
+            try:
+                return point.load()
+            except Exception as error:
+                raise ConfigError(f"{kind} {name!r} ({point.value}) cannot be loaded: {_one_line(error)}") from error
     raise ConfigError(f"unknown {kind} {name!r}; known are {', '.join(names(kind, shipped))}")
+
+
+def _one_line(error: Exception) -> str:
+    """What somebody else's error says, with its kind."""
+    return " ".join(f"{type(error).__name__}: {error}".split())
 
 
 def names(kind: str, shipped: Mapping[str, str]) -> tuple[str, ...]:

@@ -99,6 +99,28 @@ def test_what_sierra_reads_by_meaning_does_not_count(folder: Path, git: Git) -> 
     assert capture(folder).tree == before
 
 
+@pytest.mark.parametrize("rule", [".sierra/", "figures", "*.xml", "/sierra.toml"])
+def test_a_repository_may_ignore_what_does_not_count(folder: Path, git: Git, rule: str) -> None:
+    commit(git)
+    before = capture(folder).tree
+    for name in ("sierra.toml", "t.xml", "figures/x.png", ".sierra/format"):
+        (folder / name).parent.mkdir(exist_ok=True)
+        (folder / name).write_text("x")
+    (folder / ".git" / "info" / "exclude").write_text(f"{rule}\n")
+    assert capture(folder).tree == before
+
+
+def test_what_does_not_count_may_have_any_name(folder: Path, git: Git) -> None:
+    commit(git)
+    before = capture(folder).tree
+    names = ("[a]*.xml", "!x.xml", "b\\?.xml", "sub/[c].xml", "^d.xml", " e.xml", "é\n.xml")
+    for name in names:
+        (folder / name).write_text("x")
+    assert source.capture(folder, paths=(), without=names).tree == before
+    (folder / "a.xml").write_text("counts")
+    assert source.capture(folder, paths=(), without=names).tree != before
+
+
 def test_figures_leave_no_objects_in_the_repository(folder: Path, git: Git) -> None:
     commit(git)
     (folder / "figures").mkdir()

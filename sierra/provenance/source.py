@@ -135,8 +135,9 @@ class _Chosen:
         return any(path == left or path.startswith(left + b"/") for left in self._without)
 
     def pathspecs(self) -> list[str]:
-        """What git is told to leave out."""
-        return [":(exclude,literal)" + os.fsdecode(path) for path in self._without]
+        """What git is told to leave out: patterns, since it stops where a path that is named plainly is ignored."""
+        patterns = ["\\" + re.sub(r"(?<!^)[\\*?\[]", r"\\\g<0>", os.fsdecode(path)) for path in self._without]
+        return [f":(exclude,glob){pattern}{below}" for pattern in patterns for below in ("", "/**")]
 
     def __call__(self, path: bytes) -> bool:
         if self.never(path):
