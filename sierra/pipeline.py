@@ -16,10 +16,11 @@ from typing import Any
 
 from sierra import asked, recovery, runners
 from sierra.asking import Asking, Watch
+from sierra.model import Batch
 from sierra.plans import Plan, context
 from sierra.record import find_odd
 from sierra.sessions import Session
-from sierra.states import is_answered, states
+from sierra.states import FAILED, is_answered, states
 from sierra.store import Store
 
 SHOWN_REASONS = 10
@@ -39,6 +40,16 @@ class Failure:
 
 
 @dataclass(frozen=True, slots=True)
+class Counted:
+    """One experiment of the batch: its values, its runs, how many are good, and how many were tried without success."""
+
+    values: Mapping[str, Any]
+    runs: int
+    good: int
+    failed: int
+
+
+@dataclass(frozen=True, slots=True)
 class Summary:
     """The answer to a query, as far as it went. `failed` and `missing` are runs without a good execution."""
 
@@ -51,6 +62,8 @@ class Summary:
     failed: int
     missing: int
     interrupted: bool
+    counts: tuple[Counted, ...] = ()
+    """By experiment, in the batch's order."""
     failures: tuple[Failure, ...] = ()
     """By reason, that of the most runs first; at most `SHOWN_REASONS`."""
     notes: tuple[str, ...] = ()
@@ -93,7 +106,8 @@ def run(
 def _sum_up(asking: Asking) -> Summary:
     """Count by what the store says now."""
     plan, store = asking.plan, asking.store
-    bad = {run for run, state in states(plan, store).items() if not state.good}
+    now = {run: state for run, state in states(plan, store).items() if not state.good}
+    bad = set(now)
     failed = bad & (asking.attempted | asking.failed)
     return _summary(
         plan,
@@ -101,6 +115,7 @@ def _sum_up(asking: Asking) -> Summary:
         executed=asking.attempted,
         failed=failed,
         missing=bad - failed,
+        tried={run for run, state in now.items() if state.worth == FAILED} | failed,
         interrupted=asking.interrupted,
         notes=asking.notes,
     )
@@ -113,10 +128,14 @@ def _summary(
     executed: AbstractSet[str] = frozenset(),
     failed: AbstractSet[str] = frozenset(),
     missing: AbstractSet[str] = frozenset(),
+    tried: AbstractSet[str] = frozenset(),
     interrupted: bool = False,
     notes: tuple[str, ...] = (),
 ) -> Summary:
-    """What is told of an asking that executed some runs; what is neither `failed` nor `missing` is good."""
+    """What is told of an asking that executed some runs; what is neither `failed` nor `missing` is good.
+
+    `tried` are those of them that have failed, now or earlier.
+    """
     runs = len({run.id for run in plan.batch.runs})
     return Summary(
         batch=plan.batch.id,
@@ -128,9 +147,16 @@ def _summary(
         failed=len(failed),
         missing=len(missing),
         interrupted=interrupted,
+        counts=tuple(_counts(plan.batch, failed | missing, tried)),
         failures=tuple(_failures(plan, store, failed)) if failed else (),
         notes=(*plan.notes, *dict.fromkeys(notes)),
     )
+
+
+def _counts(batch: Batch, bad: AbstractSet[str], tried: AbstractSet[str]) -> Iterator[Counted]:
+    for experiment in batch.experiments:
+        runs = {run.id for run in experiment.runs}
+        yield Counted(experiment.values, len(runs), len(runs - bad), len(runs & tried))
 
 
 REASONS = """

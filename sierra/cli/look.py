@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 if TYPE_CHECKING:
-    from sierra.api import Project
+    pass
 
 SHOWN_REASONS = 10
 
@@ -85,15 +85,6 @@ def _print_failures(failures: Sequence[Mapping[str, Any]]) -> None:
     if len(failures) > SHOWN_REASONS:
         runs = sum(failure["runs"] for failure in failures[SHOWN_REASONS:])
         print(f"  and {len(failures) - SHOWN_REASONS} more reasons, of {runs} runs (--json has them all)")
-
-
-def print_experiments(project: Project, batch: str) -> None:
-    """The experiments of a batch, with how many of their runs are good."""
-    from sierra.cli.output import table
-
-    experiments = project.show(batch)["experiments"]
-    columns = [name for name in experiments[0] if name not in ("experiment", "ordinal")]
-    table(columns, [[row.get(name) for name in columns] for row in experiments], right=("runs", "good", "failed"))
 
 
 def _state(row: dict[str, Any]) -> str:

@@ -18,6 +18,9 @@ if TYPE_CHECKING:
     from sierra.states import State
 
 
+COUNTED = ("runs", "good", "failed")
+
+
 def run(
     query: Annotated[
         list[str],
@@ -86,7 +89,7 @@ def run(
     if as_json:
         print_json(_answer(summary) | {name: told[name] for name in ("reasons", "new_because") if name in told})
     else:
-        _print(project, summary)
+        _print(summary)
     if summary.interrupted:
         raise typer.Exit(130)
     if summary.failed or summary.missing:
@@ -116,6 +119,7 @@ def _answer(summary: Summary) -> dict[str, Any]:
     names = ("batch", "query", "experiments", "runs", "executed", "reused", "failed", "missing", "interrupted")
     answer: dict[str, Any] = {name: getattr(summary, name) for name in names}
     answer["figures"] = list(summary.figures)
+    answer["counts"] = [{**counted.values, **{name: getattr(counted, name) for name in COUNTED}} for counted in summary.counts]
     answer["failures"] = [asdict(failure) for failure in summary.failures]
     answer["notes"] = list(summary.notes)
     answer["undrawn"] = summary.undrawn
@@ -176,13 +180,15 @@ def _row(values: Mapping[str, Any], states: list[State]) -> list[Any]:
     return [*values.values(), len(states), sum(not state.good for state in states)]
 
 
-def _print(project: Project, summary: Summary) -> None:
+def _print(summary: Summary) -> None:
     from sierra.cli.deliver import from_here
-    from sierra.cli.look import print_experiments
+    from sierra.cli.output import table
     from sierra.hashing import short
 
     print(f"batch {short(summary.batch)}: {summary.query}")
-    print_experiments(project, summary.batch)
+    axes = list(summary.counts[0].values)
+    rows = [[*counted.values.values(), counted.runs, counted.good, counted.failed] for counted in summary.counts]
+    table([*axes, *COUNTED], rows, right=COUNTED)
     failed = f", {summary.failed} failed" if summary.failed else ""
     missing = f", {summary.missing} not executed" if summary.missing else ""
     print(f"{summary.runs} runs: {summary.executed} executed, {summary.reused} reused{failed}{missing}")
