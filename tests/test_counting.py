@@ -66,11 +66,12 @@ def test_an_earlier_program_counts_again_when_it_is_back(tmp_path: Path) -> None
 
 
 def test_a_run_of_two_experiments_stands_at_both_points(tmp_path: Path) -> None:
-    project = sierra.open(projects.make(tmp_path))
-    project.run("population_size=1,2", sets=[("//swarm/@count", "7")], figures=False)
-    rows = project.sql("SELECT population_size, count(DISTINCT run) AS runs FROM swarm GROUP BY ALL ORDER BY 1").to_pylist()
-    assert rows == [{"population_size": 1, "runs": 2}, {"population_size": 2, "runs": 2}]
-    assert {row["population_size"] for row in project.sql("SELECT population_size FROM runs").to_pylist()} == {None}
+    same = '[variables.idle]\nchanges = [{ set = "//swarm/@count", value = "{7 + 0 * idle}" }]\n'
+    project = sierra.open(projects.make(tmp_path, projects.CONFIG + same))
+    project.run("idle=1,2", figures=False)
+    rows = project.sql("SELECT idle, count(DISTINCT run) AS runs FROM swarm GROUP BY ALL ORDER BY 1").to_pylist()
+    assert rows == [{"idle": 1, "runs": 2}, {"idle": 2, "runs": 2}]
+    assert {row["idle"] for row in project.sql("SELECT idle FROM runs").to_pylist()} == {None}
 
 
 def test_a_run_of_several_batches_is_there_once(tmp_path: Path) -> None:
