@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import contextlib
-import signal
-import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 
 from sierra import jobs, recovery, sessions
 from sierra.errors import Missing
-from sierra.model import Job, Result, Status
+from sierra.following import Following, noted
+from sierra.model import Job, Status
 from sierra.plans import Plan, context
 from sierra.record import Recorder, find_odd
 from sierra.runners import Runner
@@ -20,7 +18,6 @@ from sierra.sessions import Session
 from sierra.states import states
 from sierra.store import Store
 
-POLL_S = 0.05
 JOIN_S = 0.2
 
 
@@ -103,29 +100,18 @@ class Asking:
         self._claimed |= wanted
         self._open |= wanted
         recorder = Recorder(self.store, self.session.paths, self._context)
-        runner = self._runner()
-        with _noted() as signals:
-            try:
-                runner.submit(self._jobs(wanted), self.session.paths)
-                self._follow(runner, recorder, signals)
-                odd = find_odd(self.store, self.session.paths, self._context)
-                self.notes += tuple(recorder.notes())
-            except BaseException:
-                self._give_up(runner)
-                raise
+        with noted() as signals:
+            following = Following(self._runner(), recorder, self.store, self.session, self._took, self._tell)
+            following.execute(self._jobs(wanted), signals, enough=lambda: self._fail_fast and bool(self.failed))
+            odd = find_odd(self.store, self.session.paths, self._context)
+            self.notes += tuple(recorder.notes())
         self.interrupted = bool(signals)
         return odd
 
-    def _give_up(self, runner: Runner) -> None:
-        """End what runs, and record by the journal what had finished; if that fails too, whoever asks next does so."""
-        self.session.recorded = False
-        with contextlib.suppress(Exception):
-            runner.stop()
-            while runner.look().alive:
-                time.sleep(POLL_S)
-        with contextlib.suppress(Missing, OSError):
-            recovery.recover(self.store, self.session.paths)
-            self.session.recorded = True
+    def _took(self, run: str, status: Status) -> None:
+        self._open.discard(run)
+        if status is not Status.OK:
+            self.failed.add(run)
 
     def _jobs(self, wanted: AbstractSet[str]) -> Iterator[Job]:
         maker = jobs.Maker(self.plan.batch.recipe, self.plan.project.root, self.plan.engine, self.plan.limits, self.session.id)
@@ -135,39 +121,10 @@ class Asking:
                 sent.add(run.id)
                 yield maker.job(run, files)
 
-    def _follow(self, runner: Runner, recorder: Recorder, signals: Sequence[int]) -> None:
-        """Look again and again until all has ended; a signal and the first failure (with `fail_fast`) end it early."""
-        alive, told = True, 0
-        while alive:
-            look = runner.look()
-            self._take(look.results, recorder)
-            if recorder.due():
-                self._flushed(recorder)
-            self._tell(look.running)
-            if len(signals) > told or (self._fail_fast and self.failed and not told):
-                told = max(len(signals), 1)
-                runner.stop()
-            alive = look.alive
-            if alive:
-                time.sleep(POLL_S)
-        self._flushed(recorder)
-        self._tell(0)
-
-    def _take(self, results: Sequence[Result], recorder: Recorder) -> None:
-        for result in results:
-            status = recorder.add(result)
-            if status is not Status.INTERRUPTED:
-                self._open.discard(result.run)
-                if status is not Status.OK:
-                    self.failed.add(result.run)
-
-    def _flushed(self, recorder: Recorder) -> None:
-        self.failed |= {run for run, _, _ in recorder.flush()}
-
     def _wait(self, wanted: AbstractSet[str]) -> None:
         """Other sessions execute what is wanted: until one of them ends, or has recorded something."""
         known = len(self.store.segments())
-        with _noted() as signals:
+        with noted() as signals:
             while not signals and sessions.others(self.session.store, self.session.id) & wanted:
                 self._tell(0, elsewhere=len(wanted))
                 time.sleep(JOIN_S)
@@ -180,21 +137,3 @@ class Asking:
         self._watch(
             Progress(self._total, self.reused, len(self._claimed) - len(self._open), len(self.failed), running, elsewhere)
         )
-
-
-@contextlib.contextmanager
-def _noted() -> Iterator[list[int]]:
-    """Signals to end that arrive meanwhile: noted, so that nothing is torn apart (in the main thread; others get none)."""
-    noted: list[int] = []
-    if threading.current_thread() is not threading.main_thread():
-        yield noted
-        return
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-    heeded = {number: handler for number, handler in before.items() if handler not in (signal.SIG_IGN, None)}
-    for number in heeded:
-        signal.signal(number, lambda got, _: noted.append(got))
-    try:
-        yield noted
-    finally:
-        for number, handler in heeded.items():
-            signal.signal(number, handler)
