@@ -92,6 +92,24 @@ def test_a_file_is_read_whatever_it_is_called(tmp_path: Path) -> None:
         assert read.sha256 == hashlib.sha256(MUJOCO.encode()).hexdigest()
 
 
+def test_texts_of_elements_are_proposed_by_their_paths() -> None:
+    assert template("<a><seed>3</seed><robots>4</robots></a>").attributes() == (("//seed", "3"), ("//robots", "4"))
+
+
+@pytest.mark.parametrize("element", ["<b c='1'/>", "<b xmlns='urn:b' c='1'/>", "<b id='{n}' c='1'/>"])
+def test_paths_are_proposed_in_time_that_grows_as_the_template_does(element: str) -> None:
+    def seconds(count: int) -> float:
+        many = template(f"<a>{''.join(element.format(n=n) for n in range(count))}</a>")
+        taken = []
+        for _ in range(3):
+            begin = time.process_time()
+            many.attributes()
+            taken.append(time.process_time() - begin)
+        return min(taken)
+
+    assert seconds(10_000) < 12 * max(seconds(2_500), 0.005)  # four times as many; 16 times where it grows as the square
+
+
 def test_xml_is_a_format_that_is_shipped() -> None:
     assert inputs.formats()[0] == "xml"
 

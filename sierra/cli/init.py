@@ -88,7 +88,7 @@ def _say(folder: Path, path: Path, guess: Guess, *, as_json: bool) -> None:
         print_json(_answer(path, guess) | {"next": command})
         return
     print(f"wrote {path}")
-    started = guess.command.text if guess.command else f"platform {guess.platform}"
+    started = guess.command or f"platform {guess.platform}"
     seed = f"; seed {_one_line(guess.seed)}" if guess.seed else ""
     print(f"  template {_one_line(guess.template)}; {_one_line(started)}{seed}")
     for name, place in guess.variables.items():
@@ -106,7 +106,7 @@ def _answer(path: Path, guess: Guess) -> dict[str, Any]:
         "written": str(path),
         "template": guess.template,
         "platform": guess.platform,
-        "command": guess.command.text if guess.command else None,
+        "command": guess.command,
         "seed": guess.seed,
         "variables": dict(guess.variables),
         "source": list(guess.source),

@@ -1,0 +1,25 @@
+"""The bundled examples, copied to where somebody can change them."""
+
+from __future__ import annotations
+
+import shutil
+from importlib import resources
+from pathlib import Path
+
+from sierra.errors import UsageError
+
+
+def copy_example(name: str, folder: Path) -> list[str]:
+    """Copy a bundled example; the files' names. Raises UsageError where there is none, or the folder is not empty."""
+    examples = resources.files("sierra") / "examples"
+    known = sorted(entry.name for entry in examples.iterdir() if entry.is_dir() and not entry.name.startswith("_"))
+    if name not in known:
+        raise UsageError(f"no example {name!r}; there is {', '.join(known)}")
+    if folder.exists() and any(folder.iterdir()):
+        raise UsageError(f"{folder} is not empty; name a new folder")
+    folder.mkdir(parents=True, exist_ok=True)
+    with resources.as_file(examples / name) as example:
+        files = sorted(file for file in example.iterdir() if file.is_file())
+        for file in files:
+            shutil.copyfile(file, folder / file.name)
+    return [file.name for file in files]
