@@ -31,6 +31,7 @@ CREATE TABLE members (
     "run" VARCHAR,  -- the run
     "seed" BIGINT,  -- its seed
     "input" VARCHAR,  -- SHA-256 of its first input file; the file itself is in objects
+    "others" VARCHAR[],  -- SHA-256 of its further input files, named as in recipes.files
     "recipe" VARCHAR  -- what it has in common with the other runs of the batch
 );
 
@@ -140,6 +141,18 @@ CREATE TABLE sources (
     "dirty" BOOLEAN,  -- whether files differ from the commit
     "remote" VARCHAR,  -- the remote's address, without credentials
     "files" VARCHAR  -- SHA-256 of the list of files in objects: a mode, a hash and a path a line
+);
+
+-- Files of sources outside git, by the hash that git gives them, which stands in the list of a source's files.
+CREATE TABLE blobs (
+    "blob" VARCHAR,  -- git's hash
+    "sha256" VARCHAR  -- SHA-256 of the file; the file itself is in objects
+);
+
+-- What projects declared of outputs and success, so that another execution can be judged by the same rules.
+CREATE TABLE readings (
+    "reading" VARCHAR,  -- as in executions
+    "declared" VARCHAR  -- the tables outputs and success of sierra.toml, as JSON
 );
 
 -- Programs outside source and image, by their fingerprint.

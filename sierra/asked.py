@@ -12,6 +12,7 @@ from sierra.hashing import sha256
 from sierra.model import Batch
 from sierra.paths import SessionPaths
 from sierra.plans import Plan, context
+from sierra.provenance import source
 from sierra.sessions import Session
 from sierra.store import Store
 from sierra.store.objects import Objects
@@ -35,7 +36,14 @@ def keep(plan: Plan, store: Store, session: SessionPaths) -> None:
         for _, content in files:
             objects.add(content)
     listing = objects.add(plan.source.manifest)
+    known_blobs = {row["blob"] for row in store.rows("SELECT blob FROM blobs")}
+    blobs = [
+        {"blob": blob, "sha256": objects.add(content)}
+        for blob, content in source.contents(plan.source, plan.project.root)
+        if blob not in known_blobs
+    ]
     objects.close()
+    writer.rows("blobs", blobs)
     recipe = batch.recipe
     first = batch.experiments[0].runs[0]
     writer.rows("batches", [batch_row(plan)])
@@ -151,8 +159,9 @@ def _members(batch: Batch) -> Iterator[Any]:
     schema = arrow_schema("members")
     for at in range(0, len(batch.runs), AT_A_TIME):
         rows = (
-            (batch.id, run.experiment, run.number, run.id, run.seed, run.inputs[0][1], batch.recipe_id)
+            (batch.id, run.experiment, run.number, run.id, run.seed, first, others, batch.recipe_id)
             for run in batch.runs[at : at + AT_A_TIME]
+            for first, *others in ([digest for _, digest in run.inputs],)
         )
         columns = zip(zip(*rows, strict=True), schema, strict=True)
         yield pa.table([pa.array(column, field.type) for column, field in columns], schema)

@@ -82,14 +82,22 @@ class Context:
         """The hash of the same, and of what may differ between siblings."""
         return self._declared({"units", "time"})
 
+    @property
+    def declared(self) -> str:
+        """What the project declares of outputs and success, as JSON."""
+        return json.dumps(self._tables())
+
+    def _tables(self) -> dict[str, Any]:
+        outputs = {name: output.model_dump(mode="json") for name, output in self.outputs.items()}
+        return {"outputs": outputs, "success": self.success.model_dump(mode="json")}
+
     def _declared(self, without: set[str]) -> str:
         outputs = {name: output.model_dump(mode="json", exclude=without) for name, output in self.outputs.items()}
         return digest("reading", {"outputs": outputs, "success": self.success.model_dump(mode="json")})
 
     def save(self, path: Path) -> None:
         fields = {name: getattr(self, name) for name in ("session", "batch", "purpose", "environment", "programs")}
-        fields["outputs"] = {name: output.model_dump(mode="json") for name, output in self.outputs.items()}
-        fields["success"] = self.success.model_dump(mode="json")
+        fields |= self._tables()
         with disk_errors(path.parent):
             write_whole(path, json.dumps(fields).encode())
 
@@ -248,6 +256,7 @@ class Recorder:
         objects.close()
         writer.rows("artifacts", artifacts)
         writer.rows("executions", (self._execution(one) for one in judged))
+        writer.rows("readings", [{"reading": self._reading, "declared": self._context.declared}])
         return judged
 
     # ------------------------------------------------------------ tables

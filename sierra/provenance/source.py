@@ -28,6 +28,8 @@ LEFT_OUT = frozenset(
 )
 """Folders that are never code, in a project outside git."""
 
+KEPT = 64 << 20
+
 SWHID = "swh:1:dir:"
 
 
@@ -101,6 +103,26 @@ def changed(before: bytes, after: bytes) -> list[str]:
     old, new = _read_manifest(before), _read_manifest(after)
     differing = {path for path in old.keys() | new.keys() if old.get(path) != new.get(path)}
     return [path.decode("utf-8", "replace") for path in sorted(differing)]
+
+
+def contents(source: Source, root: Path) -> Iterator[tuple[str, bytes]]:
+    """The files of a source outside git, each as git's hash and its content; none of one in git, which has them.
+
+    Those over `KEPT` bytes are left out: they are in the source's id, and whoever replays needs them in their place.
+    Raises Missing for one that has changed meanwhile.
+    """
+    for path, what in _read_manifest(source.manifest).items() if source.vcs == "none" else ():
+        mode, blob = what.decode().split(" ")
+        file = root / os.fsdecode(path)
+        try:
+            if mode != "120000" and file.stat().st_size > KEPT:
+                continue
+            content = os.fsencode(file.readlink()) if mode == "120000" else file.read_bytes()
+        except OSError as error:
+            raise Missing(f"cannot read {file}: {error.strerror}") from error
+        if _git_hash(b"blob", content) != blob:
+            raise Missing(f"{file} has changed while it was being recorded; ask again")
+        yield blob, content
 
 
 def paths(manifest: bytes) -> set[bytes]:

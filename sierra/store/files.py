@@ -73,8 +73,6 @@ class Recorded:
         match self.kind:
             case "table":
                 return "written from the table; bytes may differ"
-            case _ if self.sha256 is None:
-                return "recorded without a name: the store knows a run's first input only"
             case _ if self.kept is None:
                 return "not in the store"
             case "log" if self.kept != self.bytes:
@@ -158,13 +156,13 @@ def recorded(question: Question, runs: Sequence[Taken]) -> list[Recorded]:
 
 FILES = f"""
 WITH inputs AS (
-    SELECT t.place, m.input, r.files, unnest(range(len(r.files))) AS nth
-    FROM taken t JOIN (SELECT run, any_value(input) AS input, any_value(recipe) AS recipe FROM members
+    SELECT t.place, m.inputs, r.files, unnest(range(len(r.files))) AS nth
+    FROM taken t JOIN (SELECT run, any_value([input] || others) AS inputs, any_value(recipe) AS recipe FROM members
                        WHERE run IN (SELECT run FROM taken) GROUP BY run) m USING (run) JOIN recipes r USING (recipe)
 ),
 listed AS (
     SELECT place, 0 AS part, '{INPUT_FOLDER}' || files[nth + 1] AS path, 'input' AS kind, NULL::BIGINT AS size,
-           CASE WHEN nth = 0 THEN input END AS sha256, NULL AS output, NULL AS form, NULL::BIGINT AS rows FROM inputs
+           inputs[nth + 1] AS sha256, NULL AS output, NULL AS form, NULL::BIGINT AS rows FROM inputs
     UNION ALL
     SELECT t.place, CASE a.kind WHEN 'log' THEN 2 ELSE 1 END,
            CASE a.kind WHEN 'log' THEN a.path ELSE '{OUTPUT_FOLDER}' || a.path END, a.kind, a.size, a.sha256, a.output,

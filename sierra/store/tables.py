@@ -79,6 +79,7 @@ RECORDED = {
             ("run", ID, "the run"),
             ("seed", INT, "its seed"),
             ("input", ID, "SHA-256 of its first input file; the file itself is in objects"),
+            ("others", LIST, "SHA-256 of its further input files, named as in recipes.files"),
             ("recipe", ID, "what it has in common with the other runs of the batch"),
         ),
         _table(
@@ -192,6 +193,18 @@ RECORDED = {
             ("dirty", FLAG, "whether files differ from the commit"),
             ("remote", TEXT, "the remote's address, without credentials"),
             ("files", ID, "SHA-256 of the list of files in objects: a mode, a hash and a path a line"),
+        ),
+        _table(
+            "blobs",
+            "Files of sources outside git, by the hash that git gives them, which stands in the list of a source's files.",
+            ("blob", ID, "git's hash"),
+            ("sha256", ID, "SHA-256 of the file; the file itself is in objects"),
+        ),
+        _table(
+            "readings",
+            "What projects declared of outputs and success, so that another execution can be judged by the same rules.",
+            ("reading", ID, "as in executions"),
+            ("declared", TEXT, "the tables outputs and success of sierra.toml, as JSON"),
         ),
         _table(
             "programs",

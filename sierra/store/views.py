@@ -24,6 +24,8 @@ ONCE = {
     "sources": ("source",),
     "programs": ("programs", "name", "path"),
     "objects": ("sha256", "part"),
+    "blobs": ("blob",),
+    "readings": ("reading",),
     "findings": ("execution",),
 }
 """Records that two writers may both have made: what makes them the same."""
