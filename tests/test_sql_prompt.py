@@ -47,11 +47,18 @@ class Terminal:
         os.close(theirs)
         self._unread = ""
 
-    def until(self, text: str) -> str:
-        """What was said until `text`, and `text`."""
+    def until(self, text: str, press: str = "") -> str:
+        """What was said until `text`, and `text`; a key is pressed each second until then.
+
+        (A signal that comes between the prompt and the waiting for a key is seen after the next key only.)
+        """
         give_up = time.monotonic() + PATIENCE_S
+        pressed = 0.0
         while text not in self._unread:
             assert time.monotonic() < give_up, self._unread
+            if press and time.monotonic() - pressed > 1:
+                pressed = time.monotonic()
+                self.type(press)
             if select.select([self._ours], [], [], 0.1)[0]:
                 self._unread += os.read(self._ours, 1 << 16).decode().replace("\r", "")
         said, _, self._unread = self._unread.partition(text)
@@ -117,12 +124,10 @@ def test_ctrl_c_drops_a_line_and_stops_a_question_but_not_the_prompt(open_termin
     terminal = open_terminal()
     terminal.type("SELECT this is nothing\n")
     terminal.until("...> ")
-    terminal.type("\x03")
-    terminal.until("sql> ")
+    terminal.until("sql> ", press="\x03")
     terminal.type("SELECT sum(a.range * b.range) FROM range(10000000) a, range(10000000) b;\n")
     time.sleep(1)
-    terminal.type("\x03")
-    terminal.until("sierra: ")
+    terminal.until("sierra: ", press="\x03")
     terminal.until("sql> ")
     terminal.type("SELECT 41 + 1 AS n;\n")
     assert "42" in terminal.until("sql> ")
@@ -130,7 +135,10 @@ def test_ctrl_c_drops_a_line_and_stops_a_question_but_not_the_prompt(open_termin
 
 def test_sigterm_ends_the_prompt(open_terminal: Callable[[], Terminal]) -> None:
     terminal = open_terminal()
-    terminal.process.send_signal(signal.SIGTERM)
+    give_up = time.monotonic() + PATIENCE_S
+    while terminal.process.poll() is None and time.monotonic() < give_up:
+        terminal.process.send_signal(signal.SIGTERM)
+        time.sleep(0.5)
     assert terminal.ended() == 130
 
 
