@@ -116,6 +116,40 @@ CREATE TABLE sessions (
     "rules" VARCHAR  -- hash of the same and of what may differ between siblings
 );
 
+-- One replay: recorded runs executed again, from the record alone, and compared with it.
+CREATE TABLE replays (
+    "replay" VARCHAR,  -- the replay's id; its executions have it as their session
+    "kind" VARCHAR,  -- what was replayed: batch, experiment, run or execution
+    "target" VARCHAR,  -- its id
+    "batch" VARCHAR,  -- the batch it is of
+    "started" TIMESTAMP WITH TIME ZONE,  -- when it was asked for
+    "ended" TIMESTAMP WITH TIME ZONE,  -- when its verdict was known
+    "runner" VARCHAR,  -- where runs were executed
+    "engine" VARCHAR,  -- what contained them
+    "runs" BIGINT,  -- runs compared [1]
+    "verdict" VARCHAR,  -- identical, equal, within tolerance, different or failed: the worst of its runs
+    "environment" VARCHAR,  -- what was around it
+    "programs" VARCHAR  -- fingerprint of the programs that it was executed with
+);
+
+-- How far each output of a replayed run agrees with its record.
+CREATE TABLE verdicts (
+    "replay" VARCHAR,  -- the replay
+    "run" VARCHAR,  -- the run
+    "recorded" VARCHAR,  -- the execution that is the record
+    "execution" VARCHAR,  -- the execution that was compared with it; NULL where there is none
+    "path" VARCHAR,  -- the output's path; NULL where it is about the whole run
+    "verdict" VARCHAR,  -- identical, equal, within tolerance, different or failed
+    "why" VARCHAR,  -- in a line; empty where they are identical
+    "row" BIGINT,  -- the first row (or line) in which they differ, from 0
+    "column" VARCHAR,  -- the column of that
+    "was" VARCHAR,  -- the recorded value there
+    "found" VARCHAR,  -- the value found there
+    "abs" DOUBLE,  -- the greatest distance in that column, in its unit
+    "rel" DOUBLE,  -- the greatest distance relative to the recorded number [1]
+    "ulp" DOUBLE  -- the greatest distance in units in the last place [1]
+);
+
 -- What was around executions, recorded once.
 CREATE TABLE environments (
     "environment" VARCHAR,  -- hash of all below

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from sierra.extract import Listing, Outcome
     from sierra.pipeline import Summary
     from sierra.plans import Plan
+    from sierra.replay import Replay
 
 
 class Project:
@@ -98,13 +99,9 @@ class Project:
     ) -> Summary:
         """Answer a query that is planned already."""
         from sierra import pipeline
-        from sierra.provenance.environment import usable_cores
 
-        slots = (settings.load().jobs or usable_cores()) if jobs is None else jobs
-        if slots < 1:
-            raise UsageError(f"{slots} runs at a time; ask for 1 or more")
         store = Store.create(self.paths.store)
-        summary = pipeline.run(plan, store, slots=slots, fail_fast=fail_fast, watch=watch or (lambda progress: None))
+        summary = pipeline.run(plan, store, slots=_slots(jobs), fail_fast=fail_fast, watch=watch or (lambda progress: None))
         if not figures or summary.interrupted or summary.missing + summary.failed == summary.runs:
             return summary
         try:
@@ -133,6 +130,17 @@ class Project:
         from sierra import listing
 
         return listing.show(self.store, prefix)
+
+    def replay(self, prefix: str, *, runs: int | None = None, jobs: int | None = None, watch: Watch | None = None) -> Replay:
+        """Execute again, from the record alone, what an id names, and compare: see `sierra.replay.Replay`.
+
+        `runs`: the first so many of each experiment. Raises NotFound, and Missing for what is needed and gone.
+        """
+        from sierra import replay
+
+        return replay.replay(
+            self._loaded, self.store, prefix, runs=runs, slots=_slots(jobs), watch=watch or (lambda progress: None)
+        )
 
     def files(self, prefix: str, *paths: str, to: str | os.PathLike[str] | None = None) -> Listing | list[Outcome]:
         """The recorded files of what an id names; with `to`, written into that folder: what became of each.
@@ -190,3 +198,13 @@ class Project:
         from sierra import deliver
 
         return deliver.figures(self._loaded, self.store, batch, name, again=again)
+
+
+def _slots(jobs: int | None) -> int:
+    """Runs at a time: as asked, as the user's settings say, or as many as there are usable cores."""
+    from sierra.provenance.environment import usable_cores
+
+    slots = (settings.load().jobs or usable_cores()) if jobs is None else jobs
+    if slots < 1:
+        raise UsageError(f"{slots} runs at a time; ask for 1 or more")
+    return slots

@@ -184,6 +184,14 @@ class Group(Table):
     changes: tuple[ChangeTable, ...] = Field((), description="what it changes in the template; may be nothing")
 
 
+class Tolerance(Table):
+    """How far a number may be from the recorded one in a replay; it need keep to one of these alone."""
+
+    abs: float = Field(0.0, ge=0, allow_inf_nan=False, description="the difference itself, in the column's unit")
+    rel: float = Field(0.0, ge=0, allow_inf_nan=False, description="the difference divided by the recorded number's size")
+    ulp: float = Field(0.0, ge=0, allow_inf_nan=False, description="the difference in units in the last place of a double")
+
+
 class Output(Table):
     """One kind of file that runs write, and the table that it becomes."""
 
@@ -203,6 +211,14 @@ class Output(Table):
         "strict", description="other row counts or columns than its siblings: fail the run, or keep it and report n"
     )
     units: Mapping[str, str] = Field(default_factory=dict, description="the unit of each column, for figures")
+    tolerance: Mapping[str, Tolerance] = Field(
+        default_factory=dict,
+        description="by column (`*`: all others), how far a replay may be from the record: abs, rel or ulp",
+    )
+    volatile: tuple[str, ...] = Field(
+        (),
+        description="what a replay does not compare: columns of a table; in another file, regular expressions of lines",
+    )
 
     @property
     def kind(self) -> str:

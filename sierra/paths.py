@@ -105,6 +105,11 @@ class SessionPaths:
         return self.root / "context.json"
 
     @property
+    def source(self) -> Path:
+        """Where a replay puts the recorded source."""
+        return self.root / "source"
+
+    @property
     def segment(self) -> Path:
         return self.root / "segment"
 

@@ -47,6 +47,8 @@ TOO_MANY = f'undeclared, and of more than {AUTOMATIC_AT_MOST} in a run ([outputs
 TAKEN = 'undeclared, and another has the table of that name already ([outputs.NAME] file = "{file}" makes it a table)'
 NOT_UTF8 = "with a name that is no UTF-8"
 """Why files that look like tables are kept as files."""
+UNREAD = {"units", "time", "tolerance", "volatile"}
+"""Of an output, what makes no difference to how it is recorded."""
 PENDING_RUNS = 4_000
 PENDING_BYTES = 256 << 20
 SOON_S, LATE_S = 2.0, 600.0
@@ -75,12 +77,12 @@ class Context:
     @property
     def reading(self) -> str:
         """The hash of what decides whether an execution is good and what is kept of it."""
-        return self._declared({"mismatch", "units", "time"})
+        return self._declared({"mismatch", *UNREAD})
 
     @property
     def rules(self) -> str:
         """The hash of the same, and of what may differ between siblings."""
-        return self._declared({"units", "time"})
+        return self._declared(UNREAD)
 
     @property
     def declared(self) -> str:

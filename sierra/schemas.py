@@ -90,6 +90,8 @@ required = true
 min_rows = 1
 mismatch = "strict"
 units = { clock = "s", energy = "J" }
+tolerance = { energy = { abs = 1e-9, rel = 1e-12, ulp = 4.0 } }
+volatile = ["written_at"]
 
 [success]
 marker = "stdout"

@@ -12,7 +12,7 @@ import pytest
 
 from tests.projects import CONFIG, SIERRA, make, quick, sierra
 
-COMMANDS = ("init", "run", "ls", "show", "files", "sql", "stats", "figures", "doctor", "schema")
+COMMANDS = ("init", "run", "replay", "ls", "show", "files", "sql", "stats", "figures", "doctor", "schema")
 RICH = """
 [controllers.fast]
 changes = [{ set = "//swarm/@controller", value = "fast" }]
@@ -80,7 +80,7 @@ def test_completion_can_be_had_for_each_shell(tmp_path: Path, shell: str) -> Non
 
 
 def test_completion_completes(tmp_path: Path) -> None:
-    typed = {"_SIERRA_COMPLETE": "complete_bash", "COMP_WORDS": "sierra r", "COMP_CWORD": "1"}
+    typed = {"_SIERRA_COMPLETE": "complete_bash", "COMP_WORDS": "sierra ru", "COMP_CWORD": "1"}
     assert sierra(tmp_path, environment=typed).stdout.split() == ["run"]
 
 

@@ -61,6 +61,7 @@ def seen(table: dict[str, Any]) -> dict[str, set[str]]:
     }
     for name, model in groups.items():
         found[model] = set().union(*table[name].values())
+    found["Tolerance"] = set().union(*(one for output in table["outputs"].values() for one in output["tolerance"].values()))
     return found
 
 

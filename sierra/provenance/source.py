@@ -15,7 +15,7 @@ import shutil
 import stat
 import subprocess
 import tempfile
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -123,6 +123,52 @@ def contents(source: Source, root: Path) -> Iterator[tuple[str, bytes]]:
         if _git_hash(b"blob", content) != blob:
             raise Missing(f"{file} has changed while it was being recorded; ask again")
         yield blob, content
+
+
+def restore(tree: str, manifest: bytes, root: Path, target: Path, content: Callable[[str], bytes | None]) -> None:
+    """Write the files of a recorded source into `target`, a folder that is made.
+
+    They come from the git repository that `root` lies in, where it has the tree, else from `content`, which gives a file
+    by git's hash of it. Raises Missing where neither has it.
+    """
+    target.mkdir(parents=True)
+    plain = tree.removeprefix(SWHID)
+    if any((folder / ".git").exists() for folder in (root, *root.parents)) and _Git(root).has(plain):
+        _checkout(root, plain, manifest, target)
+        return
+    for path, what in _read_manifest(manifest).items():
+        mode, blob = what.decode().split(" ")
+        file = target / os.fsdecode(path)
+        found = None if mode == "160000" else content(blob)
+        if found is None or _git_hash(b"blob", found) != blob:
+            raise Missing(f"the source's file {os.fsdecode(path)!r} is neither in git at {root} nor in the store")
+        file.parent.mkdir(parents=True, exist_ok=True)
+        if mode == "120000":
+            file.symlink_to(os.fsdecode(found))
+        else:
+            file.write_bytes(found)
+            file.chmod(0o755 if mode == "100755" else 0o644)
+
+
+def _checkout(root: Path, tree: str, manifest: bytes, target: Path) -> None:
+    """Let git write a tree, and those of the repositories inside it."""
+    git = _Git(root)
+    with tempfile.TemporaryDirectory(prefix="sierra-") as scratch:
+        index = Path(scratch, "index")
+        git("read-tree", tree, index=index, at_top=True)
+        git("checkout-index", "--all", f"--prefix={target}/", index=index, at_top=True)
+    for path, what in _read_manifest(manifest).items():
+        mode, blob = what.decode().split(" ")
+        if mode == "160000":
+            inside = root / os.fsdecode(path)
+            if not (inside / ".git").exists() or not _Git(inside).has(blob):
+                raise Missing(f"the submodule {os.fsdecode(path)!r} does not have {blob[:12]}; fetch it (git submodule update)")
+            _checkout(
+                inside,
+                blob,
+                _Git(inside)("ls-tree", "-r", "-z", "--format=%(objectmode) %(objectname)%x09%(path)", blob),
+                target / os.fsdecode(path),
+            )
 
 
 def paths(manifest: bytes) -> set[bytes]:
@@ -276,6 +322,10 @@ class _Git:
     def prefix(self) -> bytes:
         """The project's folder as the repository sees it, with a slash at its end (or empty)."""
         return self("rev-parse", "--show-prefix").strip()
+
+    def has(self, thing: str) -> bool:
+        """Whether the repository has a tree or a commit."""
+        return bool(self("rev-parse", "--verify", "--quiet", f"{thing}^{{tree}}", optional=True))
 
     def ignores_it(self) -> bool:
         """Whether the repository ignores this whole folder."""

@@ -192,12 +192,12 @@ class Content:
 
 def contents(question: Question, files: Sequence[Recorded]) -> Iterator[Content]:
     """What these files hold, in the order in which it lies in the store; each of them once."""
-    holding = _holding(question, {file.taken.execution for file in files if file.taken.execution})
-    yield from _objects(question.segments, holding, [file for file in files if file.kind != "table"])
-    yield from _tables(question, holding, [file for file in files if file.kind == "table"])
+    those = holding(question, {file.taken.execution for file in files if file.taken.execution})
+    yield from _objects(question.segments, those, [file for file in files if file.kind != "table"])
+    yield from _tables(question, those, [file for file in files if file.kind == "table"])
 
 
-def _holding(question: Question, executions: Iterable[str]) -> list[Segment]:
+def holding(question: Question, executions: Iterable[str]) -> list[Segment]:
     """The segments in which these executions are recorded."""
     import pyarrow as pa
 
