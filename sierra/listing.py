@@ -15,7 +15,10 @@ WITH last AS (
     FROM sessions GROUP BY batch
 )
 SELECT b.batch, b.created, coalesce(l.query, b.query) AS query, b.controller, b.scenario, b.experiments, b.runs,
-       l.answered, l.failed, l.missing
+       l.answered, l.failed, l.missing, b.batch IN (
+           SELECT m.batch FROM findings f JOIN executions e USING (execution) JOIN members m ON m.run = e.run
+           WHERE f.found > l.answered
+       ) AS doubted
 FROM batches b LEFT JOIN last l USING (batch)
 ORDER BY coalesce(l.answered, b.created), b.batch
 """
@@ -37,7 +40,7 @@ def batches(store: Store) -> list[dict[str, Any]]:
     """
     with store.ask() as question:
         rows: list[dict[str, Any]] = question.sql(BATCHES).to_pylist()
-        open_ones = [row["batch"] for row in rows if row["failed"] != 0 or row["missing"] != 0]
+        open_ones = [row["batch"] for row in rows if row.pop("doubted") or row["failed"] != 0 or row["missing"] != 0]
         counted = {}
         if open_ones:
             counted = {row["batch"]: row for row in question.sql(COUNTS, batches=open_ones).to_pylist()}

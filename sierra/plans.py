@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -21,6 +22,10 @@ from sierra.provenance import environment, programs, source
 from sierra.record import Context
 from sierra.store.tables import RESERVED, check_name
 from sierra.version import __version__
+
+BARE = re.compile(r"[^\W\d]\w*")
+SEEDED = re.compile(r"\{[^}]*\bseed\b")
+"""An expression that uses the seed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,6 +65,11 @@ def ask(
     names = [word for word in words if word in config.queries]
     if len(names) > 1:
         raise QueryError(f"{names[0]!r} and {names[1]!r} are queries of their own; ask for one, with more criteria if need be")
+    for word in words:
+        if word not in names and BARE.fullmatch(word):
+            close = difflib.get_close_matches(word, config.queries, 1, cutoff=0.5)
+            hint = f"; did you mean {close[0]!r}?" if close else f"; a criterion has a range, as in {word}.Log8 or {word}=1,2"
+            raise QueryError(f"{word!r} is no query of sierra.toml{hint}")
     named = config.queries[names[0]] if names else None
     spelled = [part for word in words for part in (named.criteria if named and word in names else (word,))]
     return Query(
@@ -134,8 +144,12 @@ def _inside(template: str) -> list[str]:
 def _doubts(designed: Design, command: Sequence[str]) -> Iterator[str]:
     """What is allowed, and yet hardly meant."""
     mentioned = " ".join(command)
-    if designed.query.runs > 1 and not designed.per_run and "{seed}" not in mentioned:
+    seeded = any(SEEDED.search(f"{getattr(change, 'value', '')} {getattr(change, 'xml', '')}") for change in designed.per_run)
+    if designed.query.runs > 1 and not seeded and "{seed}" not in mentioned:
         yield 'the seed goes nowhere: say where with seed = "XPATH", or {seed} in the command (SIERRA_SEED has it too)'
+    for name, values in designed.lists.items():
+        if len(values) < designed.query.runs:
+            yield f"[per_run] {name} has {len(values)} items for {designed.query.runs} runs: run {len(values)} takes the first"
     if "{input}" not in mentioned and "{run}" not in mentioned:
         yield "the command does not name {input}: unless it finds the generated file itself, all experiments are the same"
 

@@ -285,9 +285,8 @@ def test_sql_reads_from_a_pipe(answered: Path) -> None:
     assert sierra(answered, "sql", "-", "-f", "csv", stdin="SELECT 1 AS a\n").stdout == "a\n1\n"
     assert sierra(answered, "sql", "-").returncode == 2
     ended = sierra(answered, "sql", stdin="SELECT 1 AS a;\nSELECT nope;\n\nSELECT\n2 AS b")
-    assert ended.stdout == "a\n1\nb\n2\n"
+    assert (ended.stdout, ended.returncode) == ("a\n1\n", 2)
     assert '"nope"' in ended.stderr
-    assert ended.returncode == 0
 
 
 def test_a_reader_that_leaves_early_is_no_fault(answered: Path) -> None:

@@ -227,6 +227,25 @@ def test_an_output_column_called_like_an_axis_keeps_its_values(project: Project)
     assert project.sql('SELECT n, "N_", "n__" FROM out').to_pylist() == [{"n": 1, "N_": 5, "n__": 6}]
 
 
+def test_rows_of_a_run_can_be_put_in_the_order_they_were_written(project: Project) -> None:
+    other = "printf 'v\\n3\\n1\\n2\\n' > other.csv\n"
+    (project.root / "sim.sh").write_text("printf 'v,row\\n3,a\\n1,b\\n2,c\\n' > out.csv\n" + other)
+    run(project, "n=1,2")
+    assert project.sql("SELECT v FROM out WHERE n = 2 AND number = 1 ORDER BY row_").column(0).to_pylist() == [3, 1, 2]
+    assert project.sql("SELECT v FROM other WHERE n = 1 AND number = 1 ORDER BY row").column(0).to_pylist() == [3, 1, 2]
+    assert project.sql("SELECT DISTINCT row FROM out ORDER BY 1").column(0).to_pylist() == ["a", "b", "c"]
+
+
+def test_a_damaged_segment_is_one_line(project: Project) -> None:
+    run(project, "n=1")
+    for path in project.paths.store.glob("segments/*/executions.parquet"):
+        path.chmod(0o644)
+        path.write_bytes(b"")
+    for ask in (lambda: run(project, "n=1"), lambda: project.batches, lambda: project.sql("SELECT * FROM runs")):
+        with pytest.raises(Damaged, match=r"executions\.parquet"):
+            ask()
+
+
 def test_the_axes_of_other_batches_rename_nothing_in_one_batch(project: Project) -> None:
     (project.root / "sim.sh").write_text("printf 'k\\n5\\n' > out.csv\n")
     batch = run(project, "n=1", runs=1).batch

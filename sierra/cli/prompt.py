@@ -25,7 +25,7 @@ QUOTED = re.compile(r"""'(?:[^']|'')*'|"(?:[^"]|"")*"|--[^\n]*|/\*.*?\*/""", re.
 
 
 def prompt(answer: Callable[[str], None]) -> None:
-    """Read statements from standard input and let `answer` answer each. What it says is wrong does not end this.
+    """Read statements from standard input and let `answer` answer each. A wrong one ends this elsewhere than on a terminal.
 
     On a terminal, Ctrl-C ends a line, or the answering of a statement; elsewhere it ends this too.
     """
@@ -36,6 +36,10 @@ def prompt(answer: Callable[[str], None]) -> None:
         for text in _statements(interactive):
             try:
                 _answer(answer, text)
+            except SierraError as error:
+                if not interactive:
+                    raise
+                print(f"sierra: {error}", file=sys.stderr)
             except KeyboardInterrupt:
                 if not interactive:
                     raise
@@ -49,10 +53,7 @@ def _answer(answer: Callable[[str], None], text: str) -> None:
         case word if word.startswith(".") and word != ".tables":
             print(f"sierra: there is no {text}; .help says what there is", file=sys.stderr)
         case word:
-            try:
-                answer(TABLES if word == ".tables" else text)
-            except SierraError as error:
-                print(f"sierra: {error}", file=sys.stderr)
+            answer(TABLES if word == ".tables" else text)
 
 
 def _statements(interactive: bool) -> Iterator[str]:

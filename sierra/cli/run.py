@@ -75,6 +75,8 @@ def run(
     if dry_run or explain:
         told = _preview(project, plan, explain=explain, as_json=as_json)
         if dry_run:
+            for text in plan.notes:
+                note(text)
             if as_json:
                 print_json(told)
             return
@@ -145,6 +147,7 @@ def _preview(project: Project, plan: Plan, *, explain: bool, as_json: bool) -> d
         "to_execute": todo,
         "reused": len(states) - todo,
         "reasons": dict(reasons),
+        "notes": list(plan.notes),
         "new_because": why_new(plan, store) if explain and reasons["new"] else [],
     }
     if explain and store and reasons["executed with other programs"]:

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sierra.errors import Damaged, Missing, NotFound, SqlError
+from sierra.errors import Damaged, Missing, NotFound, SierraError, SqlError
 from sierra.paths import StorePaths, write_whole
 from sierra.store.segments import Segment, Writer, disk_errors, listed
 from sierra.store.views import Views, outputs, read_parquet, tables_of
@@ -146,6 +146,7 @@ class Question:
         self.connection = connect()
         self.segments = segments
         self.views = Views(self.connection, segments, within)
+        self._root = root
         self._lock(root)
 
     def __enter__(self) -> Question:
@@ -174,7 +175,15 @@ class Question:
                 raise SqlError("that statement has no answer; ask with SELECT, DESCRIBE, SUMMARIZE or SHOW TABLES")
             return answer.to_arrow_table()
         except duckdb.Error as error:
-            raise SqlError(explain(error)) from error
+            raise self._wrong(error) from error
+
+    def _wrong(self, error: Exception) -> SierraError:
+        """What DuckDB complains of: the store's files, or the statement."""
+        import duckdb
+
+        if f"{self._root}/segments/" in str(error) and not isinstance(error, duckdb.PermissionException):
+            return Damaged(f"the store cannot be read: {explain(error)}")
+        return SqlError(explain(error))
 
     def _answer(self, text: str, parameters: Mapping[str, Any]) -> Any:
         return self.connection.sql(text, params=parameters) if parameters else self.connection.sql(text)
@@ -190,9 +199,14 @@ class Question:
 
     def each(self, statement: str, parameters: Mapping[str, Any]) -> Iterator[tuple[Any, ...]]:
         """The rows of a statement of SIERRA's own, of which there may be many, a few thousand in memory at a time."""
-        answer = self.connection.execute(statement, parameters)
-        while rows := answer.fetchmany(4096):
-            yield from rows
+        import duckdb
+
+        try:
+            answer = self.connection.execute(statement, parameters)
+            while rows := answer.fetchmany(4096):
+                yield from rows
+        except duckdb.Error as error:
+            raise self._wrong(error) from error
 
     def register(self, name: str, table: Any) -> None:
         """Make an Arrow table known to this connection by a name."""
@@ -200,7 +214,12 @@ class Question:
 
     def run(self, statement: str, parameters: Mapping[str, Any] | None = None) -> list[tuple[Any, ...]]:
         """A statement of SIERRA's own, which may make temporary tables."""
-        rows: list[tuple[Any, ...]] = self.connection.execute(statement, parameters or {}).fetchall()
+        import duckdb
+
+        try:
+            rows: list[tuple[Any, ...]] = self.connection.execute(statement, parameters or {}).fetchall()
+        except duckdb.Error as error:
+            raise self._wrong(error) from error
         return rows
 
 

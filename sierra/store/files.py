@@ -343,7 +343,7 @@ class _Part:
         self._question = question
         self._path = path
         described: list[tuple[Any, ...]] = []
-        with contextlib.suppress(duckdb.Error):
+        with contextlib.suppress(duckdb.Error, Damaged):
             described = question.run(f"DESCRIBE SELECT * FROM {read_parquet([path])}")
         self._columns = [(row[0], row[1]) for row in described if row[0] not in ("run", "execution", "file")]
         self._many = any(row[0] == "file" for row in described)
@@ -367,7 +367,7 @@ class _Part:
             f"SELECT o.execution || '/' || {'o.file' if self._many else repr('')} AS key, {line} AS line "
             f"FROM {read_parquet([self._path])} o SEMI JOIN asked USING (execution)"
         )
-        with contextlib.suppress(duckdb.Error, *UNREADABLE):
+        with contextlib.suppress(duckdb.Error, Damaged, *UNREADABLE):
             for batch in self._question.connection.sql(statement).to_arrow_reader(LINES):
                 runs = pc.run_end_encode(batch.column(0))
                 begin = 0

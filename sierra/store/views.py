@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+from sierra.errors import Damaged
 from sierra.store.reading import column_names, identifier, quote
 from sierra.store.segments import Segment, is_first_part
 from sierra.store.tables import DERIVED, RECORDED
@@ -54,6 +55,16 @@ class Views:
                 self._outputs.setdefault(spelled.setdefault(name.lower(), name), []).append(path)
         self._made: set[str] = set()
 
+    def _execute(self, statement: str, parameters: Mapping[str, Any] | None = None) -> Any:
+        """A statement of these views, with whatever is wrong in the store's files turned into Damaged."""
+        import duckdb
+
+        try:
+            return self._sql.execute(statement, parameters or {})
+        except duckdb.Error as error:
+            lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+            raise Damaged(f"the store cannot be read: {lines[0] if lines else error}") from error
+
     def make(self, names: Iterable[str] | None = None) -> None:
         """Views of these tables and of what they need; of all where no names are given."""
         wanted = None if names is None else {name.lower() for name in names}
@@ -65,11 +76,11 @@ class Views:
         """The independent variables as columns: those of all batches, as in `experiments`; of one batch, in its order."""
         if self._within is not None:
             self._make("batches")
-            rows = self._sql.execute("SELECT unnest(axes) FROM batches WHERE batch = $batch", {"batch": self._within})
+            rows = self._execute("SELECT unnest(axes) FROM batches WHERE batch = $batch", {"batch": self._within})
             return [row[0] for row in rows.fetchall()]
         self._make("experiments")
         fixed = {column.name for column in RECORDED["experiments"].columns}
-        rows = self._sql.execute("DESCRIBE experiments").fetchall()
+        rows = self._execute("DESCRIBE experiments").fetchall()
         return [row[0] for row in rows if row[0] not in fixed]
 
     def _make(self, name: str) -> None:
@@ -90,7 +101,7 @@ class Views:
             body = self._output(name)
         else:
             return
-        self._sql.execute(f"CREATE VIEW {identifier(name)} AS {body}")
+        self._execute(f"CREATE VIEW {identifier(name)} AS {body}")
 
     def _recorded(self, name: str) -> str:
         files = self._files.get(name)
@@ -115,7 +126,7 @@ class Views:
     def _columns(self, name: str, source: str) -> list[str]:
         if name != "experiments":
             return [column.name for column in RECORDED[name].columns]
-        return [row[0] for row in self._sql.execute(f"DESCRIBE SELECT * FROM {source}").fetchall()]
+        return [row[0] for row in self._execute(f"DESCRIBE SELECT * FROM {source}").fetchall()]
 
     def _runs(self) -> str:
         axes = "".join(f"{_only(_value(axis))} AS {identifier(axis)}, " for axis in self.axes())
@@ -148,15 +159,18 @@ class Views:
     def _output(self, name: str) -> str:
         self._make("counting")
         self._make("points")
-        source = read_parquet(self._holding(self._outputs[name]), union=True)
+        files = self._holding(self._outputs[name])
+        source = read_parquet(files, union=True)
         axes = self.axes()
-        theirs = [row[0] for row in self._sql.execute(f"DESCRIBE SELECT * FROM {source}").fetchall()]
+        theirs = [row[0] for row in self._execute(f"DESCRIBE SELECT * FROM {source}").fetchall()]
         free = column_names(theirs, taken=axes)
         renamed = ", ".join(f"{identifier(c)} AS {identifier(n)}" for c, n in zip(theirs, free, strict=True) if c != n)
         rename = f" RENAME ({renamed})" if renamed else ""
+        *_, row = column_names(["row"], taken=(*axes, *free))
         ours = "".join(f"p.{identifier(axis)}, " for axis in axes)
         return (
-            f"SELECT {ours}p.number, o.*{rename} FROM {source} o JOIN points p ON o.run = p.run "
+            f"SELECT {ours}p.number, o.file_row_number AS {identifier(row)}, o.* EXCLUDE (file_row_number, filename){rename} "
+            f"FROM {read_parquet(files, union=True, rows=True)} o JOIN points p ON o.run = p.run "
             f"WHERE o.execution IN (SELECT execution FROM ({COUNTED}))"
         )
 
@@ -166,7 +180,7 @@ class Views:
             return files
         source = read_parquet(files, rows=True)
         statement = f"SELECT DISTINCT filename FROM {source} WHERE execution IN (SELECT execution FROM ({COUNTED}))"
-        holding = {row[0] for row in self._sql.execute(statement).fetchall()}
+        holding = {row[0] for row in self._execute(statement).fetchall()}
         return [file for file in files if file in holding] or files
 
 
