@@ -100,8 +100,9 @@ class Project:
         """Answer a query that is planned already."""
         from sierra import pipeline
 
+        slots = _slots(jobs)
         store = Store.create(self.paths.store)
-        summary = pipeline.run(plan, store, slots=_slots(jobs), fail_fast=fail_fast, watch=watch or (lambda progress: None))
+        summary = pipeline.run(plan, store, slots=slots, fail_fast=fail_fast, watch=watch or (lambda progress: None))
         if not figures or summary.interrupted or summary.missing + summary.failed == summary.runs:
             return summary
         try:

@@ -16,7 +16,7 @@ from sierra.design import design
 from sierra.engines import Engine
 from sierra.errors import ConfigError, Missing, QueryError, UsageError
 from sierra.expansion import Expansion
-from sierra.model import Batch, Design, Limits, Query, Recipe, Set
+from sierra.model import Batch, Design, Experiment, Limits, Query, Recipe, Set
 from sierra.paths import CONFIG, DRAWN, FIGURES, PYPROJECT, STORE, ProjectPaths
 from sierra.provenance import environment, programs, source
 from sierra.record import Context
@@ -100,11 +100,12 @@ def plan(project: LoadedProject, asked: Query, *, engine: str = "none") -> Plan:
     recipe = Recipe(config.platform, command, variables, code.tree, contained.image())
     designed = design(asked, config, platform, template)
     expansion = Expansion(designed, template, platform, recipe)
+    batch = expansion.batch()
     return Plan(
         project=project,
         query=asked,
         text=" ".join(query.text(criterion) for criterion in asked.criteria),
-        batch=expansion.batch(),
+        batch=batch,
         expansion=expansion,
         source=code,
         programs=programs.find(jobs.fill(command, root), jobs.search_path(variables), root, unversioned),
@@ -112,7 +113,7 @@ def plan(project: LoadedProject, asked: Query, *, engine: str = "none") -> Plan:
         engine=contained,
         limits=jobs.limits(config),
         template_sha256=template.sha256,
-        notes=(*_doubts(designed, command), *_texts(designed, config, template)),
+        notes=(*_doubts(designed, command), *_texts(designed, config, template), *_same(batch)),
     )
 
 
@@ -162,6 +163,23 @@ def _texts(designed: Design, config: Project, template: inputs.Template) -> Iter
             here = template.find(variable.set)
             if here and all(re.fullmatch(r"\s*[+-]?\d+(\.\d*)?\s*", value) for value in here):
                 yield f"{axis.name} gets texts ({axis.values[0]!r}, …), and the template has {here[0].strip()} there"
+
+
+def _same(batch: Batch) -> Iterator[str]:
+    """Experiments that are the same: values that make no difference. The first two, and how many more there are."""
+    first: dict[tuple[str, ...], Experiment] = {}
+    again = [(one, other) for other in batch.experiments if (one := first.setdefault(_key(other), other)) is not other]
+    for one, other in again[:1]:
+        more = f" (as in {len(again) - 1} other cases)" if again[1:] else ""
+        yield f"{_called(one)} and {_called(other)} are the same runs: nothing in the input differs{more}"
+
+
+def _key(experiment: Experiment) -> tuple[str, ...]:
+    return tuple(run.id for run in experiment.runs)
+
+
+def _called(experiment: Experiment) -> str:
+    return " ".join(f"{name}={value}" for name, value in experiment.values.items())
 
 
 def _check_names(project: LoadedProject) -> None:

@@ -74,6 +74,14 @@ def test_a_run_of_two_experiments_stands_at_both_points(tmp_path: Path) -> None:
     assert {row["idle"] for row in project.sql("SELECT idle FROM runs").to_pylist()} == {None}
 
 
+def test_values_that_make_no_difference_are_said(tmp_path: Path) -> None:
+    capped = '[variables.capped]\nchanges = [{ set = "//swarm/@count", value = "{min(capped, 3)}" }]\n'
+    project = sierra.open(projects.make(tmp_path, projects.CONFIG + capped))
+    said = "capped=3 and capped=4 are the same runs: nothing in the input differs (as in 1 other cases)"
+    assert said in project.plan("capped=2,3,4,5").notes
+    assert not any("same runs" in note for note in project.plan("montecarlo.C2").notes)
+
+
 def test_a_run_of_several_batches_is_there_once(tmp_path: Path) -> None:
     project = sierra.open(projects.make(tmp_path))
     project.run("population_size=1,2", figures=False)

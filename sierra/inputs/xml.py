@@ -69,10 +69,10 @@ class XmlTemplate:
 class XmlDocument:
     """A root element, and the frame that it stands in; see `sierra.inputs.Document`."""
 
-    def __init__(self, root: Element, frame: _Frame) -> None:
+    def __init__(self, root: Element, frame: _Frame, namespaces: dict[str, str] | None = None) -> None:
         self._root = root
         self._frame = frame
-        self._namespaces = _namespaces(root)
+        self._namespaces = _namespaces(root) if namespaces is None else namespaces
 
     def render(self) -> bytes:
         return self._frame.around(self._body())
@@ -87,7 +87,7 @@ class XmlDocument:
 
     def changed(self, changes: Iterable[Change], filled: Callable[[str], str]) -> XmlDocument:
         """A copy with the changes made, each of their texts as `filled` gives it."""
-        document = XmlDocument(copy.deepcopy(self._root), self._frame)
+        document = XmlDocument(copy.deepcopy(self._root), self._frame, self._namespaces)
         for change in changes:
             try:
                 document._make(change, filled)
@@ -146,7 +146,7 @@ class XmlDocument:
         mark = "gap"
         while mark in self._body():
             mark += "_"
-        document = XmlDocument(copy.deepcopy(self._root), self._frame)
+        document = XmlDocument(copy.deepcopy(self._root), self._frame, self._namespaces)
         for number, change in enumerate(changes):
             for place in document._places(change):
                 place.write(f"{mark}:{number}:{place.kind}:")
