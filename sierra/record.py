@@ -3,7 +3,7 @@
 An execution is judged here and nowhere else: by its exit status, the outputs and the marker that the project
 asks for, and by the tables it wrote (see `sierra.store.reading`). What is only known once its siblings, the other
 runs of its experiment, are there too (other row counts or columns than theirs, a table that it alone lacks or has)
-becomes a *finding*, and so does a column that holds what it holds in no other experiment.
+becomes a *finding*, and so does a column that holds something else than theirs (see `_kind`).
 
 Recording may be repeated: what is in the store already is not recorded again, so a session that died is
 finished by reading its journal once more.
@@ -31,7 +31,20 @@ from sierra.model import OutputFile, Result, Status
 from sierra.paths import RUN_OUTPUT, RUN_STDERR, RUN_STDOUT, SessionPaths, write_whole
 from sierra.store import Question, Store
 from sierra.store.objects import Objects
-from sierra.store.reading import Reading, Shape, Written, column_names, difference, identifier, read, shown
+from sierra.store.reading import (
+    AS_TEXT,
+    Reading,
+    Shape,
+    Siblings,
+    Written,
+    column_names,
+    difference,
+    identifier,
+    own_kind,
+    read,
+    right_kind,
+    shown,
+)
 from sierra.store.segments import OUTPUT, Writer, disk_errors
 from sierra.store.tables import check_name
 
@@ -216,7 +229,7 @@ class Recorder:
 
         Asks the store, so it is to be called once, when all is recorded and `find_odd` has looked at it.
         """
-        return [*self._kept_as_files(), *self._alone(), *self._renamed()]
+        return [*self._kept_as_files(), *self._alone(), *self._renamed(), *self._of_kinds()]
 
     def _kept_as_files(self) -> Iterator[str]:
         for why, files in self._kept.items():
@@ -247,6 +260,47 @@ class Recorder:
                 for axis, column, called in _hidden(question, name):
                     told = f"the column {column!r} of output {name!r} is called {called!r} in SQL"
                     yield f"{told}: {axis!r} there is the independent variable, and its values are others"
+
+    def _of_kinds(self) -> Iterator[str]:
+        """Columns that hold one thing in some runs and another in others, and texts that were hardly meant as such."""
+        kinds: dict[tuple[str, str], Counter[str]] = {}
+        for row in self._store.rows(GOOD + FORMS, **_asked(self._context)) if self._shapes else ():
+            for name, kind in json.loads(row["form"])["columns"].items():
+                if kind != "empty" and row["output"] in self._shapes:
+                    kinds.setdefault((row["output"], name), Counter())[kind] += row["executions"]
+        for (output, name), counts in kinds.items():
+            stored = {"text" if kind.endswith(AS_TEXT) else kind for kind in counts}
+            if len(stored) > 1:
+                held = ", ".join(f"{_many(kind)} in {count}" for kind, count in sorted(counts.items()))
+                as_text = "all as text, and a number's text need not be the file's (1e5 is 100000.0)"
+                seen = as_text if "text" in stored else "true as 1"
+                yield f"column {name!r} of output {output!r} holds {held} runs; SQL shows {seen}"
+        texts = [key for key, counts in kinds.items() if counts["text"]]
+        for output, name in texts:
+            if self._shapes[output].format == "csv" and len(name.split()) > 1 and _only_column(kinds, output, name):
+                told = f'delimiter = " " in [outputs.{output}]?'
+                yield f"output {output!r} is one column {name!r} of texts: {told}"
+        alone = [key for key in texts if all(kind == "text" or kind.endswith(AS_TEXT) for kind in kinds[key])]
+        yield from self._numeric_texts([key for key in alone if len(key[1].split()) == 1], kinds)
+
+    def _numeric_texts(self, texts: Sequence[tuple[str, str]], kinds: Mapping[tuple[str, str], Counter[str]]) -> Iterator[str]:
+        """Columns of texts most of which are numbers, by the first rows that are there."""
+        if not texts:
+            return
+        with self._store.ask(self._context.batch) as question:
+            for output, name in texts[:NOTED_AT_MOST]:
+                question.views.make((output,))
+                named = {row[0].lower(): row[0] for row in question.run(f"DESCRIBE {identifier(output)}")}
+                column = next((named[n] for n in (name.lower() + "_", name.lower()) if n in named), None)
+                if column is None:
+                    continue
+                statement = NUMERIC.format(column=identifier(column), table=identifier(output))
+                [(cells, numbers)] = question.run(statement)
+                if numbers * 2 > cells:
+                    counts = kinds[output, name]
+                    runs = f"{counts['text']} of {counts.total()} runs"
+                    told = "most of its cells are numbers: decimal commas? NA?"
+                    yield f"column {name!r} of output {output!r} is text in {runs}; {told}"
 
     def _write(self, writer: Writer, pending: Sequence[_Judged]) -> list[_Judged]:
         tables, readings, faults = self._tables(writer, pending)
@@ -283,7 +337,7 @@ class Recorder:
             connection = connect()
             try:
                 for name, written in files.items():
-                    reading = read(connection, written, self._shapes[name], writer.path(OUTPUT + name))
+                    reading = read(connection, written, self._shapes[name], writer.path(OUTPUT + name), self._siblings(name))
                     self._shapes[name] = reading.shape
                     readings[name] = reading
                     for execution, fault in reading.faults.items():
@@ -291,6 +345,31 @@ class Recorder:
             finally:
                 connection.close()
         return belongs, readings, faults
+
+    def _siblings(self, name: str) -> Siblings:
+        """What the store has of the table `name` in the experiments of this batch, whoever asked for them."""
+        if not self._store.rows(ANY_TABLE):
+            return Siblings()
+        asked = {**_asked(self._context), "output": name}
+        forms = self._store.rows(SIBLINGS + SIBLINGS_FORMS, **asked)
+        mixed = {
+            column
+            for row in forms
+            for column, kind in json.loads(row["form"])["columns"].items()
+            if kind not in ("number", "empty")
+        }
+
+        def ask(runs: Sequence[str]) -> tuple[dict[str, Any], dict[tuple[Any, str], Counter[str]]]:
+            places = self._store.rows(PLACES, batch=self._context.batch)
+            votes: dict[tuple[Any, str], Counter[str]] = {}
+            for row in self._store.rows(SIBLINGS + SIBLINGS_VOTES, **asked):
+                for column, kind in json.loads(row["form"])["columns"].items():
+                    if kind != "empty":
+                        votes.setdefault((row["ordinal"], column), Counter())[own_kind(kind)] += row["executions"]
+            wanted = set(runs)
+            return {row["run"]: row["ordinal"] for row in places if row["run"] in wanted}, votes
+
+        return Siblings(frozenset(mixed), ask)
 
     def _assigned(self, result: Result) -> Iterator[tuple[str, Shape, OutputFile]]:
         """The files of one execution that become tables: the declared ones, then what ends like a table."""
@@ -418,9 +497,9 @@ def find_odd(store: Store, session: SessionPaths, context: Context) -> int:
     Siblings are the good executions of one experiment with the same programs, whenever they were recorded. What most
     of them have is right (of two that as many have, the more). Row counts and columns of an output with
     `mismatch = "ragged"` may differ, and one that is not required may be absent. What a column holds (numbers, text, …)
-    must be the same in all experiments of a batch, or no statement could use it.
+    must be the same among siblings; between experiments it may differ, for which `Recorder.notes` has a word.
     """
-    if not store.rows("SELECT 1 FROM artifacts WHERE kind = 'table' LIMIT 1"):
+    if not store.rows(ANY_TABLE):
         return 0
     asked = _asked(context)
     tables: dict[tuple[int, str], list[dict[str, Any]]] = {}
@@ -430,9 +509,6 @@ def find_odd(store: Store, session: SessionPaths, context: Context) -> int:
     for (_, name), siblings in sorted(tables.items()):
         for execution, reason in _odd(siblings, name, context.outputs.get(name)):
             found.setdefault(execution, reason)
-    for form, reason in _incompatible(store.rows(GOOD + FORMS, **asked)):
-        for row in store.rows(GOOD + HAVING, **asked, output=form["output"], form=form["form"]):
-            found.setdefault(row["execution"], reason)
     now = datetime.now(UTC)
     writer = store.writer(session.segment, context.batch)
     findings = ({"execution": one, "found": now, "status": "mismatch", "reason": reason} for one, reason in found.items())
@@ -499,13 +575,19 @@ def _likely(forms: Sequence[tuple[Mapping[str, Any], int]]) -> dict[str, Any]:
 
 
 def _likely_kinds(forms: Iterable[tuple[Mapping[str, Any], int]]) -> dict[str, str]:
-    """What each column holds in most tables (of two that as many have: numbers)."""
+    """What each column ought to hold, and whether as text (where all siblings with numbers have kept them so)."""
     counts: dict[str, Counter[str]] = {}
     for form, number in forms:
         for name, kind in form["columns"].items():
             if kind != "empty":
                 counts.setdefault(name, Counter())[kind] += number
-    return {name: max(kinds, key=lambda kind: (kinds[kind], kind == "number")) for name, kinds in counts.items()}
+    return {name: _kind(kinds) for name, kinds in counts.items()}
+
+
+def _kind(kinds: Mapping[str, int]) -> str:
+    """What siblings ought to have in a column. Numbers that are text in all of them stay so: nothing of them is lost."""
+    right = right_kind(kinds)
+    return right if right in kinds or right == "text" else right + AS_TEXT
 
 
 def _unlike(form: Mapping[str, Any], likely: Mapping[str, Any], ragged: bool, allow: str) -> str | None:
@@ -517,35 +599,32 @@ def _unlike(form: Mapping[str, Any], likely: Mapping[str, Any], ragged: bool, al
         return f"{difference(columns, likely['columns'])} {allow}"
     if wrong := _misfit(form["columns"], likely["kinds"]):
         name, kind = wrong
-        return f"has {_many(kind)} in the column {name!r} where its siblings have {_many(likely['kinds'][name])}"
+        if (hint := form.get("hints", {}).get(name)) and likely["kinds"][name] == "number":
+            return f"is unlike its siblings': {hint}"
+        told = f"has {_many(kind)} in the column {name!r} where its siblings have {_many(likely['kinds'][name])}"
+        again = kind.endswith(AS_TEXT) or likely["kinds"][name] == "text"
+        return told + " (it was recorded before most of them; asked again, it is read as they are)" * again
     if likely["ended"] and not form["ended"]:
         return "is cut short: its last line has no line feed at its end"
     return None
 
 
 def _misfit(columns: Mapping[str, str], kinds: Mapping[str, str]) -> tuple[str, str] | None:
-    """The first column that does not hold what it should, and what it holds. Where texts are, numbers are texts too."""
+    """The first column that does not hold what it should, and what it holds. Where texts are, all may be kept as text."""
     for name, kind in columns.items():
         right = kinds.get(name, kind)
-        if kind not in (right, "empty") and not (right == "text" and kind in ("number", "flag")):
+        if kind not in (right, "empty") and not (right == "text" and kind.endswith(AS_TEXT)):
             return name, kind
     return None
 
 
-def _incompatible(forms: Sequence[Mapping[str, Any]]) -> Iterator[tuple[Mapping[str, Any], str]]:
-    """Of the forms that a batch's tables have, those with a column that holds something else than in most, and why."""
-    for output in sorted({form["output"] for form in forms}):
-        mine = [(json.loads(form["form"]), form) for form in forms if form["output"] == output]
-        kinds = _likely_kinds((parsed, form["executions"]) for parsed, form in mine)
-        for parsed, form in mine:
-            if wrong := _misfit(parsed["columns"], kinds):
-                name, kind = wrong
-                told = f"has {_many(kind)} in the column {name!r} where most runs of the batch have {_many(kinds[name])}"
-                yield form, f"table {output!r} {told}"
+def _only_column(kinds: Iterable[tuple[str, str]], output: str, name: str) -> bool:
+    return [key for key in kinds if key[0] == output] == [(output, name)]
 
 
 def _many(kind: str) -> str:
-    return {"number": "numbers", "flag": "flags"}.get(kind, kind)
+    own = own_kind(kind)
+    return {"number": "numbers", "flag": "flags"}.get(own, own) + kind.removeprefix(own)
 
 
 GOOD = """
@@ -562,10 +641,35 @@ SELECT a.output, a.form, count(DISTINCT a.execution) AS executions
 FROM artifacts a WHERE a.kind = 'table' AND a.execution IN (SELECT execution FROM good)
 GROUP BY ALL ORDER BY ALL
 """
-HAVING = """
-SELECT DISTINCT a.execution
-FROM artifacts a WHERE a.kind = 'table' AND a.execution IN (SELECT execution FROM good)
-    AND a.output = $output AND a.form = $form
+ANY_TABLE = "SELECT 1 FROM artifacts WHERE kind = 'table' LIMIT 1"
+PLACES = "SELECT run, min(ordinal) AS ordinal FROM members WHERE batch = $batch GROUP BY run"
+SIBLINGS = """
+WITH mine AS (SELECT DISTINCT ordinal, run FROM members WHERE batch = $batch),
+alike AS (SELECT DISTINCT mine.ordinal, m.batch, m.ordinal AS theirs FROM mine JOIN members m USING (run)),
+family AS (
+    SELECT DISTINCT a.ordinal, m.run FROM alike a JOIN members m ON m.batch = a.batch AND m.ordinal = a.theirs
+),
+good AS (
+    SELECT f.ordinal, e.run, arg_max(e.execution, e.ended) AS execution
+    FROM family f
+    JOIN executions e ON e.run = f.run AND e.status = 'ok' AND e.purpose = 'run'
+        AND e.programs = $programs AND e.reading = $reading
+    GROUP BY ALL
+)"""
+"""The good executions of the experiments of a batch, those with other numbers of runs of the same included."""
+SIBLINGS_FORMS = """
+SELECT DISTINCT a.form FROM artifacts a
+WHERE a.kind = 'table' AND a.output = $output AND a.execution IN (SELECT execution FROM good)
+"""
+SIBLINGS_VOTES = """
+SELECT g.ordinal, a.form, count(DISTINCT a.execution) AS executions
+FROM artifacts a JOIN good g USING (execution) WHERE a.kind = 'table' AND a.output = $output
+GROUP BY ALL
+"""
+NUMERIC = """
+SELECT count(*), count_if(
+    TRY_CAST(cell AS DOUBLE) IS NOT NULL OR regexp_full_match(cell, ' *[-+]?[0-9]+,[0-9]+([eE][-+]?[0-9]+)? *')
+) FROM (SELECT {column}::VARCHAR AS cell FROM {table} LIMIT 200000) WHERE cell IS NOT NULL
 """
 ODD = """,
 tables AS (
@@ -627,6 +731,7 @@ def _form(reading: Reading, execution: str, file: OutputFile) -> str:
             "file": None if shape.many else shown(file.path),
             "columns": columns if csv else dict(sorted(columns.items())),
             "ended": whole,
+            **({"hints": dict(hints)} if (hints := reading.hints.get((execution, file.path))) else {}),
         }
     )
 

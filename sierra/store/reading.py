@@ -3,11 +3,12 @@
 All files of one output that have the same columns make a *part*, which is one Parquet file: columns may differ between
 experiments, and whether they may differ between two runs is not for here to say (see `sierra.record.find_odd`). A part
 is read by one statement where all is as it should be. Where it is not, the files at fault are found by halving, and the
-fault is said with its line. A file is at fault if
+fault is said with its line. A file is at fault if a line has too few or too many fields, if its last line is cut short, or
+if it cannot be read at all.
 
-- a line has too few or too many fields, or its last line is cut short,
-- there is text where at least half of the files with such a column have nothing but numbers,
-- it cannot be read at all.
+What a column holds (numbers, flags, texts) is no fault here, since it would depend on which files are read together: files
+that hold other things go into Parquet files of their own, and `sierra.record.find_odd` judges. Where most of a file's
+siblings have text, its numbers are kept as the texts that they are: 007 and 1e5 are other texts as numbers.
 
 Whole numbers are BIGINT (DECIMAL(38,0) where they are too great), other numbers DOUBLE, `true`/`false` BOOLEAN, all else
 VARCHAR; an empty field is NULL, and a column without any value BOOLEAN, which every other type can hold. A type is taken
@@ -23,8 +24,9 @@ import math
 import re
 import sys
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Set as AbstractSet
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -50,7 +52,7 @@ PARTS = 1000
 HUGE = "DECIMAL(38,0)"
 EMPTY = '"NULL"'
 """What DuckDB calls the type of a Parquet column that says itself that it has no values."""
-NUMBERS = ("BIGINT", HUGE, "DOUBLE")
+AS_TEXT = " as text"
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,20 +72,10 @@ class Written:
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """Those files of an output that have the same columns, as far as they have been read."""
+    """Those files of an output that have the same columns."""
 
     names: tuple[str, ...]
     delimiter: str = ""
-    types: Mapping[str, str] = field(default_factory=dict)
-    """As the last files had them."""
-    empty: frozenset[str] = frozenset()
-    """Columns in which no file had a value."""
-    files: int = 0
-    """How many files were read; they have a vote on what is right."""
-
-    def kinds(self) -> dict[str, str]:
-        """What each column holds, in a word: number, text, flag, empty, or the type itself."""
-        return {name: "empty" if name in self.empty else kind_of(self.types.get(name, EMPTY)) for name in self.names}
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,25 +97,64 @@ class Shape:
     """How many of them had a line feed at their end."""
 
 
+Group = Hashable
+"""An experiment, as a key."""
+
+
+def _nobody(runs: Sequence[str]) -> tuple[Mapping[str, Group], Mapping[tuple[Group, str], Mapping[str, int]]]:
+    return {}, {}
+
+
+@dataclass(frozen=True, slots=True)
+class Siblings:
+    """What is known of files that were read before."""
+
+    mixed: AbstractSet[str] = frozenset()
+    """Columns in which some of them have something else than numbers."""
+    ask: Callable[[Sequence[str]], tuple[Mapping[str, Group], Mapping[tuple[Group, str], Mapping[str, int]]]] = _nobody
+    """Of runs: the experiment that each belongs to, and how many of its files have which kind in which column."""
+
+
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """What came of it: rows and what columns hold, by execution and file; faults by execution; the shape that was found."""
+    """What came of it: rows and what columns hold, by execution and file; faults by execution; the shape that was found.
+
+    What a column holds is number, text, flag, empty, or another type, and `number as text` where its siblings have text.
+    """
 
     rows: Mapping[tuple[str, str], int]
     columns: Mapping[tuple[str, str], Mapping[str, str]]
+    hints: Mapping[tuple[str, str], Mapping[str, str]]
+    """By file and column, where text begins that most siblings read so far do not have."""
     faults: Mapping[str, str]
     shape: Shape
 
 
-def read(connection: Any, files: Sequence[Written], shape: Shape, target: Path) -> Reading:
-    """Read all files, without those of executions that are at fault, into Parquet files: `target` and, where columns differ,
-    others beside it (`target~2`, …).
+def read(connection: Any, files: Sequence[Written], shape: Shape, target: Path, siblings: Siblings | None = None) -> Reading:
+    """Read all files, without those of executions that are at fault, into Parquet files: `target` and, where columns or
+    what they hold differ, others beside it (`target~2`, …).
 
     Raises Missing where what is sound cannot be written.
     """
     connection.execute("SET disabled_optimizers = 'join_order,build_side_probe_side'")  # rows keep their order
     readers: Mapping[str, type[_Reader]] = {"csv": _Csv, "parquet": _Parquet, "jsonl": _Jsonl}
-    return readers[shape.format](connection, shape, target).read(files)
+    return readers[shape.format](connection, shape, target, siblings or Siblings()).read(files)
+
+
+def own_kind(kind: str) -> str:
+    """What a file has in a column, however it is kept."""
+    return kind.removesuffix(AS_TEXT)
+
+
+def right_kind(kinds: Mapping[str, int]) -> str:
+    """What siblings ought to have in a column, by how many of them have what: what at least half of them have (of two that
+    as many have: numbers), else text, which holds all."""
+    counts: Counter[str] = Counter()
+    for kind, number in kinds.items():
+        if kind != "empty":
+            counts[own_kind(kind)] += number
+    most = max(counts, key=lambda kind: (counts[kind], kind == "number"), default="empty")
+    return most if 2 * counts[most] >= counts.total() or not counts.keys() <= {"number", "flag", "text"} else "text"
 
 
 def kind_of(kind: str) -> str:
@@ -169,57 +200,56 @@ def column_names(names: Sequence[str], taken: Iterable[str] = BESIDE_OUTPUTS) ->
 class _Reader:
     """What all formats have in common: sorting files by their columns, writing what is sound, noting what is not."""
 
-    def __init__(self, connection: Any, shape: Shape, target: Path) -> None:
+    def __init__(self, connection: Any, shape: Shape, target: Path, siblings: Siblings) -> None:
         import duckdb
 
         self.sql = connection
         self.shape = shape
+        self.siblings = siblings
         self.parts = list(shape.parts)
         self.part = Part(())
-        """The one that is being read, into `target`."""
+        """The one that is being read."""
         self.target = self._first = target
-        self.votes: dict[str, Counter[str]] = {}
-        """The types that columns of each name had in the files that were read before, in all parts."""
-        for part in self.parts:
-            self._vote(part, part.files)
+        self._more = 0
+        """How many Parquet files hold what is not as in most files of their part."""
+        self.rows: dict[tuple[str, str], int] = {}
+        self.columns: dict[tuple[str, str], Mapping[str, str]] = {}
+        self.hints: dict[tuple[str, str], dict[str, str]] = {}
         self.faults: dict[str, str] = {}
         self.error: type[Exception] = duckdb.Error
 
     def read(self, files: Sequence[Written]) -> Reading:
-        rows: dict[tuple[str, str], int] = {}
-        columns: dict[tuple[str, str], Mapping[str, str]] = {}
         for place, some in self._by_part(files):
-            sound = self._read_part(place, self.sound(some))
-            kinds = self.part.kinds()
-            rows |= dict.fromkeys(((file.execution, file.name) for file in sound), 0)
-            if place is not None and sound:
-                rows |= self._count(sound)
-            columns |= {(file.execution, file.name): kinds for file in sound}
-        ended = sum(file.ended for file in files if (file.execution, file.name) in rows)
+            sound = self.sound(some)
+            if place is None:  # without rows and columns
+                self.rows |= dict.fromkeys(((file.execution, file.name) for file in sound), 0)
+                self.columns |= {(file.execution, file.name): {} for file in sound}
+            elif sound:
+                self.part = self.parts[place]
+                self.target = self._first.with_stem(f"{self._first.stem}~{place + 1}") if place else self._first
+                self.one(sound)
+        ended = sum(file.ended for file in files if (file.execution, file.name) in self.rows)
         shape = self.shape
-        shape = replace(shape, parts=tuple(self.parts), files=shape.files + len(rows), ended=shape.ended + ended)
-        return Reading(rows, columns, self.faults, shape)
-
-    def _read_part(self, place: int | None, files: list[Written]) -> list[Written]:
-        """Read the files of one part; those that were sound. Files without rows and columns (no place) need no reading."""
-        self.part = Part(()) if place is None else self.parts[place]
-        if place is None or not files:
-            return files
-        self.target = self._first.with_stem(f"{self._first.stem}~{place + 1}") if place else self._first
-        sound = self.one(files)
-        self.parts[place] = self.part
-        return sound
+        shape = replace(shape, parts=tuple(self.parts), files=shape.files + len(self.rows), ended=shape.ended + ended)
+        return Reading(self.rows, self.columns, self.hints, self.faults, shape)
 
     def sort(self, files: Sequence[Written]) -> Mapping[str, Part | None]:
         """The columns (and delimiter) of each file that is not at fault, by its path; None where it has no rows nor columns."""
         raise NotImplementedError
 
-    def one(self, files: Sequence[Written]) -> list[Written]:
-        """Read files of one part; those that were sound. `self.part` knows what was found."""
+    def one(self, files: Sequence[Written]) -> None:
+        """Read the files of one part."""
         raise NotImplementedError
 
+    def targets(self) -> Iterator[Path]:
+        """Where the files of one part go: those that hold what most of them hold, then others."""
+        yield self.target
+        while True:
+            self._more += 1
+            yield self._first.with_stem(f"{self._first.stem}~{PARTS + self._more}")
+
     def _by_part(self, files: Sequence[Written]) -> list[tuple[int | None, list[Written]]]:
-        """The files of each part, by its place; first those that have most, since they have a vote on the others' types."""
+        """The files of each part, by its place."""
         found = self.sort(files)
         places = {self.key(part): place for place, part in enumerate(self.parts)}
         members: dict[int | None, list[Written]] = {}
@@ -232,7 +262,7 @@ class _Reader:
             if part is not None and place == len(self.parts):
                 self.parts.append(part)
             members.setdefault(place, []).append(file)
-        return sorted(members.items(), key=lambda item: -len(item[1]))
+        return list(members.items())
 
     def key(self, part: Part) -> Any:
         """What is the same for files of one part. The order of columns matters in a CSV alone."""
@@ -244,16 +274,31 @@ class _Reader:
     def sound(self, files: Iterable[Written]) -> list[Written]:
         return [file for file in files if file.execution not in self.faults]
 
-    def _vote(self, part: Part, files: int) -> None:
-        for name, kind in part.types.items():
-            if name not in part.empty:
-                self.votes.setdefault(name, Counter())[kind] += files
+    def done(self, target: Path, files: Sequence[Written], kinds: Mapping[str, Mapping[str, str]]) -> None:
+        """Note what was written to `target`: what these files have in each column, by their paths."""
+        for file in files:
+            self.columns[file.execution, file.name] = kinds[file.path]
+        self.rows |= dict.fromkeys(((file.execution, file.name) for file in files), 0)
+        stored = dict(zip(self.part.names, column_names(self.part.names), strict=True))
+        lacking = self._lacking(target)
+        partly = [name for name in self.part.names if stored[name] in lacking]
+        for key, count, filled in self._count(target, files, [stored[name] for name in partly]):
+            self.rows[key] = count
+            empty = {name for name, values in zip(partly, filled, strict=True) if not values}
+            if empty:
+                self.columns[key] = {n: "empty" if n in empty else kind for n, kind in self.columns[key].items()}
+        for file in files:
+            key = file.execution, file.name
+            if not self.rows[key]:
+                self.columns[key] = dict.fromkeys(self.columns[key], "empty")
 
-    def done(self, files: Sequence[Written], types: Mapping[str, str], empty: Iterable[str]) -> list[Written]:
-        """Note what was read: `files`, with these types."""
-        self.part = replace(self.part, types=dict(types), empty=frozenset(empty), files=self.part.files + len(files))
-        self._vote(self.part, len(files))
-        return list(files)
+    def _lacking(self, target: Path) -> set[str]:
+        """The columns of a Parquet file that have no value in some row."""
+        rows = self.sql.execute(
+            f"SELECT path_in_schema FROM parquet_metadata({quote(str(target))}) GROUP BY 1 "
+            "HAVING coalesce(max(stats_null_count), 1) > 0"
+        ).fetchall()
+        return {row[0].partition(", ")[0] for row in rows} | {row[0] for row in rows}
 
     def halve(self, files: Sequence[Written], attempt: Callable[[Sequence[Written]], Any], explain: Callable[..., str]) -> None:
         """Find the files with which `attempt` fails; they are at fault."""
@@ -267,7 +312,7 @@ class _Reader:
                 for half in (files[: len(files) // 2], files[len(files) // 2 :]):
                     self.halve(half, attempt, explain)
 
-    def write(self, files: Sequence[Written], source: str, columns: Mapping[str, str]) -> None:
+    def write(self, target: Path, files: Sequence[Written], source: str, columns: Mapping[str, str]) -> None:
         """Copy the rows that `source` (a relation on $files) gives, with whose they are; expressions by name."""
         import pyarrow as pa
 
@@ -290,23 +335,26 @@ class _Reader:
             self.sql.execute(
                 f"COPY (SELECT o.run, o.execution, {name}{named} FROM {source} t "
                 f"JOIN owners o ON t.{identifier(FILE)} = o.path) "
-                f"TO {quote(str(self.target))} (FORMAT parquet, COMPRESSION zstd)",
+                f"TO {quote(str(target))} (FORMAT parquet, COMPRESSION zstd)",
                 _these(files),
             )
         except self.error:
-            self.target.unlink(missing_ok=True)
+            target.unlink(missing_ok=True)
             raise
         finally:
             self.sql.execute("RESET threads")
             self.sql.unregister("owners")
 
-    def _count(self, files: Sequence[Written]) -> dict[tuple[str, str], int]:
-        """Rows by execution and file, as they were written."""
+    def _count(
+        self, target: Path, files: Sequence[Written], columns: Sequence[str]
+    ) -> Iterator[tuple[tuple[str, str], int, Sequence[int]]]:
+        """Of each execution and file, the rows that were written, and how many of them have a value in these columns."""
         name = "file" if self.shape.many else "NULL"
         only = {(file.execution, shown(file.name) if self.shape.many else None): file.name for file in files}
-        statement = f"SELECT execution, {name}, count(*) FROM read_parquet({quote(str(self.target))}) GROUP BY ALL"
-        counted = self.sql.execute(statement).fetchall()
-        return {(execution, only[execution, file]): count for execution, file, count in counted}
+        filled = "".join(f", count({identifier(column)})" for column in columns)
+        statement = f"SELECT execution, {name}, count(*){filled} FROM read_parquet({quote(str(target))}) GROUP BY 1, 2"
+        for execution, file, count, *values in self.sql.execute(statement).fetchall():
+            yield (execution, only[execution, file]), count, values
 
     def fetch(self, statement: str, files: Sequence[Written]) -> list[tuple[Any, ...]]:
         rows: list[tuple[Any, ...]] = self.sql.execute(statement, _these(files)).fetchall() if files else []
@@ -318,9 +366,6 @@ class _Reader:
 
 class _Text(_Reader):
     """Formats whose fields are texts: what the texts of a column look like decides its type."""
-
-    _empty: Sequence[str] = ()
-    """The columns that no file of the part had a value in, as last decided."""
 
     def relation(self, names: Sequence[str], types: Mapping[str, str]) -> str:
         """A relation on $files with the columns c0, c1, … and the file; those that may be VARCHAR or as in `types`."""
@@ -334,45 +379,100 @@ class _Text(_Reader):
         """The first line of a file that is not as it should be, found the slow way."""
         raise NotImplementedError
 
-    def one(self, files: Sequence[Written]) -> list[Written]:
+    def one(self, files: Sequence[Written]) -> None:
         names = self.part.names
         try:
-            types = self._types(files, names)
-            self._write(self.sound(files), names, types)
-            if self._misread(self.sound(files), names, types):
-                types = self._agreed(self.sound(files), names)
-                self._write(self.sound(files), names, types, by_text=True)
-        except self.error:
+            written = self._write(files, self._quickly_seen(files, names))
+        except (self.error, _MisreadError):
             texts = dict.fromkeys(names, "VARCHAR")
 
             def explain(file: Written, error: Exception) -> str:
                 return self.first_fault(file, names, texts) or first_line(error)
 
             self.halve(files, lambda some: self._try(some, names), explain)
-            types = self._agreed(self.sound(files), names)
+            files = self.sound(files)
             try:
-                self._write(self.sound(files), names, types, by_text=True)
+                written = self._write(files, self._seen(files, names), by_text=True) if files else []
             except self.error as error:
                 raise self.unwritten(error) from error
-        sound = self.sound(files)
-        return self.done(sound, types, self._empty) if sound else []
+        for target, some, kinds in written:
+            self.done(target, some, kinds)
 
     def _write(
-        self, files: Sequence[Written], names: Sequence[str], types: Mapping[str, str], *, by_text: bool = False
-    ) -> None:
-        """Write what the files hold; with `by_text`, slower, numbers too that DuckDB does not know."""
-        if not files:
-            return
-        columns = {name: self._typed(f"t.c{place}", types[name], by_text) for place, name in enumerate(names)}
-        self.write(files, self.relation(names, dict.fromkeys(names, "VARCHAR") if by_text else types), columns)
+        self, files: Sequence[Written], found: Mapping[str, Mapping[str, str | None]], *, by_text: bool = False
+    ) -> list[tuple[Path, list[Written], dict[str, dict[str, str]]]]:
+        """Write what the files hold, as their types were found; with `by_text`, slower, numbers too that DuckDB does not know.
 
-    def _misread(self, files: Sequence[Written], names: Sequence[str], types: Mapping[str, str]) -> bool:
+        Where it was written, what, and what it is.
+        """
+        names = self.part.names
+        texts = dict.fromkeys(names, "VARCHAR")
+        kept = self._kept(files, found)
+        written: list[tuple[Path, list[Written], dict[str, dict[str, str]]]] = []
+        try:
+            targets = self.targets()
+            usual = next(targets)
+            for some in _alike(files, kept):
+                # what will hardly count goes where SQL does not look for types (see `Views._holding`)
+                odd = any((file.execution, file.name) in self.hints for file in some)
+                target = next(targets) if odd or written else usual
+                types = {name: _common(kept[name].get(file.path) for file in some) for name in names}
+                columns = {name: self._typed(f"t.c{place}", types[name], by_text) for place, name in enumerate(names)}
+                written.append((target, some, _kinds(some, types, found, kept)))
+                self.write(target, some, self.relation(names, texts if by_text else types), columns)
+                if not by_text and self._misread(target, some, names, types):
+                    raise _MisreadError
+        except (self.error, _MisreadError):
+            for target, _, _ in written:
+                target.unlink(missing_ok=True)
+            raise
+        return written
+
+    def _kept(
+        self, files: Sequence[Written], found: Mapping[str, Mapping[str, str | None]]
+    ) -> dict[str, Mapping[str, str | None]]:
+        """The type that each file's columns are kept as: text among siblings that have text."""
+        doubtful = [
+            name
+            for name, seen in found.items()
+            if name in self.siblings.mixed or len({kind_of(kind) for kind in seen.values() if kind}) > 1
+        ]
+        doubtful = [name for name in doubtful if any(kind not in (None, "VARCHAR") for kind in found[name].values())]
+        kept = dict(found)
+        if not doubtful:
+            return kept
+        groups, votes = self.siblings.ask([file.run for file in files])
+        for name in doubtful:
+            seen = found[name]
+            counts: dict[Group, Counter[str]] = {}
+            for file in files:
+                if kind := seen.get(file.path):
+                    group = groups.get(file.run)
+                    counts.setdefault(group, Counter(votes.get((group, name), {})))[kind_of(kind)] += 1
+            right = {group: right_kind(kinds) for group, kinds in counts.items()}
+            kept[name] = {
+                file.path: "VARCHAR" if kind and right[groups.get(file.run)] == "text" else kind
+                for file in files
+                for kind in (seen.get(file.path),)
+            }
+            for file in files:
+                if seen.get(file.path) in ("VARCHAR", "BOOLEAN") and right[groups.get(file.run)] == "number":
+                    self._hint(file, name)
+        return kept
+
+    def _hint(self, file: Written, name: str) -> None:
+        """Note where a file has text, since most of its siblings have numbers."""
+        types = dict.fromkeys(self.part.names, "VARCHAR") | {name: "DOUBLE"}
+        if told := self.first_fault(file, self.part.names, types):
+            self.hints.setdefault((file.execution, file.name), {})[name] = f"{shown(file.name)}: {told}"
+
+    def _misread(self, target: Path, files: Sequence[Written], names: Sequence[str], types: Mapping[str, str]) -> bool:
         """Whether something that is no number was written as one: looked for only where there is a sign of it."""
         doubles = [name for name in names if types[name] == "DOUBLE"]
         if not doubles or not files:
             return False
         stored = dict(zip(names, column_names(names), strict=True))
-        written = f"read_parquet({quote(str(self.target))})"
+        written = f"read_parquet({quote(str(target))})"
         if not self._any("isinf({})", (identifier(stored[name]) for name in doubles), written, {}):
             files = [file for file in files if self.has_underscores(file)]
             if not files:
@@ -412,57 +512,22 @@ class _Text(_Reader):
         relation = self.relation(names, dict.fromkeys(names, "VARCHAR"))
         self.fetch(f"SELECT count(COLUMNS(*)) FROM {relation}", files)
 
-    def _types(self, files: Sequence[Written], names: Sequence[str]) -> dict[str, str]:
-        """Each column's type, as a sample of the files has it; where that leaves a doubt, as all have it."""
+    def _quickly_seen(self, files: Sequence[Written], names: Sequence[str]) -> dict[str, dict[str, str | None]]:
+        """Each column's type in a few of the files, taken for that in all; where that leaves a doubt, as each file has it."""
         sample = [files[place] for place in sorted({0, len(files) // 2, len(files) - 1})]
         found = self._seen(sample, names)
+        if len(sample) == len(files):
+            return found
         doubtful = []
+        alike: dict[str, dict[str, str | None]] = {}
         for name in names:
-            seen = {kind for kind in found[name].values() if kind}
-            sure = seen and "VARCHAR" not in seen
-            if not sure or "VARCHAR" in self.votes.get(name, ()):
+            kinds = {kind for kind in found[name].values() if kind}
+            if len(set(map(kind_of, kinds))) != 1 or "VARCHAR" in kinds or name in self.siblings.mixed:
                 doubtful.append(name)
-        if doubtful and len(sample) < len(files):
-            found |= self._seen(files, names, doubtful)
-        return self._decided(names, found, self._at_fault(files, names, found))
-
-    def _agreed(self, files: Sequence[Written], names: Sequence[str]) -> dict[str, str]:
-        """Each column's type, as all of the files have it; those that have something else are at fault."""
-        found = self._seen(files, names)
-        return self._decided(names, found, self._at_fault(files, names, found))
-
-    def _decided(self, names: Sequence[str], found: Mapping[str, Mapping[str, str | None]], bad: set[str]) -> dict[str, str]:
-        types = {}
-        self._empty = []
-        for name in names:
-            kinds = {kind for path, kind in found[name].items() if kind and path not in bad}
-            known = None if name in self.part.empty else self.part.types.get(name)
-            types[name] = _common(kinds, known)
-            if not kinds and known is None:
-                self._empty.append(name)
-        return types
-
-    def _at_fault(
-        self, files: Sequence[Written], names: Sequence[str], found: Mapping[str, Mapping[str, str | None]]
-    ) -> set[str]:
-        """The files with text where at least half have nothing but numbers; they are noted."""
-        bad: set[str] = set()
-        by_path = {file.path: file for file in files}
-        numeric = dict.fromkeys(names, "VARCHAR")
-        for name in names:
-            seen = {path: kind for path, kind in found[name].items() if kind}
-            numbers = sum(kind in NUMBERS for kind in seen.values())
-            others = len(seen) - numbers
-            before = self.votes.get(name, Counter())
-            numbers += sum(before[kind] for kind in NUMBERS)
-            others += before["VARCHAR"]
-            if numbers and numbers >= others:
-                numeric[name] = "DOUBLE"
-                bad |= {path for path, kind in seen.items() if kind not in NUMBERS}
-        for path in sorted(bad):
-            what = self.first_fault(by_path[path], names, numeric)
-            self.fault(by_path[path], what or "has text where most have numbers")
-        return bad
+            else:
+                kind = _common(kinds)
+                found[name] = alike.get(kind) or alike.setdefault(kind, {file.path: kind for file in files})
+        return found | (self._seen(files, names, doubtful) if doubtful else {})
 
     def _seen(
         self, files: Sequence[Written], names: Sequence[str], wanted: Sequence[str] | None = None
@@ -518,16 +583,48 @@ def _narrowest(bits: int) -> str | None:
     return "DOUBLE" if bits & 8 else HUGE if bits & 4 else "BIGINT"
 
 
-def _common(kinds: set[str], known: str | None) -> str:
+def _common(kinds: Iterable[str | None]) -> str:
     """The narrowest type that holds all of these."""
-    if not kinds:
-        return known or "BOOLEAN"
-    if len(kinds) == 1:
-        [kind] = kinds
-        return "VARCHAR" if known == "VARCHAR" else kind
-    if not kinds <= set(NUMBERS) or known == "VARCHAR":
+    some = {kind for kind in kinds if kind}
+    if len(some) < 2:
+        return some.pop() if some else "BOOLEAN"
+    if not all(map(is_number, some)):
         return "VARCHAR"
-    return "DOUBLE" if "DOUBLE" in kinds else HUGE
+    return "DOUBLE" if "DOUBLE" in some else HUGE
+
+
+def _alike(files: Sequence[Written], kept: Mapping[str, Mapping[str, str | None]]) -> list[list[Written]]:
+    """The files sorted by what their columns are to hold; a column without values goes with those that have most."""
+    kinds = {name: {path: kind_of(kind) for path, kind in seen.items() if kind} for name, seen in kept.items()}
+    mixed = {name: Counter(seen.values()) for name, seen in kinds.items() if len(set(seen.values())) > 1}
+    most = {name: counts.most_common(1)[0][0] for name, counts in mixed.items()}
+    sorts: dict[tuple[str, ...], list[Written]] = {}
+    for file in files:
+        sorts.setdefault(tuple(kinds[name].get(file.path, most[name]) for name in mixed), []).append(file)
+    return sorted(sorts.values(), key=lambda some: -len(some))
+
+
+def _kinds(
+    files: Sequence[Written],
+    types: Mapping[str, str],
+    found: Mapping[str, Mapping[str, str | None]],
+    kept: Mapping[str, Mapping[str, str | None]],
+) -> dict[str, dict[str, str]]:
+    """What each file has in each column, and whether that is kept as text."""
+    told = {}
+    same: dict[tuple[str, ...], dict[str, str]] = {}
+    for file in files:
+        mine = {}
+        for name in types:
+            kind = found[name].get(file.path)
+            as_text = kind not in (None, "VARCHAR") and kept[name].get(file.path) == "VARCHAR"
+            mine[name] = kind_of(kind or EMPTY) + AS_TEXT * as_text
+        told[file.path] = same.setdefault(tuple(mine.values()), mine)
+    return told
+
+
+class _MisreadError(Exception):
+    """Something that is no number was written as one."""
 
 
 class _Csv(_Text):
@@ -583,10 +680,10 @@ class _Csv(_Text):
             return Part(self.shape.names or tuple(f"column{number}" for number in range(width)), delimiter)
         return None
 
-    def one(self, files: Sequence[Written]) -> list[Written]:
+    def one(self, files: Sequence[Written]) -> None:
         large = [file for file in files if file.bytes >= 2_000_000]
         self._longest = max(map(_longest_line, large), default=0)
-        return super().one(files)
+        super().one(files)
 
     def relation(self, names: Sequence[str], types: Mapping[str, str]) -> str:
         columns = ", ".join(
@@ -701,8 +798,8 @@ class _Pairs(list[tuple[str, Any]]):
 class _Parquet(_Reader):
     """Parquet knows its types."""
 
-    def __init__(self, connection: Any, shape: Shape, target: Path) -> None:
-        super().__init__(connection, shape, target)
+    def __init__(self, connection: Any, shape: Shape, target: Path, siblings: Siblings) -> None:
+        super().__init__(connection, shape, target, siblings)
         self._found: Mapping[str, Mapping[str, str]] = {}
 
     def sort(self, files: Sequence[Written]) -> Mapping[str, Part | None]:
@@ -712,24 +809,35 @@ class _Parquet(_Reader):
             self._found = self._schemas(self._readable(files))
         return {path: Part(tuple(columns)) for path, columns in self._found.items()}
 
-    def one(self, files: Sequence[Written]) -> list[Written]:
-        names = self.part.names
-        types = {name: self._type(name, files) for name in names}
-        for file in files:
-            self._compare(file, types)
+    def one(self, files: Sequence[Written]) -> None:
         try:
-            self._write(self.sound(files), names, types)
+            written = self._write(files)
         except self.error:
-            self._readable(self.sound(files))
             try:
-                self._write(self.sound(files), names, types)
+                written = self._write(self._readable(files))
             except self.error as error:
                 raise self.unwritten(error) from error
-        return self.done(self.sound(files), types, [name for name in names if types[name] == EMPTY])
+        for target, some in written:
+            kinds = {file.path: {name: kind_of(self._found[file.path][name]) for name in self.part.names} for file in some}
+            self.done(target, some, kinds)
 
-    def _write(self, files: Sequence[Written], names: Sequence[str], types: Mapping[str, str]) -> None:
-        if files:
-            self.write(files, self._source(), {name: f"CAST(t.{identifier(name)} AS {types[name]})" for name in names})
+    def _write(self, files: Sequence[Written]) -> list[tuple[Path, list[Written]]]:
+        """Write the files, those whose columns are of one kind into one Parquet file: where, and which."""
+        kinds = {
+            name: {file.path: None if (kind := self._found[file.path][name]) == EMPTY else kind for file in files}
+            for name in self.part.names
+        }
+        written = list(zip(self.targets(), _alike(files, kinds), strict=False))
+        try:
+            for target, some in written:
+                types = {name: self._type(name, some) for name in self.part.names}
+                columns = {name: f"CAST(t.{identifier(name)} AS {types[name]})" for name in self.part.names}
+                self.write(target, some, self._source(), columns)
+        except self.error:
+            for target, _ in written:
+                target.unlink(missing_ok=True)
+            raise
+        return written
 
     def _source(self) -> str:
         return f"read_parquet($files, filename = {quote(FILE)}, union_by_name = true)"
@@ -758,20 +866,12 @@ class _Parquet(_Reader):
         return found
 
     def _type(self, name: str, files: Sequence[Written]) -> str:
-        """What most files have in a column, those of other parts included; the widest of numbers, where those are most."""
-        here = Counter(self._found[file.path][name] for file in files)
-        counts = here + self.votes.get(name, Counter())
-        del counts[EMPTY]
-        numbers = {kind for kind in counts if is_number(kind)}
-        if len(numbers) > 1 and 2 * sum(counts[kind] for kind in numbers) >= sum(counts.values()):
-            whole = all("INT" in kind for kind in numbers)
-            return HUGE if whole and "UBIGINT" in numbers else "BIGINT" if whole else "DOUBLE"
-        return max(counts, key=lambda kind: (counts[kind], is_number(kind)), default=EMPTY)
-
-    def _compare(self, file: Written, types: Mapping[str, str]) -> None:
-        for name, kind in self._found[file.path].items():
-            if kind not in (types[name], EMPTY) and not (is_number(kind) and is_number(types[name])):
-                self.fault(file, f"column {name!r} is {kind} where most have {types[name]}")
+        """The type that files have in a column, all of one kind; the widest of numbers."""
+        kinds = {self._found[file.path][name] for file in files} - {EMPTY}
+        if len(kinds) < 2:
+            return kinds.pop() if kinds else EMPTY
+        whole = all("INT" in kind for kind in kinds)
+        return HUGE if whole and "UBIGINT" in kinds else "BIGINT" if whole else "DOUBLE"
 
 
 def _these(files: Sequence[Written]) -> dict[str, list[str]]:

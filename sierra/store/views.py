@@ -175,8 +175,8 @@ class Views:
         )
 
     def _holding(self, files: list[str]) -> list[str]:
-        """Of an output whose columns differ, the files with an execution that counts: others have columns that nobody sees."""
-        if all(map(is_first_part, files)):
+        """Of an output whose columns may differ, the files with an execution that counts: others have columns that nobody sees."""
+        if all(map(is_first_part, files)) and "findings" not in self._files:
             return files
         source = read_parquet(files, rows=True)
         statement = f"SELECT DISTINCT filename FROM {source} WHERE execution IN (SELECT execution FROM ({COUNTED}))"
