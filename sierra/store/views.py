@@ -175,7 +175,7 @@ class Views:
         )
 
     def _holding(self, files: list[str]) -> list[str]:
-        """Of an output whose columns may differ, the files with an execution that counts: others have columns that nobody sees."""
+        """Of an output whose columns may differ, the files with an execution that counts; what others have, nobody sees."""
         if all(map(is_first_part, files)) and "findings" not in self._files:
             return files
         source = read_parquet(files, rows=True)
