@@ -270,6 +270,10 @@ class _Gallery:
                 raise NotFound(f"no output {figure.table!r} in this batch; it has {', '.join(self._outputs) or 'none'}")
             return self._outputs[figure.table]
         having = [o for o in self._outputs.values() if all(column in o.columns for column in figure.columns)]
+        if self._outputs and not having:
+            raise NotFound(
+                f"no output has {' and '.join(map(repr, figure.columns))} as numeric columns (sierra sql 'SHOW TABLES')"
+            )
         if len(having) != 1:
             raise NotFound(f"say which output it is of: table = one of {', '.join(self._outputs) or '(none was written)'}")
         return having[0]

@@ -227,3 +227,12 @@ def test_before_anything_executes_again_the_reason_is_said(tmp_path: Path) -> No
 def test_runs_that_write_no_table_are_said_to(tmp_path: Path) -> None:
     summary = sierra.open(projects.make(tmp_path, simulator="pass\n")).run("population_size=1")
     assert any("no run wrote a table" in note for note in summary.notes)
+
+
+def test_a_figure_whose_columns_are_misspelt_is_said(tmp_path: Path) -> None:
+    wrong = (
+        '[outputs.swarm]\nfile = "swarm.csv"\ntime = "tik"\n[figures.a]\ncolumn = "coverage"\n[figures.b]\ncolumn = "coverge"\n'
+    )
+    notes = sierra.open(projects.make(tmp_path, projects.CONFIG + wrong)).run("population_size=1,2").notes
+    assert "figure a: output 'swarm' has no column 'tik' to be its time ([outputs.swarm] time); did you mean 'tick'?" in notes
+    assert any(note.startswith("figure b: no output has 'coverge' as numeric columns") for note in notes)

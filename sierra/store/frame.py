@@ -5,6 +5,8 @@ Only one execution of a run counts: see the table `counting`. A run without one 
 
 from __future__ import annotations
 
+import difflib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -137,6 +139,12 @@ class Frame:
             raise NotFound(f"no output {table!r} in this batch; it has {', '.join(sorted(self._files)) or 'none'}")
         if table not in self._loaded:
             self._load(table, files)
+        described = self._question.run(f"DESCRIBE {identifier('data ' + table)}")
+        known = [row[0] for row in described if row[0] not in ("# experiment", "# number", "# place")]
+        if time and time.lower() not in map(str.lower, known):
+            raise NotFound(
+                f"output {table!r} has no column {time!r} to be its time ([outputs.{table}] time); {_like(time, known)}"
+            )
         t = f"{identifier(time)}::DOUBLE" if time else '"# place"::DOUBLE'
         self._question.run("DROP VIEW IF EXISTS samples")
         try:
@@ -166,3 +174,9 @@ class Frame:
             return self._question.connection.sql(text, params=parameters).to_arrow_table()
         except duckdb.Error as error:
             raise SqlError(explain(error)) from error
+
+
+def _like(name: str, known: Sequence[str]) -> str:
+    """Which of these names may be meant."""
+    close = difflib.get_close_matches(name, known, 1, cutoff=0.5)
+    return f"did you mean {close[0]!r}?" if close else f"it has {', '.join(known[:10])}{', …' if len(known) > 10 else ''}"
