@@ -17,6 +17,8 @@ from sierra.config import Tolerance
 STEPS = 10
 """Parts of the rows for which the growth of a difference is told."""
 EXACT = Tolerance()
+LARGEST_ULP = 2.0**971
+"""That of the greatest double, for which numpy says infinity."""
 
 
 class Verdict(StrEnum):
@@ -125,7 +127,8 @@ class _Distance:
             apart = np.where(self._apart, np.abs(new - old), 0.0)
             apart = np.where(np.isnan(apart) | (self._apart & (apart == 0)), np.inf, apart)
             relative = np.where(apart == 0, 0.0, apart / np.abs(old))
-            units = np.where(apart == 0, 0.0, apart / np.spacing(np.maximum(np.abs(old), np.abs(new))))
+            last_place = np.fmin(np.spacing(np.maximum(np.abs(old), np.abs(new))), LARGEST_ULP)
+            units = np.where(apart == 0, 0.0, apart / last_place)
         self._all = {"abs": apart, "rel": np.nan_to_num(relative, nan=np.inf), "ulp": np.nan_to_num(units, nan=np.inf)}
         self.abs, self.rel, self.ulp = (float(values.max(initial=0.0)) for values in self._all.values())
         if self.first is not None:
@@ -134,9 +137,10 @@ class _Distance:
     def keeps_to(self, tolerance: Tolerance) -> bool:
         if not self.numeric:
             return False
-        fine = self._all["abs"] <= tolerance.abs
-        for kind in ("rel", "ulp"):
-            fine |= self._all[kind] <= getattr(tolerance, kind)
+        fine = ~self._apart
+        for kind, distances in self._all.items():
+            if allowed := getattr(tolerance, kind):
+                fine |= distances <= allowed
         return bool(fine.all())
 
     def where(self) -> str:

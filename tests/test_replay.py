@@ -178,6 +178,8 @@ def test_one_value_more_or_less_is_found_where_it_is(values: list[float | None],
         ([1.0], [float("nan")], Tolerance(abs=1e300, rel=1e300), Verdict.DIFFERENT),
         ([1.0], [float("inf")], Tolerance(abs=1e300, rel=1e300), Verdict.DIFFERENT),
         ([1.0], [None], Tolerance(abs=1e300), Verdict.DIFFERENT),
+        ([1.7976931348623157e308], [0.5], Tolerance(), Verdict.DIFFERENT),
+        ([1.7976931348623157e308], [1.7976931348623155e308], Tolerance(ulp=1), Verdict.WITHIN),
     ],
 )
 def test_tolerances(was: list[Any], now: list[Any], tolerance: Tolerance, verdict: Verdict) -> None:
