@@ -36,14 +36,11 @@ def keep(plan: Plan, store: Store, session: SessionPaths) -> None:
         for _, content in files:
             objects.add(content)
     listing = objects.add(plan.source.manifest)
-    known_blobs = {row["blob"] for row in store.rows("SELECT blob FROM blobs")}
-    blobs = [
-        {"blob": blob, "sha256": objects.add(content)}
-        for blob, content in source.contents(plan.source, plan.project.root)
-        if blob not in known_blobs
-    ]
+    if plan.source.vcs == "none":  # git keeps its own
+        blobs = {row["blob"] for row in store.rows("SELECT blob FROM blobs")}
+        files_of_source = source.contents(plan.source, plan.project.root, blobs)
+        writer.rows("blobs", ({"blob": blob, "sha256": objects.add(content)} for blob, content in files_of_source))
     objects.close()
-    writer.rows("blobs", blobs)
     recipe = batch.recipe
     first = batch.experiments[0].runs[0]
     writer.rows("batches", [batch_row(plan)])
@@ -54,7 +51,7 @@ def keep(plan: Plan, store: Store, session: SessionPaths) -> None:
                 "recipe": batch.recipe_id,
                 "platform": recipe.platform,
                 "command": list(recipe.command),
-                "variables": _json(recipe.environment),
+                "variables": json.dumps(dict(recipe.environment), sort_keys=True),
                 "source": recipe.source,
                 "image": recipe.image,
                 "files": [name for name, _ in first.inputs],
@@ -165,7 +162,3 @@ def _members(batch: Batch) -> Iterator[Any]:
         )
         columns = zip(zip(*rows, strict=True), schema, strict=True)
         yield pa.table([pa.array(column, field.type) for column, field in columns], schema)
-
-
-def _json(value: Mapping[str, str]) -> str:
-    return json.dumps(dict(value), sort_keys=True)

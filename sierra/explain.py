@@ -6,9 +6,10 @@ import json
 from collections.abc import Iterator
 from typing import Any
 
-from sierra.asked import batch_row
+from sierra.asked import batch_row, is_kept
 from sierra.hashing import short
 from sierra.plans import Plan
+from sierra.provenance import programs
 from sierra.provenance.source import changed
 from sierra.store import Store
 
@@ -32,7 +33,7 @@ def why_new(plan: Plan, store: Store | None) -> list[str]:
     """What makes the runs of a plan others than those of the last batch over the same axes, a line each."""
     if store is None:
         return ["nothing is recorded here yet"]
-    if store.rows("SELECT 1 FROM batches WHERE batch = $b LIMIT 1", b=plan.batch.id):
+    if is_kept(plan, store):
         return ["this batch is recorded; an asking that was ended left these runs for later"]
     rows = store.rows(LIKE, axes=[axis.name for axis in plan.batch.axes], batch=plan.batch.id)
     if not rows:
@@ -75,11 +76,9 @@ def other_programs(plan: Plan, store: Store) -> list[str]:
     before = {row["name"]: row for row in store.rows(PROGRAMS, batch=plan.batch.id)}
     now = {program.name: program for program in plan.programs.all}
     lines = []
-    for name in sorted(before.keys() | now.keys()):
-        old, new = before.get(name), now.get(name)
-        if old is None or new is None or old["sha256"] != new.sha256:
-            was = f"{old['path']} ({old['sha256'][:10]})" if old else "not there"
-            lines.append(f"{name}: was {was}, is {f'{new.path} ({new.sha256[:10]})' if new else 'not there'}")
+    for name, old, new in programs.differing({name: row["sha256"] for name, row in before.items()}, now):
+        was = f"{before[name]['path']} ({short(old)})" if old else "not there"
+        lines.append(f"{name}: was {was}, is {f'{new.path} ({short(new.sha256)})' if new else 'not there'}")
     return lines
 
 

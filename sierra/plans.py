@@ -12,7 +12,7 @@ from typing import Any
 
 from sierra import engines, inputs, jobs, platforms, query
 from sierra.config import LoadedProject, Project
-from sierra.design import design
+from sierra.design import design, mentions
 from sierra.engines import Engine
 from sierra.errors import ConfigError, Missing, QueryError, UsageError
 from sierra.expansion import Expansion
@@ -24,8 +24,7 @@ from sierra.store.tables import RESERVED, check_name
 from sierra.version import __version__
 
 BARE = re.compile(r"[^\W\d]\w*")
-SEEDED = re.compile(r"\{[^}]*\bseed\b")
-"""An expression that uses the seed."""
+"""A word that is no criterion: it has no range."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,7 +144,7 @@ def _inside(template: str) -> list[str]:
 def _doubts(designed: Design, command: Sequence[str]) -> Iterator[str]:
     """What is allowed, and yet hardly meant."""
     mentioned = " ".join(command)
-    seeded = any(SEEDED.search(f"{getattr(change, 'value', '')} {getattr(change, 'xml', '')}") for change in designed.per_run)
+    seeded = any(mentions(change, "seed") for change in designed.per_run)
     if designed.query.runs > 1 and not seeded and "{seed}" not in mentioned:
         yield 'the seed goes nowhere: say where with seed = "XPATH", or {seed} in the command (SIERRA_SEED has it too)'
     for name, values in designed.lists.items():

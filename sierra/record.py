@@ -119,9 +119,14 @@ class Context:
     @classmethod
     def load(cls, path: Path) -> Context:
         fields = json.loads(path.read_text())
-        fields["outputs"] = {name: Output.model_validate(output) for name, output in fields["outputs"].items()}
-        fields["success"] = Success.model_validate(fields["success"])
+        fields["outputs"], fields["success"] = rules_of(fields)
         return cls(**fields)
+
+
+def rules_of(declared: Mapping[str, Any]) -> tuple[dict[str, Output], Success]:
+    """What a project declared of outputs and success, as `Context.declared` keeps it."""
+    outputs = {name: Output.model_validate(output) for name, output in declared["outputs"].items()}
+    return outputs, Success.model_validate(declared["success"])
 
 
 def judge(result: Result, outputs: Mapping[str, Output], success: Success) -> tuple[Status, str | None]:
@@ -229,7 +234,8 @@ class Recorder:
 
         Asks the store, so it is to be called once, when all is recorded and `find_odd` has looked at it.
         """
-        return [*self._kept_as_files(), *self._alone(), *self._renamed(), *self._of_kinds()]
+        forms = self._store.rows(GOOD + FORMS, **_asked(self._context)) if self._shapes else []
+        return [*self._kept_as_files(), *self._alone(forms), *self._renamed(), *self._of_kinds(forms)]
 
     def _kept_as_files(self) -> Iterator[str]:
         for why, files in self._kept.items():
@@ -239,10 +245,10 @@ class Recorder:
             these = f"{str(first)!r} and {len(files) - 1} {some}others are" if len(files) > 1 else f"{str(first)!r} is"
             yield f"{these} kept as {'files' if len(files) > 1 else 'a file'}: {told}"
 
-    def _alone(self) -> Iterator[str]:
+    def _alone(self, forms: Sequence[Mapping[str, Any]]) -> Iterator[str]:
         """Columns that one run alone has in its whole batch, as it may be where there is one run per experiment."""
         sets: dict[str, Counter[tuple[str, ...]]] = {}
-        for row in self._store.rows(GOOD + FORMS, **_asked(self._context)) if self._shapes else ():
+        for row in forms:
             sets.setdefault(row["output"], Counter())[tuple(json.loads(row["form"])["columns"])] += row["executions"]
         for name, counts in sets.items():
             declared = self._context.outputs.get(name)
@@ -261,10 +267,10 @@ class Recorder:
                     told = f"the column {column!r} of output {name!r} is called {called!r} in SQL"
                     yield f"{told}: {axis!r} there is the independent variable, and its values are others"
 
-    def _of_kinds(self) -> Iterator[str]:
+    def _of_kinds(self, forms: Sequence[Mapping[str, Any]]) -> Iterator[str]:
         """Columns that hold one thing in some runs and another in others, and texts that were hardly meant as such."""
         kinds: dict[tuple[str, str], Counter[str]] = {}
-        for row in self._store.rows(GOOD + FORMS, **_asked(self._context)) if self._shapes else ():
+        for row in forms:
             for name, kind in json.loads(row["form"])["columns"].items():
                 if kind != "empty" and row["output"] in self._shapes:
                     kinds.setdefault((row["output"], name), Counter())[kind] += row["executions"]

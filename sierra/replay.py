@@ -26,7 +26,7 @@ from sierra.following import Following, noted
 from sierra.hashing import short
 from sierra.model import Job, Recipe, Run, Status
 from sierra.provenance import environment, programs, source
-from sierra.record import Context, Recorder
+from sierra.record import Context, Recorder, rules_of
 from sierra.sessions import Session
 from sierra.store import Found, Question, Store
 from sierra.store.files import Recorded, Taken, contents, recorded, take
@@ -144,7 +144,7 @@ def _look_up(store: Store, found: Found, runs: int | None) -> _Record:
                 inputs.setdefault(file.taken.run, []).append(file)
     if not declared:
         raise Missing(f"{found.kind} {short(found.id)} was recorded by a SIERRA that could not replay; run it again first")
-    rules = json.loads(declared[0]["declared"])
+    outputs, success = rules_of(json.loads(declared[0]["declared"]))
     record = _Record(
         found=found,
         batch=batch,
@@ -153,8 +153,8 @@ def _look_up(store: Store, found: Found, runs: int | None) -> _Record:
         manifest=store.object(files[0]["files"]) if files else b"",
         programs={row["name"]: row["sha256"] for row in used},
         fingerprint=kept[0]["programs"],
-        outputs={name: Output.model_validate(output) for name, output in rules["outputs"].items()},
-        success=Success.model_validate(rules["success"]),
+        outputs=outputs,
+        success=success,
         inputs=inputs,
     )
     if left := sum(one.status != "ok" for one in named):
@@ -205,20 +205,15 @@ def _other_programs(record: _Record, now: programs.Programs) -> Iterator[str]:
     """What is other about the programs, by name."""
     if now.id == record.fingerprint:
         return
-    then = {_called(name): digest for name, digest in record.programs.items()}
-    here = {_called(program.name): program for program in now.all}
-    for name in sorted(then.keys() | here.keys()):
-        program = here.get(name)
+    then = {programs.called(name): digest for name, digest in record.programs.items()}
+    here = {program.called: program for program in now.all}
+    for name, was, program in programs.differing(then, here):
         if program is None:
             yield f"other programs: {name} was recorded, and is not started now"
-        elif name not in then:
+        elif was is None:
             yield f"other programs: {name} ({program.path}) was not recorded"
-        elif then[name] != program.sha256:
-            yield f"other programs: {name} was {short(then[name])}, and {program.path} is {short(program.sha256)}"
-
-
-def _called(name: str) -> str:
-    return name if "{" in name else Path(name).name
+        else:
+            yield f"other programs: {name} was {short(was)}, and {program.path} is {short(program.sha256)}"
 
 
 def _jobs(record: _Record, store: Store, maker: jobs.Maker) -> Iterator[Job]:
@@ -228,7 +223,7 @@ def _jobs(record: _Record, store: Store, maker: jobs.Maker) -> Iterator[Job]:
         for content in contents(question, [file for files in record.inputs.values() for file in files]):
             bytes_of[content.file.sha256 or ""] = b"".join(content.pieces)
         question.views.make(("members",))
-        seeds = dict(question.run("SELECT run, any_value(seed) FROM members GROUP BY run"))
+        seeds = dict(question.run("SELECT run, seed FROM members WHERE batch = $b", {"b": record.batch}))
     for taken in {one.run: one for one in record.runs}.values():
         files = tuple((file.path.removeprefix("input/"), file.sha256 or "") for file in record.inputs.get(taken.run, ()))
         run = Run(taken.run, taken.ordinal, taken.number, seeds[taken.run], files)

@@ -12,7 +12,7 @@ from __future__ import annotations
 import os
 import re
 import shutil
-from collections.abc import Container, Iterable, Iterator, Sequence
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -29,6 +29,11 @@ class Program:
     path: str
     sha256: str
 
+    @property
+    def called(self) -> str:
+        """Its name wherever it lies."""
+        return called(self.name)
+
 
 @dataclass(frozen=True, slots=True)
 class Programs:
@@ -38,10 +43,23 @@ class Programs:
 
     @property
     def id(self) -> str:
-        return digest("programs", {"programs": [[p.name if "{" in p.name else Path(p.name).name, p.sha256] for p in self.all]})
+        return digest("programs", {"programs": [[p.called, p.sha256] for p in self.all]})
 
     def rows(self) -> list[dict[str, Any]]:
         return [{"programs": self.id, "name": p.name, "path": p.path, "sha256": p.sha256} for p in self.all]
+
+
+def called(name: str) -> str:
+    """What a program is called wherever it lies: its path's last part, or what stands for a path of the project."""
+    return name if "{" in name else Path(name).name
+
+
+def differing(before: Mapping[str, str], now: Mapping[str, Program]) -> Iterator[tuple[str, str | None, Program | None]]:
+    """The programs that are others now, by name: the SHA-256 that was recorded, and what is there; None where there is none."""
+    for name in sorted(before.keys() | now.keys()):
+        was, program = before.get(name), now.get(name)
+        if was is None or program is None or was != program.sha256:
+            yield name, was, program
 
 
 def find(argv: Sequence[str], search: str, root: Path, more: tuple[Program, ...] = ()) -> Programs:

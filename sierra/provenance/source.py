@@ -15,7 +15,7 @@ import shutil
 import stat
 import subprocess
 import tempfile
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -105,15 +105,17 @@ def changed(before: bytes, after: bytes) -> list[str]:
     return [path.decode("utf-8", "replace") for path in sorted(differing)]
 
 
-def contents(source: Source, root: Path) -> Iterator[tuple[str, bytes]]:
-    """The files of a source outside git, each as git's hash and its content; none of one in git, which has them.
+def contents(source: Source, root: Path, known: Container[str]) -> Iterator[tuple[str, bytes]]:
+    """The files of a source outside git, each as git's hash, which is not `known`, and its content.
 
     Those over `KEPT` bytes are left out: they are in the source's id, and whoever replays needs them in their place.
     Raises Missing for one that has changed meanwhile.
     """
-    for path, what in _read_manifest(source.manifest).items() if source.vcs == "none" else ():
+    for path, what in _read_manifest(source.manifest).items():
         mode, blob = what.decode().split(" ")
         file = root / os.fsdecode(path)
+        if blob in known:
+            continue
         try:
             if mode != "120000" and file.stat().st_size > KEPT:
                 continue

@@ -25,7 +25,7 @@ from sierra.hashing import sha256_file
 from sierra.store import Found, Question, explain
 from sierra.store.reading import column_names, first_line, identifier, is_number
 from sierra.store.segments import MANIFEST, Segment
-from sierra.store.views import read_parquet
+from sierra.store.views import files_with, read_parquet
 
 INPUT_FOLDER = "input/"
 OUTPUT_FOLDER = "output/"
@@ -206,8 +206,7 @@ def holding(question: Question, executions: Iterable[str]) -> list[Segment]:
         return []
     question.register("asked", pa.table({"execution": pa.array(executions, pa.string())}))
     with _readable():
-        source = read_parquet(list(segments), rows=True)
-        named = {row[0] for row in question.run(f"SELECT DISTINCT filename FROM {source} JOIN asked USING (execution)")}
+        named = {row[0] for row in question.run(files_with(list(segments), "SELECT execution FROM asked"))}
     return [segment for path, segment in segments.items() if path in named]
 
 

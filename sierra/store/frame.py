@@ -16,10 +16,12 @@ from sierra.store import Question, Store, explain, read_parquet
 from sierra.store.reading import identifier
 from sierra.store.segments import is_first_part
 from sierra.store.tables import RECORDED
+from sierra.store.views import files_with
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
+MEMBERS = "SELECT execution FROM membership"
 NUMERIC = ("BIGINT", "DOUBLE", "FLOAT", "INTEGER", "DECIMAL", "SMALLINT", "TINYINT", "UBIGINT", "UINTEGER", "HUGEINT")
 
 
@@ -67,14 +69,13 @@ class Frame:
         """The output files of the segments that hold an execution that counts."""
         batches = {row[0][:12] for row in self._question.run("SELECT DISTINCT batch FROM membership")}
         segments = [s for s in self._question.segments if s.batch in batches and "executions" in s.files]
-        holding = set()
+        having = set()
         if segments:
-            source = read_parquet([segment.files["executions"] for segment in segments], rows=True)
-            found = self._question.run(f"SELECT DISTINCT filename FROM {source} JOIN membership USING (execution)")
-            holding = {row[0] for row in found}
+            found = self._question.run(files_with([segment.files["executions"] for segment in segments], MEMBERS))
+            having = {row[0] for row in found}
         files: dict[str, list[str]] = {}
         for segment in segments:
-            if segment.files["executions"] in holding:
+            if segment.files["executions"] in having:
                 for name, path in segment.outputs():
                     files.setdefault(name, []).append(path)
         return {name: self._counting(paths) for name, paths in files.items()}
@@ -83,9 +84,8 @@ class Frame:
         """Of an output whose columns differ, the files with an execution that counts."""
         if all(map(is_first_part, files)):
             return files
-        source = read_parquet(files, rows=True)
-        holding = self._question.run(f"SELECT DISTINCT filename FROM {source} SEMI JOIN membership USING (execution)")
-        return [file for file in files if (file,) in holding] or files
+        found = self._question.run(files_with(files, MEMBERS))
+        return [file for file in files if (file,) in found] or files
 
     def axes(self) -> tuple[Axis, ...]:
         """The batch's axes with their values in order (labels and units are the project's)."""

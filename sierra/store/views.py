@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from sierra.errors import Damaged
-from sierra.store.reading import column_names, identifier, quote
+from sierra.store.reading import column_names, first_line, identifier, quote
 from sierra.store.segments import Segment, is_first_part
 from sierra.store.tables import DERIVED, RECORDED
 
@@ -62,8 +62,7 @@ class Views:
         try:
             return self._sql.execute(statement, parameters or {})
         except duckdb.Error as error:
-            lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-            raise Damaged(f"the store cannot be read: {lines[0] if lines else error}") from error
+            raise Damaged(f"the store cannot be read: {first_line(error)}") from error
 
     def make(self, names: Iterable[str] | None = None) -> None:
         """Views of these tables and of what they need; of all where no names are given."""
@@ -178,10 +177,8 @@ class Views:
         """Of an output whose columns may differ, the files with an execution that counts; what others have, nobody sees."""
         if all(map(is_first_part, files)) and "findings" not in self._files:
             return files
-        source = read_parquet(files, rows=True)
-        statement = f"SELECT DISTINCT filename FROM {source} WHERE execution IN (SELECT execution FROM ({COUNTED}))"
-        holding = {row[0] for row in self._execute(statement).fetchall()}
-        return [file for file in files if file in holding] or files
+        found = {row[0] for row in self._execute(files_with(files, f"SELECT execution FROM ({COUNTED})")).fetchall()}
+        return [file for file in files if file in found] or files
 
 
 COUNTING = """
@@ -221,6 +218,11 @@ def _pick(column: str, first: str | None) -> str:
     """One of several records of the same: the first, where that can be told. What is not asked for is not read."""
     name = identifier(column)
     return f"any_value({name})" if first is None else f"min({name})" if column == first else f"arg_min({name}, {first})"
+
+
+def files_with(files: Sequence[str], executions: str) -> str:
+    """The statement for which of these files have a row of one of the executions that a query gives."""
+    return f"SELECT DISTINCT filename FROM {read_parquet(files, rows=True)} WHERE execution IN ({executions})"
 
 
 def read_parquet(files: Sequence[str], *, union: bool = False, rows: bool = False) -> str:
