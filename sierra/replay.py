@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from sierra import engines, jobs, recovery, runners
-from sierra.agreement import Agreement, Verdict, of_tables, of_texts, worst
+from sierra.agreement import Agreement, Verdict, worst
 from sierra.asking import Progress, Watch
 from sierra.config import LoadedProject, Output, Success
 from sierra.engines import Engine
@@ -25,12 +25,12 @@ from sierra.errors import Missing, NotFound
 from sierra.following import Following, noted
 from sierra.hashing import short
 from sierra.model import Job, Recipe, Run, Status
+from sierra.outcomes import compare
 from sierra.provenance import environment, programs, source
 from sierra.record import Context, Recorder, rules_of
 from sierra.sessions import Session
-from sierra.store import Found, Question, Store
+from sierra.store import Found, Store
 from sierra.store.files import Recorded, Taken, contents, recorded, take
-from sierra.store.results import rows_of
 from sierra.version import __version__
 
 
@@ -268,56 +268,7 @@ def _compare(
                 [(reason,)] = question.run("SELECT reason FROM executions WHERE execution = $e", {"e": execution}) or [("",)]
                 yield Compared(taken, execution, {None: Agreement(Verdict.FAILED, reason or failed[taken.run])})
             else:
-                yield Compared(taken, execution, _outputs(question, store, taken, execution, declared))
-
-
-def _outputs(
-    question: Question, store: Store, taken: Taken, execution: str, declared: Mapping[str, Output]
-) -> dict[str | None, Agreement]:
-    """How far the outputs of two executions agree, by path."""
-    was, now = (_artifacts(question, one) for one in (str(taken.execution), execution))
-    agreements: dict[str | None, Agreement] = {}
-    for path in sorted(was.keys() | now.keys()):
-        if path not in now:
-            agreements[path] = Agreement(Verdict.DIFFERENT, "was written, and is not there now")
-        elif path not in was:
-            agreements[path] = Agreement(Verdict.DIFFERENT, "was not written, and is there now")
-        elif was[path]["sha256"] == now[path]["sha256"]:
-            agreements[path] = Agreement(Verdict.IDENTICAL)
-        else:
-            agreements[path] = _output(question, store, (str(taken.execution), was[path]), (execution, now[path]), declared)
-    return agreements
-
-
-def _artifacts(question: Question, execution: str) -> dict[str, dict[str, Any]]:
-    rows = question.sql(
-        "SELECT path, kind, output, sha256, form FROM artifacts WHERE execution = $e AND kind <> 'log'", e=execution
-    ).to_pylist()
-    return {row["path"]: row for row in rows}
-
-
-def _output(
-    question: Question,
-    store: Store,
-    was: tuple[str, Mapping[str, Any]],
-    now: tuple[str, Mapping[str, Any]],
-    declared: Mapping[str, Output],
-) -> Agreement:
-    """How far one output agrees, whose bytes differ."""
-    name = was[1]["output"]
-    rules = declared.get(name or "") or next((o for o in declared.values() if o.file == was[1]["path"]), None)
-    volatile = rules.volatile if rules else ()
-    if was[1]["kind"] == now[1]["kind"] == "table":
-        old, new = (rows_of(question, execution, row["output"], _file(row)) for execution, row in (was, now))
-        return of_tables(old, new, rules.tolerance if rules else {}, volatile)
-    if was[1]["kind"] != now[1]["kind"]:
-        return Agreement(Verdict.DIFFERENT, f"was a {was[1]['kind']} and is a {now[1]['kind']}")
-    return of_texts(store.object(was[1]["sha256"]), store.object(now[1]["sha256"]), volatile)
-
-
-def _file(artifact: Mapping[str, Any]) -> str | None:
-    """The file's name in its table, where a run writes several."""
-    return artifact["path"] if json.loads(artifact["form"] or "{}").get("file", "") is None else None
+                yield Compared(taken, execution, compare(question, store, str(taken.execution), execution, declared))
 
 
 def _keep(
