@@ -104,6 +104,7 @@ CREATE TABLE sessions (
     "engine" VARCHAR,  -- what contained them
     "slots" BIGINT,  -- runs at a time [1]
     "executed" BIGINT,  -- runs executed [1]
+    "again" BIGINT,  -- of these, runs that had been executed before [1]
     "reused" BIGINT,  -- runs whose recorded execution was good [1]
     "failed" BIGINT,  -- runs of the batch without a good execution, of those executed [1]
     "missing" BIGINT,  -- runs of the batch that were not executed [1]
@@ -127,7 +128,8 @@ CREATE TABLE replays (
     "runner" VARCHAR,  -- where runs were executed
     "engine" VARCHAR,  -- what contained them
     "runs" BIGINT,  -- runs compared [1]
-    "verdict" VARCHAR,  -- identical, equal, within tolerance, different or failed: the worst of its runs
+    "verdict" VARCHAR,  -- identical, equal, within tolerance, equivalent, different or failed: the worst of its experiments
+    "tolerances" VARCHAR,  -- tolerances that were asked for, as JSON: by output, by column
     "environment" VARCHAR,  -- what was around it
     "programs" VARCHAR  -- fingerprint of the programs that it was executed with
 );
@@ -148,6 +150,28 @@ CREATE TABLE verdicts (
     "abs" DOUBLE,  -- the greatest distance in that column, in its unit
     "rel" DOUBLE,  -- the greatest distance relative to the recorded number [1]
     "ulp" DOUBLE  -- the greatest distance in units in the last place [1]
+);
+
+-- Metrics that a replay compared over all runs of experiments that are not deterministic: two one-sided tests.
+CREATE TABLE equivalences (
+    "replay" VARCHAR,  -- the replay
+    "experiment" VARCHAR,  -- the experiment
+    "metric" VARCHAR,  -- the metric's name in [equivalence]
+    "output" VARCHAR,  -- the output
+    "column" VARCHAR,  -- the column of it
+    "measure" VARCHAR,  -- what each run was reduced to
+    "was" DOUBLE,  -- the recorded mean, in the column's unit
+    "found" DOUBLE,  -- the mean found
+    "n" BIGINT,  -- pairs of runs [1]
+    "difference" DOUBLE,  -- the mean of the differences, run by run
+    "low" DOUBLE,  -- the interval of confidence 1 - 2 alpha around it
+    "high" DOUBLE,  -- its other end
+    "margin" DOUBLE,  -- what the interval must lie within, on both sides of 0
+    "alpha" DOUBLE,  -- the probability at most to find equivalent what is a margin apart [1]
+    "p" DOUBLE,  -- the greater p value of the two tests [1]
+    "power" DOUBLE,  -- the probability to find equivalent what is the same [1]
+    "equivalent" BOOLEAN,  -- whether the interval lies within the margins
+    "why" VARCHAR  -- in a line
 );
 
 -- What was around executions, recorded once.
@@ -224,6 +248,15 @@ CREATE TABLE counting (
     "run" VARCHAR,  -- the run
     "execution" VARCHAR,  -- the execution
     "asked" TIMESTAMP WITH TIME ZONE  -- when the batch was last asked for
+);
+
+-- Runs of which several good executions with the same programs, replays included, left other bytes.
+CREATE TABLE nondeterminism (
+    "run" VARCHAR,  -- the run
+    "programs" VARCHAR,  -- fingerprint of the programs
+    "executions" BIGINT,  -- good executions with these programs [1]
+    "results" BIGINT,  -- how many results they have [1]
+    "verdict" VARCHAR  -- the worst that a replay found: equal and within tolerance are as declared; NULL if only bytes are known
 );
 
 -- Where runs stand in the space of the independent variables, which are further columns; a run that belongs to experiments with different values of one variable has a row for each.

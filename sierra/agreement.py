@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Any
 
@@ -29,13 +29,15 @@ class Verdict(StrEnum):
     EQUAL = "equal"
     """The same values; what was declared volatile, or how numbers are written, differs."""
     WITHIN = "within tolerance"
+    EQUIVALENT = "equivalent"
+    """Other values; but over the runs of a whole experiment, the declared metrics are the same within their margins."""
     DIFFERENT = "different"
     FAILED = "failed"
     """It did not execute to a good end."""
 
     @property
     def fine(self) -> bool:
-        return self in (Verdict.IDENTICAL, Verdict.EQUAL, Verdict.WITHIN)
+        return self not in (Verdict.DIFFERENT, Verdict.FAILED)
 
 
 def worst(verdicts: Iterable[Verdict]) -> Verdict:
@@ -60,17 +62,48 @@ class Agreement:
     """The greatest distance."""
     rel: float | None = None
     ulp: float | None = None
-    growth: tuple[float, ...] = ()
-    """The greatest absolute distance in each tenth of the rows."""
+    growth: tuple[tuple[Any, float], ...] = ()
+    """For each tenth of the rows: its last time (or row, without a time), and the greatest absolute distance in it."""
+    form: bool = False
+    """Whether not values differ, but what there is: a file, or the columns of a table."""
 
 
-def of_tables(recorded: Any, found: Any, tolerance: Mapping[str, Tolerance], volatile: Sequence[str] = ()) -> Agreement:
-    """Compare two pyarrow tables, row by row: `tolerance` is by column, where `*` stands for those that are not named."""
-    columns = [name for name in recorded.column_names if name not in volatile]
-    others = [name for name in found.column_names if name not in volatile]
+@dataclass(frozen=True, slots=True)
+class Rules:
+    """By what two tables are compared."""
+
+    tolerance: Mapping[str, Tolerance] = field(default_factory=dict)
+    """By column; `*` stands for those that are not named."""
+    volatile: Sequence[str] = ()
+    """Columns that are not compared."""
+    time: str = ""
+    """The column in whose terms it is said where tables part; the row's number without."""
+    ordered: bool = True
+    """Whether the order of rows means anything."""
+
+    def of(self, column: str) -> Tolerance:
+        return self.tolerance.get(column, self.tolerance.get("*", EXACT))
+
+
+def of_tables(recorded: Any, found: Any, rules: Rules | None = None) -> Agreement:
+    """Compare two pyarrow tables, row by row; where their order means nothing, each sorted by all columns, numbers last."""
+    rules = rules or Rules()
+    columns = [name for name in recorded.column_names if name not in rules.volatile]
+    others = [name for name in found.column_names if name not in rules.volatile]
     if set(columns) != set(others):
-        return Agreement(Verdict.DIFFERENT, f"columns were {', '.join(columns)} and are {', '.join(others)}")
-    distances = [_Distance(name, recorded.column(name), found.column(name)) for name in columns]
+        return Agreement(Verdict.DIFFERENT, f"columns were {', '.join(columns)} and are {', '.join(others)}", form=True)
+    recorded, found = recorded.select(columns), found.select(columns)
+    answer = _of_rows(recorded, found, rules)
+    if rules.ordered or answer.verdict.fine:
+        return answer
+    answer = _of_rows(_sorted(recorded), _sorted(found), rules)
+    equal = answer.verdict is Verdict.EQUAL
+    return replace(answer, why="the same rows in another order" if equal else f"rows sorted: {answer.why}")
+
+
+def _of_rows(recorded: Any, found: Any, rules: Rules) -> Agreement:
+    time = recorded.column(rules.time) if rules.time in recorded.column_names else None
+    distances = [_Distance(name, recorded.column(name), found.column(name), time) for name in recorded.column_names]
     parted = [one for one in distances if one.first is not None]
     if recorded.num_rows != found.num_rows:
         why = f"{recorded.num_rows} rows were recorded, {found.num_rows} found"
@@ -78,7 +111,7 @@ def of_tables(recorded: Any, found: Any, tolerance: Mapping[str, Tolerance], vol
         return Agreement(Verdict.DIFFERENT, why) if first is None else first.told(Verdict.DIFFERENT, f"{why}; {first.where()}")
     if not parted:
         return Agreement(Verdict.EQUAL, "the same values, written in other bytes")
-    beyond = [one for one in parted if not one.keeps_to(tolerance.get(one.name, tolerance.get("*", EXACT)))]
+    beyond = [one for one in parted if not one.keeps_to(rules.of(one.name))]
     if not beyond:
         far = max(parted, key=lambda one: one.rel)
         return far.told(
@@ -86,6 +119,14 @@ def of_tables(recorded: Any, found: Any, tolerance: Mapping[str, Tolerance], vol
         )
     first = min(beyond, key=lambda one: one.first or 0)
     return first.told(Verdict.DIFFERENT, f"{first.where()}; {first.how_far()}")
+
+
+def _sorted(table: Any) -> Any:
+    """The rows in the order of their values: texts and whole numbers first, which tell rows apart though others waver."""
+    import pyarrow as pa
+
+    names = sorted(table.column_names, key=lambda name: pa.types.is_floating(table.column(name).type))
+    return table.sort_by([(name, "ascending") for name in names]) if names else table
 
 
 def of_texts(recorded: bytes, found: bytes, volatile: Sequence[str] = ()) -> Agreement:
@@ -106,17 +147,18 @@ def of_texts(recorded: bytes, found: bytes, volatile: Sequence[str] = ()) -> Agr
 class _Distance:
     """How far one column of two tables is apart, in the rows that both have."""
 
-    def __init__(self, name: str, recorded: Any, found: Any) -> None:
+    def __init__(self, name: str, recorded: Any, found: Any, time: Any = None) -> None:
         import numpy as np
 
         rows = min(len(recorded), len(found))
         self.name = name
+        self._time = time
         self._recorded, self._found = recorded.slice(0, rows), found.slice(0, rows)
         self.numeric = _is_number(recorded.type) and _is_number(found.type)
         self._apart = _differ(self._recorded, self._found)
         places = np.flatnonzero(self._apart)
         self.first: int | None = int(places[0]) if len(places) else None
-        self.growth: tuple[float, ...] = ()
+        self.growth: tuple[tuple[Any, float], ...] = ()
         self.abs = self.rel = self.ulp = float("inf")
         if self.numeric:
             self._measure(np)
@@ -132,7 +174,8 @@ class _Distance:
         self._all = {"abs": apart, "rel": np.nan_to_num(relative, nan=np.inf), "ulp": np.nan_to_num(units, nan=np.inf)}
         self.abs, self.rel, self.ulp = (float(values.max(initial=0.0)) for values in self._all.values())
         if self.first is not None:
-            self.growth = tuple(float(part.max(initial=0.0)) for part in np.array_split(apart, min(STEPS, len(apart))))
+            parts = np.array_split(np.arange(len(apart)), min(STEPS, len(apart)))
+            self.growth = tuple((self._when(int(part[-1])), float(apart[part].max())) for part in parts)
 
     def keeps_to(self, tolerance: Tolerance) -> bool:
         if not self.numeric:
@@ -143,9 +186,13 @@ class _Distance:
                 fine |= distances <= allowed
         return bool(fine.all())
 
+    def _when(self, row: int) -> Any:
+        return row if self._time is None else self._time[row].as_py()
+
     def where(self) -> str:
         was, now = self._values()
-        return f"row {self.first}: {self.name!r} was {was} and is {now}"
+        at = "" if self._time is None else f" (at {self._when(self.first or 0)})"
+        return f"row {self.first}{at}: {self.name!r} was {was} and is {now}"
 
     def how_far(self) -> str:
         if not self.numeric:

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from sierra.extract import Listing, Outcome
     from sierra.pipeline import Summary
     from sierra.plans import Plan
-    from sierra.replay import Replay
+    from sierra.replay import Replay, Tolerances
 
 
 class Project:
@@ -63,9 +63,20 @@ class Project:
         scenario: str | None = None,
         sets: Sequence[tuple[str, str]] = (),
     ) -> Plan:
-        """What a query would execute: the batch with all ids. `sets` are pairs of XPath and value."""
-        from sierra import plans
+        """What a query would execute: the batch with all ids. `sets` are pairs of XPath and value.
 
+        The beginning of a recorded batch's id instead of a query is that batch, with the code and the inputs of then.
+        """
+        from sierra import plans, recalled
+        from sierra.store import PREFIX
+
+        [word] = query if len(query) == 1 else ("",)
+        if PREFIX.fullmatch(word.lower()) and word not in self.config.queries and self.stored():
+            if runs or controller or scenario or sets:
+                raise UsageError(
+                    f"batch {word} is executed as it was recorded; without --runs, --controller, --scenario, --set"
+                )
+            return recalled.plan(self._loaded, self.store, word)
         asked = plans.ask(self._loaded, query, runs=runs, controller=controller, scenario=scenario, sets=sets)
         return plans.plan(self._loaded, asked)
 
@@ -98,11 +109,13 @@ class Project:
         watch: Watch | None = None,
     ) -> Summary:
         """Answer a query that is planned already."""
-        from sierra import pipeline
+        from sierra import pipeline, probing
 
-        slots = _slots(jobs)
+        slots, watch = _slots(jobs), watch or (lambda progress: None)
         store = Store.create(self.paths.store)
-        summary = pipeline.run(plan, store, slots=slots, fail_fast=fail_fast, watch=watch or (lambda progress: None))
+        probed = probing.probe(plan, store, watch) if self.config.determinism.probe else ()
+        summary = pipeline.run(plan, store, slots=slots, fail_fast=fail_fast, watch=watch)
+        summary = replace(summary, notes=(*probed, *summary.notes))
         if not figures or summary.interrupted or summary.missing + summary.failed == summary.runs:
             return summary
         try:
@@ -132,16 +145,28 @@ class Project:
 
         return listing.show(self.store, prefix)
 
-    def replay(self, prefix: str, *, runs: int | None = None, jobs: int | None = None, watch: Watch | None = None) -> Replay:
+    def replay(
+        self,
+        prefix: str,
+        *,
+        runs: int | None = None,
+        jobs: int | None = None,
+        runner: str = "local",
+        engine: str = "none",
+        tolerances: Tolerances | None = None,
+        keep: bool = False,
+        watch: Watch | None = None,
+    ) -> Replay:
         """Execute again, from the record alone, what an id names, and compare: see `sierra.replay.Replay`.
 
-        `runs`: the first so many of each experiment. Raises NotFound, and Missing for what is needed and gone.
+        `runs`: the first so many of each experiment. `tolerances`: by output and column (`*`: all), instead of what
+        `sierra.toml` declares. `keep`: leave the restored source and the folders of the runs. Raises NotFound, and Missing for
+        what is needed and gone.
         """
         from sierra import replay
 
-        return replay.replay(
-            self._loaded, self.store, prefix, runs=runs, slots=_slots(jobs), watch=watch or (lambda progress: None)
-        )
+        how = replay.How(_slots(jobs), runs, runner, engine, tolerances or {}, keep)
+        return replay.replay(self._loaded, self.store, prefix, how, watch or (lambda progress: None))
 
     def files(self, prefix: str, *paths: str, to: str | os.PathLike[str] | None = None) -> Listing | list[Outcome]:
         """The recorded files of what an id names; with `to`, written into that folder: what became of each.

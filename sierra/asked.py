@@ -20,7 +20,7 @@ from sierra.store.tables import arrow_schema
 
 AT_A_TIME = 10_000
 """Members that are in memory as rows."""
-COUNTS = ("executed", "reused", "failed", "missing", "interrupted")
+COUNTS = ("executed", "again", "reused", "failed", "missing", "interrupted")
 
 
 def keep(plan: Plan, store: Store, session: SessionPaths) -> None:
@@ -28,17 +28,19 @@ def keep(plan: Plan, store: Store, session: SessionPaths) -> None:
 
     What the store has already is not recorded again, also where another asking was quicker.
     """
-    batch = plan.batch
+    batch, code = plan.batch, plan.source
+    if code is None:  # a recorded batch, by its id
+        return
     writer = store.writer(session.segment, batch.id)
     known = _known_inputs(plan, store)
     objects = Objects(writer.path("objects"))
-    for _, files in plan.expansion.files(batch, lambda run: run.id not in known):
+    for _, files in plan.inputs.files(batch, lambda run: run.id not in known):
         for _, content in files:
             objects.add(content)
-    listing = objects.add(plan.source.manifest)
-    if plan.source.vcs == "none":  # git keeps its own
+    listing = objects.add(code.manifest)
+    if code.vcs == "none":  # git keeps its own
         blobs = {row["blob"] for row in store.rows("SELECT blob FROM blobs")}
-        files_of_source = source.contents(plan.source, plan.project.root, blobs)
+        files_of_source = source.contents(code, plan.project.root, blobs)
         writer.rows("blobs", ({"blob": blob, "sha256": objects.add(content)} for blob, content in files_of_source))
     objects.close()
     recipe = batch.recipe
@@ -58,7 +60,7 @@ def keep(plan: Plan, store: Store, session: SessionPaths) -> None:
             }
         ],
     )
-    writer.rows("sources", [plan.source.row(listing)])
+    writer.rows("sources", [code.row(listing)])
     writer.rows("environments", [plan.environment])
     writer.rows("programs", plan.programs.rows())
     writer.table("experiments", _experiments(batch))
@@ -85,12 +87,13 @@ def close(
         "slots": slots,
         "sierra": plan.environment["sierra"],
         "environment": plan.environment["environment"],
-        "source": plan.source.id,
+        "source": plan.source_id,
         **{name: getattr(now, name) for name in ("programs", "reading", "rules")},
     }
     writer = store.writer(session.paths.segment, plan.batch.id)
     writer.rows("sessions", [record])
-    writer.rows("sources", [plan.source.row(sha256(plan.source.manifest))])
+    if plan.source:
+        writer.rows("sources", [plan.source.row(sha256(plan.source.manifest))])
     if counts["executed"]:
         writer.rows("environments", [plan.environment])
         writer.rows("programs", plan.programs.rows())

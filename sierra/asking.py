@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Iterator
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
+from pathlib import Path
 
 from sierra import jobs, recovery, sessions
 from sierra.errors import Missing
@@ -40,8 +41,16 @@ class Asking:
     """One asking while it is answered: what is done, what failed, what others do."""
 
     def __init__(
-        self, plan: Plan, store: Store, session: Session, runner: Callable[[], Runner], fail_fast: bool, watch: Watch
+        self,
+        plan: Plan,
+        store: Store,
+        session: Session,
+        runner: Callable[[], Runner],
+        fail_fast: bool,
+        watch: Watch,
+        only: AbstractSet[str] | None = None,
     ) -> None:
+        """`only`: execute no other runs than these."""
         self.plan = plan
         self.store = store
         self.session = session
@@ -53,6 +62,7 @@ class Asking:
         self.notes: tuple[str, ...] = ()
         self._runner = runner
         self._fail_fast = fail_fast
+        self._only = only
         self._watch = watch
         self.reused = 0
         self._total = len({run.id for run in plan.batch.runs})
@@ -62,6 +72,11 @@ class Asking:
     def attempted(self) -> set[str]:
         """The runs that this asking has executed to their end."""
         return self._claimed - self._open
+
+    @property
+    def again(self) -> set[str]:
+        """Those of them that had been executed before."""
+        return self.attempted & (self._before or {}).keys()
 
     def answer(self) -> None:
         """Execute what is missing; wait for what other sessions execute, and take over what they leave."""
@@ -90,6 +105,8 @@ class Asking:
             self._before = {run: now[run].executions for run in wanted if now[run].executions}
             self.reused = self._total - len(wanted)
         self.failed |= {run for run in wanted if now[run].executions > self._before.get(run, 0)}
+        if self._only is not None:
+            wanted &= self._only
         wanted -= self.failed
         wanted -= self.attempted
         return wanted
@@ -100,9 +117,10 @@ class Asking:
         self._claimed |= wanted
         self._open |= wanted
         recorder = Recorder(self.store, self.session.paths, self._context)
+        root = self._code()
         with noted() as signals:
             following = Following(self._runner(), recorder, self.store, self.session, self._took, self._tell)
-            following.execute(self._jobs(wanted), signals, enough=lambda: self._fail_fast and bool(self.failed))
+            following.execute(self._jobs(wanted, root), signals, enough=lambda: self._fail_fast and bool(self.failed))
             odd = find_odd(self.store, self.session.paths, self._context)
             self.notes += tuple(recorder.notes())
         self.interrupted = bool(signals)
@@ -113,13 +131,23 @@ class Asking:
         if status is not Status.OK:
             self.failed.add(run)
 
-    def _jobs(self, wanted: AbstractSet[str]) -> Iterator[Job]:
-        maker = jobs.Maker(self.plan.batch.recipe, self.plan.project.root, self.plan.engine, self.plan.limits, self.session.id)
+    def _jobs(self, wanted: AbstractSet[str], root: Path) -> Iterator[Job]:
+        plan = self.plan
+        maker = jobs.Maker(plan.batch.recipe, root, plan.engine, plan.limits, self.session.id)
         sent: set[str] = set()
-        for run, files in self.plan.expansion.files(self.plan.batch, lambda run: run.id in wanted):
+        for run, files in plan.inputs.files(plan.batch, lambda run: run.id in wanted):
             if run.id not in sent:
                 sent.add(run.id)
                 yield maker.job(run, files)
+
+    def _code(self) -> Path:
+        """The folder of the code that is executed."""
+        if self.plan.checkout is None:
+            return self.plan.project.root
+        root = self.session.paths.source
+        if not root.exists():
+            self.plan.checkout.make(root)
+        return root
 
     def _wait(self, wanted: AbstractSet[str]) -> None:
         """Other sessions execute what is wanted: until one of them ends, or has recorded something."""

@@ -215,6 +215,7 @@ class Output(Table):
         default_factory=dict,
         description="by column (`*`: all others), how far a replay may be from the record: abs, rel or ulp",
     )
+    ordered: bool = Field(True, description="whether a replay heeds the order of rows")
     volatile: tuple[str, ...] = Field(
         (),
         description="what a replay does not compare: columns of a table; in another file, regular expressions of lines",
@@ -259,6 +260,38 @@ class Source(Table):
     """What of the project counts as the code that a run was made from."""
 
     paths: tuple[str, ...] = Field((), description="files and folders; the whole project where absent")
+
+
+class Determinism(Table):
+    """Whether runs with the same seed give the same bytes."""
+
+    probe: bool = Field(False, description="execute one run twice before a batch, and say whether it came out the same")
+
+
+class Equivalence(Table):
+    """A metric by which runs that are not deterministic are compared in a replay: over the runs of a whole experiment."""
+
+    table: str = Field(description="the output")
+    column: str = Field(description="the column of it")
+    measure: Literal["final", "mean", "time_to"] = Field("final", description="what a run is reduced to, as in figures")
+    threshold: Annotated[float, Field(allow_inf_nan=False)] | None = Field(None, description="for `time_to`, as in figures")
+    margin: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = Field(
+        None, description="means this far apart are still the same, in the column's unit"
+    )
+    relative: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = Field(
+        None, description="the same as a part of the recorded mean (0.05: 5 %)"
+    )
+    alpha: Annotated[float, Field(gt=0, lt=0.5)] = Field(
+        0.05, description="the probability at most to take for the same what is a margin apart"
+    )
+
+    @model_validator(mode="after")
+    def _fitting(self) -> Equivalence:
+        if (self.margin is None) == (self.relative is None):
+            raise ValueError('say either "margin" or "relative"')
+        if (self.measure == "time_to") != (self.threshold is not None):
+            raise ValueError('measure "time_to" and "threshold" go together')
+        return self
 
 
 class QueryTable(Table):
@@ -352,6 +385,10 @@ class Project(Table):
     limits: LimitsTable = LimitsTable()
     environment: Environment = Environment()
     source: Source = Source()
+    determinism: Determinism = Determinism()
+    equivalence: Mapping[Name, Equivalence] = Field(
+        default_factory=dict, description="for runs that are not deterministic: what must be the same in a replay, by name"
+    )
     queries: Mapping[Name, QueryTable] = Field(default_factory=dict, description="research queries, by name")
     figures: Mapping[Name, Figure] = Field(default_factory=dict, description="figures, by name")
     platforms: Mapping[str, Mapping[str, Any]] = Field(default_factory=dict, description="options of platforms, by name")

@@ -100,7 +100,7 @@ def _recipe(plan: Plan, before: dict[str, Any]) -> list[str]:
 
 def _source(plan: Plan, store: Store, tree: str) -> list[str]:
     rows = store.rows("SELECT files FROM sources WHERE tree = $t LIMIT 1", t=tree)
-    if not rows:
+    if not rows or plan.source is None:
         return ["the source has changed"]
     files = changed(store.object(rows[0]["files"]), plan.source.manifest)
     more = f" and {len(files) - SHOWN} more" if len(files) > SHOWN else ""

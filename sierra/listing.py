@@ -11,14 +11,14 @@ from sierra.store.files import recorded, take
 BATCHES = """
 WITH last AS (
     SELECT batch, max(ended) AS answered, arg_max(failed, ended) AS failed, arg_max(missing, ended) AS missing,
-           arg_max(query, ended) AS query
+           arg_max(query, ended) AS query, sum(again) AS again
     FROM sessions GROUP BY batch
 )
 SELECT b.batch, b.created, coalesce(l.query, b.query) AS query, b.controller, b.scenario, b.experiments, b.runs,
        l.answered, l.failed, l.missing, b.batch IN (
            SELECT m.batch FROM findings f JOIN executions e USING (execution) JOIN members m ON m.run = e.run
            WHERE f.found > l.answered
-       ) AS doubted
+       ) AS doubted, coalesce(l.again, 0) > 0 OR b.batch IN (SELECT batch FROM replays) AS repeated
 FROM batches b LEFT JOIN last l USING (batch)
 ORDER BY coalesce(l.answered, b.created), b.batch
 """
@@ -31,12 +31,18 @@ SELECT batch, count(good) AS good, count(*) FILTER (good IS NULL AND last <> 'ok
 FROM members_of LEFT JOIN tried USING (run) LEFT JOIN good USING (batch, run) GROUP BY batch
 """
 
+UNLIKE = """
+SELECT m.batch, count(DISTINCT m.run) AS runs FROM nondeterminism n JOIN members m USING (run)
+WHERE list_contains($batches, m.batch) AND (n.verdict IS NULL OR n.verdict = 'different') GROUP BY m.batch
+"""
+
 
 def batches(store: Store) -> list[dict[str, Any]]:
     """All batches in the order in which they were last asked for.
 
     `failed` and `missing` are runs without a good execution, tried or not; where the last asking ended well,
-    both are 0 and nothing is counted again.
+    both are 0 and nothing is counted again. `nondeterministic` are runs that gave other bytes when executed again, with the
+    same programs, and beyond what the project declares to be volatile or within tolerance.
     """
     with store.ask() as question:
         rows: list[dict[str, Any]] = question.sql(BATCHES).to_pylist()
@@ -44,7 +50,11 @@ def batches(store: Store) -> list[dict[str, Any]]:
         counted = {}
         if open_ones:
             counted = {row["batch"]: row for row in question.sql(COUNTS, batches=open_ones).to_pylist()}
+        repeated = [row["batch"] for row in rows if row.pop("repeated")]
+        found = question.sql(UNLIKE, batches=repeated).to_pylist() if repeated else []
+        unlike = {row["batch"]: row["runs"] for row in found}
     for row in rows:
+        row["nondeterministic"] = unlike.get(row["batch"], 0)
         count = counted.get(row["batch"])
         if count is not None:
             row["failed"] = count["failed"]
@@ -67,8 +77,17 @@ def _batch(question: Question, found: Found) -> dict[str, Any]:
     row["source"] = _source(question, found.id, recipe["source"])
     row["experiments"] = _experiments(question, found.id, row["axes"])
     row["failures"] = _failures(question, found.id, row["experiments"], row["axes"])
+    row["nondeterminism"] = question.sql(NONDETERMINISM, b=found.id, r=None).to_pylist()
+    row["replays"] = question.sql(REPLAYS, b=found.id).to_pylist()
     row["sessions"] = question.sql("SELECT * FROM sessions WHERE batch = $b ORDER BY ended", b=found.id).to_pylist()
     return row
+
+
+NONDETERMINISM = """
+SELECT run, executions, results, verdict, programs FROM nondeterminism
+WHERE run = $r OR run IN (SELECT run FROM members WHERE batch = $b) ORDER BY run
+"""
+REPLAYS = "SELECT replay, started, kind, target, runs, verdict FROM replays WHERE batch = $b ORDER BY ended"
 
 
 def _source(question: Question, batch: str, tree: str | None) -> dict[str, Any] | None:
@@ -162,9 +181,17 @@ def _run(question: Question, found: Found) -> dict[str, Any]:
     row["executions"] = question.sql(
         "SELECT * EXCLUDE (run) FROM executions WHERE run = $r ORDER BY ended", r=found.id
     ).to_pylist()
+    row["nondeterminism"] = question.sql(NONDETERMINISM, b=None, r=found.id).to_pylist()
+    row["verdicts"] = question.sql(VERDICTS, r=found.id).to_pylist()
     files = recorded(question, take(question, found))
     row["files"] = [{"path": file.path, "kind": file.kind, "bytes": file.bytes, "sha256": file.sha256} for file in files]
     return row
+
+
+VERDICTS = """
+SELECT v.replay, r.started, v.path, v.verdict, v.why FROM verdicts v JOIN replays r USING (replay)
+WHERE v.run = $r ORDER BY r.ended, v.path
+"""
 
 
 def _execution(question: Question, found: Found) -> dict[str, Any]:

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
-from sierra.agreement import Agreement, Verdict, of_tables, of_texts
+from sierra.agreement import Agreement, Rules, Verdict, of_tables, of_texts
 from sierra.config import Output
 from sierra.store import Question, Store
 from sierra.store.results import rows_of
+
+Artifacts = Mapping[str, Mapping[str, Any]]
+"""What one execution left, by path: rows of `artifacts`, without logs."""
 
 
 def compare(
@@ -19,44 +22,51 @@ def compare(
 
     `declared` says what is volatile and which tolerance holds. Raises Damaged where the store lacks one of them.
     """
-    was, now = (_artifacts(question, execution) for execution in (recorded, found))
+    left = artifacts(question, (recorded, found))
+    return of_artifacts(question, store, left[recorded], left[found], declared)
+
+
+def artifacts(question: Question, executions: Iterable[str]) -> dict[str, Artifacts]:
+    """What each of these executions left."""
+    import pyarrow as pa
+
+    left: dict[str, dict[str, Mapping[str, Any]]] = {execution: {} for execution in executions}
+    question.register("compared", pa.table({"execution": pa.array(left, pa.string())}))
+    statement = "SELECT a.* FROM artifacts a SEMI JOIN compared USING (execution) WHERE kind <> 'log'"
+    for row in question.sql(statement).to_pylist():
+        left[row["execution"]][row["path"]] = row
+    return dict(left)
+
+
+def of_artifacts(
+    question: Question, store: Store, was: Artifacts, now: Artifacts, declared: Mapping[str, Output]
+) -> dict[str | None, Agreement]:
+    """As `compare`, of what is known of two executions."""
     agreements: dict[str | None, Agreement] = {}
     for path in sorted(was.keys() | now.keys()):
         if path not in now:
-            agreements[path] = Agreement(Verdict.DIFFERENT, "was written, and is not there now")
+            agreements[path] = Agreement(Verdict.DIFFERENT, "was written, and is not there now", form=True)
         elif path not in was:
-            agreements[path] = Agreement(Verdict.DIFFERENT, "was not written, and is there now")
+            agreements[path] = Agreement(Verdict.DIFFERENT, "was not written, and is there now", form=True)
         elif was[path]["sha256"] == now[path]["sha256"]:
             agreements[path] = Agreement(Verdict.IDENTICAL)
         else:
-            agreements[path] = _output(question, store, (recorded, was[path]), (found, now[path]), declared)
+            agreements[path] = _output(question, store, was[path], now[path], declared)
     return agreements
 
 
-def _artifacts(question: Question, execution: str) -> dict[str, dict[str, Any]]:
-    rows = question.sql(
-        "SELECT path, kind, output, sha256, form FROM artifacts WHERE execution = $e AND kind <> 'log'", e=execution
-    ).to_pylist()
-    return {row["path"]: row for row in rows}
-
-
 def _output(
-    question: Question,
-    store: Store,
-    was: tuple[str, Mapping[str, Any]],
-    now: tuple[str, Mapping[str, Any]],
-    declared: Mapping[str, Output],
+    question: Question, store: Store, was: Mapping[str, Any], now: Mapping[str, Any], declared: Mapping[str, Output]
 ) -> Agreement:
     """How far one output agrees, whose bytes differ."""
-    name = was[1]["output"]
-    rules = declared.get(name or "") or next((o for o in declared.values() if o.file == was[1]["path"]), None)
+    rules = declared.get(was["output"] or "") or next((o for o in declared.values() if o.file == was["path"]), None)
     volatile = rules.volatile if rules else ()
-    if was[1]["kind"] == now[1]["kind"] == "table":
-        old, new = (rows_of(question, execution, row["output"], _file(row)) for execution, row in (was, now))
-        return of_tables(old, new, rules.tolerance if rules else {}, volatile)
-    if was[1]["kind"] != now[1]["kind"]:
-        return Agreement(Verdict.DIFFERENT, f"was a {was[1]['kind']} and is a {now[1]['kind']}")
-    return of_texts(store.object(was[1]["sha256"]), store.object(now[1]["sha256"]), volatile)
+    if was["kind"] == now["kind"] == "table":
+        old, new = (rows_of(question, row["execution"], row["output"], _file(row)) for row in (was, now))
+        return of_tables(old, new, Rules(rules.tolerance, volatile, rules.time, rules.ordered) if rules else Rules())
+    if was["kind"] != now["kind"]:
+        return Agreement(Verdict.DIFFERENT, f"was a {was['kind']} and is a {now['kind']}", form=True)
+    return of_texts(store.object(was["sha256"]), store.object(now["sha256"]), volatile)
 
 
 def _file(artifact: Mapping[str, Any]) -> str | None:

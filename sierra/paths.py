@@ -9,6 +9,7 @@ PROJECT/.sierra/segments/<segment>/ what is recorded; see sierra.store.segments
 PROJECT/.sierra/work/<session>/     what executes now; gone once it is recorded
     lock  owner.0  claims.json  context.json  journal.jsonl  segment/
     <number>/                       one run: input files, stdout, stderr, home/ tmp/ output/
+PROJECT/.sierra/kept/<replay>/      what `sierra replay --keep` leaves: source/, and the folder of each run by its id
 """
 
 from __future__ import annotations
@@ -78,6 +79,10 @@ class StorePaths:
     @property
     def work_lock(self) -> Path:
         return self.work / "lock"
+
+    def kept(self, replay: str) -> Path:
+        """What a replay leaves because it was asked to."""
+        return self.root / "kept" / replay
 
     def session(self, session: str) -> SessionPaths:
         return SessionPaths(self.work / session)

@@ -58,6 +58,8 @@ class Summary:
     experiments: int
     runs: int
     executed: int
+    again: int
+    """Of these, runs that had been executed before."""
     reused: int
     failed: int
     missing: int
@@ -80,8 +82,9 @@ def run(
     runner: str = "local",
     fail_fast: bool = False,
     watch: Watch = lambda progress: None,
+    only: AbstractSet[str] | None = None,
 ) -> Summary:
-    """Execute what has no good execution yet, record it, and say how it went.
+    """Execute what has no good execution yet (of the runs in `only`, where given), record it, and say how it went.
 
     Ends what runs, and keeps what has finished, when interrupted (KeyboardInterrupt).
     """
@@ -94,7 +97,7 @@ def run(
         if not asked.is_kept(plan, store):
             asked.keep(plan, store, session.paths)
         find_odd(store, session.paths, context(plan, session.id))
-        asking = Asking(plan, store, session, partial(runners.find(runner), slots), fail_fast, watch)
+        asking = Asking(plan, store, session, partial(runners.find(runner), slots), fail_fast, watch, only)
         asking.answer()
         summary = _sum_up(asking)
         asked.close(plan, store, session, asdict(summary), started=began, runner=runner, slots=slots)
@@ -113,6 +116,7 @@ def _sum_up(asking: Asking) -> Summary:
         plan,
         store,
         executed=asking.attempted,
+        again=asking.again,
         failed=failed,
         missing=bad - failed,
         tried={run for run, state in now.items() if state.worth == FAILED} | failed,
@@ -126,6 +130,7 @@ def _summary(
     store: Store,
     *,
     executed: AbstractSet[str] = frozenset(),
+    again: AbstractSet[str] = frozenset(),
     failed: AbstractSet[str] = frozenset(),
     missing: AbstractSet[str] = frozenset(),
     tried: AbstractSet[str] = frozenset(),
@@ -143,6 +148,7 @@ def _summary(
         experiments=len(plan.batch.experiments),
         runs=runs,
         executed=len(executed),
+        again=len(again),
         reused=runs - len(executed | failed | missing),
         failed=len(failed),
         missing=len(missing),

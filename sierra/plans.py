@@ -5,18 +5,19 @@ from __future__ import annotations
 import difflib
 import os
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from sierra import engines, inputs, jobs, platforms, query
-from sierra.config import LoadedProject, Project
+from sierra.checkout import Checkout, programs_in
+from sierra.config import LoadedProject, Output, Project, Success
 from sierra.design import design, mentions
 from sierra.engines import Engine
 from sierra.errors import ConfigError, Missing, QueryError, UsageError
-from sierra.expansion import Expansion
-from sierra.model import Batch, Design, Experiment, Limits, Query, Recipe, Set
+from sierra.expansion import Expansion, Files
+from sierra.model import Batch, Design, Experiment, Limits, Query, Recipe, Run, Set
 from sierra.paths import CONFIG, DRAWN, FIGURES, PYPROJECT, STORE, ProjectPaths
 from sierra.provenance import environment, programs, source
 from sierra.record import Context
@@ -27,6 +28,14 @@ BARE = re.compile(r"[^\W\d]\w*")
 """A word that is no criterion: it has no range."""
 
 
+class Inputs(Protocol):
+    """What knows the input files of runs."""
+
+    def files(self, batch: Batch, wanted: Callable[[Run], bool]) -> Iterator[tuple[Run, Files]]:
+        """The input files of the runs that are wanted, a run at a time; of a run that is in the batch twice, perhaps twice."""
+        ...
+
+
 @dataclass(frozen=True, slots=True)
 class Plan:
     """A query with all that its answer depends on, and nothing executed yet."""
@@ -35,13 +44,19 @@ class Plan:
     query: Query
     text: str
     batch: Batch
-    expansion: Expansion
-    source: source.Source
+    inputs: Inputs
+    source: source.Source | None
+    """None where the code is that of a recorded batch."""
+    source_id: str | None
+    checkout: Checkout | None
+    """Where other files are executed than the project has now."""
     programs: programs.Programs
     environment: Mapping[str, Any]
     engine: Engine
     limits: Limits
     template_sha256: str
+    outputs: Mapping[str, Output]
+    success: Success
     notes: tuple[str, ...] = ()
 
 
@@ -95,7 +110,6 @@ def plan(project: LoadedProject, asked: Query, *, engine: str = "none") -> Plan:
     variables = jobs.environment(platform, config)
     own = (STORE, *_drawn(root), CONFIG, PYPROJECT if project.file.name == PYPROJECT else CONFIG, *_inside(config.template))
     code = source.capture(root, paths=config.source.paths, without=own)
-    unversioned = programs.beside((*command, *variables.values()), root, source.paths(code.manifest))
     recipe = Recipe(config.platform, command, variables, code.tree, contained.image())
     designed = design(asked, config, platform, template)
     expansion = Expansion(designed, template, platform, recipe)
@@ -105,28 +119,31 @@ def plan(project: LoadedProject, asked: Query, *, engine: str = "none") -> Plan:
         query=asked,
         text=" ".join(query.text(criterion) for criterion in asked.criteria),
         batch=batch,
-        expansion=expansion,
+        inputs=expansion,
         source=code,
-        programs=programs.find(jobs.fill(command, root), jobs.search_path(variables), root, unversioned),
+        source_id=code.id,
+        checkout=None,
+        programs=programs_in(recipe, code.manifest, root),
         environment=environment.capture(__version__),
         engine=contained,
         limits=jobs.limits(config),
         template_sha256=template.sha256,
+        outputs=config.outputs,
+        success=config.success,
         notes=(*_doubts(designed, command), *_texts(designed, config, template), *_same(batch)),
     )
 
 
 def context(plan: Plan, session: str = "") -> Context:
     """What recording needs to know of a session that executes this."""
-    config = plan.project.config
     return Context(
         session=session,
         batch=plan.batch.id,
         purpose="run",
         environment=plan.environment["environment"],
         programs=plan.programs.id,
-        outputs=config.outputs,
-        success=config.success,
+        outputs=plan.outputs,
+        success=plan.success,
     )
 
 

@@ -11,6 +11,7 @@ finished by reading its journal once more.
 
 from __future__ import annotations
 
+import contextlib
 import fnmatch
 import json
 import os
@@ -26,7 +27,7 @@ from typing import Any
 
 from sierra import worker
 from sierra.config import Output, Success
-from sierra.hashing import digest, merkle
+from sierra.hashing import digest, merkle, short
 from sierra.model import OutputFile, Result, Status
 from sierra.paths import RUN_OUTPUT, RUN_STDERR, RUN_STDOUT, SessionPaths, write_whole
 from sierra.store import Question, Store
@@ -60,7 +61,7 @@ TOO_MANY = f'undeclared, and of more than {AUTOMATIC_AT_MOST} in a run ([outputs
 TAKEN = 'undeclared, and another has the table of that name already ([outputs.NAME] file = "{file}" makes it a table)'
 NOT_UTF8 = "with a name that is no UTF-8"
 """Why files that look like tables are kept as files."""
-UNREAD = {"units", "time", "tolerance", "volatile"}
+UNREAD = {"units", "time", "tolerance", "ordered", "volatile"}
 """Of an output, what makes no difference to how it is recorded."""
 PENDING_RUNS = 4_000
 PENDING_BYTES = 256 << 20
@@ -184,7 +185,9 @@ class _Judged:
 class Recorder:
     """Takes results, and writes them to the store now and then, and at the end."""
 
-    def __init__(self, store: Store, session: SessionPaths, context: Context) -> None:
+    def __init__(self, store: Store, session: SessionPaths, context: Context, kept: Path | None = None) -> None:
+        """`kept`: the folder that the runs' folders are moved to once they are recorded; without, they are removed."""
+        self._folder = kept
         self._store = store
         self._session = session
         self._context = context
@@ -225,9 +228,17 @@ class Recorder:
         judged = self._write(writer, self._pending)
         self._store.publish(writer)
         for one in judged:
-            discard(Path(one.result.directory))
+            self._put_away(one.result)
         self._pending, self._bytes = [], 0
         return [(one.result.run, one.status, one.reason or "") for one in judged if one.status is not Status.OK]
+
+    def _put_away(self, result: Result) -> None:
+        folder = Path(result.directory)
+        if self._folder is not None:
+            self._folder.mkdir(parents=True, exist_ok=True)
+            with contextlib.suppress(FileNotFoundError):
+                folder.rename(self._folder / short(result.run))
+        discard(folder)
 
     def notes(self) -> list[str]:
         """What of the tables that were recorded is allowed, and yet hardly meant; a line each.

@@ -8,30 +8,51 @@ these never count in statistics, and nothing that was recorded changes.
 from __future__ import annotations
 
 import json
-import shutil
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from sierra import engines, jobs, recovery, runners
+from sierra import jobs, metrics, recalled, recovery, runners
 from sierra.agreement import Agreement, Verdict, worst
 from sierra.asking import Progress, Watch
-from sierra.config import LoadedProject, Output, Success
+from sierra.checkout import programs_in
+from sierra.config import LoadedProject, Output, Tolerance
 from sierra.engines import Engine
-from sierra.errors import Missing, NotFound
+from sierra.errors import NotFound, UsageError
 from sierra.following import Following, noted
 from sierra.hashing import short
-from sierra.model import Job, Recipe, Run, Status
-from sierra.outcomes import compare
-from sierra.provenance import environment, programs, source
-from sierra.record import Context, Recorder, rules_of
+from sierra.metrics import Metric
+from sierra.model import Job, Run, Status
+from sierra.outcomes import artifacts, of_artifacts
+from sierra.paths import SessionPaths
+from sierra.provenance import environment, programs
+from sierra.recalled import Recalled
+from sierra.record import Context, Recorder
 from sierra.sessions import Session
 from sierra.store import Found, Store
-from sierra.store.files import Recorded, Taken, contents, recorded, take
+from sierra.store.files import Taken, take
 from sierra.version import __version__
+
+Tolerances = Mapping[str, Mapping[str, Tolerance]]
+"""By output (`*`: all) and column (`*`: all others)."""
+
+
+@dataclass(frozen=True, slots=True)
+class How:
+    """How to replay."""
+
+    slots: int
+    runs: int | None = None
+    """The first so many of each experiment alone."""
+    runner: str = "local"
+    engine: str = "none"
+    tolerances: Tolerances = field(default_factory=dict)
+    """Instead of what the project declares."""
+    keep: bool = False
+    """Whether to leave the restored source and the folders of the runs."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,75 +69,110 @@ class Compared:
 
 
 @dataclass(frozen=True, slots=True)
+class OfExperiment:
+    """What came of one experiment: its runs, and, where these are not deterministic, its metrics."""
+
+    id: str
+    ordinal: int
+    values: Mapping[str, Any]
+    runs: tuple[Compared, ...]
+    metrics: tuple[Metric, ...] = ()
+
+    @property
+    def verdict(self) -> Verdict:
+        """That of its worst run; or equivalent, where values differ and all metrics are the same within their margins."""
+        found = worst(run.verdict for run in self.runs)
+        same = self.metrics and all(metric.equivalent for metric in self.metrics)
+        return Verdict.EQUIVALENT if found is Verdict.DIFFERENT and same else found
+
+
+@dataclass(frozen=True, slots=True)
 class Replay:
     """The answer to a replay."""
 
     id: str
     found: Found
-    runs: tuple[Compared, ...]
+    experiments: tuple[OfExperiment, ...]
     notes: tuple[str, ...]
     """What is other than it was recorded, before any verdict."""
     interrupted: bool
+    kept: Path | None = None
+    """Where the restored source and the folders of the runs are left."""
+
+    @property
+    def runs(self) -> tuple[Compared, ...]:
+        return tuple(run for experiment in self.experiments for run in experiment.runs)
 
     @property
     def verdict(self) -> Verdict:
-        return worst(run.verdict for run in self.runs)
+        return worst(experiment.verdict for experiment in self.experiments)
 
     @property
     def counts(self) -> Counter[Verdict]:
+        """Runs, by verdict."""
         return Counter(run.verdict for run in self.runs)
+
+    @property
+    def outputs(self) -> dict[str, Verdict]:
+        """The worst verdict of each output."""
+        found: dict[str, list[Verdict]] = {}
+        for run in self.runs:
+            for path, agreement in run.outputs.items():
+                if path is not None:
+                    found.setdefault(path, []).append(agreement.verdict)
+        return {path: worst(verdicts) for path, verdicts in sorted(found.items())}
 
 
 @dataclass(slots=True)
 class _Record:
-    """All that the store has of what is replayed."""
+    """What the store has of what is replayed."""
 
     found: Found
-    batch: str
+    of: Recalled
     runs: list[Taken]
-    recipe: Recipe
-    manifest: bytes
-    programs: dict[str, str]
-    """SHA-256 by name."""
-    fingerprint: str
-    outputs: dict[str, Output]
-    success: Success
-    inputs: dict[str, list[Recorded]] = field(default_factory=dict)
-    notes: list[str] = field(default_factory=list)
+    whole: bool
+    """Whether all good runs of each experiment are among them."""
+    cells: dict[int, dict[str, Any]]
+    """The values of each experiment, by its place in the batch."""
+    seeds: dict[str, int]
+    tables: list[str]
+    """The outputs that are tables."""
+    environment: str
+    notes: list[str]
 
 
-def replay(
-    project: LoadedProject,
-    store: Store,
-    prefix: str,
-    *,
-    runs: int | None = None,
-    slots: int,
-    runner: str = "local",
-    watch: Watch = lambda progress: None,
-) -> Replay:
-    """Execute again what an id names, at most `runs` of each experiment, and compare.
+def replay(project: LoadedProject, store: Store, prefix: str, how: How, watch: Watch = lambda progress: None) -> Replay:
+    """Execute again what an id names, and compare.
 
     Raises NotFound for what is not there, Missing for what is needed and gone: the source, a program, an input.
     """
     recovery.finish_dead(store)
-    record = _look_up(store, store.resolve(prefix), runs)
-    engine = _engine(record.recipe)
+    record = _look_up(store, store.resolve(prefix), how.runs)
+    declared = _declared(record, project, how.tolerances)
+    was = _metrics(project, store, record, declared)
+    engine = recalled.engine(record.of.recipe, how.engine)
+    runner = runners.find(how.runner)(how.slots)
+    began = datetime.now(UTC)
     session = Session(store.paths)
+    kept = store.paths.kept(session.id) if how.keep else None
     try:
         root = session.paths.source
-        _restore(record, project.root, root, store)
-        now = _programs(record, project.root, root)
-        notes = (*record.notes, *_other_programs(record, now))
-        around = environment.capture(__version__)
-        context = Context(session.id, record.batch, "replay", around["environment"], now.id, record.outputs, record.success)
-        began = datetime.now(UTC)
-        maker = jobs.Maker(record.recipe, root, engine, jobs.limits(project.config), session.id)
+        record.of.checkout(project, store).make(root)
+        now, around = programs_in(record.of.recipe, record.of.manifest, root), environment.capture(__version__)
+        notes = (*record.notes, *_other_programs(record.of, now))
+        context = Context(
+            session.id, record.of.batch, "replay", around["environment"], now.id, record.of.outputs, record.of.success
+        )
+        maker = jobs.Maker(record.of.recipe, root, engine, jobs.limits(project.config), session.id)
         made = {job.run: job for job in _jobs(record, store, maker)}
-        failed, interrupted = _execute(store, session, context, list(made.values()), runners.find(runner)(slots), watch)
-        compared = tuple(_compare(project, record, store, made, failed)) if not interrupted else ()
-        answer = Replay(session.id, record.found, compared, notes, interrupted)
-        _keep(answer, store, session, record, now, around, began, runner, engine)
+        failed, interrupted = _execute(store, session, context, list(made.values()), runner, watch, kept)
+        _leave(session.paths, kept)
+        if interrupted:
+            return Replay(session.id, record.found, (), notes, interrupted=True, kept=kept)
+        compared = _compare(record, store, made, failed, declared)
+        experiments = tuple(_experiments(project, store, record, list(compared), was, declared))
+        answer = Replay(session.id, record.found, experiments, notes, interrupted=False, kept=kept)
+        _keep(answer, store, session, record, now, around, began, how, engine)
         return answer
     finally:
         session.close()
@@ -125,87 +181,80 @@ def replay(
 def _look_up(store: Store, found: Found, runs: int | None) -> _Record:
     with store.ask() as question:
         named = take(question, found)
-        taken = [one for one in named if one.status == "ok" and (runs is None or one.number < runs)]
+        good = [one for one in named if one.status == "ok"]
+        taken = [one for one in good if runs is None or one.number < runs]
         if not taken:
             raise NotFound(f"{found.kind} {short(found.id)} has no good execution to compare with; sierra run makes one")
-        [batch, recipe] = question.run("SELECT batch, recipe FROM members WHERE run = $r LIMIT 1", {"r": taken[0].run})[0]
-        batch = found.id if found.kind == "batch" else found.batch or batch
-        made = question.sql("SELECT * FROM recipes WHERE recipe = $r", r=recipe).to_pylist()[0]
-        wanted = {one.execution for one in taken}
-        kept = question.sql(
-            "SELECT DISTINCT programs, reading FROM executions WHERE list_contains($e, execution)", e=sorted(map(str, wanted))
+        question.views.make(("members", "experiments", "batches"))
+        batch = found.id if found.kind == "batch" else _batch_of(question, taken[0])
+        by = question.sql(
+            "SELECT DISTINCT programs, reading, environment FROM executions WHERE list_contains($e, execution) ORDER BY ALL",
+            e=[str(one.execution) for one in taken],
         ).to_pylist()
-        declared = question.sql("SELECT declared FROM readings WHERE reading = $r", r=kept[0]["reading"]).to_pylist()
-        used = question.sql("SELECT name, sha256 FROM programs WHERE programs = $p", p=kept[0]["programs"]).to_pylist()
-        files = question.sql("SELECT files FROM sources WHERE tree = $t LIMIT 1", t=made["source"]).to_pylist()
-        inputs: dict[str, list[Recorded]] = {}
-        for file in recorded(question, taken):
-            if file.kind == "input":
-                inputs.setdefault(file.taken.run, []).append(file)
-    if not declared:
-        raise Missing(f"{found.kind} {short(found.id)} was recorded by a SIERRA that could not replay; run it again first")
-    outputs, success = rules_of(json.loads(declared[0]["declared"]))
+        cells = question.sql("SELECT * FROM experiments WHERE batch = $b", b=batch).to_pylist()
+        [(axes,)] = question.run("SELECT axes FROM batches WHERE batch = $b", {"b": batch})
+        tables = question.sql(
+            "SELECT DISTINCT output FROM artifacts WHERE kind = 'table' AND list_contains($e, execution) ORDER BY 1",
+            e=[str(one.execution) for one in taken],
+        )
+        seeds = dict(question.run("SELECT run, seed FROM members WHERE batch = $b", {"b": batch}))
     record = _Record(
         found=found,
-        batch=batch,
+        of=recalled.recall(store, batch, by[0]["programs"], by[0]["reading"]),
         runs=taken,
-        recipe=Recipe(made["platform"], tuple(made["command"]), json.loads(made["variables"]), made["source"], made["image"]),
-        manifest=store.object(files[0]["files"]) if files else b"",
-        programs={row["name"]: row["sha256"] for row in used},
-        fingerprint=kept[0]["programs"],
-        outputs=outputs,
-        success=success,
-        inputs=inputs,
+        whole=len(taken) == len(good) and found.kind in ("batch", "experiment"),
+        cells={row["ordinal"]: {axis: row[axis] for axis in axes} for row in cells},
+        seeds=seeds,
+        tables=tables.column(0).to_pylist(),
+        environment=by[0]["environment"],
+        notes=[],
     )
-    if left := sum(one.status != "ok" for one in named):
+    if left := len(named) - len(good):
         record.notes.append(f"{left} of {len(named)} runs have no good execution to compare with; they are left out")
-    if len(kept) > 1:
+    if len({(row["programs"], row["reading"]) for row in by}) > 1:
         record.notes.append("not all runs were recorded with the same programs and rules; those of the first are heeded")
     return record
 
 
-def _engine(recipe: Recipe) -> Engine:
-    if recipe.image is not None:
-        raise Missing(f"it was executed in the image {recipe.image}, and containers are not there yet")
-    return engines.find("none")
+def _batch_of(question: Any, taken: Taken) -> str:
+    statement = "SELECT max(batch) FROM experiments WHERE experiment = $x"
+    [(batch,)] = question.run(statement, {"x": taken.experiment})
+    return str(batch)
 
 
-def _restore(record: _Record, project: Path, root: Path, store: Store) -> None:
-    """The recorded source in `root`; what it lacks of the project's files that the command names is copied."""
-
-    def content(blob: str) -> bytes | None:
-        rows = store.rows("SELECT sha256 FROM blobs WHERE blob = $b", b=blob)
-        return store.object(rows[0]["sha256"]) if rows else None
-
-    if record.recipe.source is None:
-        root.mkdir(parents=True)
-    else:
-        source.restore(record.recipe.source, record.manifest, project, root, content)
-    for name in record.programs:
-        inside = name.removeprefix("{project}/")
-        if inside != name and not Path(inside).is_absolute() and ".." not in Path(inside).parts:
-            _copy(project / inside, root / inside, name)
+def _declared(record: _Record, project: LoadedProject, tolerances: Tolerances) -> dict[str, Output]:
+    """The rules to compare by: of outputs as they were recorded, as the project has them now, with the tolerances asked for."""
+    declared = {**record.of.outputs, **project.config.outputs}
+    known = sorted({*declared, *record.tables})
+    if unknown := tolerances.keys() - {"*", *known}:
+        raise UsageError(f"--set-tolerance: no output {min(unknown)!r}; there is {', '.join(known) or 'none'}")
+    for name in known if tolerances else ():
+        output = declared.get(name) or Output(file=name)
+        asked = {**output.tolerance, **tolerances.get("*", {}), **tolerances.get(name, {})}
+        declared[name] = output.model_copy(update={"tolerance": asked})
+    return declared
 
 
-def _copy(there: Path, here: Path, name: str) -> None:
-    if not there.is_file():
-        raise Missing(f"{there} is not there; runs need {name}, and the recorded source does not hold it")
-    here.parent.mkdir(parents=True, exist_ok=True)
-    shutil.copy2(there, here)
+def _metrics(project: LoadedProject, store: Store, record: _Record, declared: Mapping[str, Output]) -> metrics.Values | None:
+    """What the recorded runs come to, by metric; None where experiments cannot be compared by metrics."""
+    if not project.config.equivalence or record.found.kind not in ("batch", "experiment"):
+        return None
+    if not record.whole:
+        record.notes.append("equivalence is judged of whole experiments alone: replay without --runs")
+        return None
+    executions = {one.run: str(one.execution) for one in record.runs}
+    try:
+        return metrics.values(store, record.of.batch, executions, project.config.equivalence, declared)
+    except NotFound as error:
+        record.notes.append(f"[equivalence]: {error}; no experiment is judged by it")
+        return None
 
 
-def _programs(record: _Record, project: Path, root: Path) -> programs.Programs:
-    """The programs that the recorded command starts here and now."""
-    command, variables = record.recipe.command, record.recipe.environment
-    more = programs.beside((*command, *variables.values()), root, source.paths(record.manifest))
-    return programs.find(jobs.fill(command, root), jobs.search_path(variables), root, more)
-
-
-def _other_programs(record: _Record, now: programs.Programs) -> Iterator[str]:
+def _other_programs(of: Recalled, now: programs.Programs) -> Iterator[str]:
     """What is other about the programs, by name."""
-    if now.id == record.fingerprint:
+    if now.id == of.fingerprint:
         return
-    then = {programs.called(name): digest for name, digest in record.programs.items()}
+    then = {programs.called(name): digest for name, digest in of.programs.items()}
     here = {program.called: program for program in now.all}
     for name, was, program in programs.differing(then, here):
         if program is None:
@@ -218,20 +267,18 @@ def _other_programs(record: _Record, now: programs.Programs) -> Iterator[str]:
 
 def _jobs(record: _Record, store: Store, maker: jobs.Maker) -> Iterator[Job]:
     """A job for each run, with the inputs that are recorded."""
-    bytes_of: dict[str, bytes] = {}
-    with store.ask() as question:
-        for content in contents(question, [file for files in record.inputs.values() for file in files]):
-            bytes_of[content.file.sha256 or ""] = b"".join(content.pieces)
-        question.views.make(("members",))
-        seeds = dict(question.run("SELECT run, seed FROM members WHERE batch = $b", {"b": record.batch}))
-    for taken in {one.run: one for one in record.runs}.values():
-        files = tuple((file.path.removeprefix("input/"), file.sha256 or "") for file in record.inputs.get(taken.run, ()))
-        run = Run(taken.run, taken.ordinal, taken.number, seeds[taken.run], files)
-        yield maker.job(run, tuple((name, bytes_of[digest]) for name, digest in files))
+    for taken, files in recalled.inputs(store, {one.run: one for one in record.runs}.values()):
+        yield maker.job(Run(taken.run, taken.ordinal, taken.number, record.seeds[taken.run], ()), files)
 
 
 def _execute(
-    store: Store, session: Session, context: Context, work: Sequence[Job], runner: Any, watch: Watch
+    store: Store,
+    session: Session,
+    context: Context,
+    work: Sequence[Job],
+    runner: runners.Runner,
+    watch: Watch,
+    kept: Path | None,
 ) -> tuple[dict[str, Status], bool]:
     """Execute; how runs ended that did not end well, and whether it was interrupted."""
     context.save(session.paths.context)
@@ -246,7 +293,7 @@ def _execute(
     with noted() as signals:
         following = Following(
             runner,
-            Recorder(store, session.paths, context),
+            Recorder(store, session.paths, context, kept),
             store,
             session,
             took,
@@ -256,19 +303,58 @@ def _execute(
     return bad(), bool(signals)
 
 
+def _leave(session: SessionPaths, kept: Path | None) -> None:
+    """Put the restored source where it is kept."""
+    if kept is not None:
+        kept.mkdir(parents=True, exist_ok=True)
+        session.source.rename(kept / session.source.name)
+
+
 def _compare(
-    project: LoadedProject, record: _Record, store: Store, made: Mapping[str, Job], failed: Mapping[str, Status]
+    record: _Record, store: Store, made: Mapping[str, Job], failed: Mapping[str, Status], declared: Mapping[str, Output]
 ) -> Iterator[Compared]:
-    declared = {**record.outputs, **project.config.outputs}
+    executions = [execution for one in record.runs for execution in (str(one.execution), made[one.run].execution)]
     with store.ask() as question:
-        question.views.make(("executions", "artifacts"))
+        question.views.make(("executions",))
+        left = artifacts(question, executions)
         for taken in record.runs:
             execution = made[taken.run].execution
             if taken.run in failed:
                 [(reason,)] = question.run("SELECT reason FROM executions WHERE execution = $e", {"e": execution}) or [("",)]
                 yield Compared(taken, execution, {None: Agreement(Verdict.FAILED, reason or failed[taken.run])})
             else:
-                yield Compared(taken, execution, compare(question, store, str(taken.execution), execution, declared))
+                was, now = left[str(taken.execution)], left[execution]
+                yield Compared(taken, execution, of_artifacts(question, store, was, now, declared))
+
+
+def _experiments(
+    project: LoadedProject,
+    store: Store,
+    record: _Record,
+    compared: Sequence[Compared],
+    was: metrics.Values | None,
+    declared: Mapping[str, Output],
+) -> Iterator[OfExperiment]:
+    by_place: dict[int, list[Compared]] = {}
+    for run in compared:
+        by_place.setdefault(run.taken.ordinal, []).append(run)
+    stochastic = {place: runs for place, runs in by_place.items() if was is not None and _wavers(runs)}
+    now: metrics.Values = {}
+    if stochastic:
+        executions = {run.taken.run: str(run.execution) for runs in stochastic.values() for run in runs}
+        now = metrics.values(store, record.of.batch, executions, project.config.equivalence, declared)
+    for place, runs in by_place.items():
+        found: tuple[Metric, ...] = ()
+        if place in stochastic and was is not None:
+            names = [run.taken.run for run in runs]
+            found = tuple(metrics.compare(project.config.equivalence, was, now, place, names))
+        yield OfExperiment(runs[0].taken.experiment, place, record.cells[place], tuple(runs), found)
+
+
+def _wavers(runs: Sequence[Compared]) -> bool:
+    """Whether runs differ in values alone: none failed, and what they wrote is of the same form."""
+    different = [one for run in runs for one in run.outputs.values() if not one.verdict.fine]
+    return bool(different) and all(one.verdict is Verdict.DIFFERENT and not one.form for one in different)
 
 
 def _keep(
@@ -279,13 +365,11 @@ def _keep(
     now: programs.Programs,
     around: Mapping[str, Any],
     began: datetime,
-    runner: str,
+    how: How,
     engine: Engine,
 ) -> None:
     """Record the replay and its verdicts."""
-    if answer.interrupted:
-        return
-    writer = store.writer(session.paths.segment, record.batch)
+    writer = store.writer(session.paths.segment, record.of.batch)
     writer.rows(
         "replays",
         [
@@ -293,22 +377,29 @@ def _keep(
                 "replay": answer.id,
                 "kind": record.found.kind,
                 "target": record.found.id,
-                "batch": record.batch,
+                "batch": record.of.batch,
                 "started": began,
                 "ended": datetime.now(UTC),
-                "runner": runner,
+                "runner": how.runner,
                 "engine": engine.name,
                 "runs": len(answer.runs),
                 "verdict": str(answer.verdict),
+                "tolerances": json.dumps(plain(how.tolerances)) if how.tolerances else None,
                 "environment": around["environment"],
                 "programs": now.id,
             }
         ],
     )
     writer.rows("verdicts", (row for run in answer.runs for row in verdict_rows(answer.id, run)))
+    writer.rows("equivalences", (row for one in answer.experiments for row in metric_rows(answer.id, one)))
     writer.rows("environments", [around])
     writer.rows("programs", now.rows())
     store.publish(writer)
+
+
+def plain(tolerances: Tolerances) -> dict[str, Any]:
+    """Tolerances as JSON has them."""
+    return {name: {c: t.model_dump(exclude_defaults=True) for c, t in of.items()} for name, of in tolerances.items()}
 
 
 def verdict_rows(replay: str, run: Compared) -> Iterator[dict[str, Any]]:
@@ -329,4 +420,22 @@ def verdict_rows(replay: str, run: Compared) -> Iterator[dict[str, Any]]:
             "abs": agreement.abs,
             "rel": agreement.rel,
             "ulp": agreement.ulp,
+        }
+
+
+def metric_rows(replay: str, experiment: OfExperiment) -> Iterator[dict[str, Any]]:
+    """The records of `equivalences` for one experiment."""
+    for metric in experiment.metrics:
+        yield {
+            "replay": replay,
+            "experiment": experiment.id,
+            "metric": metric.name,
+            "output": metric.declared.table,
+            "column": metric.declared.column,
+            "measure": metric.declared.measure,
+            "was": metric.was,
+            "found": metric.now,
+            "why": metric.why,
+            **({} if metric.tested is None else asdict(metric.tested)),
+            "equivalent": metric.equivalent,
         }

@@ -91,6 +91,7 @@ min_rows = 1
 mismatch = "strict"
 units = { clock = "s", energy = "J" }
 tolerance = { energy = { abs = 1e-9, rel = 1e-12, ulp = 4.0 } }
+ordered = false
 volatile = ["written_at"]
 
 [success]
@@ -111,6 +112,21 @@ pass = ["LICENSE_SERVER"]
 
 [source]
 paths = ["sim.py", "controllers"]
+
+[determinism]
+probe = true
+
+[equivalence.energy]
+table = "swarm"
+column = "energy"
+measure = "time_to"
+threshold = 1.0
+margin = 0.1
+alpha = 0.05
+[equivalence.energy_at_the_end]
+table = "swarm"
+column = "energy"
+relative = 0.05
 
 [queries.scalability]
 criteria = ["population_size.Log8", "density=1:5:3"]

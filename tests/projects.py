@@ -58,6 +58,13 @@ def make(folder: Path, config: str = CONFIG, *, simulator: str = SIMULATOR, temp
     return folder
 
 
+def commit(folder: Path, message: str = "first") -> Path:
+    """Commit all that is there, in a git repository that is made if there is none; the folder."""
+    for words in (("init", "-q"), ("add", "."), ("commit", "-q", "-m", message)):
+        subprocess.run(["git", "-c", "user.name=a", "-c", "user.email=a@b", *words], cwd=folder, check=True)
+    return folder
+
+
 def sierra(
     folder: Path, *words: str, stdin: str = "", environment: Mapping[str, str] | None = None
 ) -> subprocess.CompletedProcess[str]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -12,9 +11,10 @@ import pyarrow as pa
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from lxml import etree
 
 import sierra
-from sierra.agreement import Verdict, of_tables, of_texts, worst
+from sierra.agreement import Rules, Verdict, of_tables, of_texts, worst
 from sierra.config import Tolerance
 from tests import projects
 
@@ -24,18 +24,18 @@ STAMPED = projects.SIMULATOR + "open('log.txt', 'w').write(f'# written {__import
 Make = Callable[..., Path]
 
 
+@pytest.fixture
+def make(tmp_path: Path) -> Make:
+    """Makes a project outside git."""
+    return lambda simulator=projects.SIMULATOR, more="": projects.make(
+        tmp_path / "project", projects.CONFIG + more, simulator=simulator
+    )
+
+
 @pytest.fixture(params=["git", "none"])
-def make(request: pytest.FixtureRequest, tmp_path: Path) -> Make:
+def make_either(request: pytest.FixtureRequest, make: Make) -> Make:
     """Makes a project, in git and outside."""
-
-    def make(simulator: str = projects.SIMULATOR, more: str = "") -> Path:
-        root = projects.make(tmp_path / "project", projects.CONFIG + more, simulator=simulator)
-        if request.param == "git":
-            for words in (("init", "-q"), ("add", "."), ("commit", "-q", "-m", "first")):
-                subprocess.run(["git", "-c", "user.name=a", "-c", "user.email=a@b", *words], cwd=root, check=True)
-        return root
-
-    return make
+    return lambda *words: projects.commit(make(*words)) if request.param == "git" else make(*words)
 
 
 def ask(root: Path, *query: str) -> str:
@@ -48,8 +48,8 @@ def replay(root: Path, *words: str) -> tuple[int, dict[str, Any]]:
     return ended.returncode, json.loads(ended.stdout) if ended.stdout else {"stderr": ended.stderr}
 
 
-def test_the_same_bytes_are_identical(make: Make) -> None:
-    root = make()
+def test_the_same_bytes_are_identical(make_either: Make) -> None:
+    root = make_either()
     batch = ask(root)
     code, said = replay(root, batch[:10])
     assert (code, said["verdict"], said["runs"], said["counts"]) == (0, "identical", 4, {"identical": 4})
@@ -57,8 +57,8 @@ def test_the_same_bytes_are_identical(make: Make) -> None:
     assert rows == [{"purpose": "replay", "n": 4}, {"purpose": "run", "n": 4}]
 
 
-def test_the_old_source_is_restored_and_nothing_of_the_projects_is_touched(make: Make) -> None:
-    root = make()
+def test_the_old_source_is_restored_and_nothing_of_the_projects_is_touched(make_either: Make) -> None:
+    root = make_either()
     batch = ask(root)
     (root / "sim.py").write_text(projects.SIMULATOR.replace("count * tick", "count * tick + 1"))
     (root / "arena.xml").write_text("<arena/>")
@@ -135,8 +135,8 @@ def test_a_run_that_fails_now_is_failed(make: Make) -> None:
     assert "ran longer than its limit" in said["outputs"][0]["why"]
 
 
-def test_where_the_project_moved_ids_and_verdict_are_the_same(make: Make, tmp_path: Path) -> None:
-    root = make()
+def test_where_the_project_moved_ids_and_verdict_are_the_same(make_either: Make, tmp_path: Path) -> None:
+    root = make_either()
     batch = ask(root)
     moved = tmp_path / "else where" / "moved"
     moved.parent.mkdir()
@@ -145,13 +145,150 @@ def test_where_the_project_moved_ids_and_verdict_are_the_same(make: Make, tmp_pa
     assert ask(moved) == batch
 
 
+SHUFFLED = projects.SIMULATOR.replace(
+    "import sys\n", "import os, random, sys\nshuffled = random.Random(os.urandom(8))\n"
+).replace("count * tick", "sum(sorted((0.1 * k for k in range(50)), key=lambda _: shuffled.random())) + count * tick")
+UNORDERED = projects.SIMULATOR.replace(
+    "for tick in range(5)", "for tick in sorted(range(5), key=lambda _: __import__('os').urandom(4))"
+)
+STOCHASTIC = projects.SIMULATOR.replace("count * tick", "__import__('random').SystemRandom().gauss(0, 0.01) + count * tick")
+DECLARED = '[outputs.swarm]\nfile = "swarm.csv"\ntime = "tick"\n'
+METRIC = '[equivalence.coverage]\ntable = "swarm"\ncolumn = "coverage"\n'
+
+
+def declare(root: Path, text: str) -> None:
+    (root / "sierra.toml").write_text((root / "sierra.toml").read_text() + text)
+
+
+def test_sums_in_another_order_are_within_a_tolerance(make: Make) -> None:
+    root = make(SHUFFLED, DECLARED)
+    batch = ask(root)
+    assert replay(root, batch)[1]["verdict"] == "different"
+    code, said = replay(root, batch, "--set-tolerance", "coverage=ulp:8")
+    assert (code, said["verdict"], said["by_output"]) == (0, "within tolerance", {"swarm.csv": "within tolerance"})
+    code, said = replay(root, batch, "--set-tolerance", "swarm.coverage=abs:1e-300,rel:1e-13")
+    assert (code, said["verdict"]) == (0, "within tolerance")
+    [asked] = sierra.open(root).sql("SELECT DISTINCT tolerances FROM replays WHERE tolerances LIKE '%rel%'").to_pylist()
+    assert json.loads(asked["tolerances"]) == {"swarm": {"coverage": {"abs": 1e-300, "rel": 1e-13}}}
+
+
+@pytest.mark.parametrize("text", ["coverage", "coverage=1", "=rel:1", "coverage=rel:x", "coverage=far:1", "coverage=rel:-1"])
+def test_a_tolerance_that_is_none_is_refused(make: Make, text: str) -> None:
+    ended = projects.sierra(make(), "replay", "774d", "--set-tolerance", text)
+    assert (ended.returncode, ended.stderr.count("\n")) == (2, 1)
+
+
+def test_a_tolerance_of_an_output_that_is_not_there_is_refused_before_anything_executes(make: Make) -> None:
+    root = make()
+    ended = projects.sierra(root, "replay", ask(root), "--set-tolerance", "swamp.coverage=rel:1")
+    assert (ended.returncode, "no output 'swamp'; there is swarm" in ended.stderr) == (2, True)
+    assert not sierra.open(root).sql("SELECT 1 FROM executions WHERE purpose <> 'run'").num_rows
+
+
+def test_rows_in_another_order_differ_until_their_order_is_declared_to_mean_nothing(make: Make) -> None:
+    root = make(UNORDERED, DECLARED)
+    batch = ask(root)
+    assert replay(root, batch)[1]["verdict"] == "different"
+    declare(root, "ordered = false\n")
+    code, said = replay(root, batch)
+    assert (code, said["verdict"]) == (0, "equal")
+    assert {one["why"] for one in said["outputs"] if one["verdict"] == "equal"} == {"the same rows in another order"}
+
+
+def test_where_they_part_is_said_in_terms_of_time_and_how_the_difference_grows(make: Make) -> None:
+    grows = projects.SIMULATOR.replace("count * tick", "(tick > 2) * tick * __import__('time').time_ns() % 7919 + count * tick")
+    root = make(grows, DECLARED)
+    code, said = replay(root, ask(root), "--runs", "1")
+    first = next(one for one in said["outputs"] if one["verdict"] == "different")
+    assert code == 1
+    assert "row 3 (at 3): 'coverage' was" in first["why"]
+    assert [until for until, _ in first["growth"]] == [0, 1, 2, 3, 4]
+    assert [far > 0 for _, far in first["growth"]] == [False, False, False, True, True]
+
+
+def test_stochastic_runs_are_equivalent_where_a_declared_metric_is(make: Make) -> None:
+    root = make(STOCHASTIC, f"{DECLARED}{METRIC}margin = 0.5\n")
+    batch = sierra.open(root).run("population_size=1,2", runs=8, figures=False).batch
+    code, said = replay(root, batch)
+    assert (code, said["verdict"], said["counts"]) == (0, "equivalent", {"different": 16})
+    for experiment in said["experiments"]:
+        [metric] = experiment["metrics"]
+        assert (experiment["verdict"], metric["n"], metric["margin"], metric["equivalent"]) == ("equivalent", 8, 0.5, True)
+        assert metric["power"] > 0.99
+        assert f"is within ±0.5, n = 8, p = {metric['p']:.2g}, power {metric['power']:.2f}" in metric["why"]
+    rows = sierra.open(root).sql("SELECT metric, n, equivalent FROM equivalences").to_pylist()
+    assert rows == [{"metric": "coverage", "n": 8, "equivalent": True}] * 2
+
+
+def test_a_margin_that_is_too_narrow_leaves_them_different_and_says_the_power(make: Make) -> None:
+    root = make(STOCHASTIC, f"{DECLARED}{METRIC}margin = 1e-6\n")
+    batch = ask(root)
+    ended = projects.sierra(root, "replay", batch)
+    assert ended.returncode == 1
+    assert "not shown to be equivalent: population_size=1: coverage: mean difference" in ended.stdout
+    assert "power 0.00" in ended.stdout
+
+
+def test_equivalence_is_of_whole_experiments_and_never_hides_what_failed(make: Make) -> None:
+    root = make(STOCHASTIC, f"{DECLARED}{METRIC}margin = 0.5\n")
+    batch = ask(root)
+    code, said = replay(root, batch, "--runs", "1")
+    assert (code, said["verdict"], said["notes"]) == (
+        1,
+        "different",
+        ["equivalence is judged of whole experiments alone: replay without --runs"],
+    )
+    declare(root, "[limits]\nwall = 0.001\n")
+    assert replay(root, batch)[1]["verdict"] == "failed"
+
+
+def test_a_metric_of_what_is_not_there_judges_nothing(make: Make) -> None:
+    root = make(STOCHASTIC, DECLARED + METRIC.replace('"coverage"', '"x"') + "margin = 0.5\n")
+    code, said = replay(root, ask(root))
+    assert (code, said["verdict"]) == (1, "different")
+    assert said["notes"][0].startswith("[equivalence]: output 'swarm'")
+
+
+def test_verdicts_are_also_written_as_junit(make: Make, tmp_path: Path) -> None:
+    root = make(NOISY)
+    batch = ask(root)
+    assert replay(root, batch, "--junit", str(tmp_path / "replay.xml"))[0] == 1
+    suites = etree.parse(tmp_path / "replay.xml").getroot().findall("testsuite")
+    assert [(suite.get("name"), suite.get("tests")) for suite in suites] == [
+        ("population_size=1", "2"),
+        ("population_size=2", "2"),
+    ]
+    failures = [case.find("failure") for suite in suites for case in suite]
+    assert any(failure is not None and "row " in str(failure.text) for failure in failures)
+    ended = projects.sierra(root, "replay", batch, "--junit", str(tmp_path / "no" / "replay.xml"))
+    assert (ended.returncode, "there is no folder" in ended.stderr) == (3, True)
+
+
+def test_the_restored_source_and_the_runs_folders_are_kept_where_asked(make_either: Make) -> None:
+    root = make_either()
+    batch = ask(root)
+    kept = Path(replay(root, batch, "--keep")[1]["kept"])
+    assert (kept / "source" / "sim.py").read_text() == projects.SIMULATOR
+    assert len(list(kept.glob("*/output/swarm.csv"))) == 4
+    assert ask(root) == batch, "what is kept is no part of the project's source"
+
+
+def test_where_and_in_what_to_execute_can_be_said(make: Make) -> None:
+    root = make()
+    batch = ask(root)
+    assert replay(root, batch, "--on", "local", "--engine", "none")[0] == 0
+    for words in (("--on", "cloud"), ("--engine", "docker")):
+        ended = projects.sierra(root, "replay", batch, *words)
+        assert (ended.returncode, ended.stderr.count("\n")) == (2, 1)
+
+
 NUMBERS = st.lists(st.one_of(st.none(), st.floats(allow_nan=True, allow_infinity=True)), max_size=12)
 
 
 @given(NUMBERS)
 def test_what_is_the_same_agrees_with_itself(values: list[float | None]) -> None:
     table = pa.table({"v": pa.array(values, pa.float64())})
-    assert of_tables(table, table, {}).verdict is Verdict.EQUAL
+    assert of_tables(table, table).verdict is Verdict.EQUAL
 
 
 @given(NUMBERS, st.integers(0, 11))
@@ -159,10 +296,10 @@ def test_one_value_more_or_less_is_found_where_it_is(values: list[float | None],
     other = [*values]
     if place < len(values):
         other[place] = 0.5 if values[place] != 0.5 else None
-        found = of_tables(*(pa.table({"v": pa.array(v, pa.float64())}) for v in (values, other)), {})
+        found = of_tables(*(pa.table({"v": pa.array(v, pa.float64())}) for v in (values, other)))
         assert (found.verdict, found.row, found.column) == (Verdict.DIFFERENT, place, "v")
     else:
-        found = of_tables(*(pa.table({"v": pa.array(v, pa.float64())}) for v in (values, [*values, 1.0])), {})
+        found = of_tables(*(pa.table({"v": pa.array(v, pa.float64())}) for v in (values, [*values, 1.0])))
         assert found.verdict is Verdict.DIFFERENT
 
 
@@ -184,19 +321,19 @@ def test_one_value_more_or_less_is_found_where_it_is(values: list[float | None],
 )
 def test_tolerances(was: list[Any], now: list[Any], tolerance: Tolerance, verdict: Verdict) -> None:
     tables = [pa.table({"v": pa.array(values, pa.float64())}) for values in (was, now)]
-    assert of_tables(*tables, {"*": tolerance}).verdict is verdict
+    assert of_tables(*tables, Rules({"*": tolerance})).verdict is verdict
 
 
 def test_a_tolerance_is_of_one_column() -> None:
     tables = [pa.table({"a": [1.0], "b": [value]}) for value in (1.0, 1.1)]
-    assert of_tables(*tables, {"a": Tolerance(abs=1)}).verdict is Verdict.DIFFERENT
-    assert of_tables(*tables, {"b": Tolerance(abs=1)}).verdict is Verdict.WITHIN
-    assert of_tables(*tables, {}, ["b"]).verdict is Verdict.EQUAL
+    assert of_tables(*tables, Rules({"a": Tolerance(abs=1)})).verdict is Verdict.DIFFERENT
+    assert of_tables(*tables, Rules({"b": Tolerance(abs=1)})).verdict is Verdict.WITHIN
+    assert of_tables(*tables, Rules(volatile=["b"])).verdict is Verdict.EQUAL
 
 
 def test_other_columns_and_large_whole_numbers_differ() -> None:
-    assert of_tables(pa.table({"a": [1]}), pa.table({"b": [1]}), {"*": Tolerance(abs=9)}).verdict is Verdict.DIFFERENT
-    assert of_tables(pa.table({"a": [2**60]}), pa.table({"a": [2**60 + 1]}), {}).verdict is Verdict.DIFFERENT
+    assert of_tables(pa.table({"a": [1]}), pa.table({"b": [1]}), Rules({"*": Tolerance(abs=9)})).verdict is Verdict.DIFFERENT
+    assert of_tables(pa.table({"a": [2**60]}), pa.table({"a": [2**60 + 1]})).verdict is Verdict.DIFFERENT
 
 
 def test_texts_are_compared_by_lines() -> None:

@@ -51,11 +51,13 @@ def seen(table: dict[str, Any]) -> dict[str, set[str]]:
     for name, model in {"seed": "Seed", "success": "Success", "limits": "LimitsTable", "environment": "Environment"}.items():
         found[model] = set(table[name])
     found["Source"] = set(table["source"])
+    found["Determinism"] = set(table["determinism"])
     found["ChangeTable"] = set().union(*table["changes"])
     groups = {
         "variables": "Variable",
         "controllers": "Group",
         "outputs": "Output",
+        "equivalence": "Equivalence",
         "queries": "QueryTable",
         "figures": "Figure",
     }

@@ -45,6 +45,13 @@ def quantiles(p: float, count: int) -> list[float]:
     return [quantile(p, df) for df in range(1, count + 1)]
 
 
+def tail(t: float, df: float) -> float:
+    """The probability that a Student-t variable with `df` degrees of freedom is greater than `t`."""
+    if t == 0 or math.isinf(t):
+        return 0.5 if t == 0 else float(t < 0)
+    return _tail(t, df) if t > 0 else 1 - _tail(-t, df)
+
+
 def _upper(q: float, df: float) -> float:
     """The t > 0 above which lies the probability `q` < ½."""
     z = -NormalDist().inv_cdf(q)

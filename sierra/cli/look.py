@@ -88,8 +88,10 @@ def _print_failures(failures: Sequence[Mapping[str, Any]]) -> None:
 
 
 def _state(row: dict[str, Any]) -> str:
-    parts = [f"{row[name]} {name}" for name in ("failed", "missing") if row[name]]
-    return ", ".join(parts) or "complete"
+    parts = [f"{row[name]} {name}" for name in ("failed", "missing") if row[name]] or ["complete"]
+    if row["nondeterministic"]:
+        parts.append(f"{row['nondeterministic']} not deterministic")
+    return ", ".join(parts)
 
 
 def _print(shown: dict[str, Any]) -> None:

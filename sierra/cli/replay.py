@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import asdict
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from sierra.errors import Missing, UsageError
+
 if TYPE_CHECKING:
-    from sierra.replay import Compared, Replay
+    from sierra.agreement import Agreement
+    from sierra.config import Tolerance
+    from sierra.replay import Compared, OfExperiment, Replay
 
 SHOWN = 10
 
@@ -17,28 +23,54 @@ def replay(
     prefix: Annotated[
         str, typer.Argument(metavar="HASH", help="A batch, experiment, run or execution, by the beginning of its id.")
     ],
-    runs: Annotated[int | None, typer.Option("--runs", metavar="K", help="The first K runs of each experiment alone.")] = None,
+    runs: Annotated[
+        int | None, typer.Option("--runs", metavar="K", min=1, help="The first K runs of each experiment alone.")
+    ] = None,
     jobs: Annotated[int | None, typer.Option("-j", "--jobs", metavar="N", help="Runs at a time (default: cores).")] = None,
+    runner: Annotated[str, typer.Option("--on", metavar="RUNNER", help="Where runs execute.")] = "local",
+    engine: Annotated[str, typer.Option("--engine", metavar="ENGINE", help="What contains them.")] = "none",
+    set_tolerance: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="[OUTPUT.]COLUMN=KIND:X",
+            help="How far a column may be from its record: abs, rel or ulp. `*` is every column. May be repeated.",
+        ),
+    ] = None,
+    keep: Annotated[
+        bool, typer.Option("--keep", help="Leave the restored source and the runs' folders, and say where.")
+    ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead.")] = False,
+    junit: Annotated[Path | None, typer.Option("--junit", metavar="FILE", help="Write the verdicts as JUnit XML, too.")] = None,
 ) -> None:
     """Execute recorded runs again, from the record alone, and compare.
 
     The recorded source is restored to a folder of its own, inputs come from the store. Each output is identical (the same
     bytes), equal (the same values), within tolerance (as declared in sierra.toml), or different: then where, and how far.
+    An experiment whose runs differ in values is equivalent where the metrics of [equivalence] are, over all its runs.
     The exit code is 0 if nothing is different or failed.
 
     \b
     Examples:
       sierra replay 774d
       sierra replay 774d --runs 2 --json
+      sierra replay 774d --set-tolerance swarm.coverage=rel:1e-9
+      sierra replay 774d --junit replay.xml --keep
     """
+    from sierra.cli import junit as junit_file
     from sierra.cli import opened
     from sierra.cli.output import note, print_json
     from sierra.cli.progress import watching
 
+    asked = tolerances(set_tolerance or ())
     project = opened.project()
+    if junit is not None and not junit.parent.is_dir():
+        raise Missing(f"{junit}: there is no folder {junit.parent}")
     with watching(quiet=as_json) as watch:
-        answer = project.replay(prefix, runs=runs, jobs=jobs, watch=watch)
+        answer = project.replay(
+            prefix, runs=runs, jobs=jobs, runner=runner, engine=engine, tolerances=asked, keep=keep, watch=watch
+        )
+    if junit is not None and not answer.interrupted:
+        junit_file.write(answer, junit)
     if as_json:
         print_json(_answer(answer))
     else:
@@ -51,6 +83,24 @@ def replay(
         raise typer.Exit(1)
 
 
+def tolerances(texts: Iterable[str]) -> dict[str, dict[str, Tolerance]]:
+    """By output and column, from `[OUTPUT.]COLUMN=KIND:X[,KIND:X]`. Raises UsageError."""
+    from sierra import config
+
+    found: dict[str, dict[str, Tolerance]] = {}
+    for text in texts:
+        target, _, values = text.rpartition("=")
+        output, _, column = target.rpartition(".") if "." in target else ("*", "", target)
+        try:
+            kinds = {kind.strip(): float(number) for kind, _, number in (part.partition(":") for part in values.split(","))}
+        except ValueError:
+            kinds = {}
+        if not (output and column and kinds):
+            raise UsageError(f"--set-tolerance {text!r}: write it as COLUMN=rel:1e-9 or OUTPUT.COLUMN=abs:0.1,ulp:4")
+        found.setdefault(output, {})[column] = config.options(config.Tolerance, kinds, f"--set-tolerance {text!r}")
+    return found
+
+
 def _answer(answer: Replay) -> dict[str, Any]:
     return {
         "replay": answer.id,
@@ -59,23 +109,40 @@ def _answer(answer: Replay) -> dict[str, Any]:
         "verdict": None if answer.interrupted else answer.verdict,
         "runs": len(answer.runs),
         "counts": {str(verdict): count for verdict, count in answer.counts.items()},
+        "by_output": answer.outputs,
         "notes": list(answer.notes),
         "interrupted": answer.interrupted,
-        "outputs": [
-            {
-                "run": run.taken.run,
-                "experiment": run.taken.experiment,
-                "number": run.taken.number,
-                "path": path,
-                **asdict(found),
-            }
-            for run in answer.runs
-            for path, found in run.outputs.items()
+        "kept": answer.kept,
+        "experiments": [_experiment(experiment) for experiment in answer.experiments],
+        "outputs": [_output(run, path, found) for run in answer.runs for path, found in run.outputs.items()],
+    }
+
+
+def _experiment(experiment: OfExperiment) -> dict[str, Any]:
+    return {
+        "experiment": experiment.id,
+        "values": dict(experiment.values),
+        "verdict": experiment.verdict,
+        "runs": len(experiment.runs),
+        "metrics": [
+            {"name": one.name, "was": one.was, "found": one.now, "why": one.why, **(asdict(one.tested) if one.tested else {})}
+            for one in experiment.metrics
         ],
     }
 
 
+def _output(run: Compared, path: str | None, found: Agreement) -> dict[str, Any]:
+    return {
+        "run": run.taken.run,
+        "experiment": run.taken.experiment,
+        "number": run.taken.number,
+        "path": path,
+        **asdict(found),
+    }
+
+
 def _print(answer: Replay) -> None:
+    from sierra.cli.output import table
     from sierra.hashing import short
 
     if answer.interrupted:
@@ -86,16 +153,33 @@ def _print(answer: Replay) -> None:
         _print_run(run)
     if len(told) > SHOWN:
         print(f"and {len(told) - SHOWN} more (--json has them all)")
+    for experiment in answer.experiments:
+        for metric in experiment.metrics:
+            print(f"{'equivalent' if metric.equivalent else 'not shown to be equivalent'}: {_values(experiment)}: {metric.why}")
+    if len(answer.experiments) > 1 and answer.verdict != "identical":
+        axes = list(answer.experiments[0].values)
+        rows = [[*one.values.values(), len(one.runs), one.verdict] for one in answer.experiments]
+        table([*axes, "runs", "verdict"], rows, right=["runs"])
     counts = ", ".join(f"{count} {verdict}" for verdict, count in sorted(answer.counts.items()))
-    print(f"{answer.found.kind} {short(answer.found.id)}: {answer.verdict} ({len(answer.runs)} runs: {counts})")
+    runs = "1 run" if len(answer.runs) == 1 else f"{len(answer.runs)} runs"
+    print(f"{answer.found.kind} {short(answer.found.id)}: {answer.verdict} ({runs}: {counts})")
+    if answer.kept:
+        print(f"kept: {answer.kept}")
+
+
+def _values(experiment: OfExperiment) -> str:
+    return ", ".join(f"{name}={value}" for name, value in experiment.values.items())
 
 
 def _print_run(run: Compared) -> None:
+    from sierra.cli.output import cell, readable
     from sierra.hashing import short
 
     for path, agreement in run.outputs.items():
         if agreement.verdict != "identical":
             where = f" {path}" if path else ""
-            print(f"{agreement.verdict}: run {short(run.taken.run)} (number {run.taken.number}){where}: {agreement.why}")
+            told = f"{agreement.verdict}: run {short(run.taken.run)} (number {run.taken.number}){where}: {agreement.why}"
+            print(readable(told))
             if agreement.growth and not agreement.verdict.fine:
-                print(f"    apart in each tenth of the rows: {', '.join(f'{far:.3g}' for far in agreement.growth)}")
+                grown = ", ".join(f"{far:.3g} until {cell(until)}" for until, far in agreement.growth)
+                print(f"    apart: {grown}")

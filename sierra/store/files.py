@@ -143,15 +143,15 @@ FROM t LEFT JOIN executions e ON e.execution = t.execution ORDER BY t.ordinal, t
 """
 
 
-def recorded(question: Question, runs: Sequence[Taken]) -> list[Recorded]:
-    """All files of these runs, in their order: input files, what they wrote, logs."""
+def recorded(question: Question, runs: Sequence[Taken], *, inputs: bool = False) -> list[Recorded]:
+    """All files of these runs, in their order: input files, what they wrote, logs; or the input files alone."""
     import pyarrow as pa
 
     columns = {"place": range(len(runs)), "run": [t.run for t in runs], "execution": [t.execution for t in runs]}
     question.register("taken", pa.table({name: list(values) for name, values in columns.items()}))
     with _readable():
         question.views.make(("members", "recipes", "artifacts", "objects"))
-        return [Recorded(runs[place], *rest) for place, *rest in question.each(FILES, {})]
+        return [Recorded(runs[place], *rest) for place, *rest in question.each(FILES, {"all": not inputs})]
 
 
 FILES = f"""
@@ -167,7 +167,7 @@ listed AS (
     SELECT t.place, CASE a.kind WHEN 'log' THEN 2 ELSE 1 END,
            CASE a.kind WHEN 'log' THEN a.path ELSE '{OUTPUT_FOLDER}' || a.path END, a.kind, a.size, a.sha256, a.output,
            a.form, a.rows
-    FROM taken t JOIN artifacts a USING (execution)
+    FROM taken t JOIN artifacts a USING (execution) WHERE $all
 ),
 kept AS (SELECT sha256, any_value(size) AS kept FROM objects GROUP BY sha256)
 SELECT l.place, l.path, l.kind, coalesce(l.size, k.kept), l.sha256, CASE WHEN l.kind <> 'table' THEN k.kept END,

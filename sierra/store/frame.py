@@ -6,7 +6,7 @@ Only one execution of a run counts: see the table `counting`. A run without one 
 from __future__ import annotations
 
 import difflib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -38,12 +38,13 @@ class OutputTable:
 class Frame:
     """What statistics are computed on. A context manager; see `sierra.analysis.Frame` for the contract."""
 
-    def __init__(self, store: Store, batch: str) -> None:
+    def __init__(self, store: Store, batch: str, these: Mapping[str, str] | None = None) -> None:
+        """`these`: instead of those that count, the execution of each of these runs."""
         self.batch = batch
         self._question: Question = store.ask()
         self._loaded: set[str] = set()
         self._question.views.make(("members", "executions", "experiments", "batches", "counting"))
-        self._members()
+        self._members(these)
         self._files = self._output_files()
 
     def __enter__(self) -> Frame:
@@ -52,17 +53,23 @@ class Frame:
     def __exit__(self, *_: object) -> None:
         self._question.__exit__()
 
-    def _members(self) -> None:
+    def _members(self, these: Mapping[str, str] | None) -> None:
         run = self._question.run
+        taken = "(SELECT ordinal, run, execution FROM counting WHERE batch = $b)"
+        if these is not None:
+            import pyarrow as pa
+
+            self._question.register("these", pa.table({"run": list(these), "execution": list(these.values())}))
+            taken = "(SELECT ordinal, run, execution FROM wanted JOIN these USING (run))"
         run(
             "CREATE TEMP TABLE wanted AS SELECT DISTINCT ordinal, number, run FROM members WHERE batch = $b",
             {"b": self.batch},
         )
         run(
             "CREATE TEMP TABLE membership AS SELECT w.ordinal::INTEGER AS experiment, w.run, w.number::INTEGER AS number, "
-            "c.execution, e.batch FROM wanted w JOIN counting c ON c.batch = $b AND c.run = w.run AND c.ordinal = w.ordinal "
+            f"c.execution, e.batch FROM wanted w JOIN {taken} c ON c.run = w.run AND c.ordinal = w.ordinal "
             "JOIN executions e ON e.execution = c.execution",
-            {"b": self.batch},
+            {"b": self.batch} if these is None else {},
         )
 
     def _output_files(self) -> dict[str, list[str]]:

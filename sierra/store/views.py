@@ -14,6 +14,7 @@ from sierra.store.tables import DERIVED, RECORDED
 NEEDS = {
     "executions": ("findings",),
     "counting": ("members", "sessions", "executions"),
+    "nondeterminism": ("executions", "verdicts"),
     "points": ("members", "experiments", "batches"),
     "runs": ("members", "experiments", "batches", "executions", "counting"),
 }
@@ -92,8 +93,8 @@ class Views:
             body = self._runs()
         elif name == "points":
             body = self._points()
-        elif name == "counting":
-            body = COUNTING
+        elif name in DEFINED:
+            body = DEFINED[name]
         elif name in RECORDED:
             body = self._recorded(name)
         elif name in self._outputs:
@@ -198,6 +199,23 @@ JOIN executions e ON e.run = m.run AND e.programs = l.programs AND e.reading = l
 WHERE e.status = 'ok' AND e.purpose = 'run'
 GROUP BY m.batch, m.ordinal, m.run
 """
+
+
+NONDETERMINISM = """
+WITH several AS (
+    SELECT run, programs, count(*) AS executions, count(DISTINCT result) AS results
+    FROM executions WHERE status = 'ok' GROUP BY run, programs HAVING min(result) < max(result)
+),
+judged AS (
+    SELECT e.run, e.programs, max(CASE v.verdict WHEN 'identical' THEN 0 WHEN 'equal' THEN 1 WHEN 'within tolerance' THEN 2
+        ELSE 3 END) AS worst
+    FROM verdicts v JOIN executions e ON e.execution = v.execution GROUP BY e.run, e.programs
+)
+SELECT s.*, CASE j.worst WHEN 0 THEN 'identical' WHEN 1 THEN 'equal' WHEN 2 THEN 'within tolerance' WHEN 3 THEN 'different'
+    END AS verdict
+FROM several s LEFT JOIN judged j USING (run, programs)
+"""
+DEFINED = {"counting": COUNTING, "nondeterminism": NONDETERMINISM}
 
 
 COUNTED = "SELECT run, arg_max(execution, asked) AS execution FROM counting GROUP BY run"

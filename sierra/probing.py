@@ -1,0 +1,45 @@
+"""Executing one run of a batch twice before the others, to say whether the same run gives the same bytes.
+
+The first execution is that of the batch; the second is a replay of it, recorded as such.
+"""
+
+from __future__ import annotations
+
+from sierra import pipeline, replay
+from sierra.agreement import Verdict
+from sierra.asking import Watch
+from sierra.errors import Missing
+from sierra.hashing import short
+from sierra.plans import Plan
+from sierra.replay import Compared
+from sierra.states import states
+from sierra.store import Store
+
+
+def probe(plan: Plan, store: Store, watch: Watch) -> tuple[str, ...]:
+    """Probe the first run that has no good execution; what came of it. Nothing where there is none, or it fails."""
+    found = states(plan, store)
+    run = next((run.id for run in plan.batch.runs if not found[run.id].good), None)
+    if run is None:
+        return ()
+    first = pipeline.run(plan, store, slots=1, only={run}, watch=watch)
+    if first.interrupted:
+        raise KeyboardInterrupt
+    if not states(plan, store)[run].good:
+        return ()
+    try:
+        answer = replay.replay(plan.project, store, run, replay.How(slots=1), watch)
+    except Missing as error:
+        return (f"run {short(run)} could not be executed a second time: {error}",)
+    if answer.interrupted:
+        raise KeyboardInterrupt
+    return tuple(_told(one) for one in answer.runs)
+
+
+def _told(run: Compared) -> str:
+    executed = f"run {short(run.taken.run)}, executed twice,"
+    if run.verdict is Verdict.IDENTICAL:
+        return f"{executed} left the same bytes"
+    worst = next((path, one) for path, one in run.outputs.items() if one.verdict is run.verdict)
+    told = f"{executed} came out {run.verdict}: {f'{worst[0]}: ' if worst[0] else ''}{worst[1].why}"
+    return told if run.verdict.fine else f"{told}; runs with one seed are not deterministic"

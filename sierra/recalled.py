@@ -1,0 +1,186 @@
+"""What a batch was made from, recalled from the store: code, inputs, programs and rules, without the query that made them.
+
+A replay executes from it, and so does an asking for a batch by its id: what is missing of it is executed with the code of
+then, whatever the project's files are now.
+"""
+
+from __future__ import annotations
+
+import itertools
+import json
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from sierra import engines, jobs, query
+from sierra.checkout import Checkout
+from sierra.config import LoadedProject, Output, Success
+from sierra.engines import Engine
+from sierra.errors import Damaged, Missing, NotFound
+from sierra.expansion import Files
+from sierra.hashing import short
+from sierra.model import Axis, Batch, Experiment, Query, Recipe, Run
+from sierra.plans import Plan
+from sierra.provenance import environment
+from sierra.record import rules_of
+from sierra.store import Question, Store
+from sierra.store.files import Taken, contents, recorded
+from sierra.version import __version__
+
+AT_A_TIME = 512
+"""Runs whose input files are in memory."""
+LAST = """
+WITH asked AS (
+    SELECT programs, reading, source, query, ended FROM sessions WHERE batch = $b
+    UNION ALL SELECT programs, reading, NULL, NULL, started FROM executions WHERE batch = $b AND purpose = 'run'
+)
+SELECT arg_max(programs, ended) AS programs, arg_max(reading, ended) AS reading, arg_max(source, ended) AS source,
+       arg_max(query, ended) AS query
+FROM asked
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Recalled:
+    """All that runs of one batch have in common."""
+
+    batch: str
+    recipe: Recipe
+    manifest: bytes
+    """The files of the source."""
+    programs: Mapping[str, str]
+    """SHA-256 by name."""
+    fingerprint: str
+    outputs: Mapping[str, Output]
+    success: Success
+
+    def checkout(self, project: LoadedProject, store: Store) -> Checkout:
+        """What restores the code."""
+
+        def content(blob: str) -> bytes | None:
+            rows = store.rows("SELECT sha256 FROM blobs WHERE blob = $b", b=blob)
+            return store.object(rows[0]["sha256"]) if rows else None
+
+        return Checkout(project.root, self.recipe, self.manifest, tuple(self.programs), content)
+
+
+def recall(store: Store, batch: str, programs: str, reading: str) -> Recalled:
+    """What a batch was made from, when it was executed with these programs and judged by these rules."""
+    with store.ask() as question:
+        made = _one(question, "SELECT r.* FROM recipes r JOIN batches b USING (recipe) WHERE b.batch = $b", b=batch)
+        rules = _one(question, "SELECT declared FROM readings WHERE reading = $r", r=reading)
+        used = question.sql("SELECT name, sha256 FROM programs WHERE programs = $p", p=programs).to_pylist()
+        files = question.sql("SELECT files FROM sources WHERE tree = $t LIMIT 1", t=made["source"]).to_pylist()
+    outputs, success = rules_of(json.loads(rules["declared"]))
+    recipe = Recipe(made["platform"], tuple(made["command"]), json.loads(made["variables"]), made["source"], made["image"])
+    manifest = store.object(files[0]["files"]) if files else b""
+    return Recalled(batch, recipe, manifest, {row["name"]: row["sha256"] for row in used}, programs, outputs, success)
+
+
+def engine(recipe: Recipe, name: str = "none") -> Engine:
+    """What contained the runs of a recipe. Raises Missing where it is not there."""
+    if recipe.image is not None:
+        raise Missing(f"it was executed in the image {recipe.image}, and containers are not there yet")
+    return engines.find(name)
+
+
+def inputs(store: Store, runs: Iterable[Taken]) -> Iterator[tuple[Taken, Files]]:
+    """The recorded input files of these runs. Raises Damaged where one is not in the store."""
+    pending = iter(runs)
+    with store.ask() as question:
+        while some := list(itertools.islice(pending, AT_A_TIME)):
+            files: dict[str, list[Any]] = {one.run: [] for one in some}
+            listed = recorded(question, some, inputs=True)
+            for file in listed:
+                files[file.taken.run].append(file)
+            bytes_of = {one.file.sha256: b"".join(one.pieces) for one in contents(question, listed)}
+            for one in some:
+                if not files[one.run]:
+                    raise Damaged(f"the input of run {short(one.run)} is not in the store")
+                yield one, tuple((file.path.removeprefix("input/"), bytes_of[file.sha256]) for file in files[one.run])
+
+
+@dataclass(frozen=True, slots=True)
+class Inputs:
+    """The recorded input files of a batch; see `sierra.plans.Inputs`."""
+
+    store: Store
+
+    def files(self, batch: Batch, wanted: Callable[[Run], bool]) -> Iterator[tuple[Run, Files]]:
+        runs = {run.id: run for run in batch.runs if wanted(run)}
+        taken = (Taken("", run.experiment, run.number, run.id, None, None, "none") for run in runs.values())
+        for one, files in inputs(self.store, taken):
+            yield runs[one.run], files
+
+
+def plan(project: LoadedProject, store: Store, prefix: str) -> Plan:
+    """A recorded batch, to be executed as it was recorded. Raises NotFound, Missing."""
+    found = store.resolve(prefix)
+    if found.kind != "batch":
+        of = f": sierra run {short(found.batch)}" if found.batch else ""
+        raise NotFound(f"{prefix!r} is a {found.kind}; what is missing is executed of a whole batch{of}")
+    with store.ask() as question:
+        row = _one(question, "SELECT * FROM batches WHERE batch = $b", b=found.id)
+        last = _one(question, LAST, b=found.id)
+    if last["reading"] is None:
+        raise Missing(f"batch {short(found.id)}: no asking for it has come to an end; ask by its query: {row['query']}")
+    recalled = recall(store, found.id, last["programs"], last["reading"])
+    checkout = recalled.checkout(project, store)
+    batch = _batch(store, row, recalled.recipe)
+    text = last["query"] or row["query"]
+    return Plan(
+        project=project,
+        query=Query(
+            query.parse_all(text.split()),
+            len(batch.experiments[0].runs),
+            row["controller"],
+            row["scenario"],
+            (),
+            row["base_seed"],
+        ),
+        text=text,
+        batch=batch,
+        inputs=Inputs(store),
+        source=None,
+        source_id=last["source"],
+        checkout=checkout,
+        programs=checkout.programs(),
+        environment=environment.capture(__version__),
+        engine=engine(recalled.recipe),
+        limits=jobs.limits(project.config),
+        template_sha256=row["template_sha256"],
+        outputs=recalled.outputs,
+        success=recalled.success,
+    )
+
+
+def _batch(store: Store, row: Mapping[str, Any], recipe: Recipe) -> Batch:
+    """A batch as its records have it."""
+    with store.ask(row["batch"]) as question:
+        names = _one(question, "SELECT files FROM recipes WHERE recipe = $r", r=row["recipe"])["files"]
+        cells = question.sql("SELECT * FROM experiments WHERE batch = $b ORDER BY ordinal", b=row["batch"]).to_pylist()
+        question.views.make(("members",))
+        runs: dict[int, list[Run]] = {}
+        for ordinal, number, run, seed, first, others in question.each(MEMBERS, {"b": row["batch"]}):
+            inputs = tuple(zip(names, (first, *(others or ())), strict=True))
+            runs.setdefault(ordinal, []).append(Run(run, ordinal, number, seed, inputs))
+    experiments = tuple(
+        Experiment(
+            cell["experiment"], cell["ordinal"], {axis: cell[axis] for axis in row["axes"]}, tuple(runs[cell["ordinal"]])
+        )
+        for cell in cells
+    )
+    axes = tuple(Axis(name, tuple(dict.fromkeys(one.values[name] for one in experiments))) for name in row["axes"])
+    return Batch(row["batch"], axes, experiments, recipe, row["recipe"])
+
+
+MEMBERS = "SELECT ordinal, number, run, seed, input, others FROM members WHERE batch = $b ORDER BY ordinal, number"
+
+
+def _one(question: Question, statement: str, **parameters: Any) -> dict[str, Any]:
+    """The one row that a statement gives. Raises Damaged where there is none."""
+    rows: list[dict[str, Any]] = question.sql(statement, **parameters).to_pylist()
+    if not rows:
+        table = statement.split(" FROM ")[1].split()[0]
+        raise Damaged(f"the store's {table} lack {', '.join(short(str(value)) for value in parameters.values())}")
+    return rows[0]

@@ -1,0 +1,88 @@
+"""A recorded batch is executed by its id: what is missing of it, with the code, the inputs and the rules of then."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+import sierra
+from tests import projects
+
+FAILING = (
+    projects.SIMULATOR
+    + """
+import os
+if count == 2 and not os.path.exists(sys.argv[2]):
+    sys.exit(7)
+"""
+)
+
+
+@pytest.fixture(params=["git", "none"])
+def half(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[Path, str]:
+    """A project with a batch of which two of four runs have failed; they succeed once `mended` is there."""
+    config = projects.CONFIG.replace("{input}", f"{{input}} {tmp_path}/mended")
+    root = projects.make(tmp_path / "project", config, simulator=FAILING)
+    if request.param == "git":
+        projects.commit(root)
+    batch: str = sierra.open(root).run("population_size=1,2", figures=False).batch
+    (tmp_path / "mended").touch()
+    return root, batch
+
+
+def state(root: Path, batch: str) -> tuple[int, int]:
+    [row] = [row for row in sierra.open(root).batches if row["batch"] == batch]
+    return row["failed"], row["missing"]
+
+
+def test_what_is_missing_is_executed_with_the_code_and_the_inputs_of_then(half: tuple[Path, str]) -> None:
+    root, batch = half
+    assert state(root, batch) == (2, 0)
+    for name in ("sim.py", "arena.xml"):
+        (root / name).write_text("nothing that works")
+    (root / "sierra.toml").write_text((root / "sierra.toml").read_text().replace("runs = 2", "runs = 9"))
+    ended = projects.sierra(root, "run", batch[:10], "--json", "--no-figures")
+    said = json.loads(ended.stdout)
+    assert (ended.returncode, said["batch"], said["executed"], said["again"], said["reused"]) == (0, batch, 2, 2, 2)
+    assert state(root, batch) == (0, 0)
+    rows = sierra.open(root).sql("SELECT population_size, avg(coverage) AS c FROM swarm WHERE tick = 4 GROUP BY 1 ORDER BY 1")
+    assert rows.column("population_size").to_pylist() == [1, 2]
+    assert (root / "sim.py").read_text() == "nothing that works"
+    assert not list(root.glob(".sierra/work/*/source"))
+
+
+def test_where_nothing_is_missing_nothing_is_executed_and_it_can_be_said_before(half: tuple[Path, str]) -> None:
+    root, batch = half
+    told = json.loads(projects.sierra(root, "run", batch[:8], "-n", "--json").stdout)
+    assert (told["batch"], told["to_execute"]) == (batch, 2)
+    assert sierra.open(root).run(batch, figures=False).executed == 2
+    assert sierra.open(root).run(batch, figures=False).executed == 0
+
+
+def test_what_is_executed_so_is_judged_by_the_rules_of_then(half: tuple[Path, str]) -> None:
+    root, batch = half
+    (root / "sierra.toml").write_text((root / "sierra.toml").read_text() + '[outputs.never]\nfile = "never.csv"\n')
+    summary = sierra.open(root).run(batch, figures=False)
+    assert (summary.executed, summary.failed) == (2, 0)
+
+
+def test_only_a_batch_is_executed_so_and_nothing_may_be_changed(half: tuple[Path, str]) -> None:
+    root, batch = half
+    [row] = sierra.open(root).sql("SELECT run FROM runs LIMIT 1").to_pylist()
+    for words, said in (
+        ((row["run"],), f"is a run; what is missing is executed of a whole batch: sierra run {batch[:10]}"),
+        ((batch, "--runs", "3"), "is executed as it was recorded"),
+        (("0123456789",), "no batch, experiment, run or execution begins with"),
+    ):
+        ended = projects.sierra(root, "run", *words)
+        assert (ended.returncode, said in ended.stderr, ended.stderr.count("\n")) == (2, True, 1)
+
+
+def test_a_query_of_that_name_is_meant_first(tmp_path: Path) -> None:
+    config = projects.CONFIG + '[queries]\ncafe = { criteria = "population_size=1" }\n'
+    root = projects.make(tmp_path / "project", config)
+    project = sierra.open(root)
+    project.run("population_size=1,2", figures=False)
+    assert project.run("cafe", figures=False).runs == 2
