@@ -7,6 +7,7 @@ nearest right one. `schemas/sierra.toml.schema.json` is generated from these cla
 from __future__ import annotations
 
 import difflib
+import fnmatch
 import json
 import re
 import shlex
@@ -220,6 +221,10 @@ class Output(Table):
         (),
         description="what a replay does not compare: columns of a table; in another file, regular expressions of lines",
     )
+
+    def matches(self, path: str) -> bool:
+        """Whether a file of the output folder is meant; `*` matches slashes too."""
+        return fnmatch.fnmatchcase(path, self.file.removeprefix("./"))
 
     @property
     def kind(self) -> str:

@@ -3,34 +3,50 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 from sierra.agreement import Agreement, Rules, Verdict, of_tables, of_texts
 from sierra.config import Output
-from sierra.store import Question, Store
-from sierra.store.results import rows_of
+from sierra.errors import Damaged
+from sierra.store import Question
+from sierra.store.results import objects, rows_of
 
-Artifacts = Mapping[str, Mapping[str, Any]]
-"""What one execution left, by path: rows of `artifacts`, without logs."""
+BYTES = 64 << 20
+"""Of files that are compared at a time, as large as they were."""
+PAIRS = 1000
+
+Artifact = Mapping[str, Any]
+"""A row of `artifacts`."""
+Artifacts = Mapping[str, Artifact]
+"""What one execution left, without logs, by path."""
 
 
-def compare(
-    question: Question, store: Store, recorded: str, found: str, declared: Mapping[str, Output]
-) -> dict[str | None, Agreement]:
+def compare(question: Question, recorded: str, found: str, declared: Mapping[str, Output]) -> dict[str | None, Agreement]:
     """How far what the execution `found` wrote agrees with what `recorded` did, by path.
 
     `declared` says what is volatile and which tolerance holds. Raises Damaged where the store lacks one of them.
     """
-    left = artifacts(question, (recorded, found))
-    return of_artifacts(question, store, left[recorded], left[found], declared)
+    return next(compare_all(question, [(recorded, found)], declared))
 
 
-def artifacts(question: Question, executions: Iterable[str]) -> dict[str, Artifacts]:
+def compare_all(
+    question: Question, pairs: Sequence[tuple[str, str]], declared: Mapping[str, Output]
+) -> Iterator[dict[str | None, Agreement]]:
+    """As `compare`, of many executions, a few of them in memory at a time."""
+    left = _artifacts(question, (execution for pair in pairs for execution in pair))
+    for some in _by_weight(pairs, left):
+        unlike = [(was, now) for pair in some for was, now in _both(*(left[one] for one in pair)) if _same_kind(was, now)]
+        contents = _Contents(question, [row for rows in unlike for row in rows])
+        for recorded, found in some:
+            yield _of_artifacts(contents, left[recorded], left[found], declared)
+
+
+def _artifacts(question: Question, executions: Iterable[str]) -> dict[str, Artifacts]:
     """What each of these executions left."""
     import pyarrow as pa
 
-    left: dict[str, dict[str, Mapping[str, Any]]] = {execution: {} for execution in executions}
+    left: dict[str, dict[str, Artifact]] = {execution: {} for execution in executions}
     question.register("compared", pa.table({"execution": pa.array(left, pa.string())}))
     statement = "SELECT a.* FROM artifacts a SEMI JOIN compared USING (execution) WHERE kind <> 'log'"
     for row in question.sql(statement).to_pylist():
@@ -38,10 +54,57 @@ def artifacts(question: Question, executions: Iterable[str]) -> dict[str, Artifa
     return dict(left)
 
 
-def of_artifacts(
-    question: Question, store: Store, was: Artifacts, now: Artifacts, declared: Mapping[str, Output]
+def _by_weight(pairs: Sequence[tuple[str, str]], left: Mapping[str, Artifacts]) -> Iterator[list[tuple[str, str]]]:
+    """Pairs of which not too much must be read at a time; one at least."""
+    some: list[tuple[str, str]] = []
+    weight = 0
+    for pair in pairs:
+        more = sum(row["size"] for rows in _both(*(left[one] for one in pair)) for row in rows)
+        if some and (weight + more > BYTES or len(some) >= PAIRS):
+            yield some
+            some, weight = [], 0
+        some.append(pair)
+        weight += more
+    yield some
+
+
+def _both(was: Artifacts, now: Artifacts) -> Iterator[tuple[Artifact, Artifact]]:
+    """The files that are in both, with other bytes."""
+    for path in was.keys() & now.keys():
+        if was[path]["sha256"] != now[path]["sha256"]:
+            yield was[path], now[path]
+
+
+def _same_kind(was: Artifact, now: Artifact) -> bool:
+    return bool(was["kind"] == now["kind"])
+
+
+class _Contents:
+    """What some artifacts hold."""
+
+    def __init__(self, question: Question, artifacts: Sequence[Artifact]) -> None:
+        tables = [one for one in artifacts if one["kind"] == "table"]
+        files = [one["sha256"] for one in artifacts if one["kind"] != "table"]
+        self._rows = (
+            rows_of(question, {one["execution"] for one in tables}, {one["output"] for one in tables}) if tables else {}
+        )
+        self._bytes = objects(question, files) if files else {}
+
+    def rows(self, artifact: Artifact) -> Any:
+        file = artifact["path"] if json.loads(artifact["form"] or "{}").get("file", "") is None else None
+        rows = self._rows.get((artifact["execution"], artifact["output"], file))
+        if rows is None and artifact["rows"]:
+            execution = artifact["execution"][:10]
+            raise Damaged(f"the rows of {artifact['output']!r} that execution {execution} wrote are not in the store")
+        return rows
+
+    def bytes(self, artifact: Artifact) -> bytes:
+        return self._bytes[artifact["sha256"]]
+
+
+def _of_artifacts(
+    contents: _Contents, was: Artifacts, now: Artifacts, declared: Mapping[str, Output]
 ) -> dict[str | None, Agreement]:
-    """As `compare`, of what is known of two executions."""
     agreements: dict[str | None, Agreement] = {}
     for path in sorted(was.keys() | now.keys()):
         if path not in now:
@@ -51,24 +114,29 @@ def of_artifacts(
         elif was[path]["sha256"] == now[path]["sha256"]:
             agreements[path] = Agreement(Verdict.IDENTICAL)
         else:
-            agreements[path] = _output(question, store, was[path], now[path], declared)
+            agreements[path] = _output(contents, was[path], now[path], declared)
     return agreements
 
 
-def _output(
-    question: Question, store: Store, was: Mapping[str, Any], now: Mapping[str, Any], declared: Mapping[str, Output]
-) -> Agreement:
+def _output(contents: _Contents, was: Artifact, now: Artifact, declared: Mapping[str, Output]) -> Agreement:
     """How far one output agrees, whose bytes differ."""
-    rules = declared.get(was["output"] or "") or next((o for o in declared.values() if o.file == was["path"]), None)
+    rules = declared.get(was["output"] or "") or next((o for o in declared.values() if o.matches(was["path"])), None)
     volatile = rules.volatile if rules else ()
-    if was["kind"] == now["kind"] == "table":
-        old, new = (rows_of(question, row["execution"], row["output"], _file(row)) for row in (was, now))
-        return of_tables(old, new, Rules(rules.tolerance, volatile, rules.time, rules.ordered) if rules else Rules())
-    if was["kind"] != now["kind"]:
+    if not _same_kind(was, now):
         return Agreement(Verdict.DIFFERENT, f"was a {was['kind']} and is a {now['kind']}", form=True)
-    return of_texts(store.object(was["sha256"]), store.object(now["sha256"]), volatile)
+    if was["kind"] != "table":
+        return of_texts(contents.bytes(was), contents.bytes(now), volatile)
+    old, new = contents.rows(was), contents.rows(now)
+    if old is None or new is None:
+        return _without_rows(was, now)
+    return of_tables(old, new, Rules(rules.tolerance, volatile, rules.time, rules.ordered) if rules else Rules())
 
 
-def _file(artifact: Mapping[str, Any]) -> str | None:
-    """The file's name in its table, where a run writes several."""
-    return artifact["path"] if json.loads(artifact["form"] or "{}").get("file", "") is None else None
+def _without_rows(was: Artifact, now: Artifact) -> Agreement:
+    """Two tables of which one or both have no row, and so are nothing but their columns' names."""
+    columns, others = (list(json.loads(one["form"] or "{}").get("columns", ())) for one in (was, now))
+    if columns != others:
+        return Agreement(Verdict.DIFFERENT, f"columns were {', '.join(columns)} and are {', '.join(others)}", form=True)
+    if was["rows"] != now["rows"]:
+        return Agreement(Verdict.DIFFERENT, f"{was['rows']} rows were recorded, {now['rows']} found")
+    return Agreement(Verdict.EQUAL, "the same columns, and no rows")

@@ -12,7 +12,6 @@ finished by reading its journal once more.
 from __future__ import annotations
 
 import contextlib
-import fnmatch
 import json
 import os
 import signal
@@ -141,7 +140,7 @@ def judge(result: Result, outputs: Mapping[str, Output], success: Success) -> tu
     if result.exit_code not in success.exit_status:
         return Status.FAILED, f"exit status {result.exit_code}"
     for name, output in outputs.items():
-        if output.required and not any(matches(file.path, output.file) for file in result.outputs):
+        if output.required and not any(output.matches(file.path) for file in result.outputs):
             return Status.FAILED, f"did not write {output.file!r} (output {name!r})"
     return _marked(result, success)
 
@@ -156,11 +155,6 @@ def _marked(result: Result, success: Success) -> tuple[Status, str | None]:
     if success.contains and success.contains.encode() not in marker.read_bytes():
         return Status.FAILED, f"its marker {success.marker!r} does not contain {success.contains!r}"
     return Status.OK, None
-
-
-def matches(path: str, pattern: str) -> bool:
-    """Whether an output file is meant by a pattern; `*` matches slashes too."""
-    return fnmatch.fnmatchcase(path, pattern.removeprefix("./"))
 
 
 def table_name(path: str) -> str:
@@ -392,7 +386,7 @@ class Recorder:
         """The files of one execution that become tables: the declared ones, then what ends like a table."""
         automatic = []
         for file in result.outputs:
-            declared = next((n for n, o in self._context.outputs.items() if matches(file.path, o.file)), None)
+            declared = next((n for n, o in self._context.outputs.items() if o.matches(file.path)), None)
             kind = self._context.outputs[declared].kind if declared else _automatic(file.path)
             if kind in (None, "file"):
                 continue

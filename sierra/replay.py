@@ -26,7 +26,7 @@ from sierra.following import Following, noted
 from sierra.hashing import short
 from sierra.metrics import Metric
 from sierra.model import Job, Run, Status
-from sierra.outcomes import artifacts, of_artifacts
+from sierra.outcomes import compare_all
 from sierra.paths import SessionPaths
 from sierra.provenance import environment, programs
 from sierra.recalled import Recalled
@@ -313,18 +313,16 @@ def _leave(session: SessionPaths, kept: Path | None) -> None:
 def _compare(
     record: _Record, store: Store, made: Mapping[str, Job], failed: Mapping[str, Status], declared: Mapping[str, Output]
 ) -> Iterator[Compared]:
-    executions = [execution for one in record.runs for execution in (str(one.execution), made[one.run].execution)]
+    done = [one for one in record.runs if one.run not in failed]
     with store.ask() as question:
+        pairs = [(str(one.execution), made[one.run].execution) for one in done]
+        for taken, outputs in zip(done, compare_all(question, pairs, declared), strict=True):
+            yield Compared(taken, made[taken.run].execution, outputs)
         question.views.make(("executions",))
-        left = artifacts(question, executions)
-        for taken in record.runs:
+        for taken in (one for one in record.runs if one.run in failed):
             execution = made[taken.run].execution
-            if taken.run in failed:
-                [(reason,)] = question.run("SELECT reason FROM executions WHERE execution = $e", {"e": execution}) or [("",)]
-                yield Compared(taken, execution, {None: Agreement(Verdict.FAILED, reason or failed[taken.run])})
-            else:
-                was, now = left[str(taken.execution)], left[execution]
-                yield Compared(taken, execution, of_artifacts(question, store, was, now, declared))
+            [(reason,)] = question.run("SELECT reason FROM executions WHERE execution = $e", {"e": execution}) or [("",)]
+            yield Compared(taken, execution, {None: Agreement(Verdict.FAILED, reason or failed[taken.run])})
 
 
 def _experiments(
@@ -336,7 +334,7 @@ def _experiments(
     declared: Mapping[str, Output],
 ) -> Iterator[OfExperiment]:
     by_place: dict[int, list[Compared]] = {}
-    for run in compared:
+    for run in sorted(compared, key=lambda run: (run.taken.ordinal, run.taken.number)):
         by_place.setdefault(run.taken.ordinal, []).append(run)
     stochastic = {place: runs for place, runs in by_place.items() if was is not None and _wavers(runs)}
     now: metrics.Values = {}

@@ -13,6 +13,7 @@ import pytest
 
 import sierra
 from sierra import config
+from tests import projects
 
 SIERRA = str(Path(sys.executable).with_name("sierra"))
 EXAMPLE = Path(sierra.__file__).parent / "examples" / "swarm"
@@ -107,3 +108,23 @@ def test_two_variables_make_all_combinations_and_a_heat_map(demo: tuple[Path, di
         ("pheromone", 1),
         ("pheromone", 4),
     }
+
+
+def test_twenty_runs_replay_identically_whatever_becomes_of_the_code(tmp_path: Path) -> None:
+    folder = tmp_path / "swarm"
+    sierra_("init", "--example", "swarm", str(folder), cwd=tmp_path)
+    projects.commit(folder)
+    query = ("run", "population_size=1,2", "--runs", "10", "--set", "/mujoco/custom/numeric[@name='duration']/@data=6")
+    first = json.loads(sierra_(*query, "--json", "--no-figures", cwd=folder))["batch"]
+    replayed = json.loads(sierra_("replay", first, "--json", cwd=folder))
+    assert (replayed["verdict"], replayed["counts"]) == ("identical", {"identical": 20})
+    code = (folder / "swarm.py").read_text()
+    batches = {first}
+    for sight, committed in (("1.5", True), ("2.5", False)):
+        (folder / "swarm.py").write_text(code.replace("SIGHT = 1.0", f"SIGHT = {sight}"))
+        if committed:
+            projects.commit(folder, "change a constant")
+        batches.add(json.loads(sierra_(*query, "-n", "--json", cwd=folder))["batch"])
+        again = json.loads(sierra_("replay", first, "--runs", "2", "--json", cwd=folder))
+        assert (again["verdict"], again["runs"]) == ("identical", 4)
+    assert len(batches) == 3

@@ -1,35 +1,67 @@
-"""The rows that one execution wrote, whether it counts or not."""
+"""What executions wrote, whether they count or not: rows of tables, and the bytes of files, of many at a time."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
+from itertools import groupby
 from typing import Any
 
 from sierra.errors import Damaged
+from sierra.hashing import sha256
 from sierra.store import Question
 from sierra.store.files import holding
 from sierra.store.views import read_parquet
 
 OWN = ("run", "execution", "file", "filename", "file_row_number")
 
-
-def rows_of(question: Question, execution: str, output: str, file: str | None) -> Any:
-    """A table of one execution as a pyarrow.Table, rows in their order; of one file where it wrote several.
-
-    Raises Damaged where there is none.
-    """
-    best = None
-    for segment in holding(question, {execution}):
-        for path in (path for name, path in segment.outputs() if name == output):
-            found = _rows(question, path, execution, file)
-            best = found if best is None or found.num_rows else best
-    if best is not None:
-        return best.drop_columns([column for column in OWN if column in best.column_names])
-    raise Damaged(f"the rows of {output!r} that execution {execution[:10]} wrote are not in the store")
+Key = tuple[str, str, str | None]
+"""An execution, an output, and, where it wrote several files of it, which."""
 
 
-def _rows(question: Question, path: str, execution: str, file: str | None) -> Any:
+def rows_of(question: Question, executions: Iterable[str], outputs: Iterable[str]) -> dict[Key, Any]:
+    """The tables that these executions wrote to these outputs, each a pyarrow.Table with its rows in their order."""
+    import pyarrow as pa
+
+    found: dict[Key, Any] = {}
+    executions, outputs = sorted(set(executions)), set(outputs)
+    segments = holding(question, executions)
+    question.register("writers", pa.table({"execution": pa.array(executions, pa.string())}))
+    for segment in segments:
+        for output, path in segment.outputs():
+            if output in outputs:
+                found |= {(execution, output, file): table for execution, file, table in _tables(question, path)}
+    return found
+
+
+def _tables(question: Question, path: str) -> Iterator[tuple[str, str | None, Any]]:
+    """The tables in one file of a segment, cut where another one's rows begin."""
+    import pyarrow.compute as pc
+
     source = read_parquet([path], rows=True)
-    only = "" if file is None else " AND file = $file"
-    parameters = {"execution": execution} if file is None else {"execution": execution, "file": file}
-    statement = f"SELECT * FROM {source} WHERE execution = $execution{only} ORDER BY file_row_number"
-    return question.connection.sql(statement, params=parameters).to_arrow_table()
+    many = any(row[0] == "file" for row in question.run(f"DESCRIBE SELECT * FROM {source}"))
+    key = f"execution || '/'{' || file' if many else ''}"
+    statement = f'SELECT {key} AS "# key", * FROM {source} SEMI JOIN writers USING (execution) ORDER BY 1, file_row_number'
+    table = question.connection.sql(statement).to_arrow_table()
+    rows = table.drop_columns([column for column in ("# key", *OWN) if column in table.column_names])
+    runs = pc.run_end_encode(table.column(0).combine_chunks())
+    begin = 0
+    for key, end in zip(runs.values.to_pylist(), runs.run_ends.to_pylist(), strict=True):
+        execution, _, file = key.partition("/")
+        yield execution, file if many else None, rows.slice(begin, end - begin)
+        begin = end
+
+
+def objects(question: Question, digests: Iterable[str]) -> dict[str, bytes]:
+    """Recorded files by their SHA-256. Raises Damaged where one is not there, or not what it was."""
+    import pyarrow as pa
+
+    digests = set(digests)
+    question.register("digests", pa.table({"sha256": pa.array(digests, pa.string())}))
+    question.views.make(("objects",))
+    statement = "SELECT sha256, content FROM objects SEMI JOIN digests USING (sha256) ORDER BY sha256, part"
+    parts = groupby(question.each(statement, {}), lambda row: row[0])
+    found = {digest: b"".join(content for _, content in rows) for digest, rows in parts}
+    for digest in digests:
+        if sha256(found.get(digest, b"")) != digest:
+            raise Damaged(f"the recorded file {digest} is {'not what it was' if digest in found else 'not in the store'}")
+    return found
