@@ -197,7 +197,7 @@ class _Distance:
     def how_far(self) -> str:
         if not self.numeric:
             return "texts differ"
-        return f"{self.name!r} is at worst {self.abs:.3g} apart (relative {self.rel:.3g}, {self.ulp:.3g} ulp)"
+        return f"at worst {self.abs:.3g} apart (relative {self.rel:.3g}, {self.ulp:.3g} ulp)"
 
     def told(self, verdict: Verdict, why: str) -> Agreement:
         was, now = self._values()

@@ -172,7 +172,7 @@ def _values(experiment: OfExperiment) -> str:
 
 
 def _print_run(run: Compared) -> None:
-    from sierra.cli.output import cell, readable
+    from sierra.cli.output import readable
     from sierra.hashing import short
 
     for path, agreement in run.outputs.items():
@@ -181,5 +181,16 @@ def _print_run(run: Compared) -> None:
             told = f"{agreement.verdict}: run {short(run.taken.run)} (number {run.taken.number}){where}: {agreement.why}"
             print(readable(told))
             if agreement.growth and not agreement.verdict.fine:
-                grown = ", ".join(f"{far:.3g} until {cell(until)}" for until, far in agreement.growth)
-                print(f"    apart: {grown}")
+                print(f"    {_grown(agreement)}")
+
+
+def _grown(agreement: Agreement) -> str:
+    """How a difference grows, from where there is one."""
+    from itertools import dropwhile
+
+    from sierra.cli.output import cell
+
+    apart = list(dropwhile(lambda part: part[1] == 0, agreement.growth))
+    same = agreement.growth[: len(agreement.growth) - len(apart)]
+    before = [f"the same until {cell(same[-1][0])}"] if same else []
+    return ", ".join([*before, *(f"{far:.3g} apart until {cell(until)}" for until, far in apart)])
