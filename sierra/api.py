@@ -9,7 +9,7 @@ table = project.statistics(summary.batch, "swarm", "coverage").to_pandas()
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -156,17 +156,20 @@ class Project:
         tolerances: Tolerances | None = None,
         keep: bool = False,
         watch: Watch | None = None,
+        say: Callable[[str], None] | None = None,
     ) -> Replay:
         """Execute again, from the record alone, what an id names, and compare: see `sierra.replay.Replay`.
 
         `runs`: the first so many of each experiment. `tolerances`: by output and column (`*`: all), instead of what
-        `sierra.toml` declares. `keep`: leave the restored source and the folders of the runs. Raises NotFound, and Missing for
-        what is needed and gone.
+        `sierra.toml` declares. `keep`: leave the restored source and the folders of the runs. `say` hears what is
+        other than it was recorded, before anything executes. Raises NotFound, and Missing for what is needed and gone.
         """
         from sierra import replay
 
         how = replay.How(_slots(jobs), runs, runner, engine, tolerances or {}, keep)
-        return replay.replay(self._loaded, self.store, prefix, how, watch or (lambda progress: None))
+        return replay.replay(
+            self._loaded, self.store, prefix, how, watch or (lambda progress: None), say or (lambda text: None)
+        )
 
     def files(self, prefix: str, *paths: str, to: str | os.PathLike[str] | None = None) -> Listing | list[Outcome]:
         """The recorded files of what an id names; with `to`, written into that folder: what became of each.

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -141,8 +141,15 @@ class _Record:
     notes: list[str]
 
 
-def replay(project: LoadedProject, store: Store, prefix: str, how: How, watch: Watch = lambda progress: None) -> Replay:
-    """Execute again what an id names, and compare.
+def replay(
+    project: LoadedProject,
+    store: Store,
+    prefix: str,
+    how: How,
+    watch: Watch = lambda progress: None,
+    say: Callable[[str], None] = lambda text: None,
+) -> Replay:
+    """Execute again what an id names, and compare. `say` hears what is other than it was recorded, before anything executes.
 
     Raises NotFound for what is not there, Missing for what is needed and gone: the source, a program, an input.
     """
@@ -160,6 +167,8 @@ def replay(project: LoadedProject, store: Store, prefix: str, how: How, watch: W
         record.of.checkout(project, store).make(root)
         now, around = programs_in(record.of.recipe, record.of.manifest, root), environment.capture(__version__)
         notes = (*record.notes, *_other_programs(record.of, now))
+        for text in notes:
+            say(text)
         context = Context(
             session.id, record.of.batch, "replay", around["environment"], now.id, record.of.outputs, record.of.success
         )

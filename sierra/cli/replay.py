@@ -67,15 +67,21 @@ def replay(
         raise Missing(f"{junit}: there is no folder {junit.parent}")
     with watching(quiet=as_json) as watch:
         answer = project.replay(
-            prefix, runs=runs, jobs=jobs, runner=runner, engine=engine, tolerances=asked, keep=keep, watch=watch
+            prefix,
+            runs=runs,
+            jobs=jobs,
+            runner=runner,
+            engine=engine,
+            tolerances=asked,
+            keep=keep,
+            watch=watch,
+            say=None if as_json else note,
         )
     if junit is not None and not answer.interrupted:
         junit_file.write(answer, junit)
     if as_json:
         print_json(_answer(answer))
     else:
-        for text in answer.notes:
-            note(text)
         _print(answer)
     if answer.interrupted:
         raise typer.Exit(130)
