@@ -11,6 +11,8 @@ if TYPE_CHECKING:
     pass
 
 SHOWN_REASONS = 10
+AT_MOST = {"nondeterminism": 10, "verdicts": 20}
+"""Rows of tables that may be as long as a batch."""
 
 
 def ls(
@@ -108,7 +110,10 @@ def _print(shown: dict[str, Any]) -> None:
             print(f"\n{name}:")
             if isinstance(value[0], dict):
                 columns = list(dict.fromkeys(key for row in value for key in row if key != "log"))
-                table(columns, [[_short(row.get(column)) for column in columns] for row in value])
+                most = AT_MOST.get(name, len(value))
+                table(columns, [[_short(row.get(column)) for column in columns] for row in value[:most]])
+                if len(value) > most:
+                    print(f"and {len(value) - most} more (--json has them all)")
             else:
                 print("  " + ", ".join(map(str, value)))
     if shown.get("log"):
