@@ -1,0 +1,145 @@
+"""The program git in one folder: never asks, runs no hook, touches no index but those it is given, says its errors in one line.
+
+Of the variables that steer git, only those that stand for its configuration are kept: in a hook, or with GIT_DIR set, this
+would else be another repository than the one that the project lies in.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+from collections.abc import Sequence
+from functools import cached_property
+from pathlib import Path
+
+from sierra.errors import Missing
+
+ALWAYS = (
+    *("-c", "core.hooksPath=/dev/null"),  # updating a ref and writing an index run hooks
+    *("-c", "core.fsmonitor=false"),  # which may be a program
+    *("-c", "core.splitIndex=false"),
+    *("-c", "gc.auto=0"),
+    "--no-pager",
+)
+
+
+class Git:
+    """Git in one folder; what it prints, as bytes. Raises Missing for what git complains of."""
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+        self._program = shutil.which("git")
+        if self._program is None:
+            raise Missing(f"{root} is in a git repository, but git is not installed; install it")
+
+    def __call__(
+        self,
+        *arguments: str,
+        index: Path | None = None,
+        given: bytes = b"",
+        optional: bool = False,
+        at_top: bool = False,
+        into: Path | None = None,
+    ) -> bytes:
+        """Run it. With `index`, it works on that file in the place of the user's; with `into`, the folder is the working tree.
+
+        Where it is `optional`, a failure is no error, but no output.
+        """
+        environment = _environment()
+        if index is not None:
+            environment["GIT_INDEX_FILE"] = str(index)
+        cwd = self.top if at_top else self.root
+        if into is not None:
+            environment |= {"GIT_DIR": str(self.folder), "GIT_WORK_TREE": str(into)}
+            cwd = into
+        try:
+            done = subprocess.run(
+                [str(self._program), *ALWAYS, *arguments],
+                cwd=cwd,
+                env=environment,
+                input=given,
+                capture_output=True,
+                check=False,
+            )
+        except OSError as error:
+            raise Missing(f"git cannot be run in {cwd}: {error.strerror}") from error
+        if done.returncode and not optional:
+            raise Missing(self._complaint(_command(arguments), done.stderr.decode("utf-8", "replace")))
+        return b"" if done.returncode else done.stdout
+
+    def pipe(self, *arguments: str) -> subprocess.Popen[bytes]:
+        """Start it, to be written to; what it prints is thrown away."""
+        return subprocess.Popen(
+            [str(self._program), *ALWAYS, *arguments],
+            cwd=self.root,
+            env=_environment(),
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+
+    @cached_property
+    def top(self) -> Path:
+        """The repository's working tree."""
+        return self._path("rev-parse", "--show-toplevel")
+
+    @cached_property
+    def folder(self) -> Path:
+        """The repository's own folder; a linked worktree has its own."""
+        return self._path("rev-parse", "--absolute-git-dir")
+
+    @cached_property
+    def index(self) -> Path:
+        """The user's index."""
+        return self.root / self._path("rev-parse", "--git-path", "index")
+
+    @cached_property
+    def prefix(self) -> bytes:
+        """The project's folder as the repository sees it, with a slash at its end (or empty)."""
+        return self("rev-parse", "--show-prefix").removesuffix(b"\n")
+
+    def has(self, thing: str) -> bool:
+        """Whether the repository has a tree or a commit."""
+        return bool(self("rev-parse", "--verify", "--quiet", f"{thing}^{{tree}}", optional=True))
+
+    def head(self) -> str | None:
+        """The commit checked out."""
+        return self("rev-parse", "--verify", "--quiet", "HEAD^{commit}", optional=True).decode().strip() or None
+
+    def ignores_it(self) -> bool:
+        """Whether the repository ignores this whole folder."""
+        return bool(self("check-ignore", ".", optional=True).strip())
+
+    def _path(self, *arguments: str) -> Path:
+        return Path(os.fsdecode(self(*arguments).removesuffix(b"\n")))
+
+    def _complaint(self, command: str, said: str) -> str:
+        """What git complains of, in one line, with what would be right where git's first line does not say it."""
+        lines = [line.strip() for line in said.splitlines() if line.strip()] or ["no reason given"]
+        if "dubious ownership" in said:
+            add = next((line for line in lines if line.startswith("git config")), "git config --global --add safe.directory …")
+            return f"git refuses {self.root}: dubious ownership, it belongs to another user; if you trust it: {add}"
+        if "git-lfs" in said:
+            return f"git in {self.root} needs git-lfs, which does not answer ({lines[0]}); install git-lfs, then: git lfs pull"
+        if "insufficient permission" in said or "Read-only file system" in said:
+            return f"git cannot write to {self.folder}, where the source is to be kept: {lines[0]}; make it writable"
+        if "must be run in a work tree" in said:
+            return f"the repository of {self.root} is bare (core.bare), so git sees no files there; make a worktree of it"
+        wrong = next((line for line in lines if line.startswith(("fatal: ", "error: "))), lines[0])
+        return f"git {command} in {self.root}: {wrong.removeprefix('fatal: ').removeprefix('error: ')}"
+
+
+def in_repository(root: Path) -> bool:
+    """Whether a repository holds a folder."""
+    return any((folder / ".git").exists() for folder in (root, *root.parents))
+
+
+def _command(arguments: Sequence[str]) -> str:
+    """What git is asked to do, beyond its settings."""
+    return next(word for word, before in zip(arguments, ("", *arguments), strict=False) if "-c" not in (word, before))
+
+
+def _environment() -> dict[str, str]:
+    kept = {name: value for name, value in os.environ.items() if not name.startswith("GIT_") or name.startswith("GIT_CONFIG_")}
+    return kept | {"GIT_OPTIONAL_LOCKS": "0", "GIT_TERMINAL_PROMPT": "0", "LC_ALL": "C"}

@@ -1,0 +1,63 @@
+"""Files that git-lfs keeps: what git has of them is a pointer, and the data comes from elsewhere.
+
+Where git-lfs is not installed, or its data was not fetched, a checkout has the pointers in the place of the data. A run that
+reads them is not the run that it is taken for, and git cannot tell them apart; so it is an error.
+Pointers are described in git-lfs's docs/spec.md.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from sierra.errors import Missing
+from sierra.provenance.source.chosen import shown
+from sierra.provenance.source.git import Git
+from sierra.provenance.source.manifest import Files
+
+POINTER = b"version https://git-lfs.github.com/spec/v1\n"
+ATTRIBUTES = ".gitattributes"
+
+
+def check(git: Git, index: Path, root: Path, files: Files) -> None:
+    """Raise Missing where a file that counts is a pointer still; `files` are below `root`."""
+    if not _used(git, root, files):
+        return
+    kept = git("ls-files", "-z", "--", ":(attr:filter=lfs)", index=index).split(b"\0")
+    pointers = [path for path in kept if path in files and _is_pointer(root / os.fsdecode(path))]
+    if pointers:
+        raise Missing(
+            f"{shown(pointers)}: pointers of git-lfs, not the data; fetch it with git lfs pull,"
+            " or leave it out ([source] paths names what counts)"
+        )
+
+
+def check_restored(git: Git, target: Path, files: Files) -> None:
+    """The same for files that git wrote into `target`."""
+    if any(b"filter=lfs" in _head(target / os.fsdecode(path), 1 << 20) for path in files if _is_attributes(path)):
+        pointers = [path for path, what in files.items() if what[:3] == b"100" and _is_pointer(target / os.fsdecode(path))]
+        if pointers:
+            raise Missing(f"{shown(pointers)}: git-lfs does not have the data; fetch it with git lfs pull in {git.root}")
+
+
+def _is_attributes(path: bytes) -> bool:
+    return path.rpartition(b"/")[2] == ATTRIBUTES.encode()
+
+
+def _used(git: Git, root: Path, files: Files) -> bool:
+    """Whether attributes of this repository speak of git-lfs: those in a folder of the files or above, or of its own."""
+    above = [folder / ATTRIBUTES for folder in (root, *root.parents) if folder.is_relative_to(git.top)]
+    below = [root / os.fsdecode(path) for path in files if _is_attributes(path)]
+    return any(b"filter=lfs" in _head(path, 1 << 20) for path in (*above, *below, git.folder / "info" / "attributes"))
+
+
+def _is_pointer(path: Path) -> bool:
+    return not path.is_symlink() and _head(path, len(POINTER)) == POINTER
+
+
+def _head(path: Path, size: int) -> bytes:
+    try:
+        with path.open("rb") as file:
+            return file.read(size)
+    except OSError:
+        return b""

@@ -1,0 +1,89 @@
+"""The list of a source's files, as it is kept: for each a mode, git's hash and its path, ordered by path.
+
+One line is `<mode> <hash>\\t<path>`, ended by NUL, since a path may hold all else: what `git update-index --index-info` reads.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+LINK, REPOSITORY = "120000", "160000"
+"""The modes of a symbolic link, and of a repository inside a repository."""
+
+Files = Mapping[bytes, bytes]
+"""What the list says of each path: `<mode> <hash>`."""
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """One file of a tree: git's mode and blob hash, and its path from the project's root."""
+
+    mode: str
+    blob: str
+    path: bytes
+
+
+def listed(entries: Iterable[Entry]) -> bytes:
+    """The list of these files."""
+    return written({entry.path: b"%s %s" % (entry.mode.encode(), entry.blob.encode()) for entry in entries})
+
+
+def written(files: Files) -> bytes:
+    return b"".join([b"%s\t%s\0" % (files[path], path) for path in sorted(files)])
+
+
+def read(manifest: bytes) -> dict[bytes, bytes]:
+    lines = (line.partition(b"\t") for line in manifest.split(b"\0") if line)
+    return {path: what for what, _, path in lines}
+
+
+def parts(what: bytes) -> tuple[str, str]:
+    """Mode and hash."""
+    mode, _, blob = what.decode().partition(" ")
+    return mode, blob
+
+
+def repositories(files: Files) -> Iterator[tuple[bytes, str]]:
+    """The repositories among the files: path, and commit (or tree)."""
+    for path, what in files.items():
+        if what.startswith(b"160000"):
+            yield path, parts(what)[1]
+
+
+def paths(manifest: bytes) -> set[bytes]:
+    """The paths in a list."""
+    return set(read(manifest))
+
+
+def changed(before: bytes, after: bytes) -> list[str]:
+    """The paths in which two lists differ."""
+    old, new = read(before), read(after)
+    differing = {path for path in old.keys() | new.keys() if old.get(path) != new.get(path)}
+    return [path.decode("utf-8", "replace") for path in sorted(differing)]
+
+
+def git_hash(kind: bytes, content: bytes, algorithm: str = "sha1") -> str:
+    """The hash that git gives to a file or a tree."""
+    return hashlib.new(algorithm, b"%s %d\0%s" % (kind, len(content), content), usedforsecurity=False).hexdigest()
+
+
+def is_blob(content: bytes, blob: str) -> bool:
+    """Whether a file's content has that hash, in a repository of either kind."""
+    return git_hash(b"blob", content, "sha1" if len(blob) == 40 else "sha256") == blob
+
+
+def tree_hash(entries: Sequence[Entry]) -> str:
+    """The hash that git gives to a tree with these files."""
+    below: dict[bytes, list[Entry]] = {}
+    items: list[tuple[bytes, str, bytes, str]] = []
+    for entry in entries:
+        name, slash, rest = entry.path.partition(b"/")
+        if slash:
+            below.setdefault(name, []).append(Entry(entry.mode, entry.blob, rest))
+        else:
+            items.append((name, entry.mode, name, entry.blob))
+    items += [(name + b"/", "40000", name, tree_hash(inside)) for name, inside in below.items()]
+    content = b"".join(mode.encode() + b" " + name + b"\0" + bytes.fromhex(blob) for _, mode, name, blob in sorted(items))
+    return git_hash(b"tree", content)
