@@ -191,13 +191,16 @@ CREATE TABLE environments (
 
 -- States of the code that runs were made from, recorded once.
 CREATE TABLE sources (
-    "source" VARCHAR,  -- hash of all below
+    "source" VARCHAR,  -- hash of all below but files
     "tree" VARCHAR,  -- the tree that counts, as an SWHID
     "vcs" VARCHAR,  -- git, or none
     "commit" VARCHAR,  -- the commit checked out
     "branch" VARCHAR,  -- the branch checked out
-    "dirty" BOOLEAN,  -- whether files differ from the commit
+    "dirty" BOOLEAN,  -- whether files that count differ from the commit; NULL outside git
     "remote" VARCHAR,  -- the remote's address, without credentials
+    "describe" VARCHAR,  -- the commit by the nearest tag, as git describe --always --dirty --tags has it
+    "folder" VARCHAR,  -- the project's folder, from the root of the repository; . where it is the root
+    "submodules" VARCHAR,  -- the repositories inside, as JSON: path and commit; NULL without any
     "files" VARCHAR  -- SHA-256 of the list of files in objects: a mode, a hash and a path a line
 );
 

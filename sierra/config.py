@@ -265,6 +265,11 @@ class Source(Table):
     """What of the project counts as the code that a run was made from."""
 
     paths: tuple[str, ...] = Field((), description="files and folders; the whole project where absent")
+    dirty: Literal["record", "refuse", "ignore"] = Field(
+        "record",
+        description="changes that git has no commit of: count, are an error, or neither count nor execute (a checkout does)",
+    )
+    large: Size = Field(50_000_000, description="an untracked file of more bytes is an error, a number or as in `50 MB`")
 
 
 class Determinism(Table):

@@ -18,7 +18,7 @@ from sierra.engines import Engine
 from sierra.errors import ConfigError, Missing, QueryError, UsageError
 from sierra.expansion import Expansion, Files
 from sierra.model import Batch, Design, Experiment, Limits, Query, Recipe, Run, Set
-from sierra.paths import CONFIG, DRAWN, FIGURES, PYPROJECT, STORE, ProjectPaths
+from sierra.paths import CONFIG, DRAWN, FIGURES, PYPROJECT, STORE, ProjectPaths, StorePaths
 from sierra.provenance import environment, programs, source
 from sierra.record import Context
 from sierra.store.tables import RESERVED, check_name
@@ -109,7 +109,16 @@ def plan(project: LoadedProject, asked: Query, *, engine: str = "none") -> Plan:
     command = jobs.command(platform, root)
     variables = jobs.environment(platform, config)
     own = (STORE, *_drawn(root), CONFIG, PYPROJECT if project.file.name == PYPROJECT else CONFIG, *_inside(config.template))
-    code = source.capture(root, paths=config.source.paths, without=own)
+    code = source.capture(
+        root,
+        paths=config.source.paths,
+        without=own,
+        dirty=config.source.dirty,
+        large=config.source.large,
+        memory=StorePaths(ProjectPaths(root).store).files,
+    )
+    if code.checkout:
+        raise Missing('[source] dirty = "ignore": files differ from the commit, and a checkout cannot execute yet; commit them')
     recipe = Recipe(config.platform, command, variables, code.tree, contained.image())
     designed = design(asked, config, platform, template)
     expansion = Expansion(designed, template, platform, recipe)
@@ -130,7 +139,7 @@ def plan(project: LoadedProject, asked: Query, *, engine: str = "none") -> Plan:
         template_sha256=template.sha256,
         outputs=config.outputs,
         success=config.success,
-        notes=(*_doubts(designed, command), *_texts(designed, config, template), *_same(batch)),
+        notes=(*code.notes, *_doubts(designed, command), *_texts(designed, config, template), *_same(batch)),
     )
 
 

@@ -112,6 +112,8 @@ pass = ["LICENSE_SERVER"]
 
 [source]
 paths = ["sim.py", "controllers"]
+dirty = "record"
+large = "50 MB"
 
 [determinism]
 probe = true

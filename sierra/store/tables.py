@@ -247,13 +247,16 @@ RECORDED = {
         _table(
             "sources",
             "States of the code that runs were made from, recorded once.",
-            ("source", ID, "hash of all below"),
+            ("source", ID, "hash of all below but files"),
             ("tree", ID, "the tree that counts, as an SWHID"),
             ("vcs", TEXT, "git, or none"),
             ("commit", ID, "the commit checked out"),
             ("branch", TEXT, "the branch checked out"),
-            ("dirty", FLAG, "whether files differ from the commit"),
+            ("dirty", FLAG, "whether files that count differ from the commit; NULL outside git"),
             ("remote", TEXT, "the remote's address, without credentials"),
+            ("describe", TEXT, "the commit by the nearest tag, as git describe --always --dirty --tags has it"),
+            ("folder", TEXT, "the project's folder, from the root of the repository; . where it is the root"),
+            ("submodules", TEXT, "the repositories inside, as JSON: path and commit; NULL without any"),
             ("files", ID, "SHA-256 of the list of files in objects: a mode, a hash and a path a line"),
         ),
         _table(

@@ -30,6 +30,7 @@ from sierra.provenance.source.restoring import restore
 
 SWHID = "swh:1:dir:"
 LARGE = 50_000_000
+"""Bytes, where `[source] large` does not say."""
 RECORDED = ("tree", "vcs", "commit", "branch", "dirty", "remote", "describe", "folder", "submodules")
 
 
@@ -117,7 +118,7 @@ def _outside(root: Path, chosen: Chosen, dirty: str, large: int, memory: Path | 
 
 def _git(root: Path, chosen: Chosen, dirty: str, large: int) -> tuple[Source, Files]:
     git = Git(root)
-    now = working.look(root, chosen) if dirty == "ignore" else working.take(root, chosen, large)
+    now = working.look(git, chosen) if dirty == "ignore" else working.take(git, chosen, large)
     if dirty == "refuse":
         _refuse(root, now)
     differs = bool(now.changed) and dirty != "ignore"
@@ -149,7 +150,7 @@ def _refuse(root: Path, now: working.Snapshot) -> None:
 
 
 def _notes(root: Path, now: working.Snapshot) -> Iterator[str]:
-    yield from _leading_out(root, [path for path, what in now.files.items() if what.startswith(LINK.encode())])
+    yield from _leading_out(root, [path for path, what in now.files.items() if what[:6] == b"120000"])
     hollow = [path for path in now.absent if (root / os.fsdecode(path)).is_dir()]
     if hollow:
         yield f"{shown(hollow)}: submodules that are not checked out do not count; git submodule update --init fetches them"

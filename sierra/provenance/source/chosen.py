@@ -25,6 +25,13 @@ class Chosen:
     def __call__(self, path: bytes) -> bool:
         return not self.never(path) and (not self.only or self._kept.match(path) is not None)
 
+    def others(self, paths: Iterable[bytes]) -> list[bytes]:
+        """Those that do not count."""
+        never, kept = self._never.match, self._kept.match
+        if self.only:
+            return [path for path in paths if not kept(path) or (self._without and never(path))]
+        return [path for path in paths if never(path)] if self._without else []
+
     def pathspecs(self) -> list[str]:
         """What git is told to look at, relative to the project; a name may begin with a colon, or hold a star."""
         chosen = [f":(literal){os.fsdecode(path)}" for path in self.only] or ["."]

@@ -74,6 +74,7 @@ class Git:
             [str(self._program), *ALWAYS, *arguments],
             cwd=self.root,
             env=_environment(),
+            bufsize=1 << 18,
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
@@ -141,5 +142,6 @@ def _command(arguments: Sequence[str]) -> str:
 
 
 def _environment() -> dict[str, str]:
+    """The last of these is for `git fast-import`, which may else spend most of its time on giving memory back (glibc)."""
     kept = {name: value for name, value in os.environ.items() if not name.startswith("GIT_") or name.startswith("GIT_CONFIG_")}
-    return kept | {"GIT_OPTIONAL_LOCKS": "0", "GIT_TERMINAL_PROMPT": "0", "LC_ALL": "C"}
+    return kept | {"GIT_OPTIONAL_LOCKS": "0", "GIT_TERMINAL_PROMPT": "0", "LC_ALL": "C", "MALLOC_TRIM_THRESHOLD_": "100000000"}

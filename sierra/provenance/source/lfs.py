@@ -34,20 +34,17 @@ def check(git: Git, index: Path, root: Path, files: Files) -> None:
 
 def check_restored(git: Git, target: Path, files: Files) -> None:
     """The same for files that git wrote into `target`."""
-    if any(b"filter=lfs" in _head(target / os.fsdecode(path), 1 << 20) for path in files if _is_attributes(path)):
+    attributes = [target / os.fsdecode(path) for path in files if path.endswith(ATTRIBUTES.encode())]
+    if any(b"filter=lfs" in _head(path, 1 << 20) for path in attributes):
         pointers = [path for path, what in files.items() if what[:3] == b"100" and _is_pointer(target / os.fsdecode(path))]
         if pointers:
             raise Missing(f"{shown(pointers)}: git-lfs does not have the data; fetch it with git lfs pull in {git.root}")
 
 
-def _is_attributes(path: bytes) -> bool:
-    return path.rpartition(b"/")[2] == ATTRIBUTES.encode()
-
-
 def _used(git: Git, root: Path, files: Files) -> bool:
     """Whether attributes of this repository speak of git-lfs: those in a folder of the files or above, or of its own."""
     above = [folder / ATTRIBUTES for folder in (root, *root.parents) if folder.is_relative_to(git.top)]
-    below = [root / os.fsdecode(path) for path in files if _is_attributes(path)]
+    below = [root / os.fsdecode(path) for path in files if path.endswith(b".gitattributes")]
     return any(b"filter=lfs" in _head(path, 1 << 20) for path in (*above, *below, git.folder / "info" / "attributes"))
 
 

@@ -47,9 +47,7 @@ def parts(what: bytes) -> tuple[str, str]:
 
 def repositories(files: Files) -> Iterator[tuple[bytes, str]]:
     """The repositories among the files: path, and commit (or tree)."""
-    for path, what in files.items():
-        if what.startswith(b"160000"):
-            yield path, parts(what)[1]
+    yield from [(path, parts(what)[1]) for path, what in files.items() if what[:6] == b"160000"]
 
 
 def paths(manifest: bytes) -> set[bytes]:

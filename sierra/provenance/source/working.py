@@ -34,7 +34,7 @@ from sierra.errors import ConfigError, Missing
 from sierra.provenance.source import lfs
 from sierra.provenance.source.chosen import Chosen, check_size
 from sierra.provenance.source.git import Git
-from sierra.provenance.source.manifest import repositories, written
+from sierra.provenance.source.manifest import Files, repositories, written
 
 MANY = 500
 """New files from which on they are written as a pack."""
@@ -73,22 +73,22 @@ class Status:
     conflicts: set[bytes] = field(default_factory=set)
 
 
-def take(root: Path, chosen: Chosen, large: int) -> Snapshot:
-    """Write the working tree of the project `root`, and keep it from being pruned.
+def take(git: Git, chosen: Chosen, large: int) -> Snapshot:
+    """Write the working tree of the project that git is asked in, and keep it from being pruned.
 
     Raises ConfigError for an untracked file of more than `large` bytes, Missing for what git cannot do.
     """
-    git = Git(root)
+    root = git.root
     with _index(git, chosen) as index:
         status = index.status()
         files = index.update(status, large)
-        while unfit := [path for path, what in files.items() if not chosen(path) or _hollow(root, path, what)]:
+        while unfit := [*chosen.others(files), *_hollow(root, files)]:
             index.remove(unfit)
             status = index.status()
             files = index.update(status, large)
         lfs.check(git, index.path, root, files)
         submodules = dict(_submodules(root, files))
-        inner = {path: take(root / os.fsdecode(path), Chosen(), large) for path in sorted(status.inner & files.keys())}
+        inner = {path: take(Git(root / os.fsdecode(path)), Chosen(), large) for path in sorted(status.inner & files.keys())}
         for path, snapshot in inner.items():
             files[path] = b"160000 " + snapshot.tree.encode()
             submodules |= {f"{os.fsdecode(path)}/{below}": commit for below, commit in snapshot.submodules.items()}
@@ -100,12 +100,12 @@ def take(root: Path, chosen: Chosen, large: int) -> Snapshot:
     return Snapshot(tree, files, status.commit, status.branch, changed, tuple(sorted(absent)), submodules)
 
 
-def look(root: Path, chosen: Chosen) -> Snapshot:
+def look(git: Git, chosen: Chosen) -> Snapshot:
     """The tree of the commit that is checked out, and what differs from it. Nothing of the working tree is written.
 
     Raises ConfigError where there is no commit.
     """
-    git = Git(root)
+    root = git.root
     with _index(git, chosen) as index:
         status = index.status()
     if status.commit is None:
@@ -114,7 +114,7 @@ def look(root: Path, chosen: Chosen) -> Snapshot:
     tree = write(git, files)
     git("update-ref", f"refs/sierra/{tree}", tree)
     differing = status.recorded.keys() | set(status.stale)
-    absent = _absent(git, status, differing) | {path for path, what in files.items() if _hollow(root, path, what)}
+    absent = _absent(git, status, differing) | set(_hollow(root, files))
     changed = tuple(sorted(differing - absent))
     return Snapshot(tree, files, status.commit, status.branch, changed, tuple(sorted(absent)), dict(_submodules(root, files)))
 
@@ -163,9 +163,9 @@ class _Index:
         blind = [line[2:] for line in listing if line[:1].islower() or line[:1] == b"S"]
         for mark in ("--no-assume-unchanged", "--no-skip-worktree") if blind else ():
             self._tell(mark, blind, at_top=True)
+        self._git("update-index", "-q", "--refresh", index=self.path, optional=True)
 
     def _status(self) -> Status:
-        self._git("update-index", "-q", "--refresh", index=self.path, optional=True)
         said = self._git(
             *("-c", "core.sparseCheckout=false", "status", "--porcelain=v2", "--branch", "-z"),
             *("--untracked-files=all", "--ignore-submodules=none", "--no-renames", "--", *self._chosen.pathspecs()),
@@ -193,7 +193,7 @@ class _Index:
         self._tell("--add", [path for path, _ in there], "--remove", "--replace")
         self._add_repositories(repositories_there)
         listing = self._git("ls-files", "--stage", "-z", index=self.path).split(b"\0")
-        return {path: what[:-2] for what, _, path in (line.partition(b"\t") for line in listing if line)}
+        return {path: what[:-2] for what, _, path in [line.partition(b"\t") for line in listing] if path}
 
     def _add_repositories(self, found: Sequence[bytes]) -> None:
         lines = []
@@ -303,7 +303,7 @@ def _differing(status: Status, files: dict[bytes, bytes]) -> set[bytes]:
 def _absent(git: Git, status: Status, differing: set[bytes]) -> set[bytes]:
     """What of it was only not checked out."""
     recorded = {path: what for path in differing if (what := status.recorded.get(path))}
-    absent = {path for path, what in recorded.items() if _hollow(git.root, path, what)}
+    absent = set(_hollow(git.root, recorded))
     lost = {path for path in recorded if _lstat(git.root, path) is None}
     if lost and git("config", "--get", "core.sparseCheckout", optional=True).strip() == b"true":
         marked = git("ls-files", "-t", "-z", optional=True).split(b"\0")
@@ -311,9 +311,9 @@ def _absent(git: Git, status: Status, differing: set[bytes]) -> set[bytes]:
     return absent
 
 
-def _hollow(root: Path, path: bytes, what: bytes) -> bool:
-    """Whether it is a submodule of which nothing is checked out."""
-    return what.startswith(b"160000") and not (root / os.fsdecode(path) / ".git").exists()
+def _hollow(root: Path, files: Files) -> list[bytes]:
+    """The submodules of which nothing is checked out."""
+    return [path for path, _ in repositories(files) if not (root / os.fsdecode(path) / ".git").exists()]
 
 
 def _submodules(root: Path, files: dict[bytes, bytes]) -> Iterator[tuple[str, str]]:
