@@ -198,7 +198,7 @@ CREATE TABLE sources (
     "branch" VARCHAR,  -- the branch checked out
     "dirty" BOOLEAN,  -- whether files that count differ from the commit; NULL outside git
     "remote" VARCHAR,  -- the remote's address, without credentials
-    "describe" VARCHAR,  -- the commit by the nearest tag, as git describe --always --dirty --tags has it
+    "described" VARCHAR,  -- the commit by the nearest tag, as git describe --always --dirty --tags has it
     "folder" VARCHAR,  -- the project's folder, from the root of the repository; . where it is the root
     "submodules" VARCHAR,  -- the repositories inside, as JSON: path and commit; NULL without any
     "files" VARCHAR  -- SHA-256 of the list of files in objects: a mode, a hash and a path a line

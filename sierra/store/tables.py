@@ -254,7 +254,7 @@ RECORDED = {
             ("branch", TEXT, "the branch checked out"),
             ("dirty", FLAG, "whether files that count differ from the commit; NULL outside git"),
             ("remote", TEXT, "the remote's address, without credentials"),
-            ("describe", TEXT, "the commit by the nearest tag, as git describe --always --dirty --tags has it"),
+            ("described", TEXT, "the commit by the nearest tag, as git describe --always --dirty --tags has it"),
             ("folder", TEXT, "the project's folder, from the root of the repository; . where it is the root"),
             ("submodules", TEXT, "the repositories inside, as JSON: path and commit; NULL without any"),
             ("files", ID, "SHA-256 of the list of files in objects: a mode, a hash and a path a line"),

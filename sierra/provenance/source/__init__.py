@@ -31,7 +31,7 @@ from sierra.provenance.source.restoring import restore
 SWHID = "swh:1:dir:"
 LARGE = 50_000_000
 """Bytes, where `[source] large` does not say."""
-RECORDED = ("tree", "vcs", "commit", "branch", "dirty", "remote", "describe", "folder", "submodules")
+RECORDED = ("tree", "vcs", "commit", "branch", "dirty", "remote", "described", "folder", "submodules")
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +46,7 @@ class Source:
     remote: str | None
     manifest: bytes
     """A line for each file: mode, blob hash, path."""
-    describe: str | None = None
+    described: str | None = None
     folder: str | None = None
     """The project's, from the root of the repository."""
     submodules: str | None = None
@@ -130,7 +130,7 @@ def _git(root: Path, chosen: Chosen, dirty: str, large: int) -> tuple[Source, Fi
         dirty=differs or now.commit is None,
         remote=place.remote(git, now.branch),
         manifest=written(now.files),
-        describe=place.describe(git, now.commit, dirty=differs),
+        described=place.describe(git, now.commit, dirty=differs),
         folder=git.prefix.decode("utf-8", "replace").rstrip("/") or ".",
         submodules=json.dumps(now.submodules, sort_keys=True) if now.submodules else None,
         checkout=dirty == "ignore" and bool(now.changed or now.absent),

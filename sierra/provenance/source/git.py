@@ -39,12 +39,13 @@ class Git:
         index: Path | None = None,
         given: bytes = b"",
         optional: bool = False,
+        none: int = 0,
         at_top: bool = False,
         into: Path | None = None,
     ) -> bytes:
         """Run it. With `index`, it works on that file in the place of the user's; with `into`, the folder is the working tree.
 
-        Where it is `optional`, a failure is no error, but no output.
+        Where it is `optional`, a failure is no error, but no output; so is the exit status `none`.
         """
         environment = _environment()
         if index is not None:
@@ -64,7 +65,7 @@ class Git:
             )
         except OSError as error:
             raise Missing(f"git cannot be run in {cwd}: {error.strerror}") from error
-        if done.returncode and not optional:
+        if done.returncode not in (0, none) and not optional:
             raise Missing(self._complaint(_command(arguments), done.stderr.decode("utf-8", "replace")))
         return b"" if done.returncode else done.stdout
 

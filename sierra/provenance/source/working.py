@@ -26,6 +26,7 @@ import stat
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from hashlib import sha256
 from pathlib import Path
 from uuid import uuid4
@@ -82,7 +83,7 @@ def take(git: Git, chosen: Chosen, large: int) -> Snapshot:
     with _index(git, chosen) as index:
         status = index.status()
         files = index.update(status, large)
-        while unfit := [*chosen.others(files), *_hollow(root, files)]:
+        while unfit := [*chosen.others(files), *_hollow(root, files), *index.ignored(files)]:
             index.remove(unfit)
             status = index.status()
             files = index.update(status, large)
@@ -184,9 +185,12 @@ class _Index:
                 there.append((path, mode.st_size))
             else:
                 gone.append(path)
-        for path, size in there:
-            if size > large and not self._git("ls-files", "-z", "--", f":(literal){os.fsdecode(path)}", optional=True):
+        huge = {path: size for path, size in there if size > large and path not in self.tracked}
+        ignored = set(self.ignored(huge))
+        for path, size in huge.items():
+            if path not in ignored:
                 check_size(path, size, large, IGNORE_IT)
+        there = [one for one in there if one[0] not in ignored]
         self.remove(gone)
         if len(there) >= MANY:
             _write_pack(self._git, [path for path, size in there if size <= SMALL])
@@ -194,6 +198,22 @@ class _Index:
         self._add_repositories(repositories_there)
         listing = self._git("ls-files", "--stage", "-z", index=self.path).split(b"\0")
         return {path: what[:-2] for what, _, path in [line.partition(b"\t") for line in listing] if path}
+
+    @cached_property
+    def tracked(self) -> set[bytes]:
+        """The files of the user's index; of the commit, where that cannot be read."""
+        listing = self._git("ls-files", "-z", optional=True)
+        if not listing and (commit := self._git.head()):
+            return set(of_tree(self._git, commit))
+        return set(listing.split(b"\0"))
+
+    def ignored(self, files: Iterable[bytes]) -> list[bytes]:
+        """Those of these files that git ignores by now: untracked ones, that counted before."""
+        untracked = [path for path in files if path not in self.tracked]
+        if not untracked:
+            return []
+        said = self._git("check-ignore", "--no-index", "--stdin", "-z", given=b"\0".join(untracked) + b"\0", none=1)
+        return said.split(b"\0")[:-1]
 
     def _add_repositories(self, found: Sequence[bytes]) -> None:
         lines = []
