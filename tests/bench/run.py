@@ -241,6 +241,59 @@ def fill(store: object, *, batches: int, runs: int) -> None:
         store.publish(writer)
 
 
+def snapshot(folder: Path) -> None:
+    """The working tree of a repository of 50,000 files, and git alone on the same."""
+    from sierra.provenance import source
+
+    here = folder / "repository"
+    for number in range(50_000):
+        inside = here / f"{number // 100}"
+        inside.mkdir(parents=True, exist_ok=True)
+        (inside / f"{number}.py").write_text(f"number = {number}\n" * 20)
+    index = {**os.environ, "GIT_INDEX_FILE": str(folder / "index")}
+
+    def begin(committed: bool) -> None:
+        shutil.rmtree(here / ".git", ignore_errors=True)
+        (folder / "index").unlink(missing_ok=True)
+        quietly("git", "init", cwd=here)
+        if committed:
+            quietly("git", "add", "--all", cwd=here)
+            quietly("git", "-c", "user.name=a", "-c", "user.email=a@b", "-c", "gc.auto=0", "commit", "-m", "all", cwd=here)
+
+    def git() -> None:
+        for command in (("add", "--all"), ("write-tree",)):
+            subprocess.run(["git", *command], cwd=here, env=index, check=True, capture_output=True)
+
+    def ours() -> None:
+        source.capture(here, paths=(), without=("sierra.toml", ".sierra"))
+
+    def outside() -> None:
+        source.capture(here, paths=(), without=(), memory=folder / "memory")
+
+    for committed in (False, True):
+        state = "committed" if committed else "untracked"
+        first = median_of(3, lambda: begin(committed), ours), median_of(1, lambda: begin(committed), git)  # noqa: B023
+        say(f"50,000 files, all {state}: first snapshot / git add", *first, "under 3 s")
+        ours()
+        again = in_turn(7, ours, git)
+        say(f"50,000 files, all {state}: snapshot again / git add", *again, "under 0.5 s")
+    shutil.rmtree(here / ".git")
+    outside_first = median_of(3, lambda: (folder / "memory").unlink(missing_ok=True), outside)
+    say("50,000 files outside git: first snapshot / git add", outside_first, first[1], "under 3 s")
+    say("50,000 files outside git: snapshot again / git add", median_of(7, lambda: None, outside), again[1], "under 1 s")
+
+
+def median_of(times: int, prepare: Callable[[], object], what: Callable[[], None]) -> float:
+    """The median of what is measured each time after something that is not."""
+    measured = []
+    for _ in range(times):
+        prepare()
+        began = time.perf_counter()
+        what()
+        measured.append(time.perf_counter() - began)
+    return statistics.median(measured)
+
+
 def figures(folder: Path) -> None:
     """Figures in three formats, by SIERRA and by a script written by hand."""
     del folder
@@ -261,6 +314,7 @@ BENCHES: dict[str, Callable[[Path], None]] = {
     "linear": linear,
     "recording": recording,
     "listing": listing,
+    "snapshot": snapshot,
     "figures": figures,
     "many": many,
 }
