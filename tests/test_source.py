@@ -241,6 +241,21 @@ def test_a_lock_that_was_left_behind_does_not_matter(repository: Path) -> None:
     assert capture(repository).tree != before.tree
 
 
+def test_a_users_settings_make_no_difference(repository: Path, git: Git, tmp_path: Path) -> None:
+    fill(repository, {"a.txt": "changed", "new": "x\r\n"})
+    before = capture(repository)
+    shutil.rmtree(repository / ".git" / "sierra")
+    settings = (
+        "core.ignoreStat=true core.safecrlf=true status.showUntrackedFiles=no core.untrackedCache=true core.splitIndex=true"
+    )
+    for setting in (*settings.split(), "feature.manyFiles=true", "diff.ignoreSubmodules=all", "core.commitGraph=false"):
+        git("config", *setting.split("="))
+    git("update-index", "--split-index", "--untracked-cache")
+    assert [capture(repository) for _ in range(2)] == [before, before]
+    fill(repository, {"a.txt": "changes", "sub/new": "x"})
+    assert source.changed(before.manifest, capture(repository).manifest) == ["a.txt", "sub/new"]
+
+
 def test_files_that_git_was_told_not_to_look_at_count(repository: Path, git: Git) -> None:
     before = capture(repository)
     shutil.rmtree(repository / ".git" / "sierra")
@@ -311,6 +326,14 @@ def test_a_sparse_checkout_counts_as_what_is_there(repository: Path, git: Git, t
     assert capture(repository).dirty
 
 
+def test_a_clone_that_has_not_all_files(repository: Path, git: Git, tmp_path: Path) -> None:
+    git("config", "uploadpack.allowFilter", "true")
+    git("clone", "-q", "--filter=blob:none", f"file://{repository}", str(tmp_path / "partial"))
+    git("config", "remote.origin.url", "file:///nowhere", cwd=tmp_path / "partial")
+    assert capture(tmp_path / "partial").tree == capture(repository).tree
+    assert restored(capture(repository), tmp_path / "partial", tmp_path / "out") == {"a.txt": "a", "sub/b.txt": "b"}
+
+
 def test_a_sparse_index(repository: Path, git: Git) -> None:
     fill(repository, {"other/c": "c"})
     commit(git, repository)
@@ -337,8 +360,9 @@ def test_a_project_in_a_folder_of_its_repository(repository: Path, git: Git, tmp
     assert code.tree == SWHID + git("rev-parse", "HEAD:sub")
     assert restored(code, repository / "sub", tmp_path / "out") == {"b.txt": "b"}
     (repository / "sub" / "b.txt").unlink()
-    (repository / "sub").mkdir(exist_ok=True)
     assert capture(repository / "sub").tree == SWHID + EMPTY_TREE
+    new = fill(repository / "new" / "one", {"f": "f"})
+    assert restored(capture(new), new, tmp_path / "new") == {"f": "f"}
 
 
 def test_commits_are_described_by_tags(repository: Path, git: Git) -> None:
@@ -637,6 +661,14 @@ def test_pointers_in_the_place_of_data_are_an_error(repository: Path, git: Git) 
         capture(repository / "data")
     (repository / "data" / "x.bin").write_text("the data")
     assert capture(repository).dirty
+
+
+def test_pointers_in_a_submodule_are_an_error_too(nested: Path, git: Git) -> None:
+    fill(nested, {"one/.gitattributes": "*.bin filter=lfs -text\n", "one/x.bin": POINTER})
+    commit(git, nested / "one")
+    commit(git, nested)
+    with pytest.raises(Missing, match=r"x\.bin: pointers of git-lfs"):
+        capture(nested)
 
 
 def test_git_lfs_that_is_not_installed_is_said_in_one_line(repository: Path, git: Git) -> None:

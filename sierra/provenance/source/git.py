@@ -19,6 +19,8 @@ ALWAYS = (
     *("-c", "core.hooksPath=/dev/null"),  # updating a ref and writing an index run hooks
     *("-c", "core.fsmonitor=false"),  # which may be a program
     *("-c", "core.splitIndex=false"),
+    *("-c", "core.ignoreStat=false"),  # would take files for unchanged without looking
+    *("-c", "core.safecrlf=false"),  # would refuse files that git changes on their way in
     *("-c", "gc.auto=0"),
     "--no-pager",
 )
@@ -128,6 +130,8 @@ class Git:
             return f"git cannot write to {self.folder}, where the source is to be kept: {lines[0]}; make it writable"
         if "must be run in a work tree" in said:
             return f"the repository of {self.root} is bare (core.bare), so git sees no files there; make a worktree of it"
+        if "not a git repository" in said:
+            return f"{self.root} has a .git, or a folder above it, but no repository is there; mend it, or remove .git"
         wrong = next((line for line in lines if line.startswith(("fatal: ", "error: "))), lines[0])
         return f"git {command} in {self.root}: {wrong.removeprefix('fatal: ').removeprefix('error: ')}"
 

@@ -8,6 +8,7 @@ Pointers are described in git-lfs's docs/spec.md.
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
 
 from sierra.errors import Missing
@@ -19,12 +20,24 @@ POINTER = b"version https://git-lfs.github.com/spec/v1\n"
 ATTRIBUTES = ".gitattributes"
 
 
-def check(git: Git, index: Path, root: Path, files: Files) -> None:
-    """Raise Missing where a file that counts is a pointer still; `files` are below `root`."""
-    if not _used(git, root, files):
-        return
-    kept = git("ls-files", "-z", "--", ":(attr:filter=lfs)", index=index).split(b"\0")
-    pointers = [path for path in kept if path in files and _is_pointer(root / os.fsdecode(path))]
+def check(git: Git, index: Path, files: Files) -> None:
+    """Raise Missing where a file that counts is a pointer still."""
+    if _used(git, git.root, files):
+        _refuse(git, [path for path in _kept(git, index) if path in files])
+
+
+def check_inside(git: Git) -> None:
+    """The same for all files of a repository inside."""
+    _refuse(git, _kept(git, None))
+
+
+def _kept(git: Git, index: Path | None) -> list[bytes]:
+    """The files that git-lfs keeps, by the attributes."""
+    return git("ls-files", "-z", "--", ":(attr:filter=lfs)", index=index).split(b"\0")[:-1]
+
+
+def _refuse(git: Git, kept: Sequence[bytes]) -> None:
+    pointers = [path for path in kept if _is_pointer(git.root / os.fsdecode(path))]
     if pointers:
         raise Missing(
             f"{shown(pointers)}: pointers of git-lfs, not the data; fetch it with git lfs pull,"

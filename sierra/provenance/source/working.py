@@ -88,7 +88,9 @@ def take(git: Git, chosen: Chosen, large: int) -> Snapshot:
             index.remove(unfit)
             status = index.status()
             files = index.update(status, large)
-        lfs.check(git, index.path, root, files)
+        lfs.check(git, index.path, files)
+        for path, _ in repositories(files):
+            lfs.check_inside(Git(root / os.fsdecode(path)))
         submodules = dict(_submodules(root, files))
         inner = {path: take(Git(root / os.fsdecode(path)), Chosen(), large) for path in sorted(status.inner & files.keys())}
         for path, snapshot in inner.items():
@@ -170,7 +172,14 @@ class _Index:
     def _status(self) -> Status:
         said = self._git(
             *("-c", "core.sparseCheckout=false", "status", "--porcelain=v2", "--branch", "-z"),
-            *("--untracked-files=all", "--ignore-submodules=none", "--no-renames", "--", *self._chosen.pathspecs()),
+            *(
+                "--untracked-files=all",
+                "--ignore-submodules=none",
+                "--no-renames",
+                "--no-ahead-behind",
+                "--",
+                *self._chosen.pathspecs(),
+            ),
             index=self.path,
         )
         return _read_status(said.split(b"\0"), self._git.prefix, self._chosen)
