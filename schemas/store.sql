@@ -213,12 +213,14 @@ CREATE TABLE readings (
     "declared" VARCHAR  -- the tables outputs and success of sierra.toml, as JSON
 );
 
--- Programs outside source and image, by their fingerprint.
+-- What executions depend on outside source and image: programs, libraries, Python distributions, files.
 CREATE TABLE programs (
     "programs" VARCHAR,  -- hash of the set that was used together
-    "name" VARCHAR,  -- as the command calls it
-    "path" VARCHAR,  -- where it was found
-    "sha256" VARCHAR  -- SHA-256 of the file
+    "name" VARCHAR,  -- as the command calls it; of a library, as the loader does; of a project's file, {project}/…
+    "kind" VARCHAR,  -- program, library, distributions (what a Python has installed) or file
+    "version" VARCHAR,  -- of a program, the first line that it says of itself; of distributions, a line name==version each; else NULL
+    "path" VARCHAR,  -- where it was found; of several folders, with : between them
+    "sha256" VARCHAR  -- SHA-256 of the file; of distributions, of their names and versions, or of their content
 );
 
 -- Files by the hash of their content, in parts of at most 8 MiB.

@@ -19,7 +19,8 @@ from sierra.errors import ConfigError, Missing, QueryError, UsageError
 from sierra.expansion import Expansion, Files
 from sierra.model import Batch, Design, Experiment, Limits, Query, Recipe, Run, Set
 from sierra.paths import CONFIG, DRAWN, FIGURES, PYPROJECT, STORE, ProjectPaths
-from sierra.provenance import environment, programs, source
+from sierra.provenance import environment, named, source
+from sierra.provenance.program import Programs
 from sierra.record import Context
 from sierra.store.tables import RESERVED, check_name
 from sierra.version import __version__
@@ -50,7 +51,7 @@ class Plan:
     source_id: str | None
     checkout: Checkout | None
     """Where other files are executed than the project has now."""
-    programs: programs.Programs
+    programs: Programs
     environment: Mapping[str, Any]
     engine: Engine
     limits: Limits
@@ -110,10 +111,12 @@ def plan(project: LoadedProject, asked: Query, *, engine: str = "none") -> Plan:
     variables = jobs.environment(platform, config)
     own = (STORE, *_drawn(root), CONFIG, PYPROJECT if project.file.name == PYPROJECT else CONFIG, *_inside(config.template))
     code = source.capture(root, paths=config.source.paths, without=own)
+    data = named.data(root / config.template, _written(config), root, source.paths(code.manifest), own)
     recipe = Recipe(config.platform, command, variables, code.tree, contained.image())
     designed = design(asked, config, platform, template)
     expansion = Expansion(designed, template, platform, recipe)
     batch = expansion.batch()
+    used = programs_in(recipe, code.manifest, root, data)
     return Plan(
         project=project,
         query=asked,
@@ -123,14 +126,14 @@ def plan(project: LoadedProject, asked: Query, *, engine: str = "none") -> Plan:
         source=code,
         source_id=code.id,
         checkout=None,
-        programs=programs_in(recipe, code.manifest, root),
+        programs=used,
         environment=environment.capture(__version__),
         engine=contained,
         limits=jobs.limits(config),
         template_sha256=template.sha256,
         outputs=config.outputs,
         success=config.success,
-        notes=(*_doubts(designed, command), *_texts(designed, config, template), *_same(batch)),
+        notes=(*_doubts(designed, command), *_texts(designed, config, template), *_same(batch), *used.notes),
     )
 
 
@@ -156,6 +159,20 @@ def _inside(template: str) -> list[str]:
     """The template, where it lies in the project: it is hashed by what is made from it."""
     path = os.path.normpath(template)
     return [] if path.startswith((os.pardir, os.sep)) else [path]
+
+
+def _written(config: Project) -> Iterator[str]:
+    """What the project may put into a template, whatever is asked: all texts of its changes."""
+    changes = config.model_dump(include={"variables", "changes", "run_changes", "per_run", "controllers", "scenarios"})
+    pending: list[Any] = [changes]
+    while pending:
+        match pending.pop():
+            case str() as text:
+                yield text
+            case dict() as table:
+                pending.extend(table.values())
+            case list() | tuple() as items:
+                pending.extend(items)
 
 
 def _doubts(designed: Design, command: Sequence[str]) -> Iterator[str]:

@@ -270,11 +270,21 @@ RECORDED = {
         ),
         _table(
             "programs",
-            "Programs outside source and image, by their fingerprint.",
+            "What executions depend on outside source and image: programs, libraries, Python distributions, files.",
             ("programs", ID, "hash of the set that was used together"),
-            ("name", TEXT, "as the command calls it"),
-            ("path", TEXT, "where it was found"),
-            ("sha256", ID, "SHA-256 of the file"),
+            (
+                "name",
+                TEXT,
+                "as the command calls it; of a library, as the loader does; of a project's file, {project}/…",
+            ),
+            ("kind", TEXT, "program, library, distributions (what a Python has installed) or file"),
+            (
+                "version",
+                TEXT,
+                "of a program, the first line that it says of itself; of distributions, a line name==version each; else NULL",
+            ),
+            ("path", TEXT, "where it was found; of several folders, with : between them"),
+            ("sha256", ID, "SHA-256 of the file; of distributions, of their names and versions, or of their content"),
         ),
         _table(
             "objects",
