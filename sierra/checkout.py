@@ -28,8 +28,7 @@ def programs_in(recipe: Recipe, manifest: bytes, root: Path, data: Programs = NO
     """
     command, variables = recipe.command, recipe.environment
     files = named.files((*command, *variables.values()), root, source.paths(manifest), data)
-    filled = jobs.declared(variables, root)
-    return programs.find(jobs.fill(command, root), jobs.search_path(filled), root, files, filled)
+    return programs.find(jobs.fill(command, root), jobs.declared(variables, root), root, files)
 
 
 @dataclass(frozen=True, slots=True)

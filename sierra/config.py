@@ -299,6 +299,20 @@ class Equivalence(Table):
         return self
 
 
+Argv = Annotated[tuple[str, ...], BeforeValidator(_as_words, json_schema_input_type=Words)]
+
+
+class ProgramsTable(Table):
+    """How the programs that a command names are asked for their versions, which are recorded."""
+
+    version: Argv = Field(("--version",), description="what an installed program is asked with; empty: none is asked")
+    versions: Mapping[str, Argv] = Field(
+        default_factory=dict,
+        description="by the program's name, with what else it is asked (empty: not at all); scripts and programs of the "
+        "project are only asked where they stand here",
+    )
+
+
 class QueryTable(Table):
     """A research query with a name, for `sierra run NAME`."""
 
@@ -394,6 +408,7 @@ class Project(Table):
     equivalence: Mapping[Name, Equivalence] = Field(
         default_factory=dict, description="for runs that are not deterministic: what must be the same in a replay, by name"
     )
+    programs: ProgramsTable = ProgramsTable()
     queries: Mapping[Name, QueryTable] = Field(default_factory=dict, description="research queries, by name")
     figures: Mapping[Name, Figure] = Field(default_factory=dict, description="figures, by name")
     platforms: Mapping[str, Mapping[str, Any]] = Field(default_factory=dict, description="options of platforms, by name")

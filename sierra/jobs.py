@@ -67,8 +67,9 @@ def environment(platform: Platform, project: Project) -> dict[str, str]:
 
 
 def declared(variables: Mapping[str, str], root: Path) -> dict[str, str]:
-    """The declared variables with the paths of this machine."""
-    return {name: fill((value,), root)[0] for name, value in variables.items()}
+    """The declared variables with the paths of this machine, and the PATH of runs."""
+    filled = {name: fill((value,), root)[0] for name, value in variables.items()}
+    return {**filled, "PATH": search_path(filled)}
 
 
 def search_path(variables: Mapping[str, str]) -> str:
@@ -101,10 +102,8 @@ class Maker:
         self._engine = engine
         self._bounds = bounds
         self._session = session
-        variables = declared(recipe.environment, root)
         self._environment = {
-            **variables,
-            "PATH": search_path(variables),
+            **declared(recipe.environment, root),
             "HOME": f"{HERE}/{RUN_HOME}",
             "TMPDIR": f"{HERE}/{RUN_TMP}",
             "SIERRA_RUN_DIR": HERE,

@@ -6,7 +6,7 @@ import difflib
 import os
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -19,7 +19,7 @@ from sierra.errors import ConfigError, Missing, QueryError, UsageError
 from sierra.expansion import Expansion, Files
 from sierra.model import Batch, Design, Experiment, Limits, Query, Recipe, Run, Set
 from sierra.paths import CONFIG, DRAWN, FIGURES, PYPROJECT, STORE, ProjectPaths
-from sierra.provenance import environment, named, source
+from sierra.provenance import environment, named, source, versions
 from sierra.provenance.program import Programs
 from sierra.record import Context
 from sierra.store.tables import RESERVED, check_name
@@ -135,6 +135,12 @@ def plan(project: LoadedProject, asked: Query, *, engine: str = "none") -> Plan:
         success=config.success,
         notes=(*_doubts(designed, command), *_texts(designed, config, template), *_same(batch), *used.notes),
     )
+
+
+def versioned(plan: Plan) -> Plan:
+    """The plan, with what its programs say of themselves: for that, they are executed."""
+    variables = jobs.declared(plan.batch.recipe.environment, plan.project.root)
+    return replace(plan, programs=versions.asked(plan.programs, plan.project.config.programs, variables, plan.project.root))
 
 
 def context(plan: Plan, session: str = "") -> Context:

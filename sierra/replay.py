@@ -27,7 +27,7 @@ from sierra.metrics import Metric
 from sierra.model import Job, Run, Status
 from sierra.outcomes import compare_all
 from sierra.paths import SessionPaths
-from sierra.provenance import environment, programs
+from sierra.provenance import environment, programs, versions
 from sierra.provenance.program import Programs
 from sierra.recalled import Recalled
 from sierra.record import Context, Recorder
@@ -166,7 +166,9 @@ def replay(
         root = session.paths.source
         checkout = record.of.checkout(project, store)
         checkout.make(root)
-        now, around = checkout.programs_in(root), environment.capture(__version__)
+        variables = jobs.declared(record.of.recipe.environment, root)
+        now = versions.asked(checkout.programs_in(root), project.config.programs, variables, root)
+        around = environment.capture(__version__)
         notes = (*record.notes, *_other_programs(record.of, now))
         for text in notes:
             say(text)

@@ -127,6 +127,9 @@ alpha = 0.05
 table = "swarm"
 column = "energy"
 relative = 0.05
+[programs]
+version = "--version"
+versions = { argos3 = "-v" }
 
 [queries.scalability]
 criteria = ["population_size.Log8", "density=1:5:3"]

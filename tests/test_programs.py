@@ -94,7 +94,7 @@ def test_what_env_sets_for_a_program_counts_for_its_libraries(built: Built, tmp_
 
 
 def test_a_program_behind_another_may_lack_libraries_here(built: Built, tmp_path: Path) -> None:
-    found = programs.find(("nice", str(built.program)), SEARCH, tmp_path)
+    found = programs.find(("nice", str(built.program)), {"PATH": SEARCH}, tmp_path)
     assert str(built.program) in {one.path for one in found.all}
 
 
@@ -122,7 +122,7 @@ def test_a_loader_that_a_hostile_file_names_is_never_executed(tmp_path: Path) ->
     hostile = tmp_path / "hostile"
     hostile.write_bytes(elf(os.fsencode(loader) + b"\0"))
     hostile.chmod(0o755)
-    found = programs.find((str(hostile),), SEARCH, tmp_path)
+    found = programs.find((str(hostile),), {"PATH": SEARCH}, tmp_path)
     assert [one.name for one in found.all] == [str(hostile)]
     assert found.notes == (f"the libraries of {hostile} are not recorded: its loader {loader} is none of the system's",)
     assert not (tmp_path / "executed").exists()
@@ -166,7 +166,7 @@ def install(python: Path, name: str, version: str, direct: str | None = None, re
 
 
 def seen(python: Path, root: Path, **variables: str) -> Programs:
-    return programs.find((str(python),), SEARCH, root, variables=variables)
+    return programs.find((str(python),), {**variables, "PATH": SEARCH}, root)
 
 
 def test_the_interpreter_and_what_it_has_installed_are_recorded(python: Path, tmp_path: Path) -> None:
@@ -196,7 +196,7 @@ def test_a_python_that_a_script_starts_is_the_one_that_counts(python: Path, tmp_
     shim.parent.mkdir()
     shim.write_text(f'#!/bin/sh\nexec {python} "$@"\n')
     shim.chmod(0o755)
-    found = programs.find(("python3",), f"{shim.parent}:{SEARCH}", tmp_path)
+    found = programs.find(("python3",), {"PATH": f"{shim.parent}:{SEARCH}"}, tmp_path)
     assert "numpy==2.0.1" in [one.version for one in found.all]
     assert "python3: interpreter" in {one.name for one in found.all}
 

@@ -24,24 +24,18 @@ from sierra.provenance.program import NOTHING, Kind, Program, Programs, called
 SHOWN = 5
 
 
-def find(
-    argv: Sequence[str],
-    search: str,
-    root: Path,
-    more: Programs = NOTHING,
-    variables: Mapping[str, str] | None = None,
-) -> Programs:
-    """The programs that a command starts, with what they load, and `more`; `search` is the PATH of its runs.
+def find(argv: Sequence[str], variables: Mapping[str, str], root: Path, more: Programs = NOTHING) -> Programs:
+    """The programs that a command starts, with what they load, and `more`; `variables` are those of its runs, with PATH.
 
-    `variables` are the declared ones, with paths filled in. Raises Missing where the first word is no program, or lacks a
-    library.
+    Raises Missing where the first word is no program, or lacks a library.
     """
+    search = variables["PATH"]
     first = shutil.which(argv[0], path=search)
     if first is None:
         if Path(argv[0]).is_file():
             raise Missing(f"{argv[0]} is no program; name its interpreter (python3 …), or make it one with chmod +x")
         raise Missing(f"the program {argv[0]!r} is not there; install it, or mend the command of the project in {root}")
-    finding = _Finding(root, {**(variables or {}), "PATH": search})
+    finding = _Finding(root, variables)
     finding.start(argv[0], first, needed=True)
     for word in argv[1:]:
         if Path(argv[0]).name == "env" and "=" in word:
