@@ -253,11 +253,14 @@ class LimitsTable(Table):
 
 
 class Environment(Table):
-    """The variables that a run sees beside SIERRA's own."""
+    """The variables that a run sees beside SIERRA's own, and those that are recorded of what is around it."""
 
     set: Mapping[VariableName, Text] = Field(default_factory=dict, description="given to every run; part of its identity")
     pass_: tuple[str, ...] = Field(
         (), alias="pass", description="taken from the caller's environment, by name; part of its identity"
+    )
+    record: tuple[str, ...] = Field(
+        (), description="variables of the caller's (`*` stands for any characters) that are recorded; runs do not see them"
     )
 
 

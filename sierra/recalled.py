@@ -147,7 +147,7 @@ def plan(project: LoadedProject, store: Store, prefix: str) -> Plan:
         source_id=last["source"],
         checkout=checkout,
         programs=checkout.programs(),
-        environment=environment.capture(__version__),
+        environment=environment.capture(__version__, project.config.environment.record),
         engine=engine(recalled.recipe),
         limits=jobs.limits(project.config),
         template_sha256=row["template_sha256"],

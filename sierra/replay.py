@@ -168,7 +168,7 @@ def replay(
         checkout.make(root)
         variables = jobs.declared(record.of.recipe.environment, root)
         now = versions.asked(checkout.programs_in(root), project.config.programs, variables, root)
-        around = environment.capture(__version__)
+        around = environment.capture(__version__, project.config.environment.record)
         notes = (*record.notes, *_other_programs(record.of, now))
         for text in notes:
             say(text)

@@ -109,6 +109,7 @@ grace = 5.0
 [environment]
 set = { OMP_NUM_THREADS = 4 }
 pass = ["LICENSE_SERVER"]
+record = ["MODEL_ZOO"]
 
 [source]
 paths = ["sim.py", "controllers"]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import shutil
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
@@ -15,7 +14,7 @@ from hypothesis import strategies as st
 import sierra
 from sierra import explain, states
 from sierra.errors import ConfigError, Missing
-from sierra.provenance import environment, programs, source
+from sierra.provenance import programs, source
 from sierra.provenance.source import SWHID, Source
 
 Git = Callable[..., str]
@@ -356,10 +355,3 @@ def make_project(folder: Path, command: str) -> sierra.Project:
     (folder / "sierra.toml").write_text(toml)
     (folder / "t.xml").write_text('<e seed="0" n="0"/>')
     return sierra.open(folder)
-
-
-def test_an_environment_is_recorded_once_for_a_machine() -> None:
-    first, second = environment.capture("1"), environment.capture("1")
-    assert first == second
-    assert environment.capture("2")["environment"] != first["environment"]
-    assert shutil.which("git") is None or first["cores"] >= 1
