@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import struct
 import subprocess
@@ -16,6 +17,7 @@ import sierra
 from sierra.errors import Missing
 from sierra.provenance import libraries, named, programs
 from sierra.provenance.program import NOTHING, Program, Programs
+from tests import projects
 
 SEARCH = "/usr/bin:/bin"
 Require = Callable[..., str]
@@ -328,3 +330,19 @@ def test_what_is_other_is_told_by_version(tmp_path: Path) -> None:
         "libraries other than recorded: libc.so.6",
     ]
     assert list(programs.told(before.rows()[:1], NOTHING)) == ["argos3: 4.0.0 (aaaaaaaaaa) recorded, not found"]
+
+
+def test_what_a_batch_and_an_execution_had_around_them_is_shown(tmp_path: Path) -> None:
+    """As text at a glance, as JSON whole."""
+    project = make(tmp_path / "p", "true")
+    batch = project.run("n=1", figures=False).batch
+    [execution] = project.sql("SELECT execution FROM executions").column(0).to_pylist()
+    for shown in (batch, execution):
+        text = projects.sierra(project.root, "show", shown).stdout
+        assert "true (GNU coreutils)" in text
+        assert "libc.so.6" in text
+        assert max(len(line) for line in text.splitlines() if line.startswith("  cpu_flags")) < 300
+        whole = json.loads(projects.sierra(project.root, "show", shown, "--json").stdout)
+        assert {row["name"] for row in whole["programs"]} >= {"true", "libc.so.6"}
+        assert whole["environment"]["limits"]["nofile"][0] > 0
+        assert len(whole["environment"]["distributions"]) > 5
