@@ -169,7 +169,7 @@ def replay(
         variables = jobs.declared(record.of.recipe.environment, root)
         now = versions.asked(checkout.programs_in(root), project.config.programs, variables, root)
         around = environment.capture(__version__, project.config.environment.record)
-        notes = (*record.notes, *_other_programs(record.of, now))
+        notes = (*record.notes, *now.notes, *_other_programs(record.of, now))
         for text in notes:
             say(text)
         context = Context(
