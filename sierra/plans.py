@@ -111,12 +111,14 @@ def plan(project: LoadedProject, asked: Query, *, engine: str = "none") -> Plan:
     variables = jobs.environment(platform, config)
     own = (STORE, *_drawn(root), CONFIG, PYPROJECT if project.file.name == PYPROJECT else CONFIG, *_inside(config.template))
     code = source.capture(root, paths=config.source.paths, without=own)
-    data = named.data(root / config.template, _written(config), root, source.paths(code.manifest), own)
+    held = source.paths(code.manifest)
+    data = named.data(root / config.template, _written(config), root, held, own)
     recipe = Recipe(config.platform, command, variables, code.tree, contained.image())
     designed = design(asked, config, platform, template)
     expansion = Expansion(designed, template, platform, recipe)
     batch = expansion.batch()
     used = programs_in(recipe, code.manifest, root, data)
+    uncounted = named.uncounted(_set_by(designed), root / config.template, root, held, used)
     return Plan(
         project=project,
         query=asked,
@@ -133,7 +135,13 @@ def plan(project: LoadedProject, asked: Query, *, engine: str = "none") -> Plan:
         template_sha256=template.sha256,
         outputs=config.outputs,
         success=config.success,
-        notes=(*_doubts(designed, command), *_texts(designed, config, template), *_same(batch), *used.notes),
+        notes=(
+            *_doubts(designed, command),
+            *_texts(designed, config, template),
+            *_same(batch),
+            *used.notes,
+            *(f"{file} is named by the query alone: a change of it would not be seen" for file in uncounted),
+        ),
     )
 
 
@@ -202,6 +210,20 @@ def _texts(designed: Design, config: Project, template: inputs.Template) -> Iter
             here = template.find(variable.set)
             if here and all(re.fullmatch(r"\s*[+-]?\d+(\.\d*)?\s*", value) for value in here):
                 yield f"{axis.name} gets texts ({axis.values[0]!r}, …), and the template has {here[0].strip()} there"
+
+
+def _set_by(designed: Design) -> set[str]:
+    """The texts that a query puts into the template: what its values that are texts are set as."""
+    names = [axis.name for axis in designed.axes if not axis.numeric]
+    found = {change.value for change in designed.query.sets}
+    for cell in designed.cells if names else ():
+        for change in cell.changes:
+            if isinstance(change, Set):
+                filled = change.value
+                for name in names:
+                    filled = filled.replace(f"{{{name}}}", str(cell.values[name]))
+                found.add(filled)
+    return found
 
 
 def _same(batch: Batch) -> Iterator[str]:

@@ -147,6 +147,17 @@ def test_a_mutilated_program_has_no_loader(tmp_path: Path, content: bytes) -> No
     assert libraries.loaded(str(tmp_path / "x"), {}) == libraries.NONE
 
 
+def test_only_what_is_called_like_a_loader_and_lies_in_the_systems_folders_is_asked(tmp_path: Path) -> None:
+    """As hostile files might name what is there already, or reach it through a link."""
+    (tmp_path / "ld-linux.so.2").symlink_to(libraries.interpreter(os.path.realpath("/bin/true")) or "/bin/true")
+    hostile = tmp_path / "hostile"
+    for loader in ("/usr/lib/os-release", f"/lib/../{tmp_path}/ld-linux.so.2", str(tmp_path / "ld-linux.so.2")):
+        hostile.write_bytes(elf(os.fsencode(loader) + b"\0"))
+        doubt = libraries.loaded(str(hostile), {}).doubt
+        assert doubt is None or "none of the system's" in doubt
+        assert doubt is not None or not Path(loader).exists()
+
+
 # ---------------------------------------------------------------- Python
 
 
@@ -283,6 +294,19 @@ def test_what_a_scenario_puts_into_the_template_counts_whoever_asks_for_it(tmp_p
     assert list(rows(project, "file")) == [f"{tmp_path}/map.pgm"]
 
 
+def test_a_file_that_only_the_query_names_is_said_not_to_count(tmp_path: Path) -> None:
+    more = f"[variables.map]\nchanges = [{{ set = '//e/@m', value = '{tmp_path}/maps/{{map}}' }}]\n"
+    project = make(tmp_path / "p", "true", more, '<e seed="0" n="0" m=""/>')
+    (tmp_path / "maps").mkdir()
+    for name in ("a.pgm", "b.pgm"):
+        (tmp_path / "maps" / name).write_text(name)
+    (project.root / "held.pgm").touch()
+    notes = project.plan("map=a.pgm,gone.pgm", sets=[("//e/@n", f"{tmp_path}/maps/b.pgm")]).notes
+    named = sorted(note.split()[0] for note in notes if "named by the query" in note)
+    assert named == [f"{tmp_path}/maps/a.pgm", f"{tmp_path}/maps/b.pgm"]
+    assert not [note for note in project.plan("n=held.pgm").notes if "named by the query" in note]
+
+
 def test_hostile_texts_of_a_template_name_nothing(tmp_path: Path) -> None:
     texts = ("a/" * 5000, "/" + "x" * 4000, "/dev/zero", "/proc/kcore", "..", "/", "./" * 2000, "\0/x", "file://nowhere/x")
     (tmp_path / "t.xml").write_text("".join(f'<e a="{text}"/>' for text in texts))
@@ -328,6 +352,11 @@ def test_what_is_other_is_told_by_version(tmp_path: Path) -> None:
         "argos3: 4.0.0 (aaaaaaaaaa) recorded, 4.0.1 (bbbbbbbbbb) found",
         "python3: installed distributions: numpy 1 recorded, 2 found",
         "libraries other than recorded: libc.so.6",
+    ]
+    alike = [Program(f"/{folder}/map.pgm", "", folder * 64, "file") for folder in "abc"]
+    assert list(programs.told(Programs(tuple(alike[:2])).rows(), Programs((alike[0], alike[2])))) == [
+        "/b/map.pgm: bbbbbbbbbb recorded, not found",
+        "/c/map.pgm: not recorded, cccccccccc found",
     ]
     assert list(programs.told(before.rows()[:1], NOTHING)) == ["argos3: 4.0.0 (aaaaaaaaaa) recorded, not found"]
 

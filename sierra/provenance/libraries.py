@@ -14,7 +14,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-LOADER = re.compile(r"(/usr)?/lib[^/]*/.*|/(nix/store|gnu/store|cvmfs)/.*")
+SYSTEM = re.compile(r"(/usr)?/lib[^/]*/.*|/(nix/store|gnu/store|cvmfs)/.*")
+LOADER = re.compile(r"ld(32|64|-[\w.+-]+)?\.so(\.\d+)*")
 FOUND = re.compile(r"\s*(?:(?P<name>\S.*?) => )?(?P<path>/.*) \(0x[0-9a-f]+\)")
 LACKING = re.compile(
     r".*: error while loading shared libraries: (.+?): cannot open shared object file: .*"  # glibc
@@ -44,7 +45,7 @@ def loaded(program: str, variables: Mapping[str, str]) -> Loaded:
     loader = interpreter(resolved)
     if not loader or not Path(loader).exists():
         return NONE
-    if not LOADER.fullmatch(os.path.realpath(loader)):
+    if not _is_systems(loader):
         return Loaded({}, doubt=f"its loader {loader} is none of the system's")
     heard = {name: variables[name] for name in HEARD if name in variables}
     try:
@@ -60,6 +61,12 @@ def loaded(program: str, variables: Mapping[str, str]) -> Loaded:
     except (OSError, subprocess.TimeoutExpired) as error:
         return Loaded({}, doubt=f"the loader {loader} gives no answer ({type(error).__name__})")
     return _read(os.fsdecode(done.stdout), os.fsdecode(done.stderr))
+
+
+def _is_systems(loader: str) -> bool:
+    """Whether it is called like a loader, and lies in the system's folders, with all links followed and without."""
+    places = (os.path.normpath(loader), os.path.realpath(loader))
+    return LOADER.fullmatch(Path(loader).name) is not None and all(map(SYSTEM.fullmatch, places))
 
 
 def _read(out: str, err: str) -> Loaded:

@@ -73,6 +73,16 @@ def data(template: Path, texts: Iterable[str], root: Path, source: Container[byt
     return Programs(tuple(found[path] for path in sorted(found)), tuple(notes.values()))
 
 
+def uncounted(values: Iterable[str], template: Path, root: Path, source: Container[bytes], used: Programs) -> list[Path]:
+    """The files that values of a query name, and that are neither in the source nor among the files used.
+
+    They do not count: if they did, a batch with one value more would execute all that it has in common with another again.
+    """
+    known = {one.path for one in used.all}
+    found = dict.fromkeys(_existing(values, (root, template.parent)))
+    return [path for path in found if str(path) not in known and not _holds(source, path, root)]
+
+
 def again(names: Iterable[str], root: Path) -> Programs:
     """The files that a record has by these names, where they are there: `{project}/…`, or where they were."""
     digests = Digests()

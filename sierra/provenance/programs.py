@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import os
 import shutil
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -136,9 +137,15 @@ def differing(
 
 def told(before: Iterable[Mapping[str, Any]], now: Programs) -> Iterator[str]:
     """What is other now than in the rows of `programs` that are recorded, a line each, and one for all libraries."""
-    then = {called(row["name"]): row for row in before}
+    rows = list(before)
+    several = {name for names in ([row["name"] for row in rows], [one.name for one in now.all]) for name in _ambiguous(names)}
+
+    def key(name: str) -> str:
+        return name if called(name) in several else called(name)
+
+    then, here = {key(row["name"]): row for row in rows}, {key(program.name): program for program in now.all}
     loaded = []
-    for name, was, program in differing(then, {program.called: program for program in now.all}):
+    for name, was, program in differing(then, here):
         kind = program.kind if program else was and was["kind"]
         if kind == Kind.LIBRARY:
             loaded.append(name)
@@ -148,6 +155,12 @@ def told(before: Iterable[Mapping[str, Any]], now: Programs) -> Iterator[str]:
             yield f"{name}: {_said(was) if was else 'not'} recorded, {_said(program) if program else 'not'} found"
     if loaded:
         yield f"libraries other than recorded: {_shown(loaded)}"
+
+
+def _ambiguous(names: Iterable[str]) -> set[str]:
+    """What several of them are called, wherever they lie."""
+    counted = Counter(called(name) for name in set(names))
+    return {name for name, count in counted.items() if count > 1}
 
 
 def _said(one: Program | Mapping[str, Any]) -> str:
