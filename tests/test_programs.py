@@ -294,6 +294,16 @@ def test_what_a_scenario_puts_into_the_template_counts_whoever_asks_for_it(tmp_p
     assert list(rows(project, "file")) == [f"{tmp_path}/map.pgm"]
 
 
+def test_comments_and_what_sierra_reads_by_meaning_name_nothing(tmp_path: Path) -> None:
+    template = '<e seed="0" n="0"><!-- <x file="results.csv"/>\n --><doc>sierra.toml t.xml figures/b/x.png</doc></e>'
+    project = make(tmp_path / "p", "true", "[outputs.old]\nfile = 'old.csv'\nrequired = false\n", template)
+    for name in ("results.csv", "old.csv"):
+        (project.root / name).touch()
+    subprocess.run(["git", "init", "-q", project.root], check=True)
+    (project.root / ".gitignore").write_text("*.csv\n")
+    assert [one.name for one in project.plan("n=1").programs.all if one.kind == "file"] == []
+
+
 def test_a_file_that_only_the_query_names_is_said_not_to_count(tmp_path: Path) -> None:
     more = f"[variables.map]\nchanges = [{{ set = '//e/@m', value = '{tmp_path}/maps/{{map}}' }}]\n"
     project = make(tmp_path / "p", "true", more, '<e seed="0" n="0" m=""/>')

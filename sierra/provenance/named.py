@@ -11,7 +11,7 @@ from __future__ import annotations
 import html
 import os
 import re
-from collections.abc import Callable, Container, Iterable, Iterator
+from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from pathlib import Path
 
 from sierra.errors import Missing
@@ -56,12 +56,12 @@ def _files(path: Path) -> Iterator[Path]:
 
 def data(template: Path, texts: Iterable[str], root: Path, source: Container[bytes], without: Iterable[str]) -> Programs:
     """The files that a template and `texts`, what is put into it, name; but those in `without`, as seen from the root."""
-    left = {root / path for path in without}
+    left = [root / path for path in without]
     digests = Digests()
     found: dict[Path, Program] = {}
     notes: dict[Path, str] = {}
-    for path in _all_named(template, "\n".join(texts), root):
-        if path in left or path in found or path in notes or _holds(source, path, root):
+    for path in _all_named(template, "\n".join(texts), root, left):
+        if path in found or path in notes or _holds(source, path, root):
             continue
         try:
             if path.stat().st_size > LARGEST:
@@ -92,14 +92,16 @@ def again(names: Iterable[str], root: Path) -> Programs:
     return Programs(tuple(found))
 
 
-def _all_named(template: Path, texts: str, root: Path) -> Iterator[Path]:
-    """All existing files that a template names, and that those name which it includes."""
+def _all_named(template: Path, texts: str, root: Path, without: Sequence[Path]) -> Iterator[Path]:
+    """All existing files that a template names, and that those name which it includes; of none of these files or folders."""
     pending, read = [(template, _text(template) + "\n" + texts)], {template}
     while pending:
         origin, text = pending.pop()
         words = list(_words(text))
         folders = [folder for word in words if _is(Path.is_dir, folder := origin.parent / word)]
         for path in _existing(words, (root, origin.parent, *folders)):
+            if any(path.is_relative_to(left) for left in without):
+                continue
             yield path
             if path.suffix.lower() in READ and path not in read:
                 read.add(path)
@@ -134,7 +136,8 @@ def _is(kind: Callable[[Path], bool], path: Path) -> bool:
 
 def _words(text: str) -> Iterator[str]:
     """What may be a path, each once: attributes, texts, and parts of them, if there is a letter in them."""
-    pieces = (html.unescape(piece).strip() for piece in dict.fromkeys(re.split(r"[\"'<>\n]", text)))
+    said = re.sub(r"<!--.*?-->", "", text, flags=re.DOTALL)
+    pieces = (html.unescape(piece).strip() for piece in dict.fromkeys(re.split(r"[\"'<>\n]", said)))
     for word in dict.fromkeys(part for piece in pieces for part in (piece, *piece.split())):
         if len(word) <= LONGEST and "\0" not in word and LETTER.search(word):
             yield word.removeprefix("file://")
