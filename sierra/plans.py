@@ -98,7 +98,8 @@ def ask(
 
 
 def plan(project: LoadedProject, asked: Query, *, engine: str = "none") -> Plan:
-    """All that a query's answer depends on. Nothing is executed or written (but the source's tree, by git).
+    """All that a query's answer depends on. Nothing is executed (but a Python is asked for its path, and the loader for
+    libraries) or written (but the source's tree, by git).
 
     Raises what is wrong with project, query, template, source or programs.
     """

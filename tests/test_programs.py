@@ -209,9 +209,18 @@ def test_a_python_that_a_script_starts_is_the_one_that_counts(python: Path, tmp_
     shim.parent.mkdir()
     shim.write_text(f'#!/bin/sh\nexec {python} "$@"\n')
     shim.chmod(0o755)
-    found = programs.find(("python3",), {"PATH": f"{shim.parent}:{SEARCH}"}, tmp_path)
+    found = programs.find(("python3",), {"PATH": f"{shim.parent}:{SEARCH}"}, tmp_path / "p")
     assert "numpy==2.0.1" in [one.version for one in found.all]
     assert "python3: interpreter" in {one.name for one in found.all}
+
+
+def test_what_is_called_python_in_the_project_is_not_executed_to_find_out(tmp_path: Path) -> None:
+    project = make(tmp_path / "p", "bin/python3 {input}")
+    (project.root / "bin").mkdir()
+    (project.root / "bin" / "python3").write_text(f"#!/bin/sh\ntouch {tmp_path}/executed\n")
+    (project.root / "bin" / "python3").chmod(0o755)
+    project.plan("n=1")
+    assert not (tmp_path / "executed").exists()
 
 
 def test_an_editable_install_counts_by_its_code(python: Path, tmp_path: Path) -> None:

@@ -69,7 +69,12 @@ def is_python(path: str) -> bool:
 
 
 def ask(path: str, variables: Mapping[str, str], root: Path) -> Interpreter:
-    """What an interpreter sees in runs, whose HOME is empty; where it does not answer, what lies beside it."""
+    """What an interpreter sees in runs, whose HOME is empty.
+
+    Of one that does not answer, what lies beside it; a file of the project is not asked, since planning executes nothing of it.
+    """
+    if Path(path).resolve().is_relative_to(root.resolve()):
+        return Interpreter(path, tuple(_beside(Path(path))))
     with tempfile.TemporaryDirectory(prefix="sierra-") as home:
         try:
             done = subprocess.run(
