@@ -182,11 +182,21 @@ CREATE TABLE environments (
     "kernel" VARCHAR,  -- the kernel's release
     "machine" VARCHAR,  -- the processor's architecture
     "cpu" VARCHAR,  -- the processor's model
+    "cpu_flags" VARCHAR[],  -- the processor's features that change arithmetic or its speed, as avx2 and fma
     "cores" BIGINT,  -- cores that could be used [1]
     "memory" BIGINT,  -- main memory [bytes]
+    "gpus" VARCHAR[],  -- graphics processors, by name or by the ids of vendor and device, each with its driver
     "libc" VARCHAR,  -- C library and its version
+    "container" VARCHAR,  -- what SIERRA ran in, with its image where that could be told; NULL for no container
+    "locale" VARCHAR,  -- SIERRA's locale; runs have the declared one
+    "timezone" VARCHAR,  -- SIERRA's time zone; runs have the declared one
+    "limits" VARCHAR,  -- limits of processes as JSON, soft and hard by name in bytes, seconds or pieces; null for none
+    "modules" VARCHAR[],  -- environment modules that were loaded
+    "variables" VARCHAR,  -- known variables that change results, and those in [environment] record, as JSON
     "python" VARCHAR,  -- version of the Python that ran SIERRA
-    "sierra" VARCHAR  -- SIERRA's version
+    "sierra" VARCHAR,  -- SIERRA's version
+    "distributions" VARCHAR,  -- what was installed where SIERRA ran, a line name==version each
+    "lock" VARCHAR  -- SHA-256 of distributions
 );
 
 -- States of the code that runs were made from, recorded once.
@@ -216,12 +226,14 @@ CREATE TABLE readings (
     "declared" VARCHAR  -- the tables outputs and success of sierra.toml, as JSON
 );
 
--- Programs outside source and image, by their fingerprint.
+-- What executions depend on outside source and image: programs, libraries, Python distributions, files.
 CREATE TABLE programs (
     "programs" VARCHAR,  -- hash of the set that was used together
-    "name" VARCHAR,  -- as the command calls it
-    "path" VARCHAR,  -- where it was found
-    "sha256" VARCHAR  -- SHA-256 of the file
+    "name" VARCHAR,  -- as the command calls it; of a library, as the loader does; of a project's file, {project}/…
+    "kind" VARCHAR,  -- program, library, distributions (what a Python has installed) or file
+    "version" VARCHAR,  -- of a program, the first line that it says of itself; of distributions, a line name==version each; else NULL
+    "path" VARCHAR,  -- where it was found; of several folders, with : between them
+    "sha256" VARCHAR  -- SHA-256 of the file; of distributions, of their names and versions, or of their content
 );
 
 -- Files by the hash of their content, in parts of at most 8 MiB.

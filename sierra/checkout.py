@@ -15,16 +15,20 @@ from pathlib import Path
 from sierra import jobs
 from sierra.errors import Missing
 from sierra.model import Recipe
-from sierra.provenance import programs, source
+from sierra.provenance import named, programs, source
+from sierra.provenance.program import NOTHING, Programs
 
 INSIDE = "{project}/"
 
 
-def programs_in(recipe: Recipe, manifest: bytes, root: Path) -> programs.Programs:
-    """The programs that a recipe's command starts where the code lies in `root`. Raises Missing."""
+def programs_in(recipe: Recipe, manifest: bytes, root: Path, data: Programs = NOTHING) -> Programs:
+    """The programs that a recipe's command starts where the code lies in `root`, and the files that they need.
+
+    `data` are those that nothing in the recipe names. Raises Missing.
+    """
     command, variables = recipe.command, recipe.environment
-    more = programs.beside((*command, *variables.values()), root, source.paths(manifest))
-    return programs.find(jobs.fill(command, root), jobs.search_path(variables), root, more)
+    files = named.files((*command, *variables.values()), root, source.paths(manifest), data)
+    return programs.find(jobs.fill(command, root), jobs.declared(variables, root), root, files)
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +39,7 @@ class Checkout:
     recipe: Recipe
     manifest: bytes
     beside: tuple[str, ...]
-    """What the source does not hold, as `{project}/path`."""
+    """Files that the source does not hold: `{project}/path`, or where they are."""
     content: Callable[[str], bytes | None]
     """A file that git does not have, by git's hash."""
 
@@ -50,11 +54,15 @@ class Checkout:
             if name.startswith(INSIDE) and not inside.is_absolute() and ".." not in inside.parts:
                 _copy(self.project / inside, root / inside, name)
 
-    def programs(self) -> programs.Programs:
-        """The programs that its command starts, found in a folder that is gone again."""
+    def programs_in(self, root: Path) -> Programs:
+        """The programs that its command starts where it was made in `root`, and the files that it needed, as they are now."""
+        return programs_in(self.recipe, self.manifest, root, named.again(self.beside, root))
+
+    def programs(self) -> Programs:
+        """The same, found in a folder that is gone again."""
         with tempfile.TemporaryDirectory(prefix="sierra-") as folder:
             self.make(root := Path(folder, "code"))
-            return programs_in(self.recipe, self.manifest, root)
+            return self.programs_in(root)
 
 
 def _copy(there: Path, here: Path, name: str) -> None:

@@ -94,8 +94,8 @@ def _project() -> Iterator[Check]:
     def find_program() -> str:
         platform = platforms.find(project.config.platform, project.config)
         words = jobs.fill(jobs.command(platform, project.root), project.root)
-        path = jobs.search_path(jobs.environment(platform, project.config))
-        return programs.find(words, path, project.root).all[0].path
+        variables = jobs.declared(jobs.environment(platform, project.config), project.root)
+        return programs.find(words, variables, project.root).all[0].path
 
     template = project.config.template
     yield _tried("template", lambda: f"{template}, {inputs.read(project.root / template).sha256[:10]}")

@@ -253,11 +253,14 @@ class LimitsTable(Table):
 
 
 class Environment(Table):
-    """The variables that a run sees beside SIERRA's own."""
+    """The variables that a run sees beside SIERRA's own, and those that are recorded of what is around it."""
 
     set: Mapping[VariableName, Text] = Field(default_factory=dict, description="given to every run; part of its identity")
     pass_: tuple[str, ...] = Field(
         (), alias="pass", description="taken from the caller's environment, by name; part of its identity"
+    )
+    record: tuple[str, ...] = Field(
+        (), description="variables of the caller's (`*` stands for any characters) that are recorded; runs do not see them"
     )
 
 
@@ -302,6 +305,20 @@ class Equivalence(Table):
         if (self.measure == "time_to") != (self.threshold is not None):
             raise ValueError('measure "time_to" and "threshold" go together')
         return self
+
+
+Argv = Annotated[tuple[str, ...], BeforeValidator(_as_words, json_schema_input_type=Words)]
+
+
+class ProgramsTable(Table):
+    """How the programs that a command names are asked for their versions, which are recorded."""
+
+    version: Argv = Field(("--version",), description="what an installed program is asked with; empty: none is asked")
+    versions: Mapping[str, Argv] = Field(
+        default_factory=dict,
+        description="by the program's name, with what else it is asked (empty: not at all); scripts and programs of the "
+        "project are only asked where they stand here",
+    )
 
 
 class QueryTable(Table):
@@ -399,6 +416,7 @@ class Project(Table):
     equivalence: Mapping[Name, Equivalence] = Field(
         default_factory=dict, description="for runs that are not deterministic: what must be the same in a replay, by name"
     )
+    programs: ProgramsTable = ProgramsTable()
     queries: Mapping[Name, QueryTable] = Field(default_factory=dict, description="research queries, by name")
     figures: Mapping[Name, Figure] = Field(default_factory=dict, description="figures, by name")
     platforms: Mapping[str, Mapping[str, Any]] = Field(default_factory=dict, description="options of platforms, by name")

@@ -66,20 +66,14 @@ def _made_from(plan: Plan, store: Store, before: dict[str, Any]) -> Iterator[str
 
 
 PROGRAMS = """
-SELECT name, path, sha256 FROM programs
+SELECT name, kind, version, sha256 FROM programs
 WHERE programs = (SELECT arg_max(programs, ended) FROM executions JOIN members USING (run) WHERE members.batch = $batch)
 """
 
 
 def other_programs(plan: Plan, store: Store) -> list[str]:
     """Which programs are others than those that the batch was last executed with, a line each."""
-    before = {row["name"]: row for row in store.rows(PROGRAMS, batch=plan.batch.id)}
-    now = {program.name: program for program in plan.programs.all}
-    lines = []
-    for name, old, new in programs.differing({name: row["sha256"] for name, row in before.items()}, now):
-        was = f"{before[name]['path']} ({short(old)})" if old else "not there"
-        lines.append(f"{name}: was {was}, is {f'{new.path} ({short(new.sha256)})' if new else 'not there'}")
-    return lines
+    return list(programs.told(store.rows(PROGRAMS, batch=plan.batch.id), plan.programs))
 
 
 def _recipe(plan: Plan, before: dict[str, Any]) -> list[str]:

@@ -66,6 +66,12 @@ def environment(platform: Platform, project: Project) -> dict[str, str]:
     return {**FIXED, **platform.environment(), **passed, **project.environment.set}
 
 
+def declared(variables: Mapping[str, str], root: Path) -> dict[str, str]:
+    """The declared variables with the paths of this machine, and the PATH of runs."""
+    filled = {name: fill((value,), root)[0] for name, value in variables.items()}
+    return {**filled, "PATH": search_path(filled)}
+
+
 def search_path(variables: Mapping[str, str]) -> str:
     """The PATH of runs: the declared one, or the caller's."""
     return variables.get("PATH", os.environ.get("PATH", os.defpath))
@@ -96,10 +102,8 @@ class Maker:
         self._engine = engine
         self._bounds = bounds
         self._session = session
-        declared = {name: fill((value,), root)[0] for name, value in recipe.environment.items()}
         self._environment = {
-            **declared,
-            "PATH": search_path(declared),
+            **declared(recipe.environment, root),
             "HOME": f"{HERE}/{RUN_HOME}",
             "TMPDIR": f"{HERE}/{RUN_TMP}",
             "SIERRA_RUN_DIR": HERE,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -75,6 +76,9 @@ def _batch(question: Question, found: Found) -> dict[str, Any]:
     [recipe] = question.sql("SELECT * FROM recipes WHERE recipe = $r", r=row["recipe"]).to_pylist()
     row["recipe"] = recipe
     row["source"] = _source(question, found.id, recipe["source"])
+    last = question.sql(LAST_AROUND, b=found.id).to_pylist()[0]
+    row["programs"] = _programs(question, last["programs"])
+    row["environment"] = _environment(question, last["environment"])
     row["experiments"] = _experiments(question, found.id, row["axes"])
     row["failures"] = _failures(question, found.id, row["experiments"], row["axes"])
     row["nondeterminism"] = question.sql(NONDETERMINISM, b=found.id, r=None).to_pylist()
@@ -83,6 +87,12 @@ def _batch(question: Question, found: Found) -> dict[str, Any]:
     return row
 
 
+LAST_AROUND = """
+SELECT arg_max(programs, ended) AS programs, arg_max(environment, ended) AS environment
+FROM (SELECT programs, environment, ended FROM sessions WHERE batch = $b UNION ALL
+      SELECT programs, environment, ended FROM executions WHERE batch = $b AND purpose = 'run')
+"""
+"""What was around the last execution or asking of a batch."""
 NONDETERMINISM = """
 SELECT run, executions, results, verdict, programs FROM nondeterminism
 WHERE run = $r OR run IN (SELECT run FROM members WHERE batch = $b) ORDER BY run
@@ -200,12 +210,31 @@ def _execution(question: Question, found: Found) -> dict[str, Any]:
     row["artifacts"] = question.sql(
         "SELECT * EXCLUDE (execution, run) FROM artifacts WHERE execution = $e ORDER BY path", e=found.id
     ).to_pylist()
-    row["programs"] = question.sql(
-        "SELECT DISTINCT name, path, sha256 FROM programs WHERE programs = $p ORDER BY ALL", p=row.get("programs")
-    ).to_pylist()
-    around = question.sql("SELECT * FROM environments WHERE environment = $e", e=row.get("environment")).to_pylist()
-    row["environment"] = around[0] if around else row.get("environment")
+    row["programs"] = _programs(question, row.get("programs"))
+    row["environment"] = _environment(question, row.get("environment"))
     return row
+
+
+def _programs(question: Question, identity: str | None) -> list[dict[str, Any]]:
+    """What was used together: programs first, then files, installed distributions and libraries."""
+    rows: list[dict[str, Any]] = question.sql(
+        "SELECT name, kind, version, path, sha256 FROM programs WHERE programs = $p "
+        "ORDER BY list_position(['program', 'file', 'distributions', 'library'], kind), name, path",
+        p=identity,
+    ).to_pylist()
+    return rows
+
+
+def _environment(question: Question, identity: str | None) -> dict[str, Any] | None:
+    """What was around, with its texts of several facts taken apart."""
+    rows = question.sql("SELECT * FROM environments WHERE environment = $e", e=identity).to_pylist()
+    if not rows:
+        return None
+    around: dict[str, Any] = rows[0]
+    for name in ("limits", "variables"):
+        around[name] = json.loads(around[name] or "{}")
+    around["distributions"] = (around["distributions"] or "").splitlines()
+    return around
 
 
 def _without_nulls(row: dict[str, Any]) -> dict[str, Any]:

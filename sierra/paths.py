@@ -1,6 +1,7 @@
 """Every file name that SIERRA gives, in one place; and how a file appears whole.
 
 $XDG_CONFIG_HOME/sierra/config.toml a user's own defaults
+$XDG_CACHE_HOME/sierra/             what can be found out again: digests.json, versions.json
 $XDG_STATE_HOME/sierra/             reports of faults; what was asked at the SQL prompt
 PROJECT/sierra.toml
 PROJECT/figures/<batch>/            what is drawn, and in .drawn.json from what
@@ -137,6 +138,16 @@ def user_settings() -> Path:
 def user_state() -> Path:
     """A folder of the user's for what outlives a command, and nobody misses; it need not be there."""
     return _user("XDG_STATE_HOME", ".local/state")
+
+
+def user_digests() -> Path:
+    """The file of hashes of files that have not changed since; it need not be there."""
+    return _user("XDG_CACHE_HOME", ".cache") / "digests.json"
+
+
+def user_versions() -> Path:
+    """The file of what programs said of themselves; it need not be there."""
+    return _user("XDG_CACHE_HOME", ".cache") / "versions.json"
 
 
 def _user(variable: str, fallback: str) -> Path:

@@ -17,7 +17,7 @@ from typing import Any
 from sierra import asked, recovery, runners
 from sierra.asking import Asking, Watch
 from sierra.model import Batch
-from sierra.plans import Plan, context
+from sierra.plans import Plan, context, versioned
 from sierra.record import find_odd
 from sierra.sessions import Session
 from sierra.states import FAILED, is_answered, states
@@ -92,6 +92,7 @@ def run(
     began = datetime.now(UTC)
     if is_answered(plan, store):
         return _summary(plan, store)
+    plan = versioned(plan)
     session = Session(store.paths)
     try:
         if not asked.is_kept(plan, store):

@@ -6,7 +6,7 @@ import difflib
 import os
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -19,7 +19,8 @@ from sierra.errors import ConfigError, Missing, QueryError, UsageError
 from sierra.expansion import Expansion, Files
 from sierra.model import Batch, Design, Experiment, Limits, Query, Recipe, Run, Set
 from sierra.paths import CONFIG, DRAWN, FIGURES, PYPROJECT, STORE, ProjectPaths, StorePaths
-from sierra.provenance import environment, programs, source
+from sierra.provenance import environment, named, source, versions
+from sierra.provenance.program import Kind, Programs
 from sierra.record import Context
 from sierra.store.tables import RESERVED, check_name
 from sierra.version import __version__
@@ -50,7 +51,7 @@ class Plan:
     source_id: str | None
     checkout: Checkout | None
     """Where other files are executed than the project has now."""
-    programs: programs.Programs
+    programs: Programs
     environment: Mapping[str, Any]
     engine: Engine
     limits: Limits
@@ -97,7 +98,8 @@ def ask(
 
 
 def plan(project: LoadedProject, asked: Query, *, engine: str = "none") -> Plan:
-    """All that a query's answer depends on. Nothing is executed or written (but the source's tree, by git).
+    """All that a query's answer depends on. Nothing is executed (but a Python is asked for its path, and the loader for
+    libraries) or written (but the source's tree, by git).
 
     Raises what is wrong with project, query, template, source or programs.
     """
@@ -109,20 +111,16 @@ def plan(project: LoadedProject, asked: Query, *, engine: str = "none") -> Plan:
     command = jobs.command(platform, root)
     variables = jobs.environment(platform, config)
     own = (STORE, *_drawn(root), CONFIG, PYPROJECT if project.file.name == PYPROJECT else CONFIG, *_inside(config.template))
-    code = source.capture(
-        root,
-        paths=config.source.paths,
-        without=own,
-        dirty=config.source.dirty,
-        large=config.source.large,
-        memory=StorePaths(ProjectPaths(root).store).files,
-    )
-    if code.checkout:
-        raise Missing('[source] dirty = "ignore": files differ from the commit, and a checkout cannot execute yet; commit them')
+    code = _source(project, own)
+    held = source.paths(code.manifest)
+    data = named.data(root / config.template, _written(config), root, held, own)
     recipe = Recipe(config.platform, command, variables, code.tree, contained.image())
     designed = design(asked, config, platform, template)
     expansion = Expansion(designed, template, platform, recipe)
     batch = expansion.batch()
+    used = programs_in(recipe, code.manifest, root, data)
+    checkout = _committed(root, recipe, code, used) if code.checkout else None
+    uncounted = named.uncounted(_set_by(designed), root / config.template, root, held, used)
     return Plan(
         project=project,
         query=asked,
@@ -131,16 +129,42 @@ def plan(project: LoadedProject, asked: Query, *, engine: str = "none") -> Plan:
         inputs=expansion,
         source=code,
         source_id=code.id,
-        checkout=None,
-        programs=programs_in(recipe, code.manifest, root),
-        environment=environment.capture(__version__),
+        checkout=checkout,
+        programs=checkout.programs() if checkout else used,
+        environment=environment.capture(__version__, config.environment.record),
         engine=contained,
         limits=jobs.limits(config),
         template_sha256=template.sha256,
         outputs=config.outputs,
         success=config.success,
-        notes=(*code.notes, *_doubts(designed, command), *_texts(designed, config, template), *_same(batch)),
+        notes=(
+            *code.notes,
+            *_doubts(designed, command),
+            *_texts(designed, config, template),
+            *_same(batch),
+            *used.notes,
+            *(f"{file} is named by the query alone: a change of it would not be seen" for file in uncounted),
+        ),
     )
+
+
+def _source(project: LoadedProject, own: Sequence[str]) -> source.Source:
+    wanted, store = project.config.source, StorePaths(ProjectPaths(project.root).store)
+    return source.capture(
+        project.root, paths=wanted.paths, without=own, dirty=wanted.dirty, large=wanted.large, memory=store.files
+    )
+
+
+def _committed(root: Path, recipe: Recipe, code: source.Source, used: Programs) -> Checkout:
+    """The code of the commit, which executes instead of the files that are there."""
+    beside = tuple(program.name for program in used.all if program.kind == Kind.FILE)
+    return Checkout(root, recipe, code.manifest, beside, lambda blob: None)
+
+
+def versioned(plan: Plan) -> Plan:
+    """The plan, with what its programs say of themselves: for that, they are executed."""
+    variables = jobs.declared(plan.batch.recipe.environment, plan.project.root)
+    return replace(plan, programs=versions.asked(plan.programs, plan.project.config.programs, variables, plan.project.root))
 
 
 def context(plan: Plan, session: str = "") -> Context:
@@ -167,6 +191,20 @@ def _inside(template: str) -> list[str]:
     return [] if path.startswith((os.pardir, os.sep)) else [path]
 
 
+def _written(config: Project) -> Iterator[str]:
+    """What the project may put into a template, whatever is asked: all texts of its changes."""
+    changes = config.model_dump(include={"variables", "changes", "run_changes", "per_run", "controllers", "scenarios"})
+    pending: list[Any] = [changes]
+    while pending:
+        match pending.pop():
+            case str() as text:
+                yield text
+            case dict() as table:
+                pending.extend(table.values())
+            case list() | tuple() as items:
+                pending.extend(items)
+
+
 def _doubts(designed: Design, command: Sequence[str]) -> Iterator[str]:
     """What is allowed, and yet hardly meant."""
     mentioned = " ".join(command)
@@ -188,6 +226,20 @@ def _texts(designed: Design, config: Project, template: inputs.Template) -> Iter
             here = template.find(variable.set)
             if here and all(re.fullmatch(r"\s*[+-]?\d+(\.\d*)?\s*", value) for value in here):
                 yield f"{axis.name} gets texts ({axis.values[0]!r}, …), and the template has {here[0].strip()} there"
+
+
+def _set_by(designed: Design) -> set[str]:
+    """The texts that a query puts into the template: what its values that are texts are set as."""
+    names = [axis.name for axis in designed.axes if not axis.numeric]
+    found = {change.value for change in designed.query.sets}
+    for cell in designed.cells if names else ():
+        for change in cell.changes:
+            if isinstance(change, Set):
+                filled = change.value
+                for name in names:
+                    filled = filled.replace(f"{{{name}}}", str(cell.values[name]))
+                found.add(filled)
+    return found
 
 
 def _same(batch: Batch) -> Iterator[str]:

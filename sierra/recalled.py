@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 import json
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,6 +22,7 @@ from sierra.hashing import short
 from sierra.model import Axis, Batch, Experiment, Query, Recipe, Run
 from sierra.plans import Plan
 from sierra.provenance import environment
+from sierra.provenance.program import Kind
 from sierra.record import rules_of
 from sierra.store import Question, Store
 from sierra.store.files import Taken, contents, recorded
@@ -48,8 +49,8 @@ class Recalled:
     recipe: Recipe
     manifest: bytes
     """The files of the source."""
-    programs: Mapping[str, str]
-    """SHA-256 by name."""
+    programs: Sequence[Mapping[str, Any]]
+    """The rows of `programs`."""
     fingerprint: str
     outputs: Mapping[str, Output]
     success: Success
@@ -61,7 +62,8 @@ class Recalled:
             rows = store.rows("SELECT sha256 FROM blobs WHERE blob = $b", b=blob)
             return store.object(rows[0]["sha256"]) if rows else None
 
-        return Checkout(project.root, self.recipe, self.manifest, tuple(self.programs), content)
+        files = tuple(row["name"] for row in self.programs if row["kind"] == Kind.FILE)
+        return Checkout(project.root, self.recipe, self.manifest, files, content)
 
 
 def recall(store: Store, batch: str, programs: str, reading: str) -> Recalled:
@@ -69,12 +71,12 @@ def recall(store: Store, batch: str, programs: str, reading: str) -> Recalled:
     with store.ask() as question:
         made = _one(question, "SELECT r.* FROM recipes r JOIN batches b USING (recipe) WHERE b.batch = $b", b=batch)
         rules = _one(question, "SELECT declared FROM readings WHERE reading = $r", r=reading)
-        used = question.sql("SELECT name, sha256 FROM programs WHERE programs = $p", p=programs).to_pylist()
+        used = question.sql("SELECT * FROM programs WHERE programs = $p", p=programs).to_pylist()
         files = question.sql("SELECT files FROM sources WHERE tree = $t LIMIT 1", t=made["source"]).to_pylist()
     outputs, success = rules_of(json.loads(rules["declared"]))
     recipe = Recipe(made["platform"], tuple(made["command"]), json.loads(made["variables"]), made["source"], made["image"])
     manifest = store.object(files[0]["files"]) if files else b""
-    return Recalled(batch, recipe, manifest, {row["name"]: row["sha256"] for row in used}, programs, outputs, success)
+    return Recalled(batch, recipe, manifest, used, programs, outputs, success)
 
 
 def engine(recipe: Recipe, name: str = "none") -> Engine:
@@ -145,7 +147,7 @@ def plan(project: LoadedProject, store: Store, prefix: str) -> Plan:
         source_id=last["source"],
         checkout=checkout,
         programs=checkout.programs(),
-        environment=environment.capture(__version__),
+        environment=environment.capture(__version__, project.config.environment.record),
         engine=engine(recalled.recipe),
         limits=jobs.limits(project.config),
         template_sha256=row["template_sha256"],

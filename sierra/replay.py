@@ -18,7 +18,6 @@ from typing import Any
 from sierra import jobs, metrics, recalled, recovery, runners
 from sierra.agreement import Agreement, Verdict, worst
 from sierra.asking import Progress, Watch
-from sierra.checkout import programs_in
 from sierra.config import LoadedProject, Output, Tolerance
 from sierra.engines import Engine
 from sierra.errors import NotFound, UsageError
@@ -28,7 +27,8 @@ from sierra.metrics import Metric
 from sierra.model import Job, Run, Status
 from sierra.outcomes import compare_all
 from sierra.paths import SessionPaths
-from sierra.provenance import environment, programs
+from sierra.provenance import environment, programs, versions
+from sierra.provenance.program import Programs
 from sierra.recalled import Recalled
 from sierra.record import Context, Recorder
 from sierra.sessions import Session
@@ -164,9 +164,12 @@ def replay(
     kept = store.paths.kept(session.id) if how.keep else None
     try:
         root = session.paths.source
-        record.of.checkout(project, store).make(root)
-        now, around = programs_in(record.of.recipe, record.of.manifest, root), environment.capture(__version__)
-        notes = (*record.notes, *_other_programs(record.of, now))
+        checkout = record.of.checkout(project, store)
+        checkout.make(root)
+        variables = jobs.declared(record.of.recipe.environment, root)
+        now = versions.asked(checkout.programs_in(root), project.config.programs, variables, root)
+        around = environment.capture(__version__, project.config.environment.record)
+        notes = (*record.notes, *now.notes, *_other_programs(record.of, now))
         for text in notes:
             say(text)
         context = Context(
@@ -259,19 +262,10 @@ def _metrics(project: LoadedProject, store: Store, record: _Record, declared: Ma
         return None
 
 
-def _other_programs(of: Recalled, now: programs.Programs) -> Iterator[str]:
+def _other_programs(of: Recalled, now: Programs) -> Iterator[str]:
     """What is other about the programs, by name."""
-    if now.id == of.fingerprint:
-        return
-    then = {programs.called(name): digest for name, digest in of.programs.items()}
-    here = {program.called: program for program in now.all}
-    for name, was, program in programs.differing(then, here):
-        if program is None:
-            yield f"other programs: {name} was recorded, and is not started now"
-        elif was is None:
-            yield f"other programs: {name} ({program.path}) was not recorded"
-        else:
-            yield f"other programs: {name} was {short(was)}, and {program.path} is {short(program.sha256)}"
+    if now.id != of.fingerprint:
+        yield from (f"other programs: {line}" for line in programs.told(of.programs, now))
 
 
 def _jobs(record: _Record, store: Store, maker: jobs.Maker) -> Iterator[Job]:
@@ -369,7 +363,7 @@ def _keep(
     store: Store,
     session: Session,
     record: _Record,
-    now: programs.Programs,
+    now: Programs,
     around: Mapping[str, Any],
     began: datetime,
     how: How,

@@ -109,6 +109,7 @@ grace = 5.0
 [environment]
 set = { OMP_NUM_THREADS = 4 }
 pass = ["LICENSE_SERVER"]
+record = ["MODEL_ZOO"]
 
 [source]
 paths = ["sim.py", "controllers"]
@@ -129,6 +130,9 @@ alpha = 0.05
 table = "swarm"
 column = "energy"
 relative = 0.05
+[programs]
+version = "--version"
+versions = { argos3 = "-v" }
 
 [queries.scalability]
 criteria = ["population_size.Log8", "density=1:5:3"]

@@ -119,7 +119,7 @@ def test_another_program_is_said_before_the_verdict_and_a_missing_one_ends_all(t
     program.write_text("#!/bin/sh\nprintf 'tick,v\\n0,2\\n' > out.csv\n")
     code, said = replay(root, batch)
     assert code == 1
-    assert said["notes"][0].startswith("other programs: sim was ")
+    assert said["notes"][0].startswith("other programs: sim: ")
     program.unlink()
     ended = projects.sierra(root, "replay", batch)
     assert (ended.returncode, ended.stderr.count("\n")) == (3, 1)

@@ -28,7 +28,7 @@ def half(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[Path, str]:
     if request.param == "git":
         projects.commit(root)
     batch: str = sierra.open(root).run("population_size=1,2", figures=False).batch
-    (tmp_path / "mended").touch()
+    (tmp_path / "mended").mkdir()  # a file would count as one that runs are made from
     return root, batch
 
 
@@ -86,3 +86,19 @@ def test_a_query_of_that_name_is_meant_first(tmp_path: Path) -> None:
     project = sierra.open(root)
     project.run("population_size=1,2", figures=False)
     assert project.run("cafe", figures=False).runs == 2
+
+
+def test_what_is_not_committed_neither_counts_nor_executes_where_it_is_to_be_ignored(tmp_path: Path) -> None:
+    root = projects.commit(projects.make(tmp_path / "project", projects.CONFIG + '[source]\ndirty = "ignore"\n'))
+    committed = sierra.open(root).run("population_size=1", figures=False).batch
+    other = projects.SIMULATOR.replace("count * tick", "count * tick + 1000")
+    (root / "sim.py").write_text(other)
+    project = sierra.open(root)
+    again = project.run("population_size=1", figures=False)
+    assert (again.batch, again.executed) == (committed, 0)
+    more = project.run("population_size=2", figures=False)
+    assert (more.executed, more.failed) == (2, 0)
+    [found] = project.sql("SELECT max(coverage) AS most FROM swarm").to_pylist()
+    assert found["most"] < 1000
+    assert project.replay(more.batch).verdict == "identical"
+    assert (root / "sim.py").read_text() == other

@@ -48,7 +48,13 @@ def keys(model: type[BaseModel]) -> set[str]:
 def seen(table: dict[str, Any]) -> dict[str, set[str]]:
     """The keys that stand in tables of each kind."""
     found: dict[str, set[str]] = {"Project": set(table)}
-    for name, model in {"seed": "Seed", "success": "Success", "limits": "LimitsTable", "environment": "Environment"}.items():
+    for name, model in {
+        "seed": "Seed",
+        "success": "Success",
+        "limits": "LimitsTable",
+        "environment": "Environment",
+        "programs": "ProgramsTable",
+    }.items():
         found[model] = set(table[name])
     found["Source"] = set(table["source"])
     found["Determinism"] = set(table["determinism"])

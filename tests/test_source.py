@@ -517,17 +517,6 @@ def test_without_a_commit_there_is_nothing_to_compare_with(folder: Path, git: Gi
         capture(folder, dirty=dirty)
 
 
-def test_runs_never_execute_files_that_the_recorded_source_is_not(tmp_path: Path, git: Git) -> None:
-    root = projects.make(tmp_path / "p", projects.CONFIG + '[source]\ndirty = "ignore"\n')
-    commit(git, root)
-    assert sierra.open(root).run("population_size=1", figures=False).failed == 0
-    fill(root, {"sim.py": projects.SIMULATOR + "\nprint('changed')\n"})
-    ended = projects.quick(root, "run", "population_size=1", "--no-figures")
-    recorded = sierra.open(root).sql("SELECT DISTINCT content FROM objects WHERE decode(content) LIKE '%changed%'")
-    assert recorded.num_rows == 0
-    assert ended.returncode in (0, 3)
-
-
 @pytest.mark.parametrize("inside", [False, True])
 def test_a_large_file_is_refused_with_the_ways_out(folder: Path, git: Git, inside: bool, tmp_path: Path) -> None:
     if inside:

@@ -59,6 +59,7 @@ def show(
     Example:
       sierra show 3f9a1c
     """
+    from sierra.cli.around import print_environment, print_programs
     from sierra.cli.opened import project
     from sierra.cli.output import print_json
 
@@ -66,8 +67,12 @@ def show(
     if as_json:
         print_json(shown)
         return
-    failures = shown.pop("failures", [])
+    failures, used, around = shown.pop("failures", []), shown.pop("programs", []), shown.pop("environment", None)
     _print(shown)
+    if used:
+        print_programs(used)
+    if around:
+        print_environment(around)
     _print_failures(failures)
     if shown["kind"] in ("run", "execution"):
         print(f"\nsierra files {shown[shown['kind']][:10]} PATH writes a file out again, and --to FOLDER all of them")

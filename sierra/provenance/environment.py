@@ -1,64 +1,106 @@
-"""The machine around executions, in a few facts, recorded once and referred to by hash."""
+"""What is around executions: the machine, what SIERRA runs on, and variables; recorded once and referred to by hash.
+
+Of variables only those that are known to change results are recorded, and those that `[environment] record` names: never
+all, since some hold secrets. What a batch system says of one job alone is left out, or each job had an environment of its own.
+"""
 
 from __future__ import annotations
 
+import json
 import os
 import platform
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from fnmatch import fnmatchcase
 from functools import cache
 from pathlib import Path
 from typing import Any
 
-from sierra.hashing import digest
+from sierra.hashing import digest, sha256
+from sierra.provenance import pythons
+from sierra.provenance.machine import facts, usable_cores
+
+VARIABLES = (
+    *("LANG", "LANGUAGE", "LC_*", "TZ", "PATH", "LD_LIBRARY_PATH", "LD_PRELOAD", "GLIBC_TUNABLES", "MALLOC_*"),
+    *("PYTHONPATH", "PYTHONHASHSEED", "CONDA_DEFAULT_ENV", "CONDA_PREFIX", "VIRTUAL_ENV"),
+    *("OMP_*", "GOMP_*", "KMP_*", "OPENBLAS_*", "MKL_*", "BLIS_*", "VECLIB_*", "NUMEXPR_*", "NPY_*"),
+    *("CUDA_VISIBLE_DEVICES", "CUBLAS_WORKSPACE_CONFIG", "XLA_FLAGS", "MUJOCO_GL", "PYOPENGL_PLATFORM", "LIBGL_*", "MESA_*"),
+    *("ARGOS_PLUGIN_PATH", "ROS_DISTRO", "ROS_VERSION", "RMW_IMPLEMENTATION", "AMENT_PREFIX_PATH", "GZ_VERSION"),
+)
+"""Names (or patterns) of variables that are recorded."""
+RELEVANT = (
+    *("cpu_flags", "machine", "cpu", "libc", "gpus", "container", "os", "kernel", "variables", "modules", "sierra", "python"),
+    *("distributions", "locale", "timezone", "cores", "memory", "limits", "host"),
+)
+"""The facts, those first that explain a different result best."""
+SECRET = ("TOKEN", "SECRET", "PASSWORD", "CREDENTIAL")
 
 
-def capture(version: str) -> dict[str, Any]:
-    """The record of this machine; `version` is SIERRA's."""
-    facts = {**_facts(), "sierra": version}
-    return {"environment": digest("environment", facts), **facts}
-
-
-def usable_cores() -> int:
-    """Cores that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
-
-
-@cache
-def _facts() -> dict[str, Any]:
-    uname = os.uname()
-    return {
-        "host": uname.nodename,
-        "os": _os_release(),
-        "kernel": uname.release,
-        "machine": uname.machine,
-        "cpu": _cpu(),
-        "cores": usable_cores(),
-        "memory": os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"),
-        "libc": _libc(),
+def capture(version: str, record: Sequence[str] = ()) -> dict[str, Any]:
+    """The record of this environment; `version` is SIERRA's, `record` are further names (or patterns) of variables."""
+    machine = facts()
+    around = {
+        **machine,
+        "locale": next((os.environ[name] for name in ("LC_ALL", "LC_CTYPE", "LANG") if os.environ.get(name)), "C"),
+        "timezone": os.environ.get("TZ") or machine["timezone"],
+        "limits": json.dumps(machine["limits"], sort_keys=True),
+        "modules": [name for name in os.environ.get("LOADEDMODULES", "").split(":") if name],
+        "variables": json.dumps(_variables((*VARIABLES, *record)), sort_keys=True),
         "python": platform.python_version(),
+        "sierra": version,
+        "distributions": _distributions(),
+        "lock": sha256(_distributions().encode()),
+    }
+    return {"environment": digest("environment", around), **around}
+
+
+def _variables(patterns: Sequence[str]) -> dict[str, str]:
+    return {
+        name: value
+        for name, value in sorted(os.environ.items())
+        if any(fnmatchcase(name, pattern) for pattern in patterns) and not any(secret in name.upper() for secret in SECRET)
     }
 
 
-def _os_release() -> str:
-    try:
-        return platform.freedesktop_os_release()["PRETTY_NAME"]
-    except (OSError, KeyError):
-        return os.uname().sysname
+@cache
+def _distributions() -> str:
+    """What is installed where SIERRA runs, a line each."""
+    folders = [Path(folder) for folder in sys.path if folder.endswith(("site-packages", "dist-packages"))]
+    return "\n".join(one.line for one in pythons.distributions([folder for folder in folders if folder.is_dir()]))
 
 
-def _cpu() -> str:
-    try:
-        for line in Path("/proc/cpuinfo").read_text().splitlines():
-            if line.startswith("model name"):
-                return line.partition(":")[2].strip()
-    except OSError:
-        pass
-    return os.uname().machine
+def differing(before: Mapping[str, Any], now: Mapping[str, Any]) -> Iterator[tuple[str, Any, Any]]:
+    """What is other in two rows of `environments`: name, was, is; the most relevant first.
+
+    Of lists, what only one of them has; of variables, limits and distributions, each that differs, as `variables.TZ`.
+    What an older record does not have is not compared.
+    """
+    for name in RELEVANT:
+        was, found = before.get(name), now.get(name)
+        if was == found or name not in before or (was is None and name != "container"):
+            continue
+        match name:
+            case "variables" | "limits" | "distributions":
+                yield from _by_key(name, _table(name, was), _table(name, found))
+            case "cpu_flags" | "gpus" | "modules":
+                old, new = (was or []), (found or [])
+                yield name, [one for one in old if one not in new], [one for one in new if one not in old]
+            case _:
+                yield name, was, found
 
 
-def _libc() -> str:
-    try:
-        return os.confstr("CS_GNU_LIBC_VERSION") or ""
-    except (ValueError, OSError, AttributeError):
-        return ""
+def _table(name: str, text: str | None) -> dict[str, Any]:
+    """A text of several facts, by their names."""
+    if name == "distributions":
+        return {line.partition("==")[0]: line.partition("==")[2] for line in (text or "").splitlines()}
+    table: dict[str, Any] = json.loads(text or "{}")
+    return table
+
+
+def _by_key(name: str, was: Mapping[str, Any], found: Mapping[str, Any]) -> Iterator[tuple[str, Any, Any]]:
+    for key in sorted(was.keys() | found.keys()):
+        if was.get(key) != found.get(key):
+            yield f"{name}.{key}", was.get(key), found.get(key)
+
+
+__all__ = ["capture", "differing", "usable_cores"]

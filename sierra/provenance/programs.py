@@ -1,118 +1,121 @@
 """Programs outside the source and outside an image, by fingerprint: a run is only reused where they are the same.
 
 The fingerprint of a program is the SHA-256 of its file. Every word of a command that names a program counts (as in
-`nice -n 5 simulator`), and the interpreter that a script names in its first line. For a Python interpreter, the
-distributions installed beside it count too, by name and version; and files of the project that git ignores, where the
-command or a variable names them or their folder by `{project}/…`. (What an interpreter imports from elsewhere, and the
-libraries that a program loads, do not yet count.)
+`nice -n 5 simulator`), and the interpreter that a script names in its first line. With a program count the libraries that
+the loader gives it in the runs' own environment (`sierra.provenance.libraries`), with a Python interpreter what it has
+installed (`pythons`), and files that the command, a variable or the template names (`named`). What a program itself opens
+while it runs, plug-ins say, counts where a variable names its folder by `{project}/…`.
 """
 
 from __future__ import annotations
 
 import os
-import re
 import shutil
-from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from sierra.errors import Missing
-from sierra.hashing import digest, sha256, sha256_file
+from sierra.hashing import sha256, short
+from sierra.provenance import libraries, pythons
+from sierra.provenance.digests import Digests
+from sierra.provenance.program import NOTHING, Kind, Program, Programs, called
+
+SHOWN = 5
 
 
-@dataclass(frozen=True, slots=True)
-class Program:
-    """A program as a command calls it, where it was found, and what it is."""
+def find(argv: Sequence[str], variables: Mapping[str, str], root: Path, more: Programs = NOTHING) -> Programs:
+    """The programs that a command starts, with what they load, and `more`; `variables` are those of its runs, with PATH.
 
-    name: str
-    path: str
-    sha256: str
-
-    @property
-    def called(self) -> str:
-        """Its name wherever it lies."""
-        return called(self.name)
-
-
-@dataclass(frozen=True, slots=True)
-class Programs:
-    """All programs of one command; `id` is the same wherever the same programs lie."""
-
-    all: tuple[Program, ...]
-
-    @property
-    def id(self) -> str:
-        return digest("programs", {"programs": [[p.called, p.sha256] for p in self.all]})
-
-    def rows(self) -> list[dict[str, Any]]:
-        return [{"programs": self.id, "name": p.name, "path": p.path, "sha256": p.sha256} for p in self.all]
-
-
-def called(name: str) -> str:
-    """What a program is called wherever it lies: its path's last part, or what stands for a path of the project."""
-    return name if "{" in name else Path(name).name
-
-
-def differing(before: Mapping[str, str], now: Mapping[str, Program]) -> Iterator[tuple[str, str | None, Program | None]]:
-    """The programs that are others now, by name: the SHA-256 that was recorded, and what is there; None where there is none."""
-    for name in sorted(before.keys() | now.keys()):
-        was, program = before.get(name), now.get(name)
-        if was is None or program is None or was != program.sha256:
-            yield name, was, program
-
-
-def find(argv: Sequence[str], search: str, root: Path, more: tuple[Program, ...] = ()) -> Programs:
-    """The programs that a command starts, and what else counts as one; `search` is the PATH of its runs.
-
-    Raises Missing where the first word is no program.
+    Raises Missing where the first word is no program, or lacks a library.
     """
+    search = variables["PATH"]
     first = shutil.which(argv[0], path=search)
     if first is None:
         if Path(argv[0]).is_file():
             raise Missing(f"{argv[0]} is no program; name its interpreter (python3 …), or make it one with chmod +x")
         raise Missing(f"the program {argv[0]!r} is not there; install it, or mend the command of the project in {root}")
-    found = {program.path: program for program in _programs(argv[0], first, search)}
+    finding = _Finding(root, variables)
+    finding.start(argv[0], first, needed=True)
     for word in argv[1:]:
-        path = None if word.startswith("-") or not word else shutil.which(word, path=search)
-        if path is not None and path not in found:
-            found |= {program.path: program for program in _programs(word, path, search)}
-    return Programs((*found.values(), *more))
+        if Path(argv[0]).name == "env" and "=" in word:
+            finding.set(*word.split("=", 1))
+        elif word and not word.startswith("-") and (path := shutil.which(word, path=search)):
+            finding.start(word, path)
+    return finding.found(more)
 
 
-def beside(words: Iterable[str], root: Path, source: Container[bytes]) -> tuple[Program, ...]:
-    """Files that a command or a variable names by `{project}/…`, and that the source does not hold.
+class _Finding:
+    """The programs of one command, as they are found: each path once."""
 
-    What git ignores is such: `{project}/build/lib`, say; and what lies outside, be it by a link. A folder counts as all
-    files in it.
-    """
-    found = {}
-    for word in words:
-        for inside in re.findall(r"\{project\}/([^:;,=]+)", word):
-            for path in _files(root / inside):
-                relative = path.relative_to(root) if path.is_relative_to(root) else path
-                outside = not path.resolve().is_relative_to(root.resolve())
-                if outside or os.fsencode(relative.as_posix()) not in source:
-                    found[path] = Program(f"{{project}}/{relative}", str(path), _fingerprint(str(path)))
-    return tuple(found.values())
+    def __init__(self, root: Path, variables: Mapping[str, str]) -> None:
+        self._root = root
+        self._variables = dict(variables)
+        self._digests = Digests()
+        self._programs: dict[str, Program] = {}
+        self._libraries: dict[str, Program] = {}
+        self._installed: dict[str, list[Program]] = {}
+        self._notes: list[str] = []
 
+    def set(self, name: str, value: str) -> None:
+        """What `env` sets for the programs after it."""
+        self._variables[name] = value
 
-def _files(path: Path) -> Iterator[Path]:
-    if path.is_file():
-        yield path
-    elif path.is_dir():
-        yield from sorted(below for below in path.rglob("*") if below.is_file() and "__pycache__" not in below.parts)
+    def found(self, more: Programs) -> Programs:
+        self._digests.save()
+        installed = (one for ones in self._installed.values() for one in ones)
+        libs = (self._libraries[path] for path in sorted(self._libraries))
+        known = {**self._programs, **self._libraries}
+        files = (one for one in more.all if one.path not in known)
+        return Programs((*self._programs.values(), *installed, *libs, *files), (*dict.fromkeys(self._notes), *more.notes))
 
+    def start(self, name: str, path: str, *, needed: bool = False) -> None:
+        """A program, and all that it needs; where it is `needed` itself, what that lacks is an error."""
+        if path in self._programs:
+            return
+        self._programs[path] = Program(name, path, self._digests.of(path))
+        self._load(name, path, needed=needed)
+        if pythons.is_python(path):
+            self._python(name, path, needed=needed)
+        for word in _interpreter(Path(path)):
+            interpreter = shutil.which(word, path=self._variables["PATH"])
+            if interpreter is not None:
+                self.start(word, interpreter, needed=needed)
 
-def _programs(name: str, path: str, search: str) -> Iterator[Program]:
-    yield Program(name, path, _fingerprint(path))
-    if Path(path).name.startswith("python"):
-        for folder in _site_packages(Path(path)):
-            yield Program(f"{name}: installed distributions", str(folder), _distributions(folder))
-    for word in _interpreter(Path(path)):
-        interpreter = shutil.which(word, path=search)
-        if interpreter is not None and interpreter != path:
-            yield from _programs(word, interpreter, search)
+    def _load(self, name: str, path: str, *, needed: bool) -> None:
+        loaded = libraries.loaded(path, self._variables)
+        if loaded.lacking and needed:
+            raise Missing(
+                f"{called(name)} needs {loaded.lacking[0]}, which is not found; install it, or name its folder in "
+                "LD_LIBRARY_PATH in [environment]"
+            )
+        if loaded.doubt:
+            self._notes.append(f"the libraries of {path} are not recorded: {loaded.doubt}")
+        for library, there in loaded.paths.items():
+            if there not in self._libraries:
+                self._libraries[there] = Program(library, there, self._digests.of(there), Kind.LIBRARY)
+
+    def _python(self, name: str, path: str, *, needed: bool) -> None:
+        """The interpreter that is meant, where it is another file than is called, and what it sees."""
+        interpreter = pythons.ask(path, self._variables, self._root)
+        real = os.path.realpath(interpreter.executable)
+        if real not in self._programs:
+            sha = self._digests.of(real)
+            same = sha == self._programs[path].sha256
+            self._programs[real] = Program(name if same else f"{called(name)}: interpreter", real, sha)
+            self._load(name, real, needed=needed)
+        if interpreter.executable not in self._installed:
+            self._installed[interpreter.executable] = list(self._seen(called(name), interpreter))
+
+    def _seen(self, name: str, interpreter: pythons.Interpreter) -> Iterator[Program]:
+        found = pythons.distributions(interpreter.installed)
+        lines = "\n".join(one.line for one in found)
+        where = os.pathsep.join(map(str, interpreter.installed))
+        if interpreter.installed:
+            yield Program(f"{name}: installed distributions", where, sha256(lines.encode()), Kind.DISTRIBUTIONS, lines)
+        for one in pythons.contents(interpreter, found, self._root, self._digests):
+            yield Program(f"{name}: {one.name}", one.origin, one.digest, Kind.DISTRIBUTIONS, one.version)
 
 
 def _interpreter(script: Path) -> list[str]:
@@ -122,18 +125,59 @@ def _interpreter(script: Path) -> list[str]:
     return os.fsdecode(line[2:]).split() if line.startswith(b"#!") else []
 
 
-def _fingerprint(path: str) -> str:
-    try:
-        return sha256_file(Path(path))
-    except OSError as error:
-        raise Missing(f"the program {path} cannot be read: {error.strerror}") from error
+def differing(
+    before: Mapping[str, Mapping[str, Any]], now: Mapping[str, Program]
+) -> Iterator[tuple[str, Mapping[str, Any] | None, Program | None]]:
+    """What is other now, by name: the row that was recorded, and what is there; None where there is none."""
+    for name in sorted(before.keys() | now.keys()):
+        was, program = before.get(name), now.get(name)
+        if was is None or program is None or was["sha256"] != program.sha256:
+            yield name, was, program
 
 
-def _site_packages(interpreter: Path) -> list[Path]:
-    lib = interpreter.parent.parent / "lib"
-    return sorted([*lib.glob("python3*/site-packages"), *lib.glob("python3*/dist-packages")])
+def told(before: Iterable[Mapping[str, Any]], now: Programs) -> Iterator[str]:
+    """What is other now than in the rows of `programs` that are recorded, a line each, and one for all libraries."""
+    rows = list(before)
+    several = {name for names in ([row["name"] for row in rows], [one.name for one in now.all]) for name in _ambiguous(names)}
+
+    def key(name: str) -> str:
+        return name if called(name) in several else called(name)
+
+    then, here = {key(row["name"]): row for row in rows}, {key(program.name): program for program in now.all}
+    loaded = []
+    for name, was, program in differing(then, here):
+        kind = program.kind if program else was and was["kind"]
+        if kind == Kind.LIBRARY:
+            loaded.append(name)
+        elif was and program and kind == Kind.DISTRIBUTIONS and was["version"] != program.version:
+            yield f"{name}: {_shown(list(_versions(was['version'], program.version)))}"
+        else:
+            yield f"{name}: {_said(was) if was else 'not'} recorded, {_said(program) if program else 'not'} found"
+    if loaded:
+        yield f"libraries other than recorded: {_shown(loaded)}"
 
 
-def _distributions(folder: Path) -> str:
-    names = sorted(entry.name for entry in os.scandir(folder) if entry.name.endswith((".dist-info", ".egg-info")))
-    return sha256("\n".join(names).encode())
+def _ambiguous(names: Iterable[str]) -> set[str]:
+    """What several of them are called, wherever they lie."""
+    counted = Counter(called(name) for name in set(names))
+    return {name for name, count in counted.items() if count > 1}
+
+
+def _said(one: Program | Mapping[str, Any]) -> str:
+    """What a program says of itself, and the beginning of its SHA-256."""
+    version, digest = (one.version, one.sha256) if isinstance(one, Program) else (one["version"], one["sha256"])
+    return short(digest) if not version or "\n" in version else f"{version} ({short(digest)})"
+
+
+def _versions(before: str | None, now: str | None) -> Iterator[str]:
+    """The distributions that are others in two lists."""
+    was, found = ({line.partition("==")[0]: line for line in (text or "").splitlines()} for text in (before, now))
+    for name in sorted(was.keys() | found.keys()):
+        if was.get(name) != found.get(name):
+            old, new = (lines[name].partition("==")[2] if name in lines else "not" for lines in (was, found))
+            yield f"{name} {old} recorded, {new} found"
+
+
+def _shown(items: list[str]) -> str:
+    more = f" and {len(items) - SHOWN} more" if len(items) > SHOWN else ""
+    return ", ".join(items[:SHOWN]) + more

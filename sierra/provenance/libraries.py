@@ -1,0 +1,115 @@
+"""The libraries that the system's loader gives a program, asked of the loader itself.
+
+`ld.so --list PROGRAM` maps what it would map and says where it found it; nothing of the program executes. An ELF file names
+its own loader, though, which could be any program: only loaders in the system's folders are asked.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import struct
+import subprocess
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+SYSTEM = re.compile(r"(/usr)?/lib[^/]*/.*|/(nix/store|gnu/store|cvmfs)/.*")
+LOADER = re.compile(r"ld(32|64|-[\w.+-]+)?\.so(\.\d+)*")
+FOUND = re.compile(r"\s*(?:(?P<name>\S.*?) => )?(?P<path>/.*) \(0x[0-9a-f]+\)")
+LACKING = re.compile(
+    r".*: error while loading shared libraries: (.+?): cannot open shared object file: .*"  # glibc
+    r"|.*: version [`'](.+?)' not found \(required by .*\)"
+    r"|Error loading shared library (.+?): No such file.*"  # musl
+)
+HEARD = ("LD_LIBRARY_PATH", "LD_PRELOAD")
+"""The variables of a run that the loader is to heed here."""
+PATIENCE_S = 10.0
+
+
+@dataclass(frozen=True, slots=True)
+class Loaded:
+    """The libraries of one program: paths by name, and what is needed and not there. `doubt` says why none can be told."""
+
+    paths: Mapping[str, str]
+    lacking: tuple[str, ...] = ()
+    doubt: str | None = None
+
+
+NONE = Loaded({})
+
+
+def loaded(program: str, variables: Mapping[str, str]) -> Loaded:
+    """What the loader would load for a program in an environment; nothing for what is static, or no ELF file."""
+    resolved = os.path.realpath(program)
+    loader = interpreter(resolved)
+    if not loader or not Path(loader).exists():
+        return NONE
+    if not _is_systems(loader):
+        return Loaded({}, doubt=f"its loader {loader} is none of the system's")
+    heard = {name: variables[name] for name in HEARD if name in variables}
+    try:
+        done = subprocess.run(
+            [loader, "--list", resolved],
+            env={**heard, "LC_ALL": "C"},
+            cwd="/",
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            timeout=PATIENCE_S,
+            check=False,
+        )
+    except (OSError, subprocess.TimeoutExpired) as error:
+        return Loaded({}, doubt=f"the loader {loader} gives no answer ({type(error).__name__})")
+    return _read(os.fsdecode(done.stdout), os.fsdecode(done.stderr))
+
+
+def _is_systems(loader: str) -> bool:
+    """Whether it is called like a loader, and lies in the system's folders, with all links followed and without."""
+    places = (os.path.normpath(loader), os.path.realpath(loader))
+    return LOADER.fullmatch(Path(loader).name) is not None and all(map(SYSTEM.fullmatch, places))
+
+
+def _read(out: str, err: str) -> Loaded:
+    """What a loader has said, glibc's or musl's."""
+    paths = {}
+    for line in out.splitlines():
+        if match := FOUND.fullmatch(line):
+            paths[match["name"] or Path(match["path"]).name] = os.path.normpath(match["path"])
+    lacking = [match[match.lastindex or 0] for line in err.splitlines() if (match := LACKING.fullmatch(line))]
+    return Loaded({Path(name).name: path for name, path in paths.items()}, tuple(dict.fromkeys(lacking)))
+
+
+def interpreter(path: str) -> str | None:
+    """The loader that an ELF file names (PT_INTERP); None of any other file. (Formats: elf(5).)"""
+    try:
+        with open(path, "rb") as file:  # noqa: PTH123 - a text
+            head = file.read(64)
+            if head[:4] != b"\x7fELF":
+                return None
+            order = "<" if head[5] == 1 else ">"
+            wide = head[4] == 2
+            place, size, count = _table(head, order, wide)
+            file.seek(place)
+            for _ in range(count):
+                kind, at, length = _segment(file.read(size), order, wide)
+                if kind == 3:
+                    file.seek(at)
+                    return os.fsdecode(file.read(min(length, 4096)).split(b"\0")[0])
+    except (OSError, ValueError, OverflowError, IndexError, struct.error):
+        pass
+    return None
+
+
+def _table(head: bytes, order: str, wide: bool) -> tuple[int, int, int]:
+    """Where the program headers are, how long each is, and how many."""
+    place = struct.unpack_from(order + ("Q" if wide else "I"), head, 32 if wide else 28)[0]
+    size, count = struct.unpack_from(order + "HH", head, 54 if wide else 42)
+    return place, size, count
+
+
+def _segment(header: bytes, order: str, wide: bool) -> tuple[int, int, int]:
+    """A program header's type, and where its content is."""
+    kind = struct.unpack_from(order + "I", header)[0]
+    if wide:
+        return kind, struct.unpack_from(order + "Q", header, 8)[0], struct.unpack_from(order + "Q", header, 32)[0]
+    return kind, struct.unpack_from(order + "I", header, 4)[0], struct.unpack_from(order + "I", header, 16)[0]

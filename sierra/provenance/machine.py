@@ -1,0 +1,138 @@
+"""What a machine is, in facts that stay as they are while it runs: operating system, processor, graphics, container, limits.
+
+Nothing that changes by itself (free memory, load) is among them, and nothing is executed to find them: Linux tells all of
+it in files. Elsewhere what is not known is empty.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import platform
+import re
+import resource
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+CPUINFO = Path("/proc/cpuinfo")
+ARITHMETIC = re.compile(
+    r"3dnow(ext)?|abm|adx|aes|amx_.*|avx.*|bmi\d|f16c|fma4?|gfni|mmx|movbe|pclmulqdq|pni|popcnt|sha_ni|sse.*|ssse3|tbm|v?aes|"
+    r"vpclmulqdq|xop"
+)
+"""The features of an x86 processor by which numeric libraries choose their code; of others, all are taken."""
+ENGINES = ("docker", "podman", "kubepods", "lxc", "containerd", "apptainer", "singularity")
+ZONES = "/zoneinfo/"
+
+
+def facts() -> dict[str, Any]:
+    """All facts of this machine, by the names of the columns of `environments`."""
+    return {**_fixed(), "cores": usable_cores(), "limits": limits()}
+
+
+def usable_cores() -> int:
+    """Cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def limits() -> dict[str, list[int | None]]:
+    """What `ulimit -a` tells: soft and hard limit by name, in bytes, seconds or pieces; None for no limit."""
+    names = sorted(name for name in dir(resource) if name.startswith("RLIMIT_") and name != "RLIMIT_OFILE")
+    found = {}
+    for name in names:
+        with contextlib.suppress(ValueError, OSError):
+            both = resource.getrlimit(getattr(resource, name))
+            found[name.removeprefix("RLIMIT_").lower()] = [None if one == resource.RLIM_INFINITY else one for one in both]
+    return found
+
+
+@cache
+def _fixed() -> dict[str, Any]:
+    uname = os.uname()
+    model, flags = processor(_text(CPUINFO))
+    return {
+        "host": uname.nodename,
+        "os": _os_release(),
+        "kernel": uname.release,
+        "machine": uname.machine,
+        "cpu": model or uname.machine,
+        "cpu_flags": flags,
+        "memory": os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"),
+        "gpus": sorted(_gpus()),
+        "libc": _libc(),
+        "container": _container(),
+        "timezone": _timezone(),
+    }
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text("utf-8", "replace")
+    except OSError:
+        return ""
+
+
+def _os_release() -> str:
+    try:
+        return platform.freedesktop_os_release()["PRETTY_NAME"]
+    except (OSError, KeyError):
+        return os.uname().sysname
+
+
+def processor(cpuinfo: str) -> tuple[str, list[str]]:
+    """The first processor's model and features, from /proc/cpuinfo of x86, ARM and others."""
+    first = cpuinfo.split("\n\n")[0]
+    fields = {
+        name.strip(): value.strip() for name, colon, value in (line.partition(":") for line in first.splitlines()) if colon
+    }
+    model = fields.get("model name") or fields.get("cpu") or fields.get("uarch") or ""
+    if not model and "CPU part" in fields:
+        model = f"implementer {fields.get('CPU implementer', '?')}, part {fields['CPU part']}"
+    if "flags" in fields:
+        return model, sorted({flag for flag in fields["flags"].split() if ARITHMETIC.fullmatch(flag)})
+    others = fields.get("Features") or fields.get("features") or fields.get("isa") or ""
+    return model, sorted(set(others.split()))
+
+
+def _gpus() -> Iterator[str]:
+    """Graphics processors: NVIDIA's by name and driver, all others by the ids of vendor and device, and the driver's name."""
+    driver = re.search(r"\b\d{3}\.\d+(\.\d+)*\b", _text(Path("/proc/driver/nvidia/version")))
+    for file in Path("/proc/driver/nvidia/gpus").glob("*/information"):
+        model = re.search(r"Model:\s*(.+)", _text(file))
+        yield f"{model[1] if model else 'NVIDIA'}, driver {driver[0] if driver else '?'}"
+    for device in Path("/sys/class/drm").glob("card[0-9]*/device"):
+        vendor = _text(device / "vendor").strip()
+        if vendor:
+            named = os.path.basename(os.path.realpath(device / "driver"))  # noqa: PTH119
+            yield f"{vendor}:{_text(device / 'device').strip()}, driver {named}"
+
+
+def _libc() -> str:
+    with contextlib.suppress(ValueError, OSError, AttributeError):
+        if name := os.confstr("CS_GNU_LIBC_VERSION"):
+            return name
+    return " ".join(part for part in platform.libc_ver() if part)
+
+
+def _container() -> str | None:
+    """What contains this process, and its image where that is told (podman, apptainer); None where nothing does."""
+    for name in ("APPTAINER", "SINGULARITY"):
+        if image := os.environ.get(f"{name}_NAME") or os.environ.get(f"{name}_CONTAINER"):
+            return f"{name.lower()} {Path(image).name}"
+    said = Path("/run/.containerenv")
+    if said.exists():
+        fields = dict(re.findall(r'^(\w+)="(.*)"$', _text(said), re.MULTILINE))
+        return " ".join(part for part in ("podman", fields.get("image"), fields.get("imageid")) if part)
+    if Path("/.dockerenv").exists():
+        return "docker"
+    groups = _text(Path("/proc/self/cgroup"))
+    return next((engine for engine in ENGINES if f"/{engine}" in groups), None)
+
+
+def _timezone() -> str:
+    """The machine's time zone by its name."""
+    linked = os.path.realpath("/etc/localtime")
+    return linked.partition(ZONES)[2] or _text(Path("/etc/timezone")).strip() or "UTC"

@@ -1,0 +1,63 @@
+"""One thing outside source and image that results depend on: a program, a library, installed distributions, a file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+from typing import Any
+
+from sierra.hashing import digest
+
+
+class Kind(StrEnum):
+    """What it is."""
+
+    PROGRAM = "program"
+    LIBRARY = "library"
+    DISTRIBUTIONS = "distributions"
+    """What a Python interpreter has installed, or one distribution whose content counts."""
+    FILE = "file"
+
+
+@dataclass(frozen=True, slots=True)
+class Program:
+    """A program as a command calls it, where it was found, and what it is."""
+
+    name: str
+    path: str
+    sha256: str
+    kind: Kind = Kind.PROGRAM
+    version: str | None = None
+    """What it says of itself; of distributions, a line for each. It is recorded, and no part of the fingerprint."""
+
+    @property
+    def called(self) -> str:
+        """Its name wherever it lies."""
+        return called(self.name)
+
+
+@dataclass(frozen=True, slots=True)
+class Programs:
+    """All that was used together; `id` is the same wherever the same lies."""
+
+    all: tuple[Program, ...]
+    notes: tuple[str, ...] = ()
+    """What could not be found out."""
+
+    @property
+    def id(self) -> str:
+        return digest("programs", {"programs": sorted({(p.called, p.sha256) for p in self.all})})
+
+    def rows(self) -> list[dict[str, Any]]:
+        fields = ("name", "kind", "version", "path", "sha256")
+        identity = self.id
+        return [{"programs": identity, **{name: getattr(program, name) for name in fields}} for program in self.all]
+
+
+NOTHING = Programs(())
+
+
+def called(name: str) -> str:
+    """What a program is called wherever it lies: its path's last part, or what stands for a path of the project."""
+    return name if "{" in name else Path(name).name

@@ -1,0 +1,162 @@
+"""What programs say their version is: each is asked once, and remembered for as long as all programs are the same.
+
+To ask a program is to execute it, and nobody knows what one does that has never heard of `--version`. So only what is
+installed is asked without being told to: no script, and nothing inside the project, unless `[programs.versions]` names it.
+It gets a second, an empty folder, no input, small files, and the environment of runs; then it is ended, with all that it
+has started. The answer is recorded, and no part of any fingerprint: that is what is hashed for.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import resource
+import secrets
+import select
+import signal
+import subprocess
+import tempfile
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from sierra.config import ProgramsTable
+from sierra.hashing import digest
+from sierra.paths import user_versions
+from sierra.provenance.program import Kind, Program, Programs
+from sierra.provenance.remembered import Remembered
+
+PATIENCE_S = 1.0
+MOST_SAID = 1 << 16
+LONGEST = 200
+MOST = 1024
+LIMITS = {resource.RLIMIT_FSIZE: 1 << 20, resource.RLIMIT_CPU: 2, resource.RLIMIT_CORE: 0}
+MARK = "SIERRA_VERSION_ASKED"
+
+
+def asked(programs: Programs, table: ProgramsTable, variables: Mapping[str, str], root: Path) -> Programs:
+    """The same programs, with what they say of themselves; `variables` are the runs' own, with PATH."""
+    remembered = Remembered(user_versions(), MOST)
+    identity = programs.id
+
+    def version(program: Program) -> str | None:
+        words = _words(program, table, root)
+        if not words or not Path(program.path).exists():
+            return program.version
+        key = digest("version", {"programs": identity, "name": program.called, "words": list(words)})
+        known = remembered.get(key)
+        if not isinstance(known, str):
+            known = _say((program.path, *words), variables) or ""
+            remembered.put(key, known)
+        return known or None
+
+    answered = tuple(replace(program, version=version(program)) for program in programs.all)
+    remembered.save()
+    return replace(programs, all=answered)
+
+
+def _words(program: Program, table: ProgramsTable, root: Path) -> tuple[str, ...]:
+    """The arguments for which a program says its version; none where it is not to be asked."""
+    if program.kind is not Kind.PROGRAM:
+        return ()
+    if program.called in table.versions:
+        return table.versions[program.called]
+    path = Path(program.path)
+    is_own = path.is_relative_to(root) or path.resolve().is_relative_to(root.resolve())
+    return () if is_own or _is_script(path) else table.version
+
+
+def _is_script(path: Path) -> bool:
+    try:
+        with path.open("rb") as file:
+            return file.read(2) == b"#!"
+    except OSError:
+        return True
+
+
+def _say(argv: Sequence[str], variables: Mapping[str, str]) -> str | None:
+    """The first line that a program says, if it ends well and soon."""
+    mark = secrets.token_hex(16)
+    with tempfile.TemporaryDirectory(prefix="sierra-", ignore_cleanup_errors=True) as folder:
+        try:
+            process = subprocess.Popen(
+                argv,
+                env={**variables, "HOME": folder, "TMPDIR": folder, MARK: mark},
+                cwd=folder,
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,
+            )
+        except (OSError, ValueError):
+            return None
+        try:
+            _limit(process.pid)
+            return _first_line(_hear(process))
+        finally:
+            _end(process, mark)
+
+
+def _limit(pid: int) -> None:
+    if hasattr(resource, "prlimit"):
+        for kind, most in LIMITS.items():
+            with contextlib.suppress(OSError, ValueError):
+                resource.prlimit(pid, kind, (most, most))
+
+
+def _hear(process: subprocess.Popen[bytes]) -> bytes:
+    """All that a program says; nothing where that is too much, takes too long, or ends badly."""
+    if process.stdout is None:
+        return b""
+    said = b""
+    give_up = time.monotonic() + PATIENCE_S
+    while time.monotonic() < give_up and len(said) <= MOST_SAID:
+        if select.select([process.stdout], [], [], 0.005)[0]:
+            piece = os.read(process.stdout.fileno(), MOST_SAID)
+            if not piece:
+                break
+            said += piece
+        elif process.poll() is not None:
+            break
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        if len(said) <= MOST_SAID and process.wait(max(0, give_up - time.monotonic())) == 0:
+            return said
+    return b""
+
+
+def _end(process: subprocess.Popen[bytes], mark: str) -> None:
+    """Kill a program and what it has started, also what has left its process group (where /proc tells it)."""
+    give_up = time.monotonic() + PATIENCE_S
+    with contextlib.suppress(ProcessLookupError, PermissionError):
+        os.killpg(process.pid, signal.SIGKILL)
+    while (left := _marked(f"{MARK}={mark}".encode())) and time.monotonic() < give_up:
+        for pid in left:
+            with contextlib.suppress(ProcessLookupError, PermissionError):
+                os.kill(pid, signal.SIGKILL)
+    if process.stdout is not None:
+        process.stdout.close()
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        process.wait(PATIENCE_S)
+
+
+def _marked(mark: bytes) -> list[int]:
+    """Processes in whose environment there is this; zombies have none."""
+    found = []
+    for process in Path("/proc").glob("[0-9]*"):
+        with contextlib.suppress(OSError):
+            if mark in (process / "environ").read_bytes().split(b"\0"):
+                found.append(int(process.name))
+    return found
+
+
+def _first_line(said: bytes) -> str | None:
+    """The first line with something in it, if it is text."""
+    for line in said.splitlines():
+        with contextlib.suppress(UnicodeDecodeError):
+            text = line.decode().strip()
+            if text and text.isprintable():
+                return text[:LONGEST]
+        if line.strip():
+            return None
+    return None

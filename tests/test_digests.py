@@ -1,0 +1,83 @@
+"""SHA-256 of files, remembered for as long as they are the same."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import time
+from pathlib import Path
+
+import pytest
+
+from sierra.errors import Missing
+from sierra.provenance import digests
+from sierra.provenance.digests import Digests
+
+LARGE = b"x" * (1 << 17)
+
+
+@pytest.fixture
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    return tmp_path / "cache" / "sierra" / "digests.json"
+
+
+def hashed(path: Path) -> str:
+    """As a process does that begins, hashes, and ends."""
+    found = Digests()
+    digest = found.of(str(path))
+    found.save()
+    return digest
+
+
+def rested(path: Path, content: bytes) -> Path:
+    """A file that nobody has changed for some seconds."""
+    path.write_bytes(content)
+    time.sleep(2.1)
+    return path
+
+
+def test_a_file_at_rest_is_hashed_once_and_again_when_it_changes(tmp_path: Path, cache: Path) -> None:
+    path = rested(tmp_path / "file", LARGE)
+    assert hashed(path) == hashlib.sha256(LARGE).hexdigest()
+    cache.write_text(cache.read_text().replace(hashlib.sha256(LARGE).hexdigest(), "from the cache"))
+    assert hashed(path) == "from the cache"
+    status = path.stat()
+    path.write_bytes(LARGE[:-1] + b"y")
+    os.utime(path, ns=(status.st_atime_ns, status.st_mtime_ns))
+    assert hashed(path) == hashlib.sha256(LARGE[:-1] + b"y").hexdigest()
+
+
+def test_what_was_just_changed_is_not_trusted(tmp_path: Path, cache: Path) -> None:
+    (tmp_path / "file").write_bytes(LARGE)
+    hashed(tmp_path / "file")
+    assert not cache.exists()
+
+
+@pytest.mark.parametrize("content", ["", "{", "[]", '{"PATH": 1}', '{"PATH": []}', "[" * 100_000])
+def test_a_damaged_memory_is_forgotten(tmp_path: Path, cache: Path, content: str) -> None:
+    (tmp_path / "file").write_bytes(LARGE)
+    cache.parent.mkdir(parents=True)
+    cache.write_text(content.replace("PATH", str(tmp_path / "file")))
+    assert hashed(tmp_path / "file") == hashlib.sha256(LARGE).hexdigest()
+
+
+def test_no_cache_folder_is_no_error(tmp_path: Path, cache: Path) -> None:
+    (tmp_path / "cache").write_text("a file where the folder should be")
+    path = rested(tmp_path / "file", LARGE)
+    assert hashed(path) == hashlib.sha256(LARGE).hexdigest()
+
+
+def test_memory_is_bounded(tmp_path: Path, cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(digests, "MOST", 3)
+    monkeypatch.setattr(digests, "RACY_NS", -(10**12))
+    for number in range(5):
+        (tmp_path / str(number)).write_bytes(LARGE)
+        hashed(tmp_path / str(number))
+    text = cache.read_text()
+    assert [str(tmp_path / str(number)) in text for number in range(5)] == [False, False, True, True, True]
+
+
+def test_what_cannot_be_read_is_said(tmp_path: Path, cache: Path) -> None:
+    with pytest.raises(Missing, match="gone cannot be read: No such file"):
+        hashed(tmp_path / "gone")
