@@ -87,10 +87,20 @@ def take(question: Question, found: Found) -> list[Taken]:
     A run or an experiment of several batches is taken as it stands in the one that was last asked for.
     """
     with _readable():
-        return list(_take(question, found))
+        return [Taken(*row) for row in question.each(*_taking(question, found))]
 
 
-def _take(question: Question, found: Found) -> Iterator[Taken]:
+def take_as(question: Question, found: Found, table: str) -> str:
+    """The same as a temporary table with the columns of `Taken`, for where there are many; the batch that it is of."""
+    with _readable():
+        statement, parameters = _taking(question, found)
+        question.run(f"CREATE TEMP TABLE {identifier(table)} AS {statement}", parameters)
+    batch: str = parameters["b"]
+    return batch
+
+
+def _taking(question: Question, found: Found) -> tuple[str, dict[str, Any]]:
+    """The statement for what an id names, and its parameters."""
     question.views.make(("members", "experiments", "batches", "executions", "counting", "sessions"))
     batch, only, asked = found.id, "", {}
     if found.kind == "execution":
@@ -103,9 +113,8 @@ def _take(question: Question, found: Found) -> Iterator[Taken]:
     elif found.kind == "experiment":
         [(batch, ordinal), *_] = question.run(LATEST, {"run": None, "experiment": found.id})
         only, asked = "AND m.ordinal = $o", {"o": ordinal}
-    parameters = {"b": batch, "named": found.id if found.kind == "execution" else None, **asked}
-    for row in question.each(TAKEN.format(only=only), parameters):
-        yield Taken(*row)
+    named = found.id if found.kind == "execution" else None
+    return TAKEN.format(only=only), {"b": batch, "named": named, **asked}
 
 
 @contextlib.contextmanager
