@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
     from sierra.asking import Watch
+    from sierra.difference import Comparison
     from sierra.extract import Listing, Outcome
     from sierra.pipeline import Summary
     from sierra.plans import Plan
@@ -170,6 +171,15 @@ class Project:
         return replay.replay(
             self._loaded, self.store, prefix, how, watch or (lambda progress: None), say or (lambda text: None)
         )
+
+    def diff(self, before: str, after: str) -> Comparison:
+        """What differs between two batches, experiments, runs or executions, by beginnings of their ids.
+
+        What is likely to matter for results stands first: see `sierra.difference.Comparison`. Raises NotFound, UsageError.
+        """
+        from sierra import difference
+
+        return difference.compare(self._loaded, self.store, before, after)
 
     def files(self, prefix: str, *paths: str, to: str | os.PathLike[str] | None = None) -> Listing | list[Outcome]:
         """The recorded files of what an id names; with `to`, written into that folder: what became of each.

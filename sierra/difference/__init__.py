@@ -1,0 +1,92 @@
+"""What differs between two batches, experiments, runs or executions: what is likely to matter for results first.
+
+All is told from the record: what was asked, what runs were made from, what was around their executions, and, last, what came
+out. Where something that is recorded cannot be read any more, that is noted, and the rest told.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+from sierra.config import LoadedProject
+from sierra.difference import around, asked, code, files, results
+from sierra.difference.kinds import KINDS, Difference, Note
+from sierra.difference.sides import AFTER, BEFORE, check, gather, pair
+from sierra.errors import Damaged, NotFound, SqlError
+from sierra.store import Found, Store
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """The answer: what was compared, and what differs."""
+
+    before: Found
+    after: Found
+    differences: tuple[Difference, ...]
+    """By rank."""
+    same: tuple[str, ...]
+    """The kinds of things that were compared, all of them, and do not differ."""
+    notes: tuple[str, ...]
+    """What could not be compared, or not all of it; and what else is to be said."""
+
+
+def compare(project: LoadedProject, store: Store, before: str, after: str) -> Comparison:
+    """What differs between what two beginnings of ids name.
+
+    Raises NotFound, and UsageError for two of kinds that have nothing to compare.
+    """
+    old, new = store.resolve(before), store.resolve(after)
+    check(old, new)
+    if old == new:
+        return Comparison(old, new, (), KINDS, (f"both are the same {old.kind}",))
+    found: list[Difference] = []
+    notes: list[Note] = []
+    compared: set[str] = set()
+    for kinds, differences in _parts(project, store, old, new, notes):
+        try:
+            found += differences
+            compared |= set(kinds)
+        except (Damaged, NotFound, SqlError) as error:
+            notes.append(Note(f"{kinds[0]} cannot be compared: {error}", kinds[0]))
+    compared -= {difference.kind for difference in found} | {note.kind for note in notes if note.kind}
+    return Comparison(
+        before=old,
+        after=new,
+        differences=tuple(sorted(found, key=lambda one: one.rank)),
+        same=tuple(kind for kind in KINDS if kind in compared),
+        notes=tuple(dict.fromkeys(note.text for note in notes)),
+    )
+
+
+Part = tuple[tuple[str, ...], Iterable[Difference]]
+"""The kinds that are compared, and their differences, still to be looked for."""
+
+
+def _parts(project: LoadedProject, store: Store, old: Found, new: Found, notes: list[Note]) -> Iterator[Part]:
+    with store.ask() as question:
+        before, after = gather(question, old, BEFORE), gather(question, new, AFTER)
+        pairs = pair(question, before, after)
+        yield ("query",), asked.query(before, after, pairs)
+        yield ("platform", "command", "image", "variables"), asked.recipe(before, after)
+        yield ("source", "commit"), code.source(store, project.root, before, after)
+        yield ("programs",), around.programs(question, before, after)
+        yield ("environment",), around.environments(question, before, after)
+        yield ("rules",), around.rules(question, before, after)
+        if before.is_one:
+            yield ("status", "results"), results.of_one(question, store, project, before, after, notes)
+        else:
+            yield ("status",), results.good(question, before, after)
+            yield ("results",), results.of_shared(question, store, project, notes)
+        if not pairs:
+            notes.append(
+                Note("no experiment is in both, so that inputs and seeds are not compared, nor their results", "results")
+            )
+            return
+        yield ("seed",), asked.seeds(question, before, after)
+        yield ("inputs",), files.inputs(question, before, after, notes)
+        if not before.is_one:
+            yield ("results",), results.means(question, store, project, before, after, pairs, notes)
+
+
+__all__ = ["Comparison", "Difference", "compare"]
