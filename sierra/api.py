@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from sierra.extract import Listing, Outcome
     from sierra.pipeline import Summary
     from sierra.plans import Plan
+    from sierra.reasons import Why
     from sierra.replay import Replay, Tolerances
 
 
@@ -180,6 +181,12 @@ class Project:
         from sierra import difference
 
         return difference.compare(self._loaded, self.store, before, after)
+
+    def why(self, prefix: str) -> Why:
+        """Why what an id names was executed or not, what counts, and what asking again would do: see `sierra.reasons.Why`."""
+        from sierra import reasons
+
+        return reasons.why(self._loaded, self.store, prefix)
 
     def files(self, prefix: str, *paths: str, to: str | os.PathLike[str] | None = None) -> Listing | list[Outcome]:
         """The recorded files of what an id names; with `to`, written into that folder: what became of each.

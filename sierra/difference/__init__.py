@@ -31,8 +31,8 @@ class Comparison:
     """What could not be compared, or not all of it; and what else is to be said."""
 
 
-def compare(project: LoadedProject, store: Store, before: str, after: str) -> Comparison:
-    """What differs between what two beginnings of ids name.
+def compare(project: LoadedProject, store: Store, before: str, after: str, *, results_too: bool = True) -> Comparison:
+    """What differs between what two beginnings of ids name; `results_too`: also in what came out.
 
     Raises NotFound, and UsageError for two of kinds that have nothing to compare.
     """
@@ -43,7 +43,7 @@ def compare(project: LoadedProject, store: Store, before: str, after: str) -> Co
     found: list[Difference] = []
     notes: list[Note] = []
     compared: set[str] = set()
-    for kinds, differences in _parts(project, store, old, new, notes):
+    for kinds, differences in _parts(project, store, old, new, notes, results_too=results_too):
         try:
             found += differences
             compared |= set(kinds)
@@ -59,11 +59,25 @@ def compare(project: LoadedProject, store: Store, before: str, after: str) -> Co
     )
 
 
+MADE = frozenset(("query", "platform", "command", "image", "variables", "source", "template", "inputs", "seed"))
+"""The kinds of differences that make other runs."""
+FOLLOWING = ("as asked", "the seed")
+"""Differences in inputs that others tell already."""
+
+
+def made_other(project: LoadedProject, store: Store, before: str, after: str) -> list[str]:
+    """What makes the runs of a batch others than those of another, a line each; by the batches' ids."""
+    compared = compare(project, store, before, after, results_too=False)
+    return [one.line for one in compared.differences if one.kind in MADE and one.name not in FOLLOWING]
+
+
 Part = tuple[tuple[str, ...], Iterable[Difference]]
 """The kinds that are compared, and their differences, still to be looked for."""
 
 
-def _parts(project: LoadedProject, store: Store, old: Found, new: Found, notes: list[Note]) -> Iterator[Part]:
+def _parts(
+    project: LoadedProject, store: Store, old: Found, new: Found, notes: list[Note], *, results_too: bool
+) -> Iterator[Part]:
     with store.ask() as question:
         before, after = gather(question, old, BEFORE), gather(question, new, AFTER)
         pairs = pair(question, before, after)
@@ -73,20 +87,19 @@ def _parts(project: LoadedProject, store: Store, old: Found, new: Found, notes: 
         yield ("programs",), around.programs(question, before, after)
         yield ("environment",), around.environments(question, before, after)
         yield ("rules",), around.rules(question, before, after)
-        if before.is_one:
-            yield ("status", "results"), results.of_one(question, store, project, before, after, notes)
+        if pairs:
+            yield ("seed",), asked.seeds(question, before, after)
+            yield ("inputs",), files.inputs(question, before, after, notes)
         else:
-            yield ("status",), results.good(question, before, after)
-            yield ("results",), results.of_shared(question, store, project, notes)
-        if not pairs:
             notes.append(
                 Note("no experiment is in both, so that inputs and seeds are not compared, nor their results", "results")
             )
-            return
-        yield ("seed",), asked.seeds(question, before, after)
-        yield ("inputs",), files.inputs(question, before, after, notes)
-        if not before.is_one:
+        if results_too and before.is_one:
+            yield ("status", "results"), results.of_one(question, store, project, before, after, notes)
+        elif results_too:
+            yield ("status",), results.good(question, before, after)
+            yield ("results",), results.of_shared(question, store, project, notes)
             yield ("results",), results.means(question, store, project, before, after, pairs, notes)
 
 
-__all__ = ["Comparison", "Difference", "compare"]
+__all__ = ["Comparison", "Difference", "compare", "made_other"]

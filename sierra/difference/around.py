@@ -21,7 +21,12 @@ USED = "SELECT DISTINCT e.{what} AS id FROM {table} t JOIN executions e ON e.exe
 
 def programs(question: Question, before: Side, after: Side) -> Iterator[Difference]:
     """Programs by name; where they lie makes no difference."""
-    old, new = (_programs(question, side) for side in (before, after))
+    yield from other_programs(question, *(_used(question, side, "programs") for side in (before, after)))
+
+
+def other_programs(question: Question, before: Sequence[str], after: Sequence[str]) -> Iterator[Difference]:
+    """The same of sets of programs, by their ids."""
+    old, new = (_programs(_rows(question, ids, "programs")) for ids in (before, after))
     names = dict.fromkeys((*old, *new))
     for name in sorted(names, key=lambda name: KINDS.get(name[0], len(KINDS))):
         was, now = old.get(name, []), new.get(name, [])
@@ -33,10 +38,10 @@ def programs(question: Question, before: Side, after: Side) -> Iterator[Differen
 KINDS = {None: 0, "program": 0, "distributions": 1, "library": 2, "file": 3}
 
 
-def _programs(question: Question, side: Side) -> dict[tuple[str | None, str], list[Mapping[str, Any]]]:
+def _programs(rows: Rows) -> dict[tuple[str | None, str], list[Mapping[str, Any]]]:
     """What is used by the name that it has wherever it lies."""
     found: dict[tuple[str | None, str], list[Mapping[str, Any]]] = {}
-    for row in _rows(question, side, "programs"):
+    for row in rows:
         found.setdefault((row.get("kind"), called(row["name"])), []).append(row)
     return found
 
@@ -65,7 +70,10 @@ def _versions(was: Rows, now: Rows) -> Iterator[str]:
 
 def environments(question: Question, before: Side, after: Side) -> Iterator[Difference]:
     """Facts of the machines, column by column; and the runner and the engine that executed there."""
-    old, new = (_facts(_rows(question, side, "environment"), _runners(question, side)) for side in (before, after))
+    old, new = (
+        _facts(_rows(question, _used(question, side, "environment"), "environment"), _runners(question, side))
+        for side in (before, after)
+    )
     for name in dict.fromkeys((*old, *new)):
         yield from changed("environment", name, old.get(name), new.get(name))
 
@@ -96,14 +104,18 @@ def _runners(question: Question, side: Side) -> Rows:
 
 def rules(question: Question, before: Side, after: Side) -> Iterator[Difference]:
     """What the project declared of outputs and success."""
-    used = [_used(question, side, "reading") for side in (before, after)]
-    if set(used[0]) == set(used[1]):
+    yield from other_rules(question, *(_used(question, side, "reading") for side in (before, after)))
+
+
+def other_rules(question: Question, before: Sequence[str], after: Sequence[str]) -> Iterator[Difference]:
+    """The same of rules, by their ids."""
+    if set(before) == set(after):
         return
-    declared = [_declared(question, ids) for ids in used]
+    declared = [_declared(question, ids) for ids in (before, after)]
     if all(len(texts) == 1 for texts in declared):
         yield from changed("rules", "declared", declared[0][0], declared[1][0], called="[outputs] and [success]")
     else:
-        yield Difference("rules", "declared", "[outputs] and [success]: others than before", used[0], used[1])
+        yield Difference("rules", "declared", "[outputs] and [success]: others than before", before, after)
 
 
 def _declared(question: Question, ids: Sequence[str]) -> list[str]:
@@ -118,8 +130,8 @@ def _used(question: Question, side: Side, what: str) -> list[str]:
     return found or ([known] if known else [])
 
 
-def _rows(question: Question, side: Side, what: str) -> list[dict[str, Any]]:
+def _rows(question: Question, ids: Sequence[str], what: str) -> list[dict[str, Any]]:
     table = {"environment": "environments"}.get(what, what)
     statement = f"SELECT * FROM {table} WHERE list_contains($i, {what})"  # noqa: S608 - our own names
-    rows: list[dict[str, Any]] = question.sql(statement, i=_used(question, side, what)).to_pylist()
+    rows: list[dict[str, Any]] = question.sql(statement, i=list(ids)).to_pylist()
     return rows

@@ -119,7 +119,8 @@ BOTH = """
 CREATE TEMP VIEW both_sides AS
 SELECT b.ordinal, b.number, a.ordinal AS now_ordinal, a.number AS now_number, b.run AS was, a.run AS now,
        b.execution AS was_executed, a.execution AS now_executed, b.seed AS was_seed, a.seed AS now_seed,
-       (b.input, b.others) IS DISTINCT FROM (a.input, a.others) AS other_input, b.result IS DISTINCT FROM a.result AS other_result
+       (b.input, b.others) IS DISTINCT FROM (a.input, a.others) AS other_input,
+       b.result IS DISTINCT FROM a.result AS other_result
 FROM {before} b JOIN pairs p ON p.was = b.ordinal JOIN {after} a ON a.ordinal = p.now {same}
 """
 

@@ -182,7 +182,7 @@ class Views:
         return [file for file in files if file in found] or files
 
 
-COUNTING = """
+LATEST = """
 WITH asked AS (
     SELECT batch, programs, reading, ended FROM sessions WHERE reading IS NOT NULL
     UNION ALL
@@ -192,6 +192,10 @@ latest AS (
     SELECT batch, arg_max(programs, ended) AS programs, arg_max(reading, ended) AS reading, max(ended) AS asked
     FROM asked GROUP BY batch
 )
+"""
+"""The programs and the rules of each batch's last asking, as the relation `latest`."""
+
+COUNTING = f"""{LATEST}
 SELECT m.batch, m.ordinal, m.run, arg_max(e.execution, e.ended) AS execution, any_value(l.asked) AS asked
 FROM members m
 JOIN latest l ON m.batch = l.batch
