@@ -54,11 +54,13 @@ def _print(answer: Why) -> None:
     many = f": {_runs(answer.runs)}" if answer.found.kind in ("batch", "experiment") else ""
     print(f"{answer.found.kind} {short(answer.found.id)}{many}")
     idle = 0
+    told: set[str] = set()
     for event in answer.story:
         if event.what == "asking" and event.ended and not event.executed and answer.found.kind != "execution":
             idle += 1
             continue
-        _print_event(event, answer)
+        _print_event(event, answer, because=event.batch not in told)
+        told.add(event.batch)
     if idle:
         print(f"asked again {idle} time{'s' * (idle > 1)}: nothing of it was executed")
     if not answer.story:
@@ -81,7 +83,7 @@ def _standing(one: Standing) -> str:
     return "no execution: " if one.runs == 1 else f"{one.runs} runs have none (as {short(one.run)}): "
 
 
-def _print_event(event: Event, answer: Why) -> None:
+def _print_event(event: Event, answer: Why, *, because: bool) -> None:
     from sierra.cli.output import cell, readable
     from sierra.hashing import short
 
@@ -95,8 +97,8 @@ def _print_event(event: Event, answer: Why) -> None:
     for cause in event.causes[:LINES]:
         which = f"{_runs(cause.executions)}, as {short(cause.execution)}" if many else f"execution {short(cause.execution)}"
         print(f"  {which}: {readable(cause.why)}")
-        if cause.new:
-            for line in answer.new_because:
+        if cause.new and because:
+            for line in answer.new_because.get(event.batch, ()):
                 print(f"    {readable(line)}")
     if len(event.causes) > LINES:
         print(f"  and for {len(event.causes) - LINES} more reasons (--json has them all)")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 from sierra import difference
@@ -15,7 +15,7 @@ from sierra.store import Found, Question, Store
 from sierra.store.files import take_as
 
 BATCHES = 10
-"""Batches of one run that are told of."""
+"""Batches that are told of."""
 
 ASKED_LAST = """
 SELECT b.batch FROM batches b LEFT JOIN (SELECT batch, max(ended) AS ended FROM sessions GROUP BY batch) s USING (batch)
@@ -37,8 +37,8 @@ class Why:
     runs: int
     story: tuple[Event, ...]
     """In order. Of an execution: only that in which it happened."""
-    new_because: tuple[str, ...]
-    """Why the runs of the batch that first executed them were new: compared with which batch, and what differs."""
+    new_because: Mapping[str, tuple[str, ...]]
+    """By the batch that new runs were executed for: compared with which batch they were new, and what differs."""
     standings: tuple[Standing, ...]
     again: tuple[str, ...]
     """What asking again would do to these runs."""
@@ -55,9 +55,9 @@ def why(project: LoadedProject, store: Store, prefix: str) -> Why:
         stands = standings(question, batches)
         [(wanted,)] = question.run("SELECT count(*) FROM wanted")
         only = None if found.kind == "batch" else {row[0] for row in question.run("SELECT run FROM wanted")}
-        first = next((event.batch for event in story if any(cause.new for cause in event.causes)), None)
-        before = _before(question, first) if first else None
-    because = tuple(_because(project, store, first, before)) if first else ()
+        firsts = dict.fromkeys(event.batch for event in story if any(cause.new for cause in event.causes))
+        before = {batch: _before(question, batch) for batch in list(firsts)[:BATCHES]}
+    because = {batch: tuple(_because(project, store, batch, earlier)) for batch, earlier in before.items()}
     return Why(found, wanted, tuple(story), because, tuple(stands), tuple(again(project, store, batches[0], only)))
 
 

@@ -84,7 +84,9 @@ SELECT session, batch, purpose, worth, best.doubted AS doubted, CASE WHEN worth 
        arg_min(best.prior, (started, execution)) AS prior
 FROM happened GROUP BY ALL ORDER BY executions DESC, execution
 """
-ASKINGS = "SELECT * FROM sessions WHERE list_contains($b, batch) ORDER BY started, session"
+ASKINGS = """
+SELECT * FROM sessions WHERE list_contains($b, batch) OR session IN (SELECT session FROM happened) ORDER BY started, session
+"""
 REPLAYS = "SELECT replay, kind, target, verdict FROM replays WHERE list_contains($s, replay)"
 
 
