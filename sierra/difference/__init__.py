@@ -79,6 +79,7 @@ def _parts(
     project: LoadedProject, store: Store, old: Found, new: Found, notes: list[Note], *, results_too: bool
 ) -> Iterator[Part]:
     with store.ask() as question:
+        question.run("SET threads = 1")
         before, after = gather(question, old, BEFORE), gather(question, new, AFTER)
         pairs = pair(question, before, after)
         yield ("query",), asked.query(before, after, pairs)
@@ -99,7 +100,10 @@ def _parts(
         elif results_too:
             yield ("status",), results.good(question, before, after)
             yield ("results",), results.of_shared(question, store, project, notes)
-            yield ("results",), results.means(question, store, project, before, after, pairs, notes)
+            others = results.others(question, pairs)
+            rows = results.rows(question) if others else 0
+    if results_too and not before.is_one and others:
+        yield ("results",), results.means(store, project, before, after, others, rows, notes)
 
 
 __all__ = ["Comparison", "Difference", "compare", "made_other"]

@@ -47,11 +47,12 @@ def inputs(question: Question, before: Side, after: Side, notes: list[Note]) -> 
         for name in dict.fromkeys((*pair.files[0], *pair.files[1])):
             for spot in _spots(name, pair, content):
                 found.setdefault((name, spot.path), []).append((pair, spot))
+    read = f"{len(looked)} runs" if len(looked) == others else f"{len(looked)} runs that were read"
     several = any(len(files) > 1 for pair in pairs for files in pair.files)
     for (name, _), those in found.items():
-        yield _told(f"{name}: " if several else "", those, len(looked), before, after)
+        yield _told(f"{name}: " if several else "", those, len(looked), read, before, after)
     if len(looked) < others:
-        text = f"inputs differ in {others} of {runs} runs that both have a place for; {len(looked)} of these were read"
+        text = f"inputs differ in {others} of the {runs} runs that are compared; {len(looked)} of these were read"
         notes.append(Note(text, "inputs"))
 
 
@@ -100,13 +101,11 @@ def _spots(name: str, pair: _Pair, content: Mapping[str | None, bytes]) -> Itera
         yield from differing(name, content[old.sha256], content[new.sha256])
 
 
-def _told(name: str, those: Sequence[tuple[_Pair, Spot]], looked: int, before: Side, after: Side) -> Difference:
+def _told(name: str, those: Sequence[tuple[_Pair, Spot]], looked: int, read: str, before: Side, after: Side) -> Difference:
     """One place of the input, in all pairs of runs in which it differs."""
     first = those[0][1]
     values = {(spot.what, spot.was, spot.now) for _, spot in those}
-    where = (
-        "" if before.is_one else f" (in all {looked} runs)" if len(those) == looked else f" (in {len(those)} of {looked} runs)"
-    )
+    where = "" if before.is_one else f" (in {'all' if len(those) == looked else f'{len(those)} of'} {read})"
     varying = f", and {len(values) - 1} other pairs of values" if len(values) > 1 else ""
     line = f"{name}{_line(first)}{varying}{where}"
     if all(_is_seed(pair, spot) for pair, spot in those):

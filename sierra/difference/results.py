@@ -57,7 +57,7 @@ def _execution(question: Question, side: Side) -> dict[str, Any] | None:
 def good(question: Question, before: Side, after: Side) -> Iterator[Difference]:
     """How many runs have an execution that counts."""
     was, now = (
-        question.run(f"SELECT count(*) FILTER (which = 'counts') FROM {side.table}")[0][0]  # noqa: S608 - our own names
+        question.run(f"SELECT count(*) FILTER (counts) FROM {side.table}")[0][0]  # noqa: S608 - our own names
         for side in (before, after)
     )
     if (was == before.runs) != (now == after.runs) or (before.runs == after.runs and was != now):
@@ -154,20 +154,16 @@ class Mean:
 
 
 def means(
-    question: Question,
     store: Store,
     project: LoadedProject,
     before: Side,
     after: Side,
-    pairs: Sequence[tuple[int, int]],
+    chosen: Sequence[tuple[int, int]],
+    rows: int,
     notes: list[Note],
 ) -> Iterator[Difference]:
-    """The means of the experiments that both have, where their runs are others and wrote other bytes."""
-    wanted = _other_runs(question)
-    chosen = [pair for pair in pairs if pair[0] in wanted]
-    if not chosen:
-        return
-    if (rows := _rows(question)) > ROWS:
+    """The means of the experiments of these pairs, if all the rows of their outputs are not too many."""
+    if rows > ROWS:
         text = f"means are not compared, of {rows} rows; sierra stats OUTPUT COLUMN -b HASH computes those of a batch"
         notes.append(Note(text, "results"))
         return
@@ -188,22 +184,25 @@ def means(
         notes.append(Note(f"the means of {done} columns are compared; not those of {joined(left, SHOWN)}", "results"))
 
 
-def _other_runs(question: Question) -> set[int]:
+def others(question: Question, pairs: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
+    """The experiments in which other runs wrote other bytes."""
     rows = question.run(
         "SELECT DISTINCT ordinal FROM both_sides WHERE was <> now AND other_result "
         "AND was_executed IS NOT NULL AND now_executed IS NOT NULL"
     )
-    return {row[0] for row in rows}
+    found = {row[0] for row in rows}
+    return [pair for pair in pairs if pair[0] in found]
 
 
-def _rows(question: Question) -> int:
+def rows(question: Question) -> int:
+    """How many rows the outputs have, of both sides."""
     statement = (
         "SELECT coalesce(sum(rows), 0)::BIGINT FROM artifacts WHERE kind = 'table' AND execution IN "
         "(SELECT execution FROM before UNION ALL SELECT execution FROM after)"
     )
     question.views.make(("artifacts",))
-    rows: int = question.run(statement)[0][0]
-    return rows
+    count: int = question.run(statement)[0][0]
+    return count
 
 
 def _columns(store: Store, project: LoadedProject, before: Side, after: Side) -> dict[str, list[str]]:

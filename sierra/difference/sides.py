@@ -13,7 +13,8 @@ from typing import Any
 from sierra.errors import UsageError
 from sierra.hashing import short
 from sierra.store import Found, Question
-from sierra.store.files import Taken, take_as
+from sierra.store.files import Place, Taken, where
+from sierra.store.views import COUNTS, LATEST
 
 BEFORE, AFTER = "before", "after"
 ONE = ("run", "execution")
@@ -26,7 +27,8 @@ class Side:
 
     found: Found
     table: str
-    """Its runs: the columns of `sierra.store.files.Taken`, and `seed`, `input`, `others`, `result`."""
+    """Its runs: `ordinal`, `number`, `run`, `seed`, `input`; `execution`, `result` and `status` of the execution that a run
+    stands for, and whether that `counts`. `input` and `result` are 128 bits that stand for the digests, for memory's sake."""
     runs: int
     batch: Mapping[str, Any]
     recipe: Mapping[str, Any]
@@ -34,6 +36,8 @@ class Side:
     """The asking that it is seen from: of a batch or an experiment the last one; empty where that is not recorded."""
     source: Mapping[str, Any]
     """The state of the code, as far as that asking, or else any, says it; empty where no source counts."""
+    experiments: Mapping[int, str]
+    """The ids of the experiments, by their places in the batch."""
     cells: Mapping[int, Mapping[str, Any]]
     """The values of each experiment, by its place in the batch; a controller or scenario of the whole batch among them."""
 
@@ -55,21 +59,53 @@ def check(before: Found, after: Found) -> None:
         )
 
 
+RUNS = """
+CREATE TEMP TABLE {table} AS
+{latest},
+m AS (
+    SELECT ordinal, number, any_value(run) AS run, any_value(seed) AS seed,
+           md5_number(concat_ws(' ', any_value(input), array_to_string(any_value(others), ' '))) AS input
+    FROM members m WHERE batch = $b {only} GROUP BY ordinal, number
+),
+e AS (
+    SELECT e.run, e.execution, md5_number(e.result) AS result, e.status, e.ended, {counts} AS counts
+    FROM executions e LEFT JOIN latest l ON l.batch = $b WHERE {which}
+),
+one AS (
+    SELECT ordinal, number, any_value(m.run) AS run, any_value(seed) AS seed, any_value(input) AS input,
+           arg_max({{'execution': execution, 'result': result, 'status': status, 'counts': counts}}, ({best}ended)) AS e
+    FROM m LEFT JOIN e ON e.run = m.run GROUP BY ordinal, number
+)
+SELECT ordinal, number, run, seed, input, e.execution AS execution, e.result AS result, e.status AS status,
+       coalesce(e.counts, false) AS counts
+FROM one
+"""
+
+
+def make_runs(question: Question, place: Place, table: str, *, good_first: bool = False, only: str = "") -> None:
+    """Make a table of the runs of one side; `good_first`: the last good one before the last one, where none counts."""
+    named = {} if place.execution is None else {"named": place.execution}
+    statement = RUNS.format(
+        table=table,
+        latest=LATEST,
+        only=place.only + only,
+        counts=f"coalesce({COUNTS}, false)",
+        which="e.execution = $named" if named else "e.purpose = 'run'",
+        best="counts, status = 'ok', " if good_first else "counts, ",
+    )
+    question.run(statement, {**place.parameters, **named})
+
+
 def gather(question: Question, found: Found, table: str) -> Side:
     """All that the store has of one of the two."""
-    batch_id = take_as(question, found, f"{table}_taken")
-    question.views.make(("members", "executions", "sessions", "sources", "recipes", "batches", "experiments", "replays"))
-    question.run(
-        f"CREATE TEMP TABLE {table} AS SELECT t.*, m.seed, m.input, m.others, e.result "  # noqa: S608 - our own names
-        f"FROM {table}_taken t "
-        "JOIN (SELECT DISTINCT ordinal, number, run, seed, input, others FROM members WHERE batch = $b) m "
-        "USING (ordinal, number, run) LEFT JOIN executions e ON e.execution = t.execution",
-        {"b": batch_id},
-    )
-    question.run(f"DROP TABLE {table}_taken")
+    place = where(question, found)
+    batch_id = place.batch
+    question.views.make(("recipes", "sources", "replays"))
+    make_runs(question, place, table)
     [batch] = _rows(question, "SELECT * FROM batches WHERE batch = $b", b=batch_id)
     [recipe] = _rows(question, "SELECT * FROM recipes WHERE recipe = $r", r=batch["recipe"])
     recipe["variables"] = json.loads(recipe["variables"])
+    experiments = _experiments(question, batch_id, table)
     session = _session(question, found, batch_id)
     return Side(
         found=found,
@@ -79,7 +115,8 @@ def gather(question: Question, found: Found, table: str) -> Side:
         recipe=recipe,
         session=session,
         source=_source(question, recipe["source"], session.get("source")),
-        cells=_cells(question, batch, table),
+        experiments={row["ordinal"]: row["experiment"] for row in experiments},
+        cells=_cells(batch, experiments),
     )
 
 
@@ -105,21 +142,21 @@ def _source(question: Question, tree: str | None, known: str | None) -> dict[str
     return rows[0] if rows else {}
 
 
-def _cells(question: Question, batch: Mapping[str, Any], table: str) -> dict[int, dict[str, Any]]:
+def _experiments(question: Question, batch: str, table: str) -> list[dict[str, Any]]:
+    only = f"AND ordinal IN (SELECT ordinal FROM {table})"  # noqa: S608 - our own names
+    return _rows(question, f"SELECT * FROM experiments WHERE batch = $b {only} ORDER BY ordinal", b=batch)  # noqa: S608
+
+
+def _cells(batch: Mapping[str, Any], experiments: Sequence[Mapping[str, Any]]) -> dict[int, dict[str, Any]]:
     whole = {name: batch[name] for name in ("controller", "scenario") if batch[name] is not None}
-    rows = _rows(
-        question,
-        f"SELECT * FROM experiments WHERE batch = $b AND ordinal IN (SELECT ordinal FROM {table}) ORDER BY ordinal",  # noqa: S608
-        b=batch["batch"],
-    )
-    return {row["ordinal"]: {**whole, **{name: row[name] for name in batch["axes"]}} for row in rows}
+    return {row["ordinal"]: {**whole, **{name: row[name] for name in batch["axes"]}} for row in experiments}
 
 
 BOTH = """
 CREATE TEMP VIEW both_sides AS
 SELECT b.ordinal, b.number, a.ordinal AS now_ordinal, a.number AS now_number, b.run AS was, a.run AS now,
        b.execution AS was_executed, a.execution AS now_executed, b.seed AS was_seed, a.seed AS now_seed,
-       (b.input, b.others) IS DISTINCT FROM (a.input, a.others) AS other_input,
+       b.input IS DISTINCT FROM a.input AS other_input,
        b.result IS DISTINCT FROM a.result AS other_result
 FROM {before} b JOIN pairs p ON p.was = b.ordinal JOIN {after} a ON a.ordinal = p.now {same}
 """
@@ -157,6 +194,9 @@ def _telling(before: Side, after: Side) -> Iterator[str]:
 
 def takens(question: Question, side: Side, places: Sequence[tuple[int, int]]) -> list[Taken]:
     """Some of a side's runs, by the places of their experiments and their numbers, in that order."""
-    columns = "experiment, ordinal, number, run, execution, status, which"
-    statement = f"SELECT {columns} FROM {side.table} WHERE ordinal = $o AND number = $n"  # noqa: S608
-    return [Taken(*question.run(statement, {"o": ordinal, "n": number})[0]) for ordinal, number in places]
+    statement = f"SELECT run, execution, status FROM {side.table} WHERE ordinal = $o AND number = $n"  # noqa: S608
+    found = []
+    for ordinal, number in places:
+        [(run, execution, status)] = question.run(statement, {"o": ordinal, "n": number})
+        found.append(Taken(side.experiments[ordinal], ordinal, number, run, execution, status, "asked"))
+    return found

@@ -12,7 +12,7 @@ from sierra.reasons.again import again
 from sierra.reasons.standing import Standing, standings
 from sierra.reasons.story import Event, tell
 from sierra.store import Found, Question, Store
-from sierra.store.files import take_as
+from sierra.store.files import where
 
 BATCHES = 10
 """Batches that are told of."""
@@ -48,17 +48,18 @@ def why(project: LoadedProject, store: Store, prefix: str) -> Why:
     """Why what an id names was executed, or not. Raises NotFound."""
     found = store.resolve(prefix)
     with store.ask() as question:
+        question.run("SET threads = 1")
         batches = _runs(question, found)
         story = tell(question, batches)
         if found.kind == "execution":
             story = [event for event in story if event.session == _session(question, found.id)]
-        stands = standings(question, batches)
+        stands = tuple(standings(question, batches))
         [(wanted,)] = question.run("SELECT count(*) FROM wanted")
         only = None if found.kind == "batch" else {row[0] for row in question.run("SELECT run FROM wanted")}
         firsts = dict.fromkeys(event.batch for event in story if any(cause.new for cause in event.causes))
         before = {batch: _before(question, batch) for batch in list(firsts)[:BATCHES]}
     because = {batch: tuple(_because(project, store, batch, earlier)) for batch, earlier in before.items()}
-    return Why(found, wanted, tuple(story), because, tuple(stands), tuple(again(project, store, batches[0], only)))
+    return Why(found, wanted, tuple(story), because, stands, tuple(again(project, store, batches[0], only)))
 
 
 def _runs(question: Question, found: Found) -> list[str]:
@@ -67,8 +68,9 @@ def _runs(question: Question, found: Found) -> list[str]:
         question.views.make(("members",))
         question.run("CREATE TEMP TABLE wanted AS SELECT DISTINCT run FROM members WHERE batch = $b", {"b": found.id})
         return [found.id]
-    take_as(question, found, "taken")
-    question.run("CREATE TEMP TABLE wanted AS SELECT DISTINCT run FROM taken")
+    place = where(question, found)
+    statement = f"CREATE TEMP TABLE wanted AS SELECT DISTINCT m.run FROM members m WHERE m.batch = $b {place.only}"  # noqa: S608
+    question.run(statement, place.parameters)
     [(run,), *_] = question.run("SELECT run FROM wanted LIMIT 1")
     batches = [row[0] for row in question.run(ASKED_LAST, {"r": run})]
     if found.kind == "experiment":

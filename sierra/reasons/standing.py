@@ -8,7 +8,9 @@ from typing import Any
 
 from sierra.difference.around import other_programs, other_rules
 from sierra.difference.kinds import joined
+from sierra.difference.sides import make_runs
 from sierra.store import Question
+from sierra.store.files import Place
 from sierra.store.views import LATEST
 
 SHOWN = 4
@@ -28,34 +30,29 @@ class Standing:
     """Of that run: the one that counts, else its last one."""
 
 
-STANDINGS = f"""{LATEST},
-mine AS (SELECT DISTINCT batch, ordinal, run FROM members SEMI JOIN wanted USING (run) WHERE list_contains($batches, batch)),
-counted AS (SELECT batch, ordinal, run, execution FROM counting WHERE list_contains($batches, batch)),
-tried AS (
-    SELECT run, arg_max({{'execution': execution, 'reason': coalesce(reason, status), 'programs': programs, 'reading': reading,
-           'good': status = 'ok'}}, (status = 'ok', ended)) AS last
-    FROM executions SEMI JOIN wanted USING (run) WHERE purpose = 'run' GROUP BY run
-)
-SELECT m.batch, c.execution IS NOT NULL AS counts, t.run IS NOT NULL AS tried, coalesce(t.last.good, false) AS good,
-       CASE WHEN c.execution IS NULL AND NOT t.last.good THEN t.last.reason END AS reason,
-       CASE WHEN c.execution IS NULL AND t.last.good THEN t.last.programs END AS programs,
-       CASE WHEN c.execution IS NULL AND t.last.good THEN t.last.reading END AS reading,
-       any_value(l.programs) AS now_programs, any_value(l.reading) AS now_reading, any_value(l.asked) AS asked,
-       count(DISTINCT m.run) AS runs, min(m.run) AS run,
-       arg_min(coalesce(c.execution, t.last.execution), m.run) AS execution
-FROM mine m LEFT JOIN counted c USING (batch, ordinal, run) LEFT JOIN tried t ON t.run = m.run
-LEFT JOIN latest l ON l.batch = m.batch
-GROUP BY ALL ORDER BY max(l.asked) DESC, m.batch, runs DESC
-"""  # noqa: S608 - of our own parts
+ASKED = f"{LATEST} SELECT programs, reading FROM latest WHERE batch = $b"  # noqa: S608 - of our own parts
+STANDINGS = """
+SELECT t.counts, t.execution IS NOT NULL AS tried, coalesce(t.status = 'ok', false) AS good, e.reason, e.programs, e.reading,
+       count(*) AS runs, min(t.run) AS run, arg_min(t.execution, t.run) AS execution
+FROM standing t LEFT JOIN (
+    SELECT execution, CASE WHEN status <> 'ok' THEN coalesce(reason, status) END AS reason,
+           CASE WHEN status = 'ok' THEN programs END AS programs, CASE WHEN status = 'ok' THEN reading END AS reading
+    FROM executions WHERE execution IN (SELECT execution FROM standing WHERE NOT counts)
+) e ON e.execution = t.execution
+GROUP BY ALL ORDER BY runs DESC, run
+"""
 
 
-def standings(question: Question, batches: list[str]) -> list[Standing]:
-    """What holds for the runs in the table `wanted` in each of these batches, the last asked for first."""
-    question.views.make(("members", "sessions", "executions", "counting"))
-    rows = question.sql(STANDINGS, batches=batches).to_pylist()
-    return [
-        Standing(row["batch"], row["runs"], row["counts"], _why(question, row), row["run"], row["execution"]) for row in rows
-    ]
+def standings(question: Question, batches: list[str]) -> Iterator[Standing]:
+    """What holds for the runs in the table `wanted` in each of these batches."""
+    question.views.make(("members", "sessions", "executions", "batches"))
+    for batch in batches:
+        make_runs(question, Place(batch), "standing", good_first=True, only=" AND m.run IN (SELECT run FROM wanted)")
+        latest = question.sql(ASKED, b=batch).to_pylist() or [{"programs": None, "reading": None}]
+        for row in question.sql(STANDINGS).to_pylist():
+            told = {**row, "now_programs": latest[0]["programs"], "now_reading": latest[0]["reading"]}
+            yield Standing(batch, row["runs"], row["counts"], _why(question, told), row["run"], row["execution"])
+        question.run("DROP TABLE standing")
 
 
 def _why(question: Question, row: dict[str, Any]) -> str:

@@ -85,7 +85,7 @@ SELECT session, batch, purpose, worth, best.doubted AS doubted, CASE WHEN worth 
 FROM happened GROUP BY ALL ORDER BY executions DESC, execution
 """
 ASKINGS = """
-SELECT * FROM sessions WHERE list_contains($b, batch) OR session IN (SELECT session FROM happened) ORDER BY started, session
+SELECT * FROM sessions WHERE list_contains($b, batch) OR list_contains($s, session) ORDER BY started, session
 """
 REPLAYS = "SELECT replay, kind, target, verdict FROM replays WHERE list_contains($s, replay)"
 
@@ -95,7 +95,9 @@ def tell(question: Question, batches: Sequence[str]) -> list[Event]:
     question.views.make(("executions", "findings", "sessions", "replays", "members"))
     question.run(EXECUTED, {"failed": FAILED, "rules": OTHER_RULES, "programs": OTHER_PROGRAMS, "good": GOOD})
     rows = question.sql(CAUSES).to_pylist()
-    sessions = {row["session"]: row for row in question.sql(ASKINGS, b=list(batches)).to_pylist()}
+    sessions_of = [row["session"] for row in rows]
+    question.run("DROP TABLE happened")
+    sessions = {row["session"]: row for row in question.sql(ASKINGS, b=list(batches), s=sessions_of).to_pylist()}
     by_session: dict[str, list[dict[str, Any]]] = {session: [] for session in sessions}
     for row in rows:
         by_session.setdefault(row["session"], []).append(row)
