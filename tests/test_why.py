@@ -78,7 +78,9 @@ def test_the_file_that_made_runs_new_is_named(root: Path) -> None:
         [told] = why(root, thing)["new_because"].values()
         assert told[0] == f"compared with batch {before[:10]}:"
         assert "sim.py (+1 −0)" in told[1]
-    assert why(root, before)["again"] == [f"other runs, those of batch {after[:10]}, since:", "the source has changed: sim.py"]
+    again = why(root, before)["again"]
+    assert again[:2] == [f"other runs, those of batch {after[:10]}, since:", "the source has changed: sim.py"]
+    assert again[2].startswith(f"(sierra run {before[:10]} ")
 
 
 def test_a_grown_batch_says_where_its_runs_come_from(root: Path) -> None:

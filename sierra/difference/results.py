@@ -103,8 +103,9 @@ def _declared(question: Question, reading: str, project: LoadedProject) -> dict[
 
 
 def _growth(agreement: Agreement) -> Iterator[str]:
+    """How a difference grows over the rows."""
     if agreement.growth:
-        yield f"apart in each tenth of the rows: {', '.join(f'{far:.3g}' for far in agreement.growth)}"
+        yield ", ".join(f"{far:.3g} apart until {shown(until)}" for until, far in agreement.growth)
 
 
 SHARED = """

@@ -23,7 +23,8 @@ def again(project: LoadedProject, store: Store, batch: str, runs: Container[str]
     except SierraError as error:
         return [f"cannot be asked again as it is: {error}"]
     if plan.batch.id != batch:
-        return [f"other runs, those of batch {short(plan.batch.id)}, since:", *why_other(plan, store, batch)]
+        because = [f"other runs, those of batch {short(plan.batch.id)}, since:", *why_other(plan, store, batch)]
+        return [*because, f"(sierra run {short(batch)} asks for these, with the code of then)"]
     found = {run: state for run, state in states(plan, store).items() if runs is None or run in runs}
     counted = Counter(state.why for state in found.values())
     lines = [f"{_runs(count)}: {why}" for why, count in counted.most_common()]
