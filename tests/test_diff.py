@@ -109,6 +109,7 @@ def test_code_that_changes_no_result_is_said_to_change_none(make_either: Make) -
     said = diff(root, before, ask(root))
     assert kinds(said) == ["source"]
     assert "results" in said["same"]
+    assert "commit" not in said["same"]
 
 
 def test_files_that_come_and_go_and_binary_ones_are_named(make_either: Make) -> None:
@@ -327,6 +328,17 @@ def test_inputs_that_the_store_has_lost_are_noted_and_the_rest_is_told(make: Mak
     assert lines(said, "query") == ["--set //noise=0.2 is new"]
     assert "inputs" not in said["same"]
     assert any("not in the store" in note for note in said["notes"])
+
+
+def test_what_was_never_executed_is_not_said_to_be_executed_with_the_same(make: Make) -> None:
+    root = make("import sys; sys.exit(1)\n")
+    sierra.open(root).run("population_size=1", runs=4, jobs=1, fail_fast=True, figures=False)
+    missing = "SELECT run FROM members WHERE run NOT IN (SELECT run FROM executions) ORDER BY number"
+    one, other, *_ = sierra.open(root).sql(missing).column(0).to_pylist()
+    said = diff(root, one, other)
+    assert kinds(said) == ["seed", "inputs"]
+    assert not {"results", "status", "programs", "environment"} & set(said["same"])
+    assert any("was never executed, so that no results are compared" in note for note in said["notes"])
 
 
 @pytest.mark.parametrize("seed", range(5))

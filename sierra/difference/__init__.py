@@ -75,6 +75,14 @@ Part = tuple[tuple[str, ...], Iterable[Difference]]
 """The kinds that are compared, and their differences, still to be looked for."""
 
 
+AROUND = (
+    ("programs", "programs", around.programs),
+    ("environment", "environment", around.environments),
+    ("rules", "reading", around.rules),
+)
+"""Kinds, the columns of `executions` that say which, and what compares them."""
+
+
 def _parts(
     project: LoadedProject, store: Store, old: Found, new: Found, notes: list[Note], *, results_too: bool
 ) -> Iterator[Part]:
@@ -84,10 +92,14 @@ def _parts(
         pairs = pair(question, before, after)
         yield ("query",), asked.query(before, after, pairs)
         yield ("platform", "command", "image", "variables"), asked.recipe(before, after)
-        yield ("source", "commit"), code.source(store, project.root, before, after)
-        yield ("programs",), around.programs(question, before, after)
-        yield ("environment",), around.environments(question, before, after)
-        yield ("rules",), around.rules(question, before, after)
+        yield ("source",), code.source(store, project.root, before, after)
+        if code.has_commits(before, after):
+            yield ("commit",), code.commit(project.root, before, after)
+        for kind, what, compared in AROUND:
+            if all(around.known(question, side, what) for side in (before, after)):
+                yield (kind,), compared(question, before, after)
+            else:
+                notes.append(Note(f"{kind}: not compared, since nothing was executed", kind))
         if pairs:
             yield ("seed",), asked.seeds(question, before, after)
             yield ("inputs",), files.inputs(question, before, after, notes)

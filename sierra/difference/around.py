@@ -69,13 +69,14 @@ def _versions(was: Rows, now: Rows) -> Iterator[str]:
 
 
 def environments(question: Question, before: Side, after: Side) -> Iterator[Difference]:
-    """Facts of the machines, column by column; and the runner and the engine that executed there."""
+    """Facts of the machines, column by column; and the runner and the engine, unless they are not known: of an asking that
+    was killed."""
     old, new = (
         _facts(_rows(question, _used(question, side, "environment"), "environment"), _runners(question, side))
         for side in (before, after)
     )
-    for name in dict.fromkeys((*old, *new)):
-        yield from changed("environment", name, old.get(name), new.get(name))
+    for name in (name for name in old if name in new):
+        yield from changed("environment", name, old[name], new[name])
 
 
 def _facts(environments: Rows, runners: Rows) -> dict[str, Any]:
@@ -123,10 +124,15 @@ def _declared(question: Question, ids: Sequence[str]) -> list[str]:
     return [row["declared"] for row in rows]
 
 
+def known(question: Question, side: Side, what: str) -> bool:
+    """Whether it is recorded which of `what` a side's runs were executed with, or would have been."""
+    return bool(_used(question, side, what))
+
+
 def _used(question: Question, side: Side, what: str) -> list[str]:
-    """The ids of what a side's executions were executed with; without any, of what the last asking would have used."""
+    """The ids of what a side's executions were executed with; of a batch without any, what the last asking would have used."""
     found = [row[0] for row in question.run(USED.format(what=what, table=side.table)) if row[0]]
-    known = side.session.get(what)
+    known = None if side.is_one else side.session.get(what)
     return found or ([known] if known else [])
 
 

@@ -16,11 +16,11 @@ SHOWN = 8
 
 
 def source(store: Store, root: Path, before: Side, after: Side) -> Iterator[Difference]:
-    """What differs in the recorded sources."""
+    """What differs in the trees that count."""
     was, now = before.recipe["source"], after.recipe["source"]
     if was == now:
-        yield from _commit(root, before, after)
-    elif was is None or now is None:
+        return
+    if was is None or now is None:
         yield Difference("source", "tree", f"source: {'none counted' if was is None else 'none counts now'}", was, now)
     else:
         yield _tree(store, root, before, after)
@@ -91,10 +91,15 @@ def _logs(commits: Commits) -> Iterator[str]:
             yield f"{sign} … {count - len(log)} more commits"
 
 
-def _commit(root: Path, before: Side, after: Side) -> Iterator[Difference]:
+def has_commits(before: Side, after: Side) -> bool:
+    """Whether it is recorded of both which commit was checked out, and their files are the same, so that it is told."""
+    return bool(before.source and after.source) and before.recipe["source"] == after.recipe["source"]
+
+
+def commit(root: Path, before: Side, after: Side) -> Iterator[Difference]:
     """Another commit, whose files are the same in all that counts."""
     was, now = (side.source.get("commit") for side in (before, after))
-    if was != now and before.source and after.source:
+    if was != now:
         commits = _commits(root, before, after)
         names = [f"{(side.source.get('commit') or 'none')[:10]}{_branch(side)}" for side in (before, after)]
         line = f"commit: {names[0]} {ARROW} {names[1]}, the same files{_how(commits, after)}"

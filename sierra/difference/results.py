@@ -42,7 +42,8 @@ def of_one(
     was, now = (_execution(question, side) for side in (before, after))
     if was is None or now is None:
         called = (before if was is None else after).called
-        notes.append(Note(f"{called} was never executed, so that no results are compared", "results"))
+        text = f"{called} was never executed, so that no results are compared"
+        notes += [Note(text, "results"), Note(text, "status")]
         return
     yield from changed("status", "status", _ended(was), _ended(now))
     yield from _outputs(question, store, project, was, now, notes)
