@@ -97,7 +97,8 @@ def test_a_changed_line_of_code_is_told_with_its_patch_and_with_what_came_of_it(
         "+        print(tick, count * tick + 1 + noise * (seed % 100), sep=',', file=file)".replace("','", '","')
         in source["details"]
     )
-    [mean] = [one for one in said["differences"] if one["kind"] == "results"]
+    bytes_too, mean = [one for one in said["differences"] if one["kind"] == "results"]
+    assert bytes_too["line"] == "results: 4 of 4 runs wrote other bytes"
     assert [now - was for was, now in zip(mean["was"], mean["is"], strict=True)] == pytest.approx([1, 1])
     assert {"query", "command", "programs", "inputs", "seed", "environment", "rules"} <= set(said["same"])
 
@@ -339,6 +340,13 @@ def test_what_was_never_executed_is_not_said_to_be_executed_with_the_same(make: 
     assert kinds(said) == ["seed", "inputs"]
     assert not {"results", "status", "programs", "environment"} & set(said["same"])
     assert any("was never executed, so that no results are compared" in note for note in said["notes"])
+
+
+def test_results_that_are_no_tables_are_told_to_differ(make: Make) -> None:
+    root = make("open('picture.bin', 'wb').write(b'\\0one')\n")
+    before = ask(root)
+    (root / "sim.py").write_text("open('picture.bin', 'wb').write(b'\\0two')\n")
+    assert lines(diff(root, before, ask(root)), "results") == ["results: 4 of 4 runs wrote other bytes"]
 
 
 @pytest.mark.parametrize("seed", range(5))

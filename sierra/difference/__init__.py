@@ -112,6 +112,7 @@ def _parts(
         elif results_too:
             yield ("status",), results.good(question, before, after)
             yield ("results",), results.of_shared(question, store, project, notes)
+            yield ("results",), results.of_places(question)
             others = results.others(question, pairs)
             rows = results.rows(question) if others else 0
     if results_too and not before.is_one and others:

@@ -35,7 +35,7 @@ def _tree(store: Store, root: Path, before: Side, after: Side) -> Difference:
         return Difference("source", "tree", f"source: another tree; {why}", was, now)
     found = patch.between(old, new, root, lambda blob: _blob(store, blob))
     commits = _commits(root, before, after)
-    files = [_file(file) for file in found.files]
+    files = [_file(file, known=file.path not in found.unknown) for file in found.files]
     count = "1 file differs" if len(files) == 1 else f"{len(files)} files differ"
     line = f"source: {count}: {joined(files, SHOWN)}{_how(commits, after)}"
     unknown = [f"{path}: its content is neither in git nor in the store" for path in found.unknown]
@@ -43,7 +43,7 @@ def _tree(store: Store, root: Path, before: Side, after: Side) -> Difference:
     return Difference("source", "tree", line, was, now, (*more, *_logs(commits), *unknown, *found.lines))
 
 
-def _file(file: File) -> str:
+def _file(file: File, *, known: bool) -> str:
     match file.what:
         case "renamed":
             return f"{file.was} {ARROW} {file.now}"
@@ -54,7 +54,7 @@ def _file(file: File) -> str:
         case what:
             counts = f"+{file.added} −{file.removed}" if file.added is not None else ""
             told = ", ".join(filter(None, ("" if what == "changed" else what, counts)))
-            return f"{file.path} ({told or 'binary'})"
+            return f"{file.path} ({told or ('binary' if known else 'content gone')})"
 
 
 def _blob(store: Store, blob: str) -> bytes | None:

@@ -83,11 +83,14 @@ def _read(question: Question, files: Sequence[Recorded], notes: list[Note]) -> d
             wanted[file.sha256] = file
             size += file.bytes or 0
     found: dict[str | None, bytes] = {}
+    lost: list[str] = []
     for content in contents(question, list(wanted.values())):
         try:
             found[content.file.sha256] = b"".join(content.pieces)
         except Damaged as error:
-            notes.append(Note(f"{content.file.path} of run {content.file.taken.run[:10]}: {error}", "inputs"))
+            lost.append(f"{content.file.path} of run {content.file.taken.run[:10]}: {error}")
+    if lost:
+        notes.append(Note(f"{lost[0]}{f'; and {len(lost) - 1} more input files' * (len(lost) > 1)}", "inputs"))
     return found
 
 

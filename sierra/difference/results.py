@@ -186,12 +186,19 @@ def means(
         notes.append(Note(f"the means of {done} columns are compared; not those of {joined(left, SHOWN)}", "results"))
 
 
+OTHER = "was <> now AND other_result AND was_executed IS NOT NULL AND now_executed IS NOT NULL"
+
+
+def of_places(question: Question) -> Iterator[Difference]:
+    """How many runs of one place wrote other bytes, where the runs are others."""
+    [(count, all_runs)] = question.run(f"SELECT count(*) FILTER ({OTHER}), count(*) FROM both_sides")  # noqa: S608 - our own
+    if count:
+        yield Difference("results", "bytes", f"results: {count} of {all_runs} runs wrote other bytes", None, count)
+
+
 def others(question: Question, pairs: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
     """The experiments in which other runs wrote other bytes."""
-    rows = question.run(
-        "SELECT DISTINCT ordinal FROM both_sides WHERE was <> now AND other_result "
-        "AND was_executed IS NOT NULL AND now_executed IS NOT NULL"
-    )
+    rows = question.run(f"SELECT DISTINCT ordinal FROM both_sides WHERE {OTHER}")  # noqa: S608 - our own
     found = {row[0] for row in rows}
     return [pair for pair in pairs if pair[0] in found]
 
