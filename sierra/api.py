@@ -23,9 +23,11 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
     from sierra.asking import Watch
+    from sierra.difference import Comparison
     from sierra.extract import Listing, Outcome
     from sierra.pipeline import Summary
     from sierra.plans import Plan
+    from sierra.reasons import Why
     from sierra.replay import Replay, Tolerances
 
 
@@ -170,6 +172,21 @@ class Project:
         return replay.replay(
             self._loaded, self.store, prefix, how, watch or (lambda progress: None), say or (lambda text: None)
         )
+
+    def diff(self, before: str, after: str) -> Comparison:
+        """What differs between two batches, experiments, runs or executions, by beginnings of their ids.
+
+        What is likely to matter for results stands first: see `sierra.difference.Comparison`. Raises NotFound, UsageError.
+        """
+        from sierra import difference
+
+        return difference.compare(self._loaded, self.store, before, after)
+
+    def why(self, prefix: str) -> Why:
+        """Why what an id names was executed or not, what counts, and what asking again would do: see `sierra.reasons.Why`."""
+        from sierra import reasons
+
+        return reasons.why(self._loaded, self.store, prefix)
 
     def files(self, prefix: str, *paths: str, to: str | os.PathLike[str] | None = None) -> Listing | list[Outcome]:
         """The recorded files of what an id names; with `to`, written into that folder: what became of each.

@@ -43,6 +43,14 @@ def why_new(plan: Plan, store: Store | None) -> list[str]:
     return [f"compared with batch {short(before['batch'])} ({before['query']}):", *(lines or [CHANGES])]
 
 
+def why_other(plan: Plan, store: Store, batch: str) -> list[str]:
+    """What makes the runs of a plan others than those of a recorded batch, a line each."""
+    [before] = store.rows(
+        "SELECT b.*, r.* EXCLUDE (recipe) FROM batches b JOIN recipes r USING (recipe) WHERE b.batch = $b", b=batch
+    )
+    return [*_made_from(plan, store, before), *_asked(plan, before)] or [CHANGES]
+
+
 def why_again(plan: Plan, store: Store | None) -> list[str]:
     """Why the runs of a plan execute again although the same was asked before; empty where it was not, or where they don't."""
     if store is None:

@@ -28,7 +28,7 @@ from fractions import Fraction
 from typing import assert_never
 
 from sierra import scales
-from sierra.errors import QueryError
+from sierra.errors import QueryError, UsageError
 from sierra.model import (
     ConstantDensity,
     Criterion,
@@ -295,3 +295,20 @@ def _shown(what: object) -> str:
     """As in the source of Python: one line, whatever it holds, and never a long one."""
     written = repr(what)
     return written if len(written) <= 80 else f"{written[:76]}…{written[-1]}"
+
+
+def setting(text: str) -> tuple[str, str]:
+    """XPATH=VALUE at the first `=` that is not within brackets or quotes. Raises UsageError."""
+    depth, quote = 0, ""
+    for place, character in enumerate(text):
+        if quote:
+            quote = "" if character == quote else quote
+        elif character in "'\"":
+            quote = character
+        elif character in "[(":
+            depth += 1
+        elif character in ")]":
+            depth -= 1
+        elif character == "=" and depth == 0 and place:
+            return text[:place], text[place + 1 :]
+    raise UsageError(f"--set {text!r}: write it as XPATH=VALUE, as in --set \"//numeric[@name='noise']/@data=0.5\"")

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from sierra.cli import deliver, doctor, files, init, look, replay, run, schema, sql, stats
+from sierra.cli import deliver, diff, doctor, files, init, look, replay, run, schema, sql, stats, why
 
 EXIT_CODES = "Exit codes: 0 fine; 1 a run failed, or results differ; 2 usage; 3 something needed is missing; 130 interrupted."
 
@@ -47,6 +47,8 @@ for command in (
     init.init,
     run.run,
     replay.replay,
+    diff.diff,
+    why.why,
     look.ls,
     look.show,
     files.files,

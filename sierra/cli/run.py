@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sierra.errors import Missing, UsageError
+from sierra.errors import Missing
 
 if TYPE_CHECKING:
     from sierra.api import Project
@@ -68,9 +68,12 @@ def run(
     from sierra.cli import opened
     from sierra.cli.output import note, print_json
     from sierra.cli.progress import watching
+    from sierra.query import setting
 
     project = opened.project()
-    plan = project.plan(*query, runs=runs, controller=controller, scenario=scenario, sets=[split(text) for text in sets or ()])
+    plan = project.plan(
+        *query, runs=runs, controller=controller, scenario=scenario, sets=[setting(text) for text in sets or ()]
+    )
     told: dict[str, Any] = {}
     if dry_run or explain:
         told = _preview(project, plan, explain=explain, as_json=as_json)
@@ -98,23 +101,6 @@ def run(
         raise typer.Exit(1)
     if summary.undrawn:
         raise Missing(summary.undrawn)
-
-
-def split(text: str) -> tuple[str, str]:
-    """XPATH=VALUE at the first `=` that is not within brackets or quotes. Raises UsageError."""
-    depth, quote = 0, ""
-    for place, character in enumerate(text):
-        if quote:
-            quote = "" if character == quote else quote
-        elif character in "'\"":
-            quote = character
-        elif character in "[(":
-            depth += 1
-        elif character in ")]":
-            depth -= 1
-        elif character == "=" and depth == 0 and place:
-            return text[:place], text[place + 1 :]
-    raise UsageError(f"--set {text!r}: write it as XPATH=VALUE, as in --set \"//numeric[@name='noise']/@data=0.5\"")
 
 
 def _answer(summary: Summary) -> dict[str, Any]:

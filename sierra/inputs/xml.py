@@ -52,7 +52,7 @@ class XmlTemplate:
 
     def __init__(self, data: bytes, name: str) -> None:
         self.sha256 = sha256(data)
-        tree = _parse(data, name)
+        tree = parse(data, name)
         self._document = XmlDocument(copy.deepcopy(tree.getroot()), _frame(data, tree.docinfo.encoding, name))
 
     def find(self, path: str) -> tuple[str, ...]:
@@ -72,7 +72,7 @@ class XmlDocument:
     def __init__(self, root: Element, frame: _Frame, namespaces: dict[str, str] | None = None) -> None:
         self._root = root
         self._frame = frame
-        self._namespaces = _namespaces(root) if namespaces is None else namespaces
+        self._namespaces = declarations(root) if namespaces is None else namespaces
 
     def render(self) -> bytes:
         return self._frame.around(self._body())
@@ -184,7 +184,7 @@ class XmlDocument:
                 for element in self._elements(change):
                     element.tag = self._clark(to, element, change, etree.QName(element).namespace)
         if isinstance(change, Add | Rename):
-            self._namespaces = _namespaces(self._root)
+            self._namespaces = declarations(self._root)
 
     def _matches(self, change: Change) -> list[Any]:
         """All that a change selects: as many as it expects, at least one."""
@@ -443,7 +443,8 @@ def _parser() -> Any:
     )
 
 
-def _parse(data: bytes, name: str) -> Any:
+def parse(data: bytes, name: str) -> Any:
+    """A document as lxml has it; nothing but `data` is read. Raises TemplateError where it is not XML."""
     try:
         return etree.fromstring(data, _parser()).getroottree()
     except etree.XMLSyntaxError as error:
@@ -455,7 +456,7 @@ def _reason(error: Exception) -> str:
     return re.sub(r", line \d+, column \d+.*$", "", _line(getattr(error, "msg", None) or "the document is empty"))
 
 
-def _namespaces(root: Element) -> dict[str, str]:
+def declarations(root: Element) -> dict[str, str]:
     """What prefixes mean in paths: the first declaration of each."""
     found: dict[str, str] = {}
     for _, (prefix, uri) in etree.iterwalk(root, events=("start-ns",)):

@@ -87,25 +87,42 @@ def take(question: Question, found: Found) -> list[Taken]:
     A run or an experiment of several batches is taken as it stands in the one that was last asked for.
     """
     with _readable():
-        return list(_take(question, found))
+        place = where(question, found)
+        statement = TAKEN.format(only=place.only)
+        return [Taken(*row) for row in question.each(statement, {**place.parameters, "named": place.execution})]
 
 
-def _take(question: Question, found: Found) -> Iterator[Taken]:
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where what an id names stands: in a batch, or a part of it."""
+
+    batch: str
+    ordinal: int | None = None
+    run: str | None = None
+    execution: str | None = None
+
+    @property
+    def only(self) -> str:
+        """The condition on `members` m, beside that of the batch."""
+        return (self.ordinal is not None) * "AND m.ordinal = $o " + (self.run is not None) * "AND m.run = $r"
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        every = {"b": self.batch, "o": self.ordinal, "r": self.run}
+        return {name: value for name, value in every.items() if value is not None}
+
+
+def where(question: Question, found: Found) -> Place:
+    """Where it stands: a run or an experiment of several batches in the one that was last asked for."""
     question.views.make(("members", "experiments", "batches", "executions", "counting", "sessions"))
-    batch, only, asked = found.id, "", {}
+    run = found.id if found.kind == "run" else None
+    if found.kind == "batch":
+        return Place(found.id)
     if found.kind == "execution":
         [(run,)] = question.run("SELECT run FROM executions WHERE execution = $e", {"e": found.id})
-        [(batch, ordinal), *_] = question.run(LATEST, {"run": run, "experiment": None})
-        only, asked = "AND m.ordinal = $o AND m.run = $r", {"o": ordinal, "r": run}
-    elif found.kind == "run":
-        [(batch, ordinal), *_] = question.run(LATEST, {"run": found.id, "experiment": None})
-        only, asked = "AND m.ordinal = $o AND m.run = $r", {"o": ordinal, "r": found.id}
-    elif found.kind == "experiment":
-        [(batch, ordinal), *_] = question.run(LATEST, {"run": None, "experiment": found.id})
-        only, asked = "AND m.ordinal = $o", {"o": ordinal}
-    parameters = {"b": batch, "named": found.id if found.kind == "execution" else None, **asked}
-    for row in question.each(TAKEN.format(only=only), parameters):
-        yield Taken(*row)
+    experiment = found.id if found.kind == "experiment" else None
+    [(batch, ordinal), *_] = question.run(LATEST, {"run": run, "experiment": experiment})
+    return Place(batch, ordinal, run, found.id if found.kind == "execution" else None)
 
 
 @contextlib.contextmanager

@@ -182,7 +182,7 @@ class Views:
         return [file for file in files if file in found] or files
 
 
-COUNTING = """
+LATEST = """
 WITH asked AS (
     SELECT batch, programs, reading, ended FROM sessions WHERE reading IS NOT NULL
     UNION ALL
@@ -192,11 +192,17 @@ latest AS (
     SELECT batch, arg_max(programs, ended) AS programs, arg_max(reading, ended) AS reading, max(ended) AS asked
     FROM asked GROUP BY batch
 )
+"""
+"""The programs and the rules of each batch's last asking, as the relation `latest`."""
+
+COUNTS = "e.status = 'ok' AND e.purpose = 'run' AND e.programs = l.programs AND e.reading = l.reading"
+"""Whether an execution e may count in a batch of which l is `latest`; of those that may, the last one does."""
+
+COUNTING = f"""{LATEST}
 SELECT m.batch, m.ordinal, m.run, arg_max(e.execution, e.ended) AS execution, any_value(l.asked) AS asked
 FROM members m
 JOIN latest l ON m.batch = l.batch
-JOIN executions e ON e.run = m.run AND e.programs = l.programs AND e.reading = l.reading
-WHERE e.status = 'ok' AND e.purpose = 'run'
+JOIN executions e ON e.run = m.run AND {COUNTS}
 GROUP BY m.batch, m.ordinal, m.run
 """
 

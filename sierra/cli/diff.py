@@ -1,0 +1,101 @@
+"""`sierra diff`: what differs between two recorded things, what is likely to matter first."""
+
+from __future__ import annotations
+
+from itertools import groupby
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from sierra.difference import Comparison, Difference
+
+LINES = 6
+"""Differences of one kind that are shown."""
+DETAILS = 12
+"""Lines of a patch, or of what else is to be said of one difference, that are shown."""
+WIDTH = 160
+"""Characters of these."""
+HEADS = ("diff --git ", "index ")
+"""Lines of a patch that say nothing to people."""
+
+
+def diff(
+    before: Annotated[
+        str, typer.Argument(metavar="A", help="A batch, experiment, run or execution, by the beginning of its id.")
+    ],
+    after: Annotated[str, typer.Argument(metavar="B", help="Another one of the same kind; or a run, and an execution.")],
+    patch: Annotated[bool, typer.Option("--patch", help="Show all of the patch, and of all other details.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead, with all details.")] = False,
+) -> None:
+    """Say what differs between two recorded things: what is likely to matter for results first.
+
+    That is: what was asked, platform, command, image, programs, source, variables, inputs, rules, seeds, the machine; and,
+    last, what came out. Nothing is executed, all is told from the record. A run stands for its execution that counts.
+
+    The exit code is 0 if nothing differs, and 1 if something does.
+
+    \b
+    Examples:
+      sierra diff 774d 0c1f
+      sierra diff 774d 0c1f --patch
+    """
+    from sierra.cli.opened import project
+    from sierra.cli.output import note, print_json
+
+    answer = project().diff(before, after)
+    if as_json:
+        print_json(_answer(answer))
+    else:
+        _print(answer, everything=patch)
+        for text in answer.notes:
+            note(text)
+    if answer.differences:
+        raise typer.Exit(1)
+
+
+def _answer(answer: Comparison) -> dict[str, Any]:
+    return {
+        "before": {"kind": answer.before.kind, "id": answer.before.id},
+        "after": {"kind": answer.after.kind, "id": answer.after.id},
+        "differences": [
+            {
+                "kind": one.kind,
+                "rank": one.rank,
+                "name": one.name,
+                "line": one.line,
+                "was": one.was,
+                "is": one.now,
+                "details": list(one.details),
+            }
+            for one in answer.differences
+        ],
+        "same": list(answer.same),
+        "notes": list(answer.notes),
+    }
+
+
+def _print(answer: Comparison, *, everything: bool) -> None:
+    from sierra.hashing import short
+
+    print(f"{answer.before.kind} {short(answer.before.id)} → {answer.after.kind} {short(answer.after.id)}")
+    for _, alike in groupby(answer.differences, lambda one: (one.kind, one.rank)):
+        differences = list(alike)
+        for one in differences if everything else differences[:LINES]:
+            _print_one(one, everything=everything)
+        if len(differences) > LINES and not everything:
+            print(f"  and {len(differences) - LINES} more of the kind {differences[0].kind} (--patch shows them)")
+    told = ", ".join(answer.same)
+    print(f"the same: {told}" if answer.differences else f"no difference in {told}")
+
+
+def _print_one(one: Difference, *, everything: bool) -> None:
+    from sierra.cli.output import readable
+
+    print(readable(one.line))
+    details = one.details if everything else [text for text in one.details if not text.startswith(HEADS)]
+    for text in details if everything else details[:DETAILS]:
+        line = readable(text.expandtabs())
+        print(f"    {line if everything or len(line) <= WIDTH else f'{line[:WIDTH]}…'}".rstrip())
+    if len(details) > DETAILS and not everything:
+        print(f"    … {len(details) - DETAILS} more lines (--patch shows them)")

@@ -1,0 +1,108 @@
+"""`sierra why`: why runs were executed, or not."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from sierra.reasons import Why
+    from sierra.reasons.standing import Standing
+    from sierra.reasons.story import Event
+
+LINES = 10
+
+
+def why(
+    prefix: Annotated[
+        str, typer.Argument(metavar="HASH", help="A batch, experiment, run or execution, by the beginning of its id.")
+    ],
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead.")] = False,
+) -> None:
+    """Say why runs were executed or not, which executions count, and what asking again would do.
+
+    Each asking and each replay, in order, and why it executed what it executed: because it was new (and what made it so), had
+    failed, or was executed with other programs or judged by other rules. Nothing is executed.
+
+    \b
+    Examples:
+      sierra why 774d
+      sierra why 292ca7e4 --json
+    """
+    from sierra.cli.opened import project
+    from sierra.cli.output import print_json
+
+    answer = project().why(prefix)
+    if as_json:
+        print_json(
+            {
+                "kind": answer.found.kind,
+                "id": answer.found.id,
+                **{name: value for name, value in asdict(answer).items() if name != "found"},
+            }
+        )
+    else:
+        _print(answer)
+
+
+def _print(answer: Why) -> None:
+    from sierra.cli.output import readable
+    from sierra.hashing import short
+
+    many = f": {_runs(answer.runs)}" if answer.found.kind in ("batch", "experiment") else ""
+    print(f"{answer.found.kind} {short(answer.found.id)}{many}")
+    idle = 0
+    told: set[str] = set()
+    for event in answer.story:
+        if event.what == "asking" and event.ended and not event.executed and answer.found.kind != "execution":
+            idle += 1
+            continue
+        _print_event(event, answer, because=event.batch not in told)
+        told.add(event.batch)
+    if idle:
+        print(f"asked again {idle} time{'s' * (idle > 1)}: nothing of it was executed")
+    if not answer.story:
+        print("it was never executed")
+    print("what counts:")
+    for one in answer.standings[:LINES]:
+        print(f"  batch {short(one.batch)}: {_standing(one)}{readable(one.why)}")
+    if len(answer.standings) > LINES:
+        print(f"  and {len(answer.standings) - LINES} more (--json has them all)")
+    print("asking again now:")
+    for line in answer.again:
+        print(f"  {readable(line)}")
+
+
+def _standing(one: Standing) -> str:
+    from sierra.hashing import short
+
+    if one.counts:
+        return f"execution {short(one.execution or '')}: " if one.runs == 1 else f"{one.runs} runs have one, "
+    return "no execution: " if one.runs == 1 else f"{one.runs} runs have none (as {short(one.run)}): "
+
+
+def _print_event(event: Event, answer: Why, *, because: bool) -> None:
+    from sierra.cli.output import cell, readable
+    from sierra.hashing import short
+
+    many = answer.runs > 1
+    failed = f", {event.failed} of them failed" if many else " and failed"
+    reused = f", {event.reused} reused" if event.reused is not None and answer.found.kind == "batch" else ""
+    counts = f"{_runs(event.executed)} " * many + "executed" + failed * bool(event.failed) + reused
+    unended = "" if event.ended else ", and did not come to its end"
+    what = "asked" if event.what == "asking" else event.what
+    print(f"{cell(event.when)} {what} (batch {short(event.batch)}): {counts}{unended}")
+    for cause in event.causes[:LINES]:
+        which = f"{_runs(cause.executions)}, as {short(cause.execution)}" if many else f"execution {short(cause.execution)}"
+        print(f"  {which}: {readable(cause.why)}")
+        if cause.new and because:
+            for line in answer.new_because.get(event.batch, ()):
+                print(f"    {readable(line)}")
+    if len(event.causes) > LINES:
+        print(f"  and for {len(event.causes) - LINES} more reasons (--json has them all)")
+
+
+def _runs(count: int) -> str:
+    return "1 run" if count == 1 else f"{count} runs"

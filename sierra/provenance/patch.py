@@ -1,0 +1,214 @@
+"""What differs between two recorded states of the code: commits, files, and the patch from one to the other.
+
+Trees hold what was in the files, committed or not. Where git has both trees, it makes the patch; else it is made here, of
+the files' contents, be they in git or in the store.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from sierra.lines import patch
+from sierra.provenance.source import SWHID
+
+SHOWN = 20
+"""Commits that are told one by one."""
+HASH = re.compile(r"[0-9a-f]{40}([0-9a-f]{24})?")
+LINK, SUBMODULE = "120000", "160000"
+COLORLESS = ("--no-color", "--no-ext-diff", "--no-textconv", "--find-renames=100%")
+
+
+@dataclass(frozen=True, slots=True)
+class State:
+    """A recorded state of the code: its tree, and the list of its files as the store keeps it."""
+
+    tree: str
+    manifest: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class File:
+    """One file that differs. Lines are counted where both are texts and their contents are there."""
+
+    path: str
+    what: Literal["added", "removed", "changed", "renamed", "mode", "submodule"]
+    was: str = ""
+    """Of a renamed file its old path, of a submodule its commit, of a mode the mode."""
+    now: str = ""
+    added: int | None = None
+    removed: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """All that differs between two trees."""
+
+    files: tuple[File, ...]
+    lines: tuple[str, ...]
+    """The patch."""
+    unknown: tuple[str, ...] = ()
+    """Paths of files whose contents are neither in git nor in the store, so that the patch lacks them."""
+
+
+@dataclass(frozen=True, slots=True)
+class Commits:
+    """How two commits lie to each other: those that only one of them has, the newest first, `SHOWN` of them."""
+
+    on: int = 0
+    """How many the later one has that the earlier one has not."""
+    back: int = 0
+    log_on: tuple[str, ...] = ()
+    log_back: tuple[str, ...] = ()
+    missing: tuple[str, ...] = ()
+    """Those of the two that the repository does not have."""
+
+
+def commits(root: Path, before: str, after: str) -> Commits:
+    """The commits between two, as far as the repository of the project in `root` has them."""
+    git = _Git(root)
+    if missing := tuple(commit for commit in dict.fromkeys((before, after)) if not git.has(commit, "commit")):
+        return Commits(missing=missing)
+    counts, logs = zip(*(git.between(*pair) for pair in ((before, after), (after, before))), strict=True)
+    return Commits(counts[0], counts[1], logs[0], logs[1])
+
+
+def between(before: State, after: State, root: Path, content: Callable[[str], bytes | None]) -> Difference:
+    """What differs between two trees; `content` gives a file that git has not, by git's hash of it, or None."""
+    git = _Git(root)
+    old, new = _files(before.manifest), _files(after.manifest)
+    files = list(_changed(old, new))
+    trees = [state.tree.removeprefix(SWHID) for state in (before, after)]
+    if all(git.has(tree, "tree") for tree in trees):
+        counts = git.counts(*trees)
+        return Difference(tuple(_counted(file, counts.get(file.path)) for file in files), git.patch(*trees))
+    return _by_content(files, old, new, lambda blob: _first(git.blob(blob), lambda: content(blob)))
+
+
+def _first(found: bytes | None, otherwise: Callable[[], bytes | None]) -> bytes | None:
+    return otherwise() if found is None else found
+
+
+Files = Mapping[str, tuple[str, str]]
+"""Mode and git's hash of each file, by path."""
+
+
+def _files(manifest: bytes) -> Files:
+    """The files of a manifest, which has a line for each: mode, hash, path."""
+    found = {}
+    for line in manifest.split(b"\0"):
+        what, _, path = line.partition(b"\t")
+        mode, _, blob = what.decode("ascii", "replace").partition(" ")
+        if path:
+            found[path.decode("utf-8", "surrogateescape")] = (mode, blob)
+    return found
+
+
+def _changed(old: Files, new: Files) -> Iterator[File]:
+    """The files that differ, by path; one that is the same under another name is renamed."""
+    gone = {old[path]: path for path in sorted(old.keys() - new.keys(), reverse=True)}
+    renamed = {path: gone.pop(new[path]) for path in sorted(new.keys() - old.keys()) if new[path] in gone}
+    moved = set(renamed.values())
+    for path in sorted(old.keys() | new.keys()):
+        was, now = old.get(path), new.get(path)
+        if path in renamed:
+            yield File(path, "renamed", renamed[path], path)
+        elif was != now and path not in moved:
+            yield _file(path, was, now)
+
+
+def _file(path: str, was: tuple[str, str] | None, now: tuple[str, str] | None) -> File:
+    if was is None or now is None:
+        return File(path, "removed" if now is None else "added")
+    if SUBMODULE in (was[0], now[0]):
+        return File(path, "submodule", was[1], now[1])
+    if was[1] == now[1]:
+        return File(path, "mode", was[0], now[0])
+    return File(path, "changed")
+
+
+def _counted(file: File, counts: tuple[int | None, int | None] | None) -> File:
+    return File(file.path, file.what, file.was, file.now, *counts) if counts and file.what != "submodule" else file
+
+
+def _by_content(files: list[File], old: Files, new: Files, content: Callable[[str], bytes | None]) -> Difference:
+    """The same without git: file by file."""
+    counted: list[File] = []
+    lines: list[str] = []
+    unknown: list[str] = []
+    for file in files:
+        if file.what in ("renamed", "mode", "submodule"):
+            counted.append(file)
+            continue
+        contents = [b"" if file.path not in side else content(side[file.path][1]) for side in (old, new)]
+        before, after = contents
+        if before is None or after is None:
+            unknown.append(file.path)
+            counted.append(file)
+            continue
+        found = patch(before, after, file.path)
+        counted.append(_counted(file, (found.added, found.removed)))
+        lines += found.lines or (f"Binary files a/{file.path} and b/{file.path} differ",)
+    return Difference(tuple(counted), tuple(lines), tuple(unknown))
+
+
+class _Git:
+    """Git, asked about what the repository of a project has; where there is none, it has nothing."""
+
+    def __init__(self, root: Path) -> None:
+        self._root = root
+        inside = any((folder / ".git").exists() for folder in (root, *root.parents))
+        self._program = shutil.which("git") if inside else None
+
+    def has(self, thing: str, kind: str) -> bool:
+        return bool(HASH.fullmatch(thing) and self._run("rev-parse", "--verify", "--quiet", f"{thing}^{{{kind}}}"))
+
+    def blob(self, blob: str) -> bytes | None:
+        return self._run("cat-file", "blob", blob) if HASH.fullmatch(blob) else None
+
+    def between(self, before: str, after: str) -> tuple[int, tuple[str, ...]]:
+        """The commits that the one has and the other has not: how many, and the newest."""
+        span = f"{before}..{after}"
+        count = int(self._run("rev-list", "--count", span, "--") or 0)
+        log = self._run("log", "--no-color", "--no-show-signature", f"--max-count={SHOWN}", "--format=%h %s", span, "--") or b""
+        return count, tuple(log.decode("utf-8", "replace").splitlines())
+
+    def counts(self, before: str, after: str) -> dict[str, tuple[int | None, int | None]]:
+        """Lines added and removed, by path; None for what git takes for binary."""
+        found: dict[str, tuple[int | None, int | None]] = {}
+        fields = iter((self._run("diff-tree", "-r", "-z", "--numstat", *COLORLESS, before, after) or b"").split(b"\0"))
+        for field in fields:
+            if field:
+                added, removed, path = field.split(b"\t", 2)
+                if not path:  # a renamed file: both its names follow
+                    next(fields)
+                    path = next(fields)
+                numbers = [None if number == b"-" else int(number) for number in (added, removed)]
+                found[path.decode("utf-8", "surrogateescape")] = (numbers[0], numbers[1])
+        return found
+
+    def patch(self, before: str, after: str) -> tuple[str, ...]:
+        found = self._run("diff-tree", "-r", "-p", *COLORLESS, before, after) or b""
+        return tuple(found.decode("utf-8", "replace").removesuffix("\n").split("\n")) if found else ()
+
+    def _run(self, *arguments: str) -> bytes | None:
+        """What git says; None where it cannot."""
+        if self._program is None:
+            return None
+        kept = {name: value for name, value in os.environ.items() if not name.startswith("GIT_") or name == "GIT_CONFIG_GLOBAL"}
+        asking = {"GIT_OPTIONAL_LOCKS": "0", "GIT_TERMINAL_PROMPT": "0", "GIT_NO_LAZY_FETCH": "1", "LC_ALL": "C"}
+        done = subprocess.run(
+            [self._program, "-c", "core.quotePath=false", *arguments],
+            cwd=self._root,
+            env={**kept, **asking},
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            check=False,
+        )
+        return done.stdout if done.returncode == 0 else None

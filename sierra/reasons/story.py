@@ -1,0 +1,160 @@
+"""What happened to some runs, in order: each asking and each replay, and why it executed what it executed.
+
+An execution is judged against those of the same run that had ended before it began, as the asking saw them: a finding counts
+from when it was made. The better of several counts: failed, by other rules, with other programs, good.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Any
+
+from sierra.difference.around import other_programs, other_rules
+from sierra.difference.kinds import joined
+from sierra.hashing import short
+from sierra.states import FAILED, GOOD, OTHER_PROGRAMS, OTHER_RULES
+from sierra.store import Question
+
+SHOWN = 4
+
+
+@dataclass(frozen=True, slots=True)
+class Cause:
+    """Why some executions happened."""
+
+    executions: int
+    why: str
+    execution: str
+    """One of them."""
+    run: str
+    new: bool
+    """Whether it was the first execution of these runs."""
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """One asking, or one replay."""
+
+    session: str
+    when: datetime | None
+    what: str
+    """`asking`, `replay`, or another purpose."""
+    batch: str
+    query: str
+    executed: int
+    """Of the runs that this is about; so `failed`."""
+    failed: int
+    reused: int | None
+    """Of all runs of its batch; None of a replay, and of an asking that was not recorded."""
+    ended: bool
+    """Whether it came to its end, and was recorded as an asking."""
+    causes: tuple[Cause, ...]
+
+
+EXECUTED = """
+CREATE TEMP TABLE happened AS
+WITH mine AS (
+    SELECT e.execution, e.run, e.session, e.batch, e.started, e.ended, e.status, e.reason, e.programs, e.reading, e.purpose
+    FROM executions e SEMI JOIN wanted USING (run)
+),
+earlier AS (
+    SELECT e.execution, p.execution AS prior, p.ended, p.programs, p.reading, p.reason,
+           f.found IS NOT NULL AND f.found <= e.started AS doubted,
+           CASE WHEN p.status <> 'ok' AND (f.found IS NULL OR f.found <= e.started) THEN $failed
+                WHEN p.reading <> e.reading THEN $rules WHEN p.programs <> e.programs THEN $programs
+                ELSE $good END AS worth
+    FROM mine e JOIN mine p ON p.run = e.run AND p.execution <> e.execution AND p.ended <= e.started AND p.purpose = 'run'
+    LEFT JOIN findings f ON f.execution = p.execution
+),
+best AS (
+    SELECT execution, max(worth) AS worth, arg_max({'prior': prior, 'programs': programs, 'reading': reading,
+           'reason': reason, 'doubted': doubted}, (worth, ended)) AS best
+    FROM earlier GROUP BY execution
+)
+SELECT m.*, b.worth, b.best FROM mine m LEFT JOIN best b USING (execution)
+"""
+CAUSES = """
+SELECT session, batch, purpose, worth, best.doubted AS doubted, CASE WHEN worth = 0 THEN best.reason END AS reason,
+       CASE WHEN worth = 1 THEN best.reading END AS was_reading, CASE WHEN worth = 2 THEN best.programs END AS was_programs,
+       CASE WHEN worth = 1 THEN reading END AS reading, CASE WHEN worth = 2 THEN programs END AS programs,
+       count(*) AS executions, count(*) FILTER (status <> 'ok') AS failed, min(started) AS started,
+       arg_min(execution, (started, execution)) AS execution, arg_min(run, (started, execution)) AS run,
+       arg_min(best.prior, (started, execution)) AS prior
+FROM happened GROUP BY ALL ORDER BY executions DESC, execution
+"""
+ASKINGS = """
+SELECT * FROM sessions WHERE list_contains($b, batch) OR list_contains($s, session) ORDER BY started, session
+"""
+REPLAYS = "SELECT replay, kind, target, verdict FROM replays WHERE list_contains($s, replay)"
+
+
+def tell(question: Question, batches: Sequence[str]) -> list[Event]:
+    """All that happened to the runs in the table `wanted`, and all askings of these batches."""
+    question.views.make(("executions", "findings", "sessions", "replays", "members"))
+    question.run(EXECUTED, {"failed": FAILED, "rules": OTHER_RULES, "programs": OTHER_PROGRAMS, "good": GOOD})
+    rows = question.sql(CAUSES).to_pylist()
+    sessions_of = [row["session"] for row in rows]
+    question.run("DROP TABLE happened")
+    sessions = {row["session"]: row for row in question.sql(ASKINGS, b=list(batches), s=sessions_of).to_pylist()}
+    by_session: dict[str, list[dict[str, Any]]] = {session: [] for session in sessions}
+    for row in rows:
+        by_session.setdefault(row["session"], []).append(row)
+    replays = {row["replay"]: row for row in question.sql(REPLAYS, s=list(by_session)).to_pylist()}
+    events = [_event(question, key, those, sessions.get(key), replays.get(key)) for key, those in by_session.items()]
+    return sorted(events, key=lambda event: (event.when is None, event.when))
+
+
+def _event(
+    question: Question,
+    session: str,
+    rows: Sequence[Mapping[str, Any]],
+    asking: Mapping[str, Any] | None,
+    replay: Mapping[str, Any] | None,
+) -> Event:
+    executed = sum(row["executions"] for row in rows)
+    failed = sum(row["failed"] for row in rows)
+    purpose = rows[0]["purpose"] if rows else "run"
+    return Event(
+        session=session,
+        when=asking["started"] if asking else min(row["started"] for row in rows),
+        what="asking" if purpose == "run" else purpose,
+        batch=asking["batch"] if asking else rows[0]["batch"],
+        query=asking["query"] if asking else "",
+        executed=executed,
+        failed=failed,
+        reused=asking["reused"] if asking else None,
+        ended=asking is not None or replay is not None,
+        causes=tuple(_cause(question, row, replay) for row in rows),
+    )
+
+
+def _cause(question: Question, row: Mapping[str, Any], replay: Mapping[str, Any] | None) -> Cause:
+    new = row["worth"] is None and row["purpose"] == "run"
+    return Cause(row["executions"], _why(question, row, replay), row["execution"], row["run"], new)
+
+
+def _why(question: Question, row: Mapping[str, Any], replay: Mapping[str, Any] | None) -> str:
+    if row["purpose"] != "run":
+        of = f" of {replay['kind']} {short(replay['target'])}: {replay['verdict']}" if replay else ", which was not ended"
+        return f"a {row['purpose']}{of}"
+    match row["worth"]:
+        case None:
+            return "new"
+        case 0 if row["doubted"]:
+            return f"the last one was found to be no good: {row['reason']}"
+        case 0:
+            return f"the last one failed: {row['reason']}"
+        case 1:
+            changes = other_rules(question, [row["was_reading"]], [row["reading"]])
+            return f"judged by other rules before: {_lines(changes)}"
+        case 2:
+            changes = other_programs(question, [row["was_programs"]], [row["programs"]])
+            return f"executed with other programs before: {_lines(changes)}"
+        case _:
+            return f"another asking had just executed it ({short(row['prior'])}), which this one did not know"
+
+
+def _lines(changes: Iterator[Any]) -> str:
+    return joined([change.line for change in changes], SHOWN) or "which ones is not recorded"
