@@ -89,6 +89,20 @@ def dead(store: StorePaths) -> Iterator[list[SessionPaths]]:
             os.close(lock)
 
 
+def alive(store: StorePaths) -> list[SessionPaths]:
+    """The sessions whose lock is held. To be called within `exclusively`, where it says that there are locks."""
+    found = []
+    for paths in _all(store):
+        try:
+            lock = _locked(paths.lock, wait=False)
+        except BlockingIOError:
+            found.append(paths)
+        else:
+            if lock is not None:
+                os.close(lock)
+    return found
+
+
 @contextlib.contextmanager
 def exclusively(store: StorePaths) -> Iterator[bool]:
     """Alone among this store's sessions, for the moment that a claim takes; False where the file system has no locks."""

@@ -78,8 +78,11 @@ def states(plan: Plan, asked: Store | Question | None) -> dict[str, State]:
     return runs
 
 
-# The runs of one recipe were executed for batches of that recipe, and for no others.
-THOSE = "FROM executions WHERE purpose = 'run' AND batch IN (SELECT batch FROM batches WHERE recipe = $recipe)"
+# The runs of one recipe were executed for batches of that recipe, and for no others; some of these may have been removed.
+THOSE = (
+    "FROM executions WHERE purpose = 'run' AND (batch IN (SELECT batch FROM batches WHERE recipe = $recipe) "
+    "OR batch NOT IN (SELECT batch FROM batches))"
+)
 EACH = f"""
 SELECT run, CASE WHEN status <> 'ok' THEN {FAILED} WHEN reading <> $reading THEN {OTHER_RULES}
     WHEN programs <> $programs THEN {OTHER_PROGRAMS} ELSE {GOOD} END AS worth,
