@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
     from sierra.asking import Watch
     from sierra.extract import Listing, Outcome
+    from sierra.keeping.checking import Report
     from sierra.pipeline import Summary
     from sierra.plans import Plan
     from sierra.replay import Replay, Tolerances
@@ -170,6 +171,12 @@ class Project:
         return replay.replay(
             self._loaded, self.store, prefix, how, watch or (lambda progress: None), say or (lambda text: None)
         )
+
+    def fsck(self, *, tell: Callable[[str], None] = lambda text: None) -> Report:
+        """Check all that is recorded: see `sierra.keeping.checking.Report`. `tell` hears how far it has come."""
+        from sierra.keeping import checking
+
+        return checking.check(StorePaths(self.paths.store), self.root, tell).report
 
     def files(self, prefix: str, *paths: str, to: str | os.PathLike[str] | None = None) -> Listing | list[Outcome]:
         """The recorded files of what an id names; with `to`, written into that folder: what became of each.

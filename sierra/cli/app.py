@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from sierra.cli import deliver, doctor, files, init, look, replay, run, schema, sql, stats
+from sierra.cli import deliver, doctor, files, init, keep, look, replay, run, schema, sql, stats
 
 EXIT_CODES = "Exit codes: 0 fine; 1 a run failed, or results differ; 2 usage; 3 something needed is missing; 130 interrupted."
 
@@ -53,6 +53,7 @@ for command in (
     sql.sql,
     stats.stats,
     deliver.figures,
+    keep.fsck,
     doctor.doctor,
     schema.schema,
 ):

@@ -178,6 +178,23 @@ def paths(manifest: bytes) -> set[bytes]:
     return set(_read_manifest(manifest))
 
 
+def is_there(root: Path, tree: str) -> bool:
+    """Whether the git repository that `root` lies in has a recorded tree."""
+    held = any((folder / ".git").exists() for folder in (root, *root.parents))
+    return held and _Git(root).has(tree.removeprefix(SWHID))
+
+
+def tree_of(manifest: bytes) -> str | None:
+    """The id of the tree that a list of files gives; None where it cannot be told: by hashes that are no SHA-1."""
+    entries = []
+    for path, what in _read_manifest(manifest).items():
+        mode, _, blob = what.decode("ascii", "replace").partition(" ")
+        if len(blob) != 40:
+            return None
+        entries.append(Entry(mode, blob, path))
+    return SWHID + tree_hash(entries)
+
+
 def tree_hash(entries: Sequence[Entry]) -> str:
     """The hash that git gives to a tree with these files."""
     below: dict[bytes, list[Entry]] = {}
