@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from sierra.asking import Watch
     from sierra.extract import Listing, Outcome
     from sierra.keeping.checking import Report
+    from sierra.keeping.removing import Removal
     from sierra.pipeline import Summary
     from sierra.plans import Plan
     from sierra.replay import Replay, Tolerances
@@ -177,6 +178,22 @@ class Project:
         from sierra.keeping import checking
 
         return checking.check(StorePaths(self.paths.store), self.root, tell).report
+
+    def removal(self, *prefixes: str) -> Removal:
+        """What `remove` would delete of what these ids name: batches, experiments, runs, executions. Raises NotFound."""
+        from sierra.keeping import removing
+
+        return removing.plan(self.store, prefixes)
+
+    def remove(self, *prefixes: str, agree: Callable[[Removal], bool] = lambda removal: True) -> Removal | None:
+        """Remove what these ids name, if `agree` says so of what that deletes; None where it does not.
+
+        Runs that other batches have keep their executions. Raises NotFound, Missing where the disk is full, and SierraError
+        while one of the batches is executing; nothing has changed then.
+        """
+        from sierra.keeping import removing
+
+        return removing.remove(self.store, prefixes, agree)
 
     def files(self, prefix: str, *paths: str, to: str | os.PathLike[str] | None = None) -> Listing | list[Outcome]:
         """The recorded files of what an id names; with `to`, written into that folder: what became of each.

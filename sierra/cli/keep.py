@@ -9,6 +9,7 @@ import typer
 
 if TYPE_CHECKING:
     from sierra.keeping.checking import Report
+    from sierra.keeping.removing import Removal
 
 SHOWN = 20
 
@@ -59,6 +60,67 @@ def _print(report: Report) -> None:
         f"{'sound' if report.sound else f'{wrong} found'}: {report.segments} segments, {report.files} files, "
         f"{size(report.bytes)}, {report.objects} objects, {report.executions} executions checked in {report.seconds:.1f} s"
     )
+
+
+def rm(
+    prefixes: Annotated[
+        list[str],
+        typer.Argument(metavar="HASH...", help="Batches, experiments, runs or executions, by the beginning of their ids."),
+    ],
+    yes: Annotated[bool, typer.Option("--yes", "-y", help="Do not ask.")] = False,
+    dry_run: Annotated[bool, typer.Option("--dry-run", "-n", help="Only say what would be deleted.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead.")] = False,
+) -> None:
+    """Delete recorded batches, experiments, runs or executions, after saying what that is.
+
+    A batch goes whole; of an experiment or a run, what was executed goes, and is executed again when it is asked for. Runs of a
+    batch or an experiment that others have too keep their executions. Where there is no terminal to ask on, --yes is needed.
+
+    \b
+    Examples:
+      sierra rm 774d --dry-run
+      sierra rm 774d 03ab --yes
+    """
+    from sierra.cli import opened
+    from sierra.cli.output import print_json
+
+    project = opened.project()
+    if dry_run:
+        removal: Removal | None = project.removal(*prefixes)
+    else:
+        removal = project.remove(*prefixes, agree=lambda found: found.nothing or _agreed(_lines(found), yes, as_json))
+    if removal is None:
+        print("nothing was deleted")
+        raise typer.Exit(1)
+    if as_json:
+        print_json({"done": not dry_run, **asdict(removal)})
+        return
+    if dry_run:
+        print("\n".join(_lines(removal)))
+    else:
+        print(f"deleted: {len(removal.batches)} batches, {removal.executions} executions")
+        if removal.left:
+            print(f"{removal.left} old files are still being read; sierra gc removes them")
+
+
+def _lines(removal: Removal) -> list[str]:
+    from sierra.keeping.removing import text
+
+    found = [*text(removal), *([f"{size(removal.bytes)} that these wrote"] if removal.bytes else [])]
+    return found if not removal.nothing else ["nothing: there is no execution of it", *found]
+
+
+def _agreed(lines: list[str], yes: bool, quiet: bool) -> bool:
+    """Whether to go on: by --yes, or by an answer on a terminal. Raises UsageError where there is neither."""
+    import sys
+
+    from sierra.errors import UsageError
+
+    if not yes and not (sys.stdin.isatty() and sys.stdout.isatty()):
+        raise UsageError(f"this would delete {'; '.join(lines)}; with --yes it does")
+    if not quiet:
+        print("to be deleted, for good:\n" + "\n".join(f"  {line}" for line in lines))
+    return yes or typer.confirm("delete that?", default=False)
 
 
 def size(count: int) -> str:

@@ -184,6 +184,11 @@ def is_there(root: Path, tree: str) -> bool:
     return held and _Git(root).has(tree.removeprefix(SWHID))
 
 
+def blobs(manifest: bytes) -> set[str]:
+    """Git's hashes of the files in a manifest."""
+    return {what.decode("ascii", "replace").partition(" ")[2] for what in _read_manifest(manifest).values()}
+
+
 def tree_of(manifest: bytes) -> str | None:
     """The id of the tree that a list of files gives; None where it cannot be told: by hashes that are no SHA-1."""
     entries = []
