@@ -25,7 +25,9 @@ if TYPE_CHECKING:
     from sierra.asking import Watch
     from sierra.extract import Listing, Outcome
     from sierra.keeping.checking import Report
+    from sierra.keeping.collecting import Collection
     from sierra.keeping.removing import Removal
+    from sierra.keeping.repairing import Repair
     from sierra.pipeline import Summary
     from sierra.plans import Plan
     from sierra.replay import Replay, Tolerances
@@ -179,6 +181,12 @@ class Project:
 
         return checking.check(StorePaths(self.paths.store), self.root, tell).report
 
+    def repair(self, *, dry_run: bool = False, tell: Callable[[str], None] = lambda text: None) -> Repair:
+        """Repair the store, and check it: see `sierra.keeping.repairing`. Nothing is deleted."""
+        from sierra.keeping import repairing
+
+        return repairing.repair(StorePaths(self.paths.store), self.root, dry_run=dry_run, tell=tell)
+
     def removal(self, *prefixes: str) -> Removal:
         """What `remove` would delete of what these ids name: batches, experiments, runs, executions. Raises NotFound."""
         from sierra.keeping import removing
@@ -194,6 +202,23 @@ class Project:
         from sierra.keeping import removing
 
         return removing.remove(self.store, prefixes, agree)
+
+    def collection(self, *, damaged: bool = False) -> Collection:
+        """What `collect` would remove: see `sierra.keeping.collecting.Collection`."""
+        from sierra.keeping import collecting
+
+        return collecting.plan(self.store, damaged=damaged)
+
+    def collect(
+        self, *, damaged: bool = False, agree: Callable[[Collection], bool] = lambda collection: True
+    ) -> Collection | None:
+        """Remove what nothing needs, and merge small segments, if `agree` says so of that; None where it does not.
+
+        `damaged`: also what a repair put aside. Raises Missing where the disk is full; nothing is lost then.
+        """
+        from sierra.keeping import collecting
+
+        return collecting.collect(self.store, damaged=damaged, agree=agree)
 
     def files(self, prefix: str, *paths: str, to: str | os.PathLike[str] | None = None) -> Listing | list[Outcome]:
         """The recorded files of what an id names; with `to`, written into that folder: what became of each.

@@ -57,7 +57,10 @@ def is_answered(plan: Plan, store: Store) -> bool:
     now = context(plan)
     with store.ask() as question:
         question.views.make(("sessions",))
+        question.views.make(("batches",))
         last = question.run("SELECT arg_max(batch, ended), arg_max(programs, ended), arg_max(rules, ended) FROM sessions")
+        if not question.run("SELECT 1 FROM batches WHERE batch = $b LIMIT 1", {"b": plan.batch.id}):
+            return False  # what was recorded of it is lost
         same = last == [(plan.batch.id, now.programs, now.rules)]
         return same and all(state.good for state in states(plan, question).values())
 

@@ -270,3 +270,89 @@ def test_a_source_that_git_lost_is_named_apart(root: Path) -> None:
     shutil.rmtree(root / ".git")
     [(kind, _)] = wrong(root)
     assert kind is Kind.GONE
+
+
+# Repairing.
+
+
+def repaired(root: Path) -> list[str]:
+    """What a repair says that it does; a dry run says the same first, and does nothing."""
+    before = stores.state(root)
+    dry = json.loads(projects.quick(root, "fsck", "--repair", "--dry-run", "--json").stdout)["repaired"]
+    assert stores.state(root) == before
+    done = list(sierra.open(root).repair().done)
+    assert len(done) >= len(dry) > 0
+    return done
+
+
+def everything(root: Path) -> bytes:
+    """All bytes of the store, wherever they are."""
+    return b"".join(sorted(stores.state(root).values()))
+
+
+@pytest.mark.parametrize("name", ["format", ".gitignore", "CACHEDIR.TAG"])
+@pytest.mark.parametrize("damage", [truncate, empty, Path.unlink])
+def test_what_is_the_same_in_every_store_is_written_again(made: Path, root: Path, name: str, damage: Any) -> None:
+    damage(root / ".sierra" / name)
+    assert repaired(root) == [f"{name}: written again"]
+    assert fsck(root).sound
+    assert stores.state(root) == stores.state(made)
+
+
+def test_a_manifest_is_made_again(made: Path, root: Path) -> None:
+    truncate(segment_with(root, "executions") / "MANIFEST")
+    assert len(repaired(root)) == 1
+    assert stores.state(root) == stores.state(made)
+
+
+def test_strays_are_put_aside(root: Path) -> None:
+    (segment_with(root, "executions") / "more").write_text("mine")
+    shutil.copytree(segment_with(root, "executions"), root / ".sierra" / "segments" / "copy")
+    assert len(repaired(root)) == 2
+    assert fsck(root).sound
+    assert (root / ".sierra" / "damaged" / "more").read_text() == "mine"
+
+
+EXECUTED = ("executions", "artifacts", "objects", "readings", "output.swarm", "output.notes")
+
+
+@pytest.mark.parametrize("table", EXECUTED)
+def test_what_was_executed_and_is_lost_is_executed_again_and_nothing_else(root: Path, table: str) -> None:
+    folder = next(path.parent for path in sorted(root.glob(".sierra/segments/*/executions.parquet")))
+    batch = (
+        sierra.open(root)
+        .sql(f"SELECT batch FROM batches WHERE starts_with(batch, '{folder.name[:12]}')")
+        .to_pylist()[0]["batch"]
+    )
+    extend(folder / f"{table}.parquet")
+    repaired(root)
+    assert (root / ".sierra" / "damaged" / folder.name).is_dir()
+    assert fsck(root).sound
+    lost = there["n"] - project.sql("SELECT count(*) AS n FROM executions").to_pylist()[0]["n"]
+    assert 0 <= lost <= len(here)
+    assert (lost > 0) == (table != "readings")  # which other segments have too
+    summary = project.run(batch, figures=False)
+    assert (summary.executed, summary.failed, summary.missing) == (lost, 0, 0)
+    assert fsck(root).sound
+
+
+@pytest.mark.parametrize("table", ["batches", "experiments", "members", "recipes", "objects", "sources", "blobs"])
+def test_what_says_that_there_is_a_batch_is_recorded_again(root: Path, table: str) -> None:
+    if not list(root.glob(f".sierra/segments/*/{table}.parquet")):
+        pytest.skip("in git, git has the files of sources")
+    folders = {path.parent for path in root.glob(".sierra/segments/*/members.parquet")}
+    folder = next(path.parent for path in sorted(root.glob(f".sierra/segments/*/{table}.parquet")) if path.parent in folders)
+    extend(folder / f"{table}.parquet")
+    repaired(root)
+    again = [("population_size=1,2", None), ("population_size=2,3", 3), ("noise=0.5", None)]
+    assert sum(sierra.open(root).run(query, runs=runs, figures=False).executed for query, runs in again) == 0
+    assert fsck(root).sound
+
+
+def test_a_batch_that_is_executing_is_not_in_the_way_of_a_check(simulate: Callable[..., Any]) -> None:
+    project = simulate()
+    running = project.start("run", "size=1,2", "--runs", "20", "-j", "2", "--no-figures")
+    project.until_executed(5, running)
+    while running.poll() is None:
+        assert project.ask("fsck").returncode == 0
+    assert project.end_of(running).returncode == 0

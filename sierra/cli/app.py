@@ -54,6 +54,7 @@ for command in (
     stats.stats,
     deliver.figures,
     keep.fsck,
+    keep.gc,
     keep.rm,
     doctor.doctor,
     schema.schema,

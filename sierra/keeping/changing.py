@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import json
 import time
 from collections.abc import Callable, Iterator
 from collections.abc import Set as AbstractSet
+from pathlib import Path
 
 from sierra import sessions
 from sierra.errors import Missing, SierraError
@@ -40,11 +42,13 @@ def publish(
     session: Session,
     prepare: Callable[[Rewriting], AbstractSet[str]],
     may: Callable[[], None] = lambda: None,
+    keep: AbstractSet[str] = frozenset(),
 ) -> int:
     """Prepare and publish, again where something was recorded meanwhile; how many old segments are still to be removed.
 
     `prepare` writes, and gives the segments that it has seen. `may` raises where others are at work that must not be disturbed;
-    nobody can begin while it looks. Raises Missing where the file system has no locks, so that nobody can be alone.
+    nobody can begin while it looks. `keep` are replaced segments that are put aside, not removed. Raises Missing
+    where the file system has no locks, so that nobody can be alone.
     """
     for attempt in range(ATTEMPTS):
         rewriting = Rewriting(store, session.paths.root / f"new{attempt}", f"{session.id}.{attempt}")
@@ -58,9 +62,19 @@ def publish(
             if names(store) == seen:
                 with disk_errors(store.segments):
                     rewriting.publish()
+                    for name in sorted(keep):
+                        aside(store, store.segments / name)
                     tidy(store, session.paths.root / "old")
                     return left(store)
     raise SierraError("others record all the time; try again when they have ended")
+
+
+def aside(store: StorePaths, path: Path) -> None:
+    """Move a file or a folder of the store to `damaged/`, under a name that is free there."""
+    store.damaged.mkdir(exist_ok=True)
+    names = itertools.chain([path.name], (f"{path.name}.{number}" for number in itertools.count(1)))
+    target = next(target for name in names if not (target := store.damaged / name).exists() and not target.is_symlink())
+    path.rename(target)
 
 
 def left(store: StorePaths) -> int:

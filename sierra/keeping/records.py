@@ -274,10 +274,11 @@ def _unless_broken(records: Records, executions: Iterable[str]) -> list[str]:
     return sorted(named)
 
 
+ORPHANS = "their runs belong to no batch; asking for that again finds them"
 LOST_BY_EXECUTION = {
     "files or logs of executions are not in the store": """
         SELECT DISTINCT execution FROM artifacts a ANTI JOIN kept USING (sha256) WHERE a.kind IN ('file', 'log')""",
-    "their runs belong to no batch": """
+    ORPHANS: """
         SELECT DISTINCT execution FROM executions ANTI JOIN members USING (run)""",
     "what the project declared for executions is not recorded": """
         SELECT DISTINCT execution FROM executions ANTI JOIN readings USING (reading)""",

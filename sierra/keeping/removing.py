@@ -262,10 +262,16 @@ def _touches(question: Question, segment: Segment, drop: Drop) -> bool:
     for name, path in segment.files.items():
         table = "output" if name.startswith(OUTPUT) else name
         for column, values in drop.get(table, {}).items():
-            question.register("going", pa.table({"value": pa.array(sorted(values), pa.string())}))
-            if question.run(f"SELECT 1 FROM {read_parquet([path])} WHERE {column} IN (SELECT value FROM going) LIMIT 1"):
+            if has_any(question, path, column, values):
                 return True
     return False
+
+
+def has_any(question: Question, path: str, column: str, values: AbstractSet[str]) -> bool:
+    """Whether one of these values is in a column of a file."""
+    question.register("going", pa.table({"value": pa.array(sorted(values), pa.string())}))
+    statement = f"SELECT 1 FROM {read_parquet([path])} WHERE {column} IN (SELECT value FROM going) LIMIT 1"
+    return bool(question.run(statement))
 
 
 def text(removal: Removal) -> list[str]:
