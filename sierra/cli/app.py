@@ -8,7 +8,10 @@ import typer
 
 from sierra.cli import deliver, doctor, files, init, keep, look, replay, run, schema, sql, stats
 
-EXIT_CODES = "Exit codes: 0 fine; 1 a run failed, or results differ; 2 usage; 3 something needed is missing; 130 interrupted."
+EXIT_CODES = (
+    "Exit codes: 0 fine; 1 a run failed, results differ, or the store is damaged; 2 usage; "
+    "3 something needed is missing; 130 interrupted."
+)
 
 app = typer.Typer(
     name="sierra",
