@@ -25,6 +25,10 @@ if TYPE_CHECKING:
     from sierra.asking import Watch
     from sierra.difference import Comparison
     from sierra.extract import Listing, Outcome
+    from sierra.keeping.checking import Report
+    from sierra.keeping.collecting import Collection
+    from sierra.keeping.removing import Removal
+    from sierra.keeping.repairing import Repair
     from sierra.pipeline import Summary
     from sierra.plans import Plan
     from sierra.reasons import Why
@@ -187,6 +191,51 @@ class Project:
         from sierra import reasons
 
         return reasons.why(self._loaded, self.store, prefix)
+
+    def fsck(self, *, tell: Callable[[str], None] = lambda text: None) -> Report:
+        """Check all that is recorded: see `sierra.keeping.checking.Report`. `tell` hears how far it has come."""
+        from sierra.keeping import checking
+
+        return checking.check(StorePaths(self.paths.store), self.root, tell).report
+
+    def repair(self, *, dry_run: bool = False, tell: Callable[[str], None] = lambda text: None) -> Repair:
+        """Repair the store, and check it: see `sierra.keeping.repairing`. Nothing is deleted."""
+        from sierra.keeping import repairing
+
+        return repairing.repair(StorePaths(self.paths.store), self.root, dry_run=dry_run, tell=tell)
+
+    def removal(self, *prefixes: str) -> Removal:
+        """What `remove` would delete of what these ids name: batches, experiments, runs, executions. Raises NotFound."""
+        from sierra.keeping import removing
+
+        return removing.plan(self.store, prefixes)
+
+    def remove(self, *prefixes: str, agree: Callable[[Removal], bool] = lambda removal: True) -> Removal | None:
+        """Remove what these ids name, if `agree` says so of what that deletes; None where it does not.
+
+        Runs that other batches have keep their executions. Raises NotFound, Missing where the disk is full, and SierraError
+        while one of the batches is executing; nothing has changed then.
+        """
+        from sierra.keeping import removing
+
+        return removing.remove(self.store, prefixes, agree)
+
+    def collection(self, *, damaged: bool = False) -> Collection:
+        """What `collect` would remove: see `sierra.keeping.collecting.Collection`."""
+        from sierra.keeping import collecting
+
+        return collecting.plan(self.store, damaged=damaged)
+
+    def collect(
+        self, *, damaged: bool = False, agree: Callable[[Collection], bool] = lambda collection: True
+    ) -> Collection | None:
+        """Remove what nothing needs, and merge small segments, if `agree` says so of that; None where it does not.
+
+        `damaged`: also what a repair put aside. Raises Missing where the disk is full; nothing is lost then.
+        """
+        from sierra.keeping import collecting
+
+        return collecting.collect(self.store, damaged=damaged, agree=agree)
 
     def files(self, prefix: str, *paths: str, to: str | os.PathLike[str] | None = None) -> Listing | list[Outcome]:
         """The recorded files of what an id names; with `to`, written into that folder: what became of each.

@@ -42,13 +42,15 @@ class Checkout:
     """Files that the source does not hold: `{project}/path`, or where they are."""
     content: Callable[[str], bytes | None]
     """A file that git does not have, by git's hash."""
+    commit: str | None = None
+    """The commit that was checked out, to be named where something is missing."""
 
     def make(self, root: Path) -> None:
         """Write it into `root`, which is made. Raises Missing for what is nowhere any more."""
         if self.recipe.source is None:
             root.mkdir(parents=True)
         else:
-            source.restore(self.recipe.source, self.manifest, self.project, root, self.content)
+            source.restore(self.recipe.source, self.manifest, self.project, root, self.content, commit=self.commit)
         for name in self.beside:
             inside = Path(name.removeprefix(INSIDE))
             if name.startswith(INSIDE) and not inside.is_absolute() and ".." not in inside.parts:

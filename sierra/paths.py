@@ -11,6 +11,7 @@ PROJECT/.sierra/work/files          hashes of the project's files outside git; m
 PROJECT/.sierra/work/<session>/     what executes now; gone once it is recorded
     lock  owner.0  claims.json  context.json  journal.jsonl  segment/
     <number>/                       one run: input files, stdout, stderr, home/ tmp/ output/
+PROJECT/.sierra/damaged/<segment>/  segments that `sierra fsck --repair` put aside
 PROJECT/.sierra/kept/<replay>/      what `sierra replay --keep` leaves: source/, and the folder of each run by its id
 """
 
@@ -86,6 +87,16 @@ class StorePaths:
     @property
     def work_lock(self) -> Path:
         return self.work / "lock"
+
+    @property
+    def reading(self) -> Path:
+        """The file whose lock readers share: it is always there, and never written."""
+        return self.format
+
+    @property
+    def damaged(self) -> Path:
+        """Where `sierra fsck --repair` puts damaged segments aside."""
+        return self.root / "damaged"
 
     def kept(self, replay: str) -> Path:
         """What a replay leaves because it was asked to."""

@@ -49,6 +49,7 @@ class Recalled:
     recipe: Recipe
     manifest: bytes
     """The files of the source."""
+    commit: str | None
     programs: Sequence[Mapping[str, Any]]
     """The rows of `programs`."""
     fingerprint: str
@@ -63,7 +64,7 @@ class Recalled:
             return store.object(rows[0]["sha256"]) if rows else None
 
         files = tuple(row["name"] for row in self.programs if row["kind"] == Kind.FILE)
-        return Checkout(project.root, self.recipe, self.manifest, files, content)
+        return Checkout(project.root, self.recipe, self.manifest, files, content, self.commit)
 
 
 def recall(store: Store, batch: str, programs: str, reading: str) -> Recalled:
@@ -72,11 +73,11 @@ def recall(store: Store, batch: str, programs: str, reading: str) -> Recalled:
         made = _one(question, "SELECT r.* FROM recipes r JOIN batches b USING (recipe) WHERE b.batch = $b", b=batch)
         rules = _one(question, "SELECT declared FROM readings WHERE reading = $r", r=reading)
         used = question.sql("SELECT * FROM programs WHERE programs = $p", p=programs).to_pylist()
-        files = question.sql("SELECT files FROM sources WHERE tree = $t LIMIT 1", t=made["source"]).to_pylist()
+        code = question.sql('SELECT files, "commit" FROM sources WHERE tree = $t LIMIT 1', t=made["source"]).to_pylist()
     outputs, success = rules_of(json.loads(rules["declared"]))
     recipe = Recipe(made["platform"], tuple(made["command"]), json.loads(made["variables"]), made["source"], made["image"])
-    manifest = store.object(files[0]["files"]) if files else b""
-    return Recalled(batch, recipe, manifest, used, programs, outputs, success)
+    manifest, commit = (store.object(code[0]["files"]), code[0]["commit"]) if code else (b"", None)
+    return Recalled(batch, recipe, manifest, commit, used, programs, outputs, success)
 
 
 def engine(recipe: Recipe, name: str = "none") -> Engine:

@@ -71,7 +71,7 @@ def dead(store: StorePaths) -> Iterator[list[SessionPaths]]:
     held: list[int] = []
     found: list[SessionPaths] = []
     with exclusively(store):
-        for paths in _all(store):
+        for paths in all_of(store):
             try:
                 lock = _locked(paths.lock, wait=False)
             except BlockingIOError:
@@ -89,6 +89,20 @@ def dead(store: StorePaths) -> Iterator[list[SessionPaths]]:
             os.close(lock)
 
 
+def alive(store: StorePaths) -> list[SessionPaths]:
+    """The sessions whose lock is held. To be called within `exclusively`, where it says that there are locks."""
+    found = []
+    for paths in all_of(store):
+        try:
+            lock = _locked(paths.lock, wait=False)
+        except BlockingIOError:
+            found.append(paths)
+        else:
+            if lock is not None:
+                os.close(lock)
+    return found
+
+
 @contextlib.contextmanager
 def exclusively(store: StorePaths) -> Iterator[bool]:
     """Alone among this store's sessions, for the moment that a claim takes; False where the file system has no locks."""
@@ -102,7 +116,8 @@ def exclusively(store: StorePaths) -> Iterator[bool]:
             os.close(lock)
 
 
-def _all(store: StorePaths) -> list[SessionPaths]:
+def all_of(store: StorePaths) -> list[SessionPaths]:
+    """All sessions that are there, alive or not."""
     try:
         return [SessionPaths(Path(entry.path)) for entry in os.scandir(store.work) if entry.is_dir()]
     except FileNotFoundError:
@@ -111,7 +126,7 @@ def _all(store: StorePaths) -> list[SessionPaths]:
 
 def _claimed(store: StorePaths, own: str) -> set[str]:
     claimed: set[str] = set()
-    for paths in _all(store):
+    for paths in all_of(store):
         if paths.root.name != own:
             with contextlib.suppress(OSError, json.JSONDecodeError):
                 claimed |= set(json.loads(paths.claims.read_text()))

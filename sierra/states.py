@@ -57,7 +57,10 @@ def is_answered(plan: Plan, store: Store) -> bool:
     now = context(plan)
     with store.ask() as question:
         question.views.make(("sessions",))
+        question.views.make(("batches",))
         last = question.run("SELECT arg_max(batch, ended), arg_max(programs, ended), arg_max(rules, ended) FROM sessions")
+        if not question.run("SELECT 1 FROM batches WHERE batch = $b LIMIT 1", {"b": plan.batch.id}):
+            return False  # what was recorded of it is lost
         same = last == [(plan.batch.id, now.programs, now.rules)]
         return same and all(state.good for state in states(plan, question).values())
 
@@ -78,8 +81,11 @@ def states(plan: Plan, asked: Store | Question | None) -> dict[str, State]:
     return runs
 
 
-# The runs of one recipe were executed for batches of that recipe, and for no others.
-THOSE = "FROM executions WHERE purpose = 'run' AND batch IN (SELECT batch FROM batches WHERE recipe = $recipe)"
+# The runs of one recipe were executed for batches of that recipe, and for no others; some of these may have been removed.
+THOSE = (
+    "FROM executions WHERE purpose = 'run' AND (batch IN (SELECT batch FROM batches WHERE recipe = $recipe) "
+    "OR batch NOT IN (SELECT batch FROM batches))"
+)
 EACH = f"""
 SELECT run, CASE WHEN status <> 'ok' THEN {FAILED} WHEN reading <> $reading THEN {OTHER_RULES}
     WHEN programs <> $programs THEN {OTHER_PROGRAMS} ELSE {GOOD} END AS worth,

@@ -6,9 +6,12 @@ from typing import Annotated
 
 import typer
 
-from sierra.cli import deliver, diff, doctor, files, init, look, replay, run, schema, sql, stats, why
+from sierra.cli import deliver, diff, doctor, files, init, keep, look, replay, run, schema, sql, stats, why
 
-EXIT_CODES = "Exit codes: 0 fine; 1 a run failed, or results differ; 2 usage; 3 something needed is missing; 130 interrupted."
+EXIT_CODES = (
+    "Exit codes: 0 fine; 1 a run failed, results differ, or the store is damaged; 2 usage; "
+    "3 something needed is missing; 130 interrupted."
+)
 
 app = typer.Typer(
     name="sierra",
@@ -55,6 +58,9 @@ for command in (
     sql.sql,
     stats.stats,
     deliver.figures,
+    keep.fsck,
+    keep.gc,
+    keep.rm,
     doctor.doctor,
     schema.schema,
 ):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -47,7 +48,7 @@ class Programs:
 
     @property
     def id(self) -> str:
-        return digest("programs", {"programs": sorted({(p.called, p.sha256) for p in self.all})})
+        return fingerprint((program.name, program.sha256) for program in self.all)
 
     def rows(self) -> list[dict[str, Any]]:
         fields = ("name", "kind", "version", "path", "sha256")
@@ -56,6 +57,11 @@ class Programs:
 
 
 NOTHING = Programs(())
+
+
+def fingerprint(programs: Iterable[tuple[str, str]]) -> str:
+    """The hash of names and SHA-256, wherever the programs lie, and in whatever order."""
+    return digest("programs", {"programs": sorted({(called(name), found) for name, found in programs})})
 
 
 def called(name: str) -> str:

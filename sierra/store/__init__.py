@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 from sierra.errors import Damaged, Missing, NotFound, SierraError, SqlError
 from sierra.paths import StorePaths, write_whole
 from sierra.store.segments import Segment, Writer, disk_errors, listed
+from sierra.store.sharing import Shared
 from sierra.store.views import Views, outputs, read_parquet, tables_of
 
 if TYPE_CHECKING:
@@ -68,8 +69,12 @@ class Store:
         return cls(root)
 
     def segments(self) -> list[Segment]:
-        """All segments that are there now."""
-        return list(listed(self.paths.segments))
+        """All segments that count now."""
+        shared = Shared(self.paths.reading)
+        try:
+            return list(listed(self.paths.segments))
+        finally:
+            shared.close()
 
     def writer(self, folder: Path, batch: str) -> Writer:
         """A segment to be written in `folder` (in this store's file system) and then published."""
@@ -92,7 +97,12 @@ class Store:
 
     def ask(self, within: str | None = None) -> Question:
         """A connection for several statements that all see the same state of the store, or of one batch in it."""
-        return Question(self.paths.root, self.segments(), within)
+        shared = Shared(self.paths.reading)
+        try:
+            return Question(self.paths.root, list(listed(self.paths.segments)), within, shared)
+        except BaseException:
+            shared.close()
+            raise
 
     def rows(self, text: str, **parameters: Any) -> list[dict[str, Any]]:
         """The answer to one statement, as a list of rows."""
@@ -142,7 +152,11 @@ class Store:
 class Question:
     """One connection, on one state of the store; a context manager."""
 
-    def __init__(self, root: Path, segments: Sequence[Segment], within: str | None = None) -> None:
+    def __init__(
+        self, root: Path, segments: Sequence[Segment], within: str | None = None, shared: Shared | None = None
+    ) -> None:
+        """`shared`: the lock that keeps these segments where they are, until the question is closed."""
+        self._shared = shared
         self.connection = connect()
         self.segments = segments
         self.views = Views(self.connection, segments, within)
@@ -154,6 +168,8 @@ class Question:
 
     def __exit__(self, *_: object) -> None:
         self.connection.close()
+        if self._shared is not None:
+            self._shared.close()
 
     def _lock(self, root: Path) -> None:
         self.connection.execute("SET allowed_directories = $folders", {"folders": [f"{root}/segments/"]})

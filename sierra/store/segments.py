@@ -9,15 +9,26 @@
 The last 16 digits are the beginning of the SHA-256 of MANIFEST, so that a segment's name vouches for all in
 it. A segment is written beside its target, synced and renamed; a name that exists holds the same content.
 Nothing here is ever changed. Folders of any number of processes and hosts can be added at once.
+
+Rows are merged, or removed, by writing new segments in the place of old ones. So that this happens at one moment, which
+is one rename, a segment may have two files more, listed in MANIFEST as all others:
+
+    REPLACES    names of segments, a line each, that do not count any more, as long as this one is there
+    AFTER       the name of a segment: this one counts only once that is there
+
+One new segment names those that it replaces. Of several, each is published first, to count AFTER a last one, which has
+nothing but REPLACES. To remove what is replaced is only tidying up, at any later time (see `sierra.store.rewriting`); who
+replaces a segment also names what that has replaced. A line that is no segment's name means nothing.
 """
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import itertools
 import os
 import shutil
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -29,6 +40,10 @@ from sierra.store.tables import arrow_schema
 MANIFEST = "MANIFEST"
 OUTPUT = "output."
 SUFFIX = ".parquet"
+REPLACES = "REPLACES"
+AFTER = "AFTER"
+MARK_BYTES = 16 << 20
+"""More is read of no REPLACES."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +52,9 @@ class Segment:
 
     batch: str
     files: Mapping[str, str]
+    name: str = ""
+    replaces: frozenset[str] = frozenset()
+    after: str | None = None
 
     def outputs(self) -> Iterator[tuple[str, str]]:
         """What the runs wrote: the table's name and the file, of each file."""
@@ -51,15 +69,43 @@ def is_first_part(path: str) -> bool:
 
 
 def listed(folder: Path) -> Iterator[Segment]:
-    """All segments that are there now, in the order of their names."""
+    """All segments that count now, in the order of their names."""
+    found = list(on_disk(folder))
+    hidden = out_of_date(found)
+    yield from (segment for segment in found if segment.name not in hidden)
+
+
+def out_of_date(segments: Sequence[Segment]) -> set[str]:
+    """The names of those that do not count: replaced, or waiting for one that is not there."""
+    names = {segment.name for segment in segments}
+    waiting = {segment.name for segment in segments if segment.after is not None and segment.after not in names}
+    replaced = {name for segment in segments if segment.name not in waiting for name in segment.replaces}
+    return waiting | (replaced & names)
+
+
+def on_disk(folder: Path) -> Iterator[Segment]:
+    """All segments that are there, whether they count or not, in the order of their names."""
     try:
         names = sorted(entry.name for entry in os.scandir(folder) if entry.is_dir())
     except FileNotFoundError:
         return
     for name in names:
-        with os.scandir(folder / name) as entries:
-            files = {e.name.removesuffix(SUFFIX): e.path for e in entries if e.name.endswith(SUFFIX)}
-        yield Segment(name.partition("-")[0], files)
+        with contextlib.suppress(FileNotFoundError):  # somebody has tidied it up meanwhile
+            yield _segment(folder / name)
+
+
+def _segment(folder: Path) -> Segment:
+    with os.scandir(folder) as entries:
+        paths = {entry.name: entry.path for entry in entries}
+    files = {name.removesuffix(SUFFIX): path for name, path in paths.items() if name.endswith(SUFFIX)}
+    replaces = frozenset(_lines(paths[REPLACES])) if REPLACES in paths else frozenset()
+    after = next(iter(_lines(paths[AFTER])), "") if AFTER in paths else None
+    return Segment(folder.name.partition("-")[0], files, folder.name, replaces, after)
+
+
+def _lines(path: str) -> list[str]:
+    with Path(path).open("rb") as file:
+        return file.read(MARK_BYTES).decode("utf-8", "replace").splitlines()
 
 
 class Writer:
@@ -98,18 +144,28 @@ class Writer:
             for part in itertools.chain((first,), parts):
                 writer.write_table(part)
 
+    def mark(self, name: str, lines: Iterable[str]) -> None:
+        """Write REPLACES or AFTER."""
+        with disk_errors(self.folder):
+            (self.folder / name).write_text("".join(f"{line}\n" for line in lines))
+
+    def seal(self) -> str:
+        """Write MANIFEST and sync all; the name that the segment will have. Nothing may be written after that."""
+        with disk_errors(self.folder):
+            files = sorted(file for file in self.folder.iterdir() if file.name != MANIFEST)
+            text = manifest(files)
+            (self.folder / MANIFEST).write_bytes(text)
+            for file in (*files, self.folder / MANIFEST, self.folder):
+                sync(file)
+        return f"{self._batch}-{sha256(text)[:16]}"
+
     def publish(self, segments: Path) -> bool:
         """Sync all, and rename; True if there was anything to publish."""
-        files = sorted(self.folder.iterdir())
-        if not files:
+        if not any(self.folder.iterdir()):
             self.folder.rmdir()
             return False
         with disk_errors(self.folder):
-            manifest = "".join(f"{sha256_file(file)}  {file.name}\n" for file in files).encode()
-            (self.folder / MANIFEST).write_bytes(manifest)
-            for file in (*files, self.folder / MANIFEST, self.folder):
-                sync(file)
-            target = segments / f"{self._batch}-{sha256(manifest)[:16]}"
+            target = segments / self.seal()
             try:
                 self.folder.rename(target)
             except OSError as error:
@@ -118,6 +174,11 @@ class Writer:
                 shutil.rmtree(self.folder)
             sync(segments)
         return True
+
+
+def manifest(files: Iterable[Path]) -> bytes:
+    """What MANIFEST says of these files, which are in the order of their names."""
+    return "".join(f"{sha256_file(file)}  {file.name}\n" for file in files).encode()
 
 
 def sync(path: Path) -> None:

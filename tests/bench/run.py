@@ -21,6 +21,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
@@ -348,6 +349,20 @@ def median_of(times: int, prepare: Callable[[], object], what: Callable[[], None
     return statistics.median(measured)
 
 
+def fsck(folder: Path) -> None:
+    """Checking a store of 400 MB of recorded files, and one of many small runs."""
+    here = project(folder / "large")
+    toml = (here / "sierra.toml").read_text()
+    (here / "sierra.toml").write_text(toml.replace("/bin/true {input}", "dd if=/dev/urandom of=noise bs=1M count=10"))
+    quietly(SIERRA, "run", "population_size=1,2,3,4", "--runs", "10", "-j2", "--no-figures", cwd=here)
+    small = project(folder / "small")
+    quietly(SIERRA, "run", "population_size=1,2,3,4", "--runs", "250", "-j2", "--no-figures", cwd=small)
+    for what, where, promise in (("40 files of 10 MB", here, "at most 4"), ("1,000 runs of true", small, "under 3 s")):
+        hashing = f"find {where / '.sierra' / 'segments'} -type f -print0 | xargs -0 sha256sum"
+        check, hash_all = partial(quietly, SIERRA, "fsck", cwd=where), partial(quietly, "sh", "-c", hashing)
+        say(f"sierra fsck, {what} / sha256sum", *in_turn(3, check, hash_all), promise)
+
+
 def figures(folder: Path) -> None:
     """Figures in three formats, by SIERRA and by a script written by hand."""
     del folder
@@ -370,6 +385,7 @@ BENCHES: dict[str, Callable[[Path], None]] = {
     "recording": recording,
     "listing": listing,
     "snapshot": snapshot,
+    "fsck": fsck,
     "figures": figures,
     "many": many,
 }

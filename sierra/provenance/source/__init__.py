@@ -24,9 +24,21 @@ from sierra.hashing import digest
 from sierra.provenance.source import outside, place, working
 from sierra.provenance.source.chosen import Chosen, inside, shown
 from sierra.provenance.source.git import Git, in_repository
-from sierra.provenance.source.manifest import LINK, Entry, Files, changed, listed, paths, repositories, tree_hash, written
+from sierra.provenance.source.manifest import (
+    LINK,
+    Entry,
+    Files,
+    blobs,
+    changed,
+    listed,
+    paths,
+    repositories,
+    tree_hash,
+    tree_of,
+    written,
+)
 from sierra.provenance.source.outside import LEFT_OUT
-from sierra.provenance.source.restoring import restore
+from sierra.provenance.source.restoring import is_there, restore
 
 SWHID = "swh:1:dir:"
 LARGE = 50_000_000
@@ -169,12 +181,15 @@ __all__ = [
     "SWHID",
     "Entry",
     "Source",
+    "blobs",
     "capture",
     "changed",
     "contents",
     "inside",
+    "is_there",
     "paths",
     "repositories",
     "restore",
     "tree_hash",
+    "tree_of",
 ]

@@ -55,6 +55,17 @@ def paths(manifest: bytes) -> set[bytes]:
     return set(read(manifest))
 
 
+def blobs(manifest: bytes) -> set[str]:
+    """Git's hashes of the files in a list."""
+    return {parts(what)[1] for what in read(manifest).values()}
+
+
+def tree_of(manifest: bytes) -> str | None:
+    """The hash of the tree that a list of files gives; None where it cannot be told: by hashes that are no SHA-1."""
+    entries = [Entry(*parts(what), path) for path, what in read(manifest).items()]
+    return tree_hash(entries) if all(len(entry.blob) == 40 for entry in entries) else None
+
+
 def changed(before: bytes, after: bytes) -> list[str]:
     """The paths in which two lists differ."""
     old, new = read(before), read(after)

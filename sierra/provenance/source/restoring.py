@@ -48,6 +48,11 @@ def restore(tree: str, manifest: bytes, root: Path, target: Path, content: Conte
         _write(target / os.fsdecode(path), mode, found)
 
 
+def is_there(root: Path, tree: str, manifest: bytes) -> bool:
+    """Whether the git repository that `root` lies in has the files of a recorded source."""
+    return in_repository(root) and not _lacking(Git(root), tree.rpartition(":")[2], read(manifest))
+
+
 def _check(files: Files) -> None:
     """Raise Damaged for a path that is none of git's, or lies below a file or a link."""
     for path, what in files.items():

@@ -1,0 +1,219 @@
+"""`gc`: removing what nothing needs, and merging many small segments of a batch into one.
+
+What nothing needs: folders of askings that died (what had finished there is recorded first), unfinished files, segments that
+were replaced, recorded files that no record refers to. Git's `refs/sierra/` are left alone: other projects and stores may
+share the repository, and no store knows of them all. What a repair put aside goes only where that is asked for.
+
+Merging changes no row, and their order in an execution neither. Of what is in several merged segments, one copy stays.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from collections.abc import Set as AbstractSet
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import pyarrow as pa
+
+from sierra import recovery, sessions, worker
+from sierra.keeping.changing import changing, publish, undisturbed
+from sierra.keeping.contents import UNFINISHED
+from sierra.paths import StorePaths
+from sierra.store import Question, Store, read_parquet
+from sierra.store.rewriting import Drop, Group, Rewriting, groups, out_of_use, tidy
+from sierra.store.segments import Segment
+
+MANY = 4
+"""Small segments of one batch that are merged; fewer are left as they are."""
+SMALL = 64 << 20
+LARGE = 256 << 20
+"""Bytes that merged segments have at most."""
+
+
+@dataclass(frozen=True, slots=True)
+class Collection:
+    """What is removed, or would be."""
+
+    sessions: int
+    """Askings that died."""
+    unfinished: int
+    """Files that were never finished."""
+    replaced: int
+    """Segments that do not count any more."""
+    objects: int
+    """Recorded files that nothing refers to."""
+    bytes: int
+    """Their sizes."""
+    merged: int
+    """Segments that are merged."""
+    into: int
+    """What they are merged to."""
+    damaged: int
+    """Segments that a repair put aside; they go only where that is asked for."""
+    recovered: int = 0
+    """Executions that had finished in askings that died, and are recorded now."""
+    left: int = 0
+    """Segments that somebody was still reading, and that the next gc removes."""
+
+    @property
+    def nothing(self) -> bool:
+        return not any((self.sessions, self.unfinished, self.replaced, self.objects, self.merged, self.damaged))
+
+
+@dataclass(frozen=True, slots=True)
+class _Plan:
+    groups: tuple[Group, ...]
+    drop: Drop
+    bytes: int
+    seen: AbstractSet[str]
+
+    @property
+    def objects(self) -> int:
+        return len(self.drop.get("objects", {}).get("sha256", ()))
+
+
+def plan(store: Store, *, damaged: bool = False) -> Collection:
+    """What `collect` would do."""
+    paths = store.paths
+    made = _plan(store)
+    with sessions.exclusively(paths) as locks:
+        living = {one.root for one in sessions.alive(paths)} if locks else set()
+        dead = [one for one in sessions.all_of(paths) if locks and one.root not in living]
+        unused = len(out_of_use(paths))
+    merged = [group for group in made.groups if len(group.segments) > 1]
+    aside = len(list(paths.damaged.iterdir())) if damaged and paths.damaged.is_dir() else 0
+    return Collection(
+        len(dead),
+        len(list(_unfinished(paths))),
+        unused,
+        made.objects,
+        made.bytes,
+        sum(len(group.segments) for group in merged),
+        len(merged),
+        aside,
+    )
+
+
+def collect(
+    store: Store, *, damaged: bool = False, agree: Callable[[Collection], bool] = lambda collection: True
+) -> Collection | None:
+    """Remove what nothing needs, if `agree` says so of what that is; None where it does not.
+
+    Raises Missing where the disk is full, SierraError where another is just beginning: nothing is lost then.
+    """
+    first = plan(store, damaged=damaged)
+    if not first.nothing and not agree(first):
+        return None
+    paths = store.paths
+    recovered = recovery.finish_dead(store)
+    for path in list(_unfinished(paths)):
+        path.unlink(missing_ok=True)
+    if damaged:
+        worker.remove(str(paths.damaged))
+    left = 0
+    with changing(paths) as session:
+        made = _plan(store)
+        if made.groups:
+
+            def prepare(rewriting: Rewriting) -> AbstractSet[str]:
+                nonlocal made
+                made = _plan(store)
+                for group in made.groups:
+                    rewriting.write(group, made.drop)
+                return made.seen
+
+            left = publish(paths, session, prepare, lambda: undisturbed(paths, session, set()))
+        else:
+            with sessions.exclusively(paths):
+                tidy(paths, session.paths.root / "old")
+                left = len(out_of_use(paths))
+    return replace(first, recovered=recovered, left=left)
+
+
+def _unfinished(paths: StorePaths) -> Iterator[Path]:
+    """Files that were written beside their targets by processes that are gone."""
+    for path in paths.root.iterdir():
+        if UNFINISHED.fullmatch(path.name) and worker.birth(int(path.name.rpartition(".")[2])) is None:
+            yield path
+
+
+REFERRED = """
+SELECT sha256 FROM artifacts WHERE kind <> 'table' UNION SELECT unnest([input] || others) FROM members
+UNION SELECT files FROM sources UNION SELECT sha256 FROM blobs
+"""
+
+
+def _plan(store: Store) -> _Plan:
+    with store.ask() as question:
+        question.views.make(("artifacts", "members", "sources", "blobs"))
+        unneeded = {} if not _has(question, "objects") else _unneeded(question)
+        holding = _holding(question, set(unneeded))
+        small: dict[str, list[Segment]] = {}
+        for segment in question.segments:
+            if segment.files and _size(segment) < SMALL:
+                small.setdefault(segment.batch, []).append(segment)
+        chosen = {id(segment): segment for those in small.values() if len(those) >= MANY for segment in those}
+        chosen |= {id(segment): segment for segment in holding}
+        found = [part for group in groups(chosen.values()) for part in _parts(group)]
+        kept = [group for group in found if len(group.segments) > 1 or group.segments[0] in holding]
+        drop = {"objects": {"sha256": set(unneeded)}} if unneeded else {}
+        return _Plan(tuple(kept), drop, sum(unneeded.values()), {segment.name for segment in question.segments})
+
+
+def _has(question: Question, table: str) -> bool:
+    return any(table in segment.files for segment in question.segments)
+
+
+def _unneeded(question: Question) -> dict[str, int]:
+    """The size of each object that no record refers to."""
+    files = [segment.files["objects"] for segment in question.segments if "objects" in segment.files]
+    statement = f"SELECT sha256, max(size) FROM {read_parquet(files)} o ANTI JOIN ({REFERRED}) r USING (sha256) GROUP BY sha256"
+    return dict(question.run(statement))
+
+
+def _holding(question: Question, digests: AbstractSet[str]) -> list[Segment]:
+    if not digests:
+        return []
+    question.register("unneeded", pa.table({"sha256": sorted(digests)}))
+    found = []
+    for segment in question.segments:
+        if "objects" in segment.files:
+            source = read_parquet([segment.files["objects"]])
+            if question.run(f"SELECT 1 FROM {source} WHERE sha256 IN (SELECT sha256 FROM unneeded) LIMIT 1"):
+                found.append(segment)
+    return found
+
+
+def _size(segment: Segment) -> int:
+    return sum(Path(path).stat().st_size for path in segment.files.values())
+
+
+def _parts(group: Group) -> Iterator[Group]:
+    """A group in parts that are not too large."""
+    held: list[Segment] = []
+    size = 0
+    for segment in group.segments:
+        more = _size(segment)
+        if held and size + more > LARGE:
+            yield Group(tuple(held))
+            held, size = [], 0
+        held.append(segment)
+        size += more
+    yield Group(tuple(held))
+
+
+def text(collection: Collection) -> list[str]:
+    """What is removed, in lines."""
+    told = (
+        (collection.sessions, "askings that died (what had finished in them is recorded first)"),
+        (collection.unfinished, "unfinished files"),
+        (collection.replaced, "segments that were replaced"),
+        (collection.objects, "recorded files that nothing refers to"),
+        (collection.merged, f"small segments, merged into {collection.into}"),
+        (collection.damaged, "damaged segments that a repair put aside"),
+    )
+    return [f"{count} {what}" for count, what in told if count]
+
+
+__all__ = ["Collection", "collect", "plan", "text"]

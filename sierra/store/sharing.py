@@ -1,0 +1,63 @@
+"""Readers share a lock for as long as they read; whoever removes what is replaced takes it alone.
+
+Nobody waits for a reader: where it cannot be had alone soon, removing is left for another time. Where a file system has
+no locks, or may not be written, there is none.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+PATIENCE_S = 2.0
+
+
+class Shared:
+    """The lock, shared with other readers, until it is closed."""
+
+    def __init__(self, path: Path) -> None:
+        self._descriptor = _open(path)
+        if self._descriptor is not None:
+            with contextlib.suppress(OSError):
+                fcntl.flock(self._descriptor, fcntl.LOCK_SH)
+
+    def close(self) -> None:
+        if self._descriptor is not None:
+            os.close(self._descriptor)
+            self._descriptor = None
+
+
+@contextlib.contextmanager
+def alone(path: Path, patience: float = PATIENCE_S) -> Iterator[bool]:
+    """Whether nobody reads for the moment; True also where nobody can tell."""
+    descriptor = _open(path)
+    try:
+        yield descriptor is None or _locked(descriptor, time.monotonic() + patience)
+    finally:
+        if descriptor is not None:
+            os.close(descriptor)
+
+
+def _open(path: Path) -> int | None:
+    for flags in (os.O_RDWR, os.O_RDONLY):
+        with contextlib.suppress(OSError):
+            return os.open(path, flags | os.O_CLOEXEC)
+    return None
+
+
+def _locked(descriptor: int, give_up: float) -> bool:
+    while True:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            if time.monotonic() > give_up:
+                return False
+            time.sleep(0.02)
+        except OSError:
+            return True
+        else:
+            return True

@@ -1,0 +1,48 @@
+"""Small real stores for tests: several batches, tables of all formats, logs, binary files, a replay."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import sierra
+from tests import projects
+
+SIMULATOR = (
+    projects.SIMULATOR
+    + """
+import json
+with open("notes.jsonl", "w") as file:
+    for place in range(3):
+        print(json.dumps({"place": place, "what": f"note {place}"}), file=file)
+with open("picture.bin", "wb") as file:
+    file.write(bytes((seed + place) % 256 for place in range(10_000)))
+print("said by", seed)
+print("complained", file=sys.stderr)
+"""
+)
+
+
+def make(folder: Path, *, git: bool) -> Path:
+    """A project with three batches, two of which share runs, and a replay; its folder."""
+    root = projects.make(folder, simulator=SIMULATOR)
+    if git:
+        projects.commit(root)
+    project = sierra.open(root)
+    first = project.run("population_size=1,2", figures=False).batch
+    project.run("population_size=2,3", runs=3, figures=False)
+    project.run("noise=0.5", figures=False)
+    project.replay(first, runs=1)
+    return root
+
+
+def copy(root: Path, target: Path) -> Path:
+    """The same project elsewhere."""
+    shutil.copytree(root, target, symlinks=True)
+    return target
+
+
+def state(root: Path) -> dict[str, bytes]:
+    """Every file of a store, by its path in it."""
+    store = root / ".sierra"
+    return {str(path.relative_to(store)): path.read_bytes() for path in sorted(store.rglob("*")) if path.is_file()}

@@ -1,0 +1,357 @@
+"""`sierra fsck` finds every damage of a store, names it, and says what of the record it concerns."""
+
+from __future__ import annotations
+
+import json
+import random
+import shutil
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+import sierra
+from sierra.hashing import sha256
+from sierra.keeping.checking import Report
+from sierra.keeping.findings import Kind
+from sierra.store.segments import manifest
+from tests import projects, stores
+
+Where = tuple[str, int, int]
+
+
+@pytest.fixture(scope="module", params=["git", "none"])
+def made(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A project whose store is only looked at, or left as it was."""
+    return stores.make(tmp_path_factory.mktemp(request.param) / "project", git=request.param == "git")
+
+
+@pytest.fixture
+def root(made: Path, tmp_path: Path) -> Path:
+    """A copy of it that a test may damage."""
+    return stores.copy(made, tmp_path / "project")
+
+
+def fsck(root: Path) -> Report:
+    return sierra.open(root).fsck()
+
+
+def wrong(root: Path) -> list[tuple[Kind, str]]:
+    return [(finding.kind, finding.path) for finding in fsck(root).findings if not finding.kind.fine]
+
+
+def segment_with(root: Path, table: str) -> Path:
+    return next(path.parent for path in sorted(root.glob(f".sierra/segments/*/{table}.parquet")))
+
+
+def test_a_sound_store_is_sound(made: Path) -> None:
+    ended = projects.quick(made, "fsck")
+    assert (ended.returncode, ended.stderr) == (0, "")
+    assert ended.stdout.startswith("sound: ")
+    report = json.loads(projects.quick(made, "fsck", "--json").stdout)
+    assert (report["sound"], report["findings"], report["executions"]) == (True, [], 12)
+
+
+def positions(data: bytes, name: str, numbers: random.Random) -> Iterator[int]:
+    """Places of all kinds in a file: its ends, its footer, each line of a text, and any."""
+    size = len(data)
+    yield from {0, size // 2, size - 1, max(size - 6, 0), max(size - 9, 0)}
+    if name.endswith(".parquet"):
+        footer = int.from_bytes(data[-8:-4], "little")
+        yield from {4, size - 8 - footer, size - 8 - footer // 2, size - 9 - footer}
+    yield from (numbers.randrange(size) for _ in range(1))
+
+
+def test_any_flipped_bit_is_found_and_its_file_is_named(made: Path) -> None:
+    numbers = random.Random(1)
+    store = made / ".sierra"
+    files = [path for path in sorted(store.rglob("*")) if path.is_file() and "work" not in path.parts]
+    flips = [(path, place) for path in files for place in positions(path.read_bytes(), path.name, numbers)]
+    chosen = [*((path, 0) for path in files if path.parent == store), *numbers.sample(flips, 30)]
+    for path, place in chosen:
+        data = path.read_bytes()
+        flipped = bytearray(data)
+        flipped[place] ^= 1 << numbers.randrange(8)
+        path.write_bytes(flipped)
+        report = fsck(made)
+        path.write_bytes(data)
+        named = {finding.path for finding in report.findings if not finding.kind.fine}
+        assert str(path.relative_to(store)) in named, (path, place)
+    assert fsck(made).sound
+
+
+def test_each_bit_of_a_segment_counts_in_what_vouches_for_it(made: Path) -> None:
+    """All places at once, without a whole check for each: hashes see every bit, so it is the hash that must be compared."""
+    for folder in sorted((made / ".sierra" / "segments").iterdir()):
+        files = sorted(path for path in folder.iterdir() if path.name != "MANIFEST")
+        text = manifest(files)
+        assert (folder / "MANIFEST").read_bytes() == text
+        assert folder.name.endswith(sha256(text)[:16])
+
+
+def truncate(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[:-1])
+
+
+def extend(path: Path) -> None:
+    path.write_bytes(path.read_bytes() + b"\0")
+
+
+def empty(path: Path) -> None:
+    path.write_bytes(b"")
+
+
+def link(path: Path) -> None:
+    target = path.rename(path.parents[3] / "elsewhere")
+    path.symlink_to(target)
+
+
+@pytest.mark.parametrize("damage", [truncate, extend, empty, link, Path.unlink])
+@pytest.mark.parametrize("file", ["MANIFEST", "executions.parquet", "objects.parquet"])
+def test_files_that_are_cut_grown_linked_or_gone_are_named(root: Path, damage: Callable[[Path], None], file: str) -> None:
+    path = segment_with(root, "executions") / file
+    damage(path)
+    kind = Kind.ABSENT if damage is Path.unlink and file != "MANIFEST" else Kind.DAMAGED
+    assert (kind, str(path.relative_to(root / ".sierra"))) in wrong(root)
+
+
+def test_files_swapped_between_segments_are_named(root: Path) -> None:
+    one, other = sorted(root.glob(".sierra/segments/*/executions.parquet"))[:2]
+    mine, others = one.read_bytes(), other.read_bytes()
+    one.write_bytes(others)
+    other.write_bytes(mine)
+    assert {path for kind, path in wrong(root) if kind is Kind.DAMAGED} == {
+        str(path.relative_to(root / ".sierra")) for path in (one, other)
+    }
+
+
+@pytest.mark.parametrize("name", ["{prefix}-0123456789abcdef", "0123456789ab-{hash}", "copy of it", "{prefix}-{hash}.bak"])
+def test_a_doubled_segment_is_named(root: Path, name: str) -> None:
+    segment = segment_with(root, "executions")
+    prefix, _, digits = segment.name.partition("-")
+    double = segment.with_name(name.format(prefix=prefix, hash=digits))
+    shutil.copytree(segment, double)
+    told = {path for _, path in wrong(root)}
+    assert any(path.startswith(("segments/" + double.name, "segments/" + segment.name)) for path in told)
+
+
+def test_strays_are_named_and_what_is_only_left_is_no_damage(root: Path) -> None:
+    (root / ".sierra" / "segments" / "notes.txt").write_text("")
+    (root / ".sierra" / "segments" / "link").symlink_to("/tmp")
+    (root / ".sierra" / "mine").mkdir()
+    (segment_with(root, "executions") / "more").write_text("")
+    (root / ".sierra" / ".format.123").write_text("")
+    assert sorted(Path(path).name for kind, path in wrong(root) if kind is Kind.STRAY) == ["link", "mine", "more", "notes.txt"]
+    assert [finding.path for finding in fsck(root).findings if finding.kind is Kind.LEFT] == [".format.123"]
+
+
+def test_what_is_concerned_is_said(root: Path) -> None:
+    path = segment_with(root, "executions") / "objects.parquet"
+    extend(path)
+    [finding] = [finding for finding in fsck(root).findings if finding.path == str(path.relative_to(root / ".sierra"))]
+    assert finding.affected.executions
+    assert finding.affected.batches
+    assert " executions of batch " in finding.affected.text
+    assert "=" in finding.affected.text
+    ended = projects.quick(root, "fsck")
+    assert ended.returncode == 1
+    assert ended.stdout.splitlines()[0].startswith("damaged: segments/")
+
+
+# What has the right hashes, and yet is not what was recorded.
+
+
+def forge(root: Path, table: str, change: Callable[[dict[str, Any]], None]) -> None:
+    """Write a table of a segment anew, each row changed, and make MANIFEST and name fit."""
+    folder = segment_with(root, table)
+    path = folder / f"{table}.parquet"
+    found = pq.read_table(path)
+    rows = found.to_pylist()
+    for row in rows:
+        change(row)
+    pq.write_table(pa.Table.from_pylist(rows, schema=found.schema), path)
+    seal(folder)
+
+
+def seal(folder: Path) -> None:
+    text = manifest(sorted(path for path in folder.iterdir() if path.name != "MANIFEST"))
+    (folder / "MANIFEST").write_bytes(text)
+    folder.rename(folder.with_name(folder.name[:13] + sha256(text)[:16]))
+
+
+FORGED: dict[str, tuple[str, Callable[[dict[str, Any]], None]]] = {
+    "a seed": ("members", lambda row: row.update(seed=row["seed"] + 1)),
+    "an input": ("members", lambda row: row.update(input="0" * 64)),
+    "a run": ("members", lambda row: row.update(run="0" * 64)),
+    "a run's number": ("members", lambda row: row.update(number=1 - row["number"] if row["number"] < 2 else 2)),
+    "a value": ("experiments", lambda row: row.update({k: 7 for k in row if k in ("population_size", "noise")})),
+    "an experiment": ("experiments", lambda row: row.update(experiment="0" * 64)),
+    "an order": ("experiments", lambda row: row.update(ordinal=5 - row["ordinal"])),
+    "a command": ("recipes", lambda row: row.update(command=["true"])),
+    "a kernel": ("environments", lambda row: row.update(kernel="9")),
+    "a commit": ("sources", lambda row: row.update(commit="0" * 40)),
+    "a tree": ("sources", lambda row: row.update(tree="swh:1:dir:" + "0" * 40)),
+    "a list of files": ("sources", lambda row: row.update(files="0" * 64)),
+    "a program": ("programs", lambda row: row.update(sha256="0" * 64)),
+    "a declaration": ("readings", lambda row: row.update(declared='{"outputs": {}, "success": {}}')),
+    "a result": ("executions", lambda row: row.update(result="0" * 64)),
+    "an execution's run": ("executions", lambda row: row.update(run="0" * 64)),
+    "an execution": ("executions", lambda row: row.update(execution=sha256(row["execution"].encode()))),
+    "an artifact's digest": ("artifacts", lambda row: row.update(sha256="0" * 64)),
+    "an artifact's rows": ("artifacts", lambda row: row.update(rows=row["rows"] and row["rows"] + 1)),
+    "rows": ("output.swarm", lambda row: row.update(execution="0" * 64)),
+    "content": ("objects", lambda row: row.update(content=row["content"] + b"x")),
+    "an object's size": ("objects", lambda row: row.update(size=row["size"] + 1)),
+    "a verdict": ("verdicts", lambda row: row.update(recorded="0" * 64)),
+    "a verdict's replay": ("verdicts", lambda row: row.update(replay="0" * 16)),
+}
+
+
+@pytest.mark.parametrize("what", FORGED)
+def test_a_forged_record_is_found_though_all_hashes_of_files_are_right(root: Path, what: str) -> None:
+    forge(root, *FORGED[what])
+    assert {kind for kind, _ in wrong(root)} & {Kind.INCONSISTENT, Kind.LOST}
+
+
+def test_a_file_that_vanished_is_missed_though_manifest_does_not_list_it(root: Path) -> None:
+    for table in ("artifacts", "objects", "output.swarm", "executions"):
+        copy = stores.copy(root, root.with_name(table))
+        folder = segment_with(copy, "executions")
+        (folder / f"{table}.parquet").unlink()
+        seal(folder)
+        assert {kind for kind, _ in wrong(copy)} & {Kind.LOST, Kind.INCONSISTENT}, table
+
+
+def test_other_columns_and_what_is_no_parquet_are_named(root: Path) -> None:
+    folder = segment_with(root, "executions")
+    pq.write_table(pa.table({"execution": ["a"], "content": [b"x"]}), folder / "artifacts.parquet")
+    (folder / "readings.parquet").write_bytes(b"PAR1 no PAR1")
+    seal(folder)
+    assert sum(kind is Kind.INCONSISTENT and "segments/" in path for kind, path in wrong(root)) >= 2
+
+
+def test_a_bomb_is_refused_and_not_expanded(root: Path) -> None:
+    folder = segment_with(root, "objects")
+    row = {"sha256": "0" * 64, "part": 0, "size": 1 << 40, "content": bytes(200 << 20)}
+    schema = pq.read_schema(folder / "objects.parquet")
+    pq.write_table(pa.Table.from_pylist([row], schema=schema), folder / "objects.parquet", compression="zstd")
+    seal(folder)
+    assert any(kind is Kind.INCONSISTENT and path.endswith("objects.parquet") for kind, path in wrong(root))
+
+
+def test_nothing_that_stands_in_files_makes_it_fail(root: Path) -> None:
+    numbers = random.Random(2)
+    files = [path for path in sorted((root / ".sierra").rglob("*")) if path.is_file()]
+    for _ in range(15):
+        folder = segment_with(root, numbers.choice(["executions", "members", "objects"]))
+        path = numbers.choice([path for path in files if path.suffix == ".parquet" and path.parent == folder] or files)
+        data = bytearray(path.read_bytes())
+        for _ in range(numbers.randrange(1, 20)):
+            data[numbers.randrange(len(data))] = numbers.randrange(256)
+        before = path.read_bytes()
+        path.write_bytes(data)
+        listed = (folder / "MANIFEST").read_bytes()
+        text = manifest(sorted(one for one in folder.iterdir() if one.name != "MANIFEST"))
+        (folder / "MANIFEST").write_bytes(text)
+        renamed = folder.rename(folder.with_name(folder.name[:13] + sha256(text)[:16]))
+        fsck(root)
+        renamed = renamed.rename(folder)
+        (renamed / "MANIFEST").write_bytes(listed)
+        path.write_bytes(before)
+    assert fsck(root).sound
+
+
+def test_a_source_that_git_lost_is_named_apart(root: Path) -> None:
+    if not (root / ".git").exists():
+        pytest.skip("a source outside git is in the store")
+    shutil.rmtree(root / ".git")
+    [(kind, _)] = wrong(root)
+    assert kind is Kind.GONE
+
+
+# Repairing.
+
+
+def repaired(root: Path) -> list[str]:
+    """What a repair says that it does; a dry run says the same first, and does nothing."""
+    before = stores.state(root)
+    dry = json.loads(projects.quick(root, "fsck", "--repair", "--dry-run", "--json").stdout)["repaired"]
+    assert stores.state(root) == before
+    done = list(sierra.open(root).repair().done)
+    assert len(done) >= len(dry) > 0
+    return done
+
+
+def everything(root: Path) -> bytes:
+    """All bytes of the store, wherever they are."""
+    return b"".join(sorted(stores.state(root).values()))
+
+
+@pytest.mark.parametrize("name", ["format", ".gitignore", "CACHEDIR.TAG"])
+@pytest.mark.parametrize("damage", [truncate, empty, Path.unlink])
+def test_what_is_the_same_in_every_store_is_written_again(made: Path, root: Path, name: str, damage: Any) -> None:
+    damage(root / ".sierra" / name)
+    assert repaired(root) == [f"{name}: written again"]
+    assert fsck(root).sound
+    assert stores.state(root) == stores.state(made)
+
+
+def test_a_manifest_is_made_again(made: Path, root: Path) -> None:
+    truncate(segment_with(root, "executions") / "MANIFEST")
+    assert len(repaired(root)) == 1
+    assert stores.state(root) == stores.state(made)
+
+
+def test_strays_are_put_aside(root: Path) -> None:
+    (segment_with(root, "executions") / "more").write_text("mine")
+    shutil.copytree(segment_with(root, "executions"), root / ".sierra" / "segments" / "copy")
+    assert len(repaired(root)) == 2
+    assert fsck(root).sound
+    assert (root / ".sierra" / "damaged" / "more").read_text() == "mine"
+
+
+EXECUTED = ("executions", "artifacts", "objects", "readings", "output.swarm", "output.notes")
+
+
+@pytest.mark.parametrize("table", EXECUTED)
+def test_what_was_executed_and_is_lost_is_executed_again_and_nothing_else(root: Path, table: str) -> None:
+    found = {path.parent: pq.read_table(path).to_pydict() for path in root.glob(".sierra/segments/*/executions.parquet")}
+    folder = min(folder for folder, rows in found.items() if rows["purpose"][0] == "run")
+    project = sierra.open(root)
+    [batch] = set(found[folder]["batch"])
+    [there] = project.sql("SELECT count(*) AS n FROM executions").to_pylist()
+    extend(folder / f"{table}.parquet")
+    repaired(root)
+    assert (root / ".sierra" / "damaged" / folder.name).is_dir()
+    assert fsck(root).sound
+    lost = there["n"] - project.sql("SELECT count(*) AS n FROM executions").to_pylist()[0]["n"]
+    assert 0 <= lost <= len(found[folder]["run"])
+    assert (lost > 0) == (table != "readings")  # which other segments have too
+    summary = project.run(batch, figures=False)
+    assert (summary.executed, summary.failed, summary.missing) == (lost, 0, 0)
+    assert fsck(root).sound
+
+
+@pytest.mark.parametrize("table", ["batches", "experiments", "members", "recipes", "objects", "sources", "blobs"])
+def test_what_says_that_there_is_a_batch_is_recorded_again(root: Path, table: str) -> None:
+    if not list(root.glob(f".sierra/segments/*/{table}.parquet")):
+        pytest.skip("in git, git has the files of sources")
+    folders = {path.parent for path in root.glob(".sierra/segments/*/members.parquet")}
+    folder = next(path.parent for path in sorted(root.glob(f".sierra/segments/*/{table}.parquet")) if path.parent in folders)
+    extend(folder / f"{table}.parquet")
+    repaired(root)
+    again = [("population_size=1,2", None), ("population_size=2,3", 3), ("noise=0.5", None)]
+    assert sum(sierra.open(root).run(query, runs=runs, figures=False).executed for query, runs in again) == 0
+    assert fsck(root).sound
+
+
+def test_a_batch_that_is_executing_is_not_in_the_way_of_a_check(simulate: Callable[..., Any]) -> None:
+    project = simulate()
+    running = project.start("run", "size=1,2", "--runs", "20", "-j", "2", "--no-figures")
+    project.until_executed(5, running)
+    while running.poll() is None:
+        assert project.ask("fsck").returncode == 0
+    assert project.end_of(running).returncode == 0
