@@ -7,7 +7,7 @@ PROJECT/sierra.toml
 PROJECT/figures/<batch>/            what is drawn, and in .drawn.json from what
 PROJECT/.sierra/format              the version of the store's format
 PROJECT/.sierra/segments/<segment>/ what is recorded; see sierra.store.segments
-PROJECT/.sierra/work/files          hashes of the project's files outside git; made again where it is gone
+PROJECT/.sierra/files               hashes of the project's files outside git; made again where it is gone
 PROJECT/.sierra/work/<session>/     what executes now; gone once it is recorded
     lock  owner.0  claims.json  context.json  journal.jsonl  segment/
     <number>/                       one run: input files, stdout, stderr, home/ tmp/ output/
@@ -82,7 +82,7 @@ class StorePaths:
     @property
     def files(self) -> Path:
         """What is remembered of the project's files outside git, so that not all are read again; nobody misses it."""
-        return self.work / "files"
+        return self.root / "files"
 
     @property
     def work_lock(self) -> Path:

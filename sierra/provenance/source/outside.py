@@ -1,6 +1,6 @@
 """The files of a project outside git, hashed as git would hash them.
 
-What a file's hash was is remembered in a file of the store's work folder with its times, size and inode, as in git's index, so
+What a file's hash was is remembered in a file of the store's folder with its times, size and inode, as in git's index, so
 that only files with others are read again. A file that was written less than two seconds before it was read is not
 remembered: another writing within the same tick of the file system's clock would not show. That clock is asked, not this
 machine's: they may differ. 50,000 files take 1.5 s at first, 0.5 s after.
