@@ -5,9 +5,9 @@ $XDG_CACHE_HOME/sierra/             what can be found out again: digests.json, v
 $XDG_STATE_HOME/sierra/             reports of faults; what was asked at the SQL prompt
 PROJECT/sierra.toml
 PROJECT/figures/<batch>/            what is drawn, and in .drawn.json from what
+PROJECT/.sierra/files               hashes of the project's files outside git; made again where it is gone
 PROJECT/.sierra/format              the version of the store's format
 PROJECT/.sierra/segments/<segment>/ what is recorded; see sierra.store.segments
-PROJECT/.sierra/files               hashes of the project's files outside git; made again where it is gone
 PROJECT/.sierra/work/<session>/     what executes now; gone once it is recorded
     lock  owner.0  claims.json  context.json  journal.jsonl  segment/
     <number>/                       one run: input files, stdout, stderr, home/ tmp/ output/
