@@ -28,10 +28,11 @@ def diff(
     patch: Annotated[bool, typer.Option("--patch", help="Show all of the patch, and of all other details.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead, with all details.")] = False,
 ) -> None:
-    """Say what differs between two recorded things: what is likely to matter for results first.
+    """Say what differs between two recorded things.
 
-    That is: what was asked, platform, command, image, programs, source, variables, inputs, rules, seeds, the machine; and,
-    last, what came out. Nothing is executed, all is told from the record. A run stands for its execution that counts.
+    What is likely to matter for results stands first: what was asked, platform, command, image, programs, source,
+    variables, inputs, rules, seeds, the machine; and, last, what came out. Nothing is executed, all is told from the
+    record. A run stands for its execution that counts.
 
     The exit code is 0 if nothing differs, and 1 if something does.
 

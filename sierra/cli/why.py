@@ -21,7 +21,7 @@ def why(
     ],
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead.")] = False,
 ) -> None:
-    """Say why runs were executed or not, which executions count, and what asking again would do.
+    """Say why runs were executed, or not, and which count.
 
     Each asking and each replay, in order, and why it executed what it executed: because it was new (and what made it so), had
     failed, or was executed with other programs or judged by other rules. Nothing is executed.
