@@ -39,6 +39,9 @@ from sierra.version import __version__
 Tolerances = Mapping[str, Mapping[str, Tolerance]]
 """By output (`*`: all) and column (`*`: all others)."""
 
+ARITHMETIC = ("machine", "cpu_flags", "gpus", "libc", "container")
+"""What of a machine may change the results of the same programs."""
+
 
 @dataclass(frozen=True, slots=True)
 class How:
@@ -169,7 +172,7 @@ def replay(
         variables = jobs.declared(record.of.recipe.environment, root)
         now = versions.asked(checkout.programs_in(root), project.config.programs, variables, root)
         around = environment.capture(__version__, project.config.environment.record)
-        notes = (*record.notes, *now.notes, *_other_programs(record.of, now))
+        notes = (*record.notes, *now.notes, *_other_programs(record.of, now), *_other_machine(store, record, around))
         for text in notes:
             say(text)
         context = Context(
@@ -266,6 +269,15 @@ def _other_programs(of: Recalled, now: Programs) -> Iterator[str]:
     """What is other about the programs, by name."""
     if now.id != of.fingerprint:
         yield from (f"other programs: {line}" for line in programs.told(of.programs, now))
+
+
+def _other_machine(store: Store, record: _Record, around: Mapping[str, Any]) -> Iterator[str]:
+    """What is other about the machine that may change arithmetic."""
+    for row in store.rows("SELECT * FROM environments WHERE environment = $e", e=record.environment):
+        for name, was, found in environment.differing(row, around):
+            if name in ARITHMETIC:
+                old, new = (", ".join(one) or "none" if isinstance(one, list) else one or "none" for one in (was, found))
+                yield f"other machine: {name} {'that differ: ' if isinstance(was, list) else ''}was {old}, is {new}"
 
 
 def _jobs(record: _Record, store: Store, maker: jobs.Maker) -> Iterator[Job]:

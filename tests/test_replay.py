@@ -16,6 +16,7 @@ from lxml import etree
 import sierra
 from sierra.agreement import Rules, Verdict, of_tables, of_texts, worst
 from sierra.config import Tolerance
+from sierra.provenance import environment, machine
 from tests import projects
 
 NOISY = projects.SIMULATOR.replace("count * tick", "__import__('time').time_ns() % 1000 + count * tick")
@@ -124,6 +125,19 @@ def test_another_program_is_said_before_the_verdict_and_a_missing_one_ends_all(t
     ended = projects.sierra(root, "replay", batch)
     assert (ended.returncode, ended.stderr.count("\n")) == (3, 1)
     assert "is not there" in ended.stderr
+
+
+def test_another_machine_is_said_before_the_verdict(make: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+    root = make()
+    batch = ask(root)
+    facts = machine.facts()
+    monkeypatch.setattr(environment, "facts", lambda: {**facts, "cpu_flags": ["avx", "gone"], "libc": "musl 1.2"})
+    other = sierra.open(root).replay(batch)
+    assert other.verdict == "identical"
+    [flags, libc] = other.notes
+    assert flags.startswith("other machine: cpu_flags that differ: was ")
+    assert "gone" in flags.partition(", is ")[2]
+    assert libc == f"other machine: libc was {facts['libc']}, is musl 1.2"
 
 
 def test_a_run_that_fails_now_is_failed(make: Make) -> None:

@@ -6,22 +6,23 @@ the files' contents, be they in git or in the store.
 
 from __future__ import annotations
 
-import os
+import contextlib
 import re
 import shutil
-import subprocess
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from sierra.errors import Missing
 from sierra.lines import patch
 from sierra.provenance.source import SWHID
+from sierra.provenance.source.git import Git, in_repository
+from sierra.provenance.source.manifest import REPOSITORY, parts, read
 
 SHOWN = 20
 """Commits that are told one by one."""
 HASH = re.compile(r"[0-9a-f]{40}([0-9a-f]{24})?")
-LINK, SUBMODULE = "120000", "160000"
 COLORLESS = ("--no-color", "--no-ext-diff", "--no-textconv", "--find-renames=100%")
 
 
@@ -101,13 +102,7 @@ Files = Mapping[str, tuple[str, str]]
 
 def _files(manifest: bytes) -> Files:
     """The files of a manifest, which has a line for each: mode, hash, path."""
-    found = {}
-    for line in manifest.split(b"\0"):
-        what, _, path = line.partition(b"\t")
-        mode, _, blob = what.decode("ascii", "replace").partition(" ")
-        if path:
-            found[path.decode("utf-8", "surrogateescape")] = (mode, blob)
-    return found
+    return {path.decode("utf-8", "surrogateescape"): parts(what) for path, what in read(manifest).items()}
 
 
 def _changed(old: Files, new: Files) -> Iterator[File]:
@@ -126,7 +121,7 @@ def _changed(old: Files, new: Files) -> Iterator[File]:
 def _file(path: str, was: tuple[str, str] | None, now: tuple[str, str] | None) -> File:
     if was is None or now is None:
         return File(path, "removed" if now is None else "added")
-    if SUBMODULE in (was[0], now[0]):
+    if REPOSITORY in (was[0], now[0]):
         return File(path, "submodule", was[1], now[1])
     if was[1] == now[1]:
         return File(path, "mode", was[0], now[0])
@@ -162,9 +157,7 @@ class _Git:
     """Git, asked about what the repository of a project has; where there is none, it has nothing."""
 
     def __init__(self, root: Path) -> None:
-        self._root = root
-        inside = any((folder / ".git").exists() for folder in (root, *root.parents))
-        self._program = shutil.which("git") if inside else None
+        self._git = Git(root) if in_repository(root) and shutil.which("git") else None
 
     def has(self, thing: str, kind: str) -> bool:
         return bool(HASH.fullmatch(thing) and self._run("rev-parse", "--verify", "--quiet", f"{thing}^{{{kind}}}"))
@@ -199,16 +192,8 @@ class _Git:
 
     def _run(self, *arguments: str) -> bytes | None:
         """What git says; None where it cannot."""
-        if self._program is None:
+        if self._git is None:
             return None
-        kept = {name: value for name, value in os.environ.items() if not name.startswith("GIT_") or name == "GIT_CONFIG_GLOBAL"}
-        asking = {"GIT_OPTIONAL_LOCKS": "0", "GIT_TERMINAL_PROMPT": "0", "GIT_NO_LAZY_FETCH": "1", "LC_ALL": "C"}
-        done = subprocess.run(
-            [self._program, "-c", "core.quotePath=false", *arguments],
-            cwd=self._root,
-            env={**kept, **asking},
-            stdin=subprocess.DEVNULL,
-            capture_output=True,
-            check=False,
-        )
-        return done.stdout if done.returncode == 0 else None
+        with contextlib.suppress(Missing):
+            return self._git("-c", "core.quotePath=false", *arguments)
+        return None
