@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from sierra.pipeline import Summary
     from sierra.plans import Plan
     from sierra.reasons import Why
-    from sierra.replay import Replay, Tolerances
+    from sierra.verdicts import Replay, Tolerances
 
 
 class Project:
@@ -164,7 +164,7 @@ class Project:
         watch: Watch | None = None,
         say: Callable[[str], None] | None = None,
     ) -> Replay:
-        """Execute again, from the record alone, what an id names, and compare: see `sierra.replay.Replay`.
+        """Execute again, from the record alone, what an id names, and compare: see `sierra.verdicts.Replay`.
 
         `runs`: the first so many of each experiment. `tolerances`: by output and column (`*`: all), instead of what
         `sierra.toml` declares. `keep`: leave the restored source and the folders of the runs. `say` hears what is

@@ -11,9 +11,9 @@ from sierra.asking import Watch
 from sierra.errors import Missing
 from sierra.hashing import short
 from sierra.plans import Plan
-from sierra.replay import Compared
 from sierra.states import states
 from sierra.store import Store
+from sierra.verdicts import Compared
 
 
 def probe(plan: Plan, store: Store, watch: Watch) -> tuple[str, ...]:

@@ -8,17 +8,16 @@ these never count in statistics, and nothing that was recorded changes.
 from __future__ import annotations
 
 import json
-from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 from sierra import jobs, metrics, recalled, recovery, runners
-from sierra.agreement import Agreement, Verdict, worst
+from sierra.agreement import Agreement, Verdict
 from sierra.asking import Progress, Watch
-from sierra.config import LoadedProject, Output, Tolerance
+from sierra.config import LoadedProject, Output
 from sierra.engines import Engine
 from sierra.errors import NotFound, UsageError
 from sierra.following import Following, noted
@@ -34,10 +33,8 @@ from sierra.record import Context, Recorder
 from sierra.sessions import Session
 from sierra.store import Found, Store
 from sierra.store.files import Taken, take
+from sierra.verdicts import Compared, OfExperiment, Replay, Tolerances, metric_rows, plain, verdict_rows
 from sierra.version import __version__
-
-Tolerances = Mapping[str, Mapping[str, Tolerance]]
-"""By output (`*`: all) and column (`*`: all others)."""
 
 ARITHMETIC = ("machine", "cpu_flags", "gpus", "libc", "container")
 """What of a machine may change the results of the same programs."""
@@ -56,74 +53,6 @@ class How:
     """Instead of what the project declares."""
     keep: bool = False
     """Whether to leave the restored source and the folders of the runs."""
-
-
-@dataclass(frozen=True, slots=True)
-class Compared:
-    """One run, executed again: its outputs by path, each with how far it agrees. The key None is the run as a whole."""
-
-    taken: Taken
-    execution: str | None
-    outputs: Mapping[str | None, Agreement]
-
-    @property
-    def verdict(self) -> Verdict:
-        return worst(agreement.verdict for agreement in self.outputs.values())
-
-
-@dataclass(frozen=True, slots=True)
-class OfExperiment:
-    """What came of one experiment: its runs, and, where these are not deterministic, its metrics."""
-
-    id: str
-    ordinal: int
-    values: Mapping[str, Any]
-    runs: tuple[Compared, ...]
-    metrics: tuple[Metric, ...] = ()
-
-    @property
-    def verdict(self) -> Verdict:
-        """That of its worst run; or equivalent, where values differ and all metrics are the same within their margins."""
-        found = worst(run.verdict for run in self.runs)
-        same = self.metrics and all(metric.equivalent for metric in self.metrics)
-        return Verdict.EQUIVALENT if found is Verdict.DIFFERENT and same else found
-
-
-@dataclass(frozen=True, slots=True)
-class Replay:
-    """The answer to a replay."""
-
-    id: str
-    found: Found
-    experiments: tuple[OfExperiment, ...]
-    notes: tuple[str, ...]
-    """What is other than it was recorded, before any verdict."""
-    interrupted: bool
-    kept: Path | None = None
-    """Where the restored source and the folders of the runs are left."""
-
-    @property
-    def runs(self) -> tuple[Compared, ...]:
-        return tuple(run for experiment in self.experiments for run in experiment.runs)
-
-    @property
-    def verdict(self) -> Verdict:
-        return worst(experiment.verdict for experiment in self.experiments)
-
-    @property
-    def counts(self) -> Counter[Verdict]:
-        """Runs, by verdict."""
-        return Counter(run.verdict for run in self.runs)
-
-    @property
-    def outputs(self) -> dict[str, Verdict]:
-        """The worst verdict of each output."""
-        found: dict[str, list[Verdict]] = {}
-        for run in self.runs:
-            for path, agreement in run.outputs.items():
-                if path is not None:
-                    found.setdefault(path, []).append(agreement.verdict)
-        return {path: worst(verdicts) for path, verdicts in sorted(found.items())}
 
 
 @dataclass(slots=True)
@@ -408,47 +337,3 @@ def _keep(
     writer.rows("environments", [around])
     writer.rows("programs", now.rows())
     store.publish(writer)
-
-
-def plain(tolerances: Tolerances) -> dict[str, Any]:
-    """Tolerances as JSON has them."""
-    return {name: {c: t.model_dump(exclude_defaults=True) for c, t in of.items()} for name, of in tolerances.items()}
-
-
-def verdict_rows(replay: str, run: Compared) -> Iterator[dict[str, Any]]:
-    """The records of `verdicts` for one run."""
-    for path, agreement in run.outputs.items():
-        yield {
-            "replay": replay,
-            "run": run.taken.run,
-            "recorded": run.taken.execution,
-            "execution": run.execution,
-            "path": path,
-            "verdict": str(agreement.verdict),
-            "why": agreement.why,
-            "row": agreement.row,
-            "column": agreement.column,
-            "was": agreement.recorded,
-            "found": agreement.found,
-            "abs": agreement.abs,
-            "rel": agreement.rel,
-            "ulp": agreement.ulp,
-        }
-
-
-def metric_rows(replay: str, experiment: OfExperiment) -> Iterator[dict[str, Any]]:
-    """The records of `equivalences` for one experiment."""
-    for metric in experiment.metrics:
-        yield {
-            "replay": replay,
-            "experiment": experiment.id,
-            "metric": metric.name,
-            "output": metric.declared.table,
-            "column": metric.declared.column,
-            "measure": metric.declared.measure,
-            "was": metric.was,
-            "found": metric.now,
-            "why": metric.why,
-            **({} if metric.tested is None else asdict(metric.tested)),
-            "equivalent": metric.equivalent,
-        }

@@ -14,7 +14,7 @@ from sierra.errors import Missing, UsageError
 if TYPE_CHECKING:
     from sierra.agreement import Agreement
     from sierra.config import Tolerance
-    from sierra.replay import Compared, OfExperiment, Replay
+    from sierra.verdicts import Compared, OfExperiment, Replay
 
 SHOWN = 10
 
