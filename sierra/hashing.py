@@ -42,6 +42,17 @@ def sha256_file(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
+def sealed(data: bytes) -> bytes:
+    """Data that vouches for itself: after its SHA-256 and a line feed."""
+    return sha256(data).encode() + b"\n" + data
+
+
+def unsealed(data: bytes) -> bytes | None:
+    """What was sealed; None where it is not that any more."""
+    seal, _, content = data.partition(b"\n")
+    return content if sha256(content).encode() == seal else None
+
+
 def digest(kind: str, fields: Mapping[str, Any], *, version: int = 1) -> str:
     """The id of a record: the SHA-256 of its canonical pre-image.
 

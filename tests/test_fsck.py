@@ -23,10 +23,16 @@ from tests import projects, stores
 Where = tuple[str, int, int]
 
 
-@pytest.fixture(scope="module", params=["git", "none"])
-def made(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A project whose store is only looked at, or left as it was."""
-    return stores.make(tmp_path_factory.mktemp(request.param) / "project", git=request.param == "git")
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A project outside git, whose store is only looked at, or left as it was."""
+    return stores.make(tmp_path_factory.mktemp("none") / "project", git=False)
+
+
+@pytest.fixture
+def in_git(tmp_path: Path) -> Path:
+    """A project in git, whose source is in git alone."""
+    return stores.make(tmp_path / "project", git=True)
 
 
 @pytest.fixture
@@ -264,11 +270,10 @@ def test_nothing_that_stands_in_files_makes_it_fail(root: Path) -> None:
     assert fsck(root).sound
 
 
-def test_a_source_that_git_lost_is_named_apart(root: Path) -> None:
-    if not (root / ".git").exists():
-        pytest.skip("a source outside git is in the store")
-    shutil.rmtree(root / ".git")
-    [(kind, _)] = wrong(root)
+def test_a_source_that_git_lost_is_named_apart(in_git: Path) -> None:
+    assert fsck(in_git).sound
+    shutil.rmtree(in_git / ".git")
+    [(kind, _)] = wrong(in_git)
     assert kind is Kind.GONE
 
 
@@ -337,8 +342,6 @@ def test_what_was_executed_and_is_lost_is_executed_again_and_nothing_else(root: 
 
 @pytest.mark.parametrize("table", ["batches", "experiments", "members", "recipes", "objects", "sources", "blobs"])
 def test_what_says_that_there_is_a_batch_is_recorded_again(root: Path, table: str) -> None:
-    if not list(root.glob(f".sierra/segments/*/{table}.parquet")):
-        pytest.skip("in git, git has the files of sources")
     folders = {path.parent for path in root.glob(".sierra/segments/*/members.parquet")}
     folder = next(path.parent for path in sorted(root.glob(f".sierra/segments/*/{table}.parquet")) if path.parent in folders)
     extend(folder / f"{table}.parquet")

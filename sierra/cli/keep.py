@@ -20,7 +20,7 @@ def fsck(
     dry_run: Annotated[bool, typer.Option("--dry-run", "-n", help="With --repair: only say what would be done.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead.")] = False,
 ) -> None:
-    """Hash all that is recorded, and name what is damaged and what that concerns.
+    """Check all that is recorded, and name what is damaged.
 
     Every byte is checked against what vouches for it; every id is made again from its record; all that records refer to must
     be there; the recorded sources must still be in git. The exit code is 1 if anything of that is not so.
@@ -83,7 +83,7 @@ def gc(
     damaged: Annotated[bool, typer.Option("--damaged", help="Also what sierra fsck --repair put aside.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead.")] = False,
 ) -> None:
-    """Remove what nothing needs, and merge many small files of a batch into few.
+    """Remove what nothing needs, and merge small files.
 
     Nothing that was recorded is lost. Git's refs/sierra/ stay, because other projects may share the repository. Where there
     is no terminal to ask on, --yes is needed.
@@ -124,7 +124,9 @@ def rm(
     dry_run: Annotated[bool, typer.Option("--dry-run", "-n", help="Only say what would be deleted.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead.")] = False,
 ) -> None:
-    """Delete recorded batches, experiments, runs or executions, after saying what that is.
+    """Delete recorded batches, experiments, runs or executions.
+
+    What goes, and what stays because others have it, is said first.
 
     A batch goes whole; of an experiment or a run, what was executed goes, and is executed again when it is asked for. Runs of a
     batch or an experiment that others have too keep their executions. Where there is no terminal to ask on, --yes is needed.

@@ -6,6 +6,7 @@ bytes are those that were written; even then it may come from somebody else, so 
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import os
 import re
@@ -15,7 +16,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from sierra.hashing import sha256
+from sierra.hashing import sha256, unsealed
 from sierra.keeping.findings import Finding, Kind
 from sierra.paths import StorePaths
 from sierra.store import CACHEDIR, FORMAT
@@ -33,6 +34,8 @@ EXPANDED = 256 << 20
 """Bytes that a piece of an object file may come to in memory."""
 FIXED = {"format": FORMAT, ".gitignore": "*\n", "CACHEDIR.TAG": CACHEDIR}
 """Files that are the same in every store."""
+DERIVED = frozenset(("files",))
+"""Files that are made again where they are not there."""
 FOLDERS = frozenset(("segments", "work", "damaged", "kept"))
 
 
@@ -103,12 +106,21 @@ def _top(paths: StorePaths) -> Iterator[Finding]:
                 yield Finding(Kind.STRAY, _shown(paths, path), "is no folder")
         elif UNFINISHED.fullmatch(entry.name):
             yield Finding(Kind.LEFT, _shown(paths, path), "an unfinished file")
+        elif entry.name in DERIVED:
+            if not _is_sealed(path):
+                yield Finding(Kind.DAMAGED, entry.name, "is not what was written; sierra fsck --repair removes it")
         elif entry.name not in FIXED:
             yield Finding(Kind.STRAY, _shown(paths, path), "does not belong to a store")
     if not paths.segments.is_dir():
         yield Finding(Kind.ABSENT, "segments", "is not there: all that was recorded is gone")
     for entry in _entries(paths.damaged):
         yield Finding(Kind.LEFT, _shown(paths, Path(entry.path)), "put aside by a repair; sierra gc --damaged removes it")
+
+
+def _is_sealed(path: Path) -> bool:
+    with contextlib.suppress(OSError):
+        return _is_plain(path) and path.stat().st_size < EXPANDED and unsealed(path.read_bytes()) is not None
+    return False
 
 
 def _strays(paths: StorePaths, present: Mapping[str, Segment]) -> Iterator[Finding]:

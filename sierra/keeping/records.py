@@ -117,7 +117,7 @@ def _environments(records: Records) -> Iterator[Finding]:
 
 
 def _sources(records: Records) -> Iterator[Finding]:
-    names = ("tree", "vcs", "commit", "branch", "dirty", "remote")
+    names = source.RECORDED
     yield from _own(records, "sources", "source", lambda row: digest("source", {name: row[name] for name in names}))
 
 
@@ -160,8 +160,8 @@ def _programs(records: Records) -> Iterator[Finding]:
     for path in records.files.get("programs", ()):
         statement = f"SELECT programs, name, sha256 FROM {read_parquet([path])}"
         for identity, rows in groupby(records.each(statement), itemgetter(0)):
-            if identity != fingerprint((name, found) for _, name, found in rows):
-                what = f"programs {short(identity)} do not have the id that their names and SHA-256 give"
+            if identity != fingerprint((name, found) for _, name, found in rows if name is not None):
+                what = f"programs {short(str(identity))} do not have the id that their names and SHA-256 give"
                 yield Finding(Kind.INCONSISTENT, records.shown(path), what, _using(records, {"programs": identity}, "programs"))
 
 

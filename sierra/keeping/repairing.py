@@ -25,7 +25,7 @@ from sierra.hashing import sha256, short
 from sierra.keeping import checking, records
 from sierra.keeping.changing import aside, changing, publish, undisturbed
 from sierra.keeping.checking import Checked, Report, Tell
-from sierra.keeping.contents import FIXED, NAME
+from sierra.keeping.contents import DERIVED, FIXED, NAME
 from sierra.keeping.findings import Kind
 from sierra.keeping.records import Records
 from sierra.paths import StorePaths, write_whole
@@ -78,6 +78,10 @@ def _fixed(paths: StorePaths, checked: Checked, dry_run: bool) -> Iterator[str]:
         if not dry_run:
             write_whole(paths.root / name, FIXED[name].encode())
         yield f"{name}: written again"
+    for name in sorted({finding.path for finding in checked.report.findings if finding.kind is Kind.DAMAGED} & DERIVED):
+        if not dry_run:
+            (paths.root / name).unlink()
+        yield f"{name}: removed, to be made again"
 
 
 def _manifests(paths: StorePaths, checked: Checked, dry_run: bool) -> Iterator[str]:

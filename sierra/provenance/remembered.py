@@ -7,6 +7,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+from sierra.hashing import sealed, unsealed
 from sierra.paths import write_whole
 
 
@@ -38,13 +39,13 @@ class Remembered:
         kept = dict(list(self._known.items())[-self._most :])
         with contextlib.suppress(OSError):
             self._path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-            write_whole(self._path, json.dumps(kept).encode())
+            write_whole(self._path, sealed(json.dumps(kept).encode()))
         self._new = False
 
 
 def _read(path: Path) -> dict[str, Any]:
     with contextlib.suppress(OSError, ValueError, RecursionError):
-        known = json.loads(path.read_bytes())
+        known = json.loads(unsealed(path.read_bytes()) or b"{}")
         if isinstance(known, dict):
             return known
     return {}

@@ -6,6 +6,7 @@ One line is `<mode> <hash>\\t<path>`, ended by NUL, since a path may hold all el
 from __future__ import annotations
 
 import hashlib
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -41,7 +42,7 @@ def read(manifest: bytes) -> dict[bytes, bytes]:
 
 def parts(what: bytes) -> tuple[str, str]:
     """Mode and hash."""
-    mode, _, blob = what.decode().partition(" ")
+    mode, _, blob = what.decode("ascii", "replace").partition(" ")
     return mode, blob
 
 
@@ -63,7 +64,7 @@ def blobs(manifest: bytes) -> set[str]:
 def tree_of(manifest: bytes) -> str | None:
     """The hash of the tree that a list of files gives; None where it cannot be told: by hashes that are no SHA-1."""
     entries = [Entry(*parts(what), path) for path, what in read(manifest).items()]
-    return tree_hash(entries) if all(len(entry.blob) == 40 for entry in entries) else None
+    return tree_hash(entries) if all(re.fullmatch("[0-9a-f]{40}", entry.blob) for entry in entries) else None
 
 
 def changed(before: bytes, after: bytes) -> list[str]:

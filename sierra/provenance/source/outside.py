@@ -15,6 +15,7 @@ from collections.abc import Container, Iterator, Mapping
 from pathlib import Path
 
 from sierra.errors import Missing
+from sierra.hashing import sealed, unsealed
 from sierra.paths import write_whole
 from sierra.provenance.source.chosen import Chosen, check_size
 from sierra.provenance.source.manifest import LINK, Entry, git_hash, is_blob, parts, read
@@ -72,7 +73,7 @@ def _entries(root: Path, chosen: Chosen, large: int, memory: Path | None) -> lis
             after[path] = b"%s %s %s" % (seen, mode.encode(), blob.encode())
     if memory is not None and after != before:
         with contextlib.suppress(OSError):  # without it, the next time is slower
-            write_whole(memory, b"".join([b"%s\t%s\0" % (what, path) for path, what in after.items()]))
+            write_whole(memory, sealed(b"".join([b"%s\t%s\0" % (what, path) for path, what in after.items()])))
     return found
 
 
@@ -99,7 +100,7 @@ def _read(entry: os.DirEntry[bytes], status: os.stat_result) -> tuple[str, str]:
 
 def _remembered(memory: Path | None) -> Memory:
     try:
-        return read(memory.read_bytes()) if memory is not None else {}
+        return read(unsealed(memory.read_bytes()) or b"") if memory is not None else {}
     except OSError:
         return {}
 
