@@ -374,9 +374,8 @@ def test_commits_are_described_by_tags(repository: Path, git: Git) -> None:
     assert capture(repository).described == f"v1-1-g{head[:12]}"
 
 
-def test_a_repository_of_another_user_names_the_command(repository: Path) -> None:
-    if os.geteuid() != 0:
-        pytest.skip("only root can give files away")
+def test_a_repository_of_another_user_names_the_command(repository: Path, require: Callable[..., str]) -> None:
+    require("root, to give files away", there=os.geteuid() == 0)
     for path in (repository, repository / ".git"):
         os.chown(path, 12345, 12345)
     with pytest.raises(Missing, match=r"git config --global --add safe\.directory") as caught:
@@ -661,9 +660,8 @@ def test_pointers_in_a_submodule_are_an_error_too(nested: Path, git: Git) -> Non
 
 
 def test_git_lfs_that_is_not_installed_is_said_in_one_line(repository: Path, git: Git) -> None:
-    if shutil.which("git-lfs"):
-        pytest.skip("git-lfs is installed")
-    for name, value in {"process": "git-lfs filter-process", "clean": "git-lfs clean -- %f", "required": "true"}.items():
+    absent = "git-lfs-that-is-nowhere"
+    for name, value in {"process": f"{absent} filter-process", "clean": f"{absent} clean -- %f", "required": "true"}.items():
         git("config", f"filter.lfs.{name}", value)
     fill(repository, {".gitattributes": "*.bin filter=lfs -text\n", "x.bin": "data"})
     with pytest.raises(Missing, match="git-lfs") as caught:
