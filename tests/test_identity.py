@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -13,7 +14,8 @@ from sierra.config import Output, Success
 from sierra.hashing import digest, merkle
 from sierra.model import OutputFile, Recipe
 from sierra.plans import Plan
-from sierra.provenance.source import Entry, tree_hash
+from sierra.provenance.program import fingerprint
+from sierra.provenance.source import Entry, Source, tree_hash
 from sierra.record import Context, result_hash
 from sierra.seeds import seed
 
@@ -38,6 +40,10 @@ GOLDEN = {
 SEEDS = (118367921, 1660350901, 924057756)
 RESULT = "e807b81751e170dd5a4759817cd4267350679b282c6ff9a42850c066d79d48d6"
 READING = "ed83eb32a12b40a95e8ee48affdde7a6d7b6231d55e4aefa9b244eadd93ef635"
+
+
+PROGRAMS = "6e14f26bdffdb35aefa5a2e6cda15e42278795487b2980915f8907eed8780f4b"
+SOURCE = "15e8a149eae8046de8dea6f465713bf8ad9ee768710bc691aa0b890792191a43"
 
 
 def project(folder: Path, toml: str = TOML) -> Path:
@@ -81,6 +87,18 @@ def test_a_result_hash_is_what_it_has_always_been() -> None:
 def test_a_reading_is_what_it_has_always_been() -> None:
     outputs = {"out": Output(file="out.csv", units={"v": "m"})}
     assert Context("s", "b", "run", "e", "p", outputs, Success()).reading == READING
+
+
+def test_a_fingerprint_of_programs_is_what_it_has_always_been_in_any_order() -> None:
+    used = [("/usr/bin/sim", "a" * 64), ("libm.so.6", "b" * 64), ("{project}/map.png", "c" * 64)]
+    assert fingerprint(used) == fingerprint(reversed(used)) == PROGRAMS
+    assert fingerprint([("/opt/bin/sim", "a" * 64), *used[1:]]) == PROGRAMS
+
+
+def test_a_state_of_the_source_is_what_it_has_always_been() -> None:
+    state = Source("swh:1:dir:" + "a" * 40, "git", "b" * 40, "main", True, "git@example.org:x", b"", "v1-dirty", "sim", "{}")
+    assert state.id == SOURCE
+    assert replace(state, checkout=True, notes=("x",)).id == SOURCE
 
 
 def test_units_and_what_is_done_with_a_mismatch_are_no_part_of_a_reading() -> None:
