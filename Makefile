@@ -72,11 +72,14 @@ lock: ## write requirements.lock from pyproject.toml
 		--output-file requirements.lock pyproject.toml
 	rm -rf .venv-lock
 
-system: ## install the programs that SIERRA calls: git
-	@if command -v git >/dev/null; then echo "git is there; nothing else is needed"; \
+system: ## install what SIERRA calls (git), and what tests build programs with (gcc)
+	@if command -v git >/dev/null && command -v gcc >/dev/null && command -v unshare >/dev/null; then \
+		echo "git, gcc and unshare are there; nothing else is needed"; \
 	elif test "$$(id -u)" -eq 0 && command -v apt-get >/dev/null; then \
-		apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -qq --no-install-recommends git; \
-	else echo "git is needed: install it, or run make system as root on Debian or Ubuntu" >&2; exit 3; fi
+		apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -qq --no-install-recommends \
+			git gcc libc6-dev util-linux; \
+	else echo "git is needed, and gcc and unshare for the tests: install them, or run make system as root on Debian" >&2; \
+		exit 3; fi
 
 dist: install ## build the sdist and the wheel into dist/
 	$(BIN)/python -m build --no-isolation
