@@ -358,3 +358,14 @@ def test_a_batch_that_is_executing_is_not_in_the_way_of_a_check(simulate: Callab
     while running.poll() is None:
         assert project.ask("fsck").returncode == 0
     assert project.end_of(running).returncode == 0
+
+
+def test_a_store_of_another_format_is_named_and_not_repaired(root: Path) -> None:
+    store = root / ".sierra"
+    (store / "format").write_text("sierra store 1\n")
+    before = {path: path.read_bytes() for path in store.rglob("*") if path.is_file()}
+    ended = projects.quick(root, "fsck")
+    assert (ended.returncode, "format" in ended.stdout) == (1, True)
+    ended = projects.quick(root, "fsck", "--repair")
+    assert (ended.returncode, ended.stderr.count("\n"), "does not repair" in ended.stderr) == (1, 1, True)
+    assert {path: path.read_bytes() for path in store.rglob("*") if path.is_file()} == before

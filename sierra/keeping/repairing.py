@@ -14,13 +14,15 @@ The same holds for what was forged, or written wrongly, in segments whose bytes 
 
 from __future__ import annotations
 
+import contextlib
+import re
 from collections.abc import Iterator
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from sierra import sessions
-from sierra.errors import SierraError
+from sierra.errors import Damaged, SierraError
 from sierra.hashing import sha256, short
 from sierra.keeping import checking, records
 from sierra.keeping.changing import aside, changing, publish, undisturbed
@@ -29,6 +31,7 @@ from sierra.keeping.contents import DERIVED, FIXED, NAME
 from sierra.keeping.findings import Kind
 from sierra.keeping.records import Records
 from sierra.paths import StorePaths, write_whole
+from sierra.store import FORMAT
 from sierra.store.rewriting import Drop, Rewriting, groups
 from sierra.store.segments import MANIFEST, OUTPUT, Segment, manifest
 
@@ -62,6 +65,7 @@ class _Loss:
 
 def repair(paths: StorePaths, root: Path, *, dry_run: bool = False, tell: Tell = lambda text: None) -> Repair:
     """Repair a store. Raises Missing where the disk is full, SierraError where others are at work; nothing is lost then."""
+    _ours(paths)
     checked = checking.check(paths, root, tell)
     done = [*_fixed(paths, checked, dry_run), *_manifests(paths, checked, dry_run), *_strays(paths, checked, dry_run)]
     if done and not dry_run:
@@ -70,11 +74,19 @@ def repair(paths: StorePaths, root: Path, *, dry_run: bool = False, tell: Tell =
     return Repair(tuple(done), checked.report if dry_run or not done else checking.check(paths, root, tell).report)
 
 
+def _ours(paths: StorePaths) -> None:
+    """Raise Damaged for a store that says to be of another format: what is sound there would seem damaged here."""
+    with contextlib.suppress(OSError, UnicodeDecodeError):
+        found = paths.format.read_text()
+        if re.fullmatch(r"sierra store \d+\n", found) and found != FORMAT:
+            told = f"this is {found.strip()!r}, which this SIERRA does not repair"
+            raise Damaged(f"{paths.format}: {told}; if this SIERRA made it, let the file say {FORMAT.strip()!r}")
+
+
 def _fixed(paths: StorePaths, checked: Checked, dry_run: bool) -> Iterator[str]:
-    """Files that are the same in every store. One of another format is left alone: a sound segment shows that this is ours."""
+    """Files that are the same in every store."""
     wrong = {finding.path for finding in checked.report.findings} & FIXED.keys()
-    ours = not checked.contents.sound or any(segment.files for segment in checked.contents.sound)
-    for name in sorted(wrong) if ours else ():
+    for name in sorted(wrong):
         if not dry_run:
             write_whole(paths.root / name, FIXED[name].encode())
         yield f"{name}: written again"

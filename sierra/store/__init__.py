@@ -24,7 +24,8 @@ from sierra.store.views import Views, outputs, read_parquet, tables_of
 if TYPE_CHECKING:
     import pyarrow as pa
 
-FORMAT = "sierra store 1\n"
+FORMAT = "sierra store 2\n"
+"""Of what segments hold, and of what it means that they lie there. Raised whenever an older SIERRA would read it wrongly."""
 CACHEDIR = (
     "Signature: 8a477f597d28d172789f06886806bc55\n"
     "# This folder was made by SIERRA and holds recorded experiments: do not delete it as if it were a cache.\n"
@@ -53,7 +54,7 @@ class Store:
         except OSError as error:
             raise Missing(f"no store in {root}: nothing has been run here yet (sierra run makes one)") from error
         if found != FORMAT:
-            raise Damaged(f"{self.paths.format}: this is {found.strip()!r}, and this SIERRA reads {FORMAT.strip()!r}")
+            raise Damaged(f"{self.paths.format}: this is {found.strip()[:40]!r}, and this SIERRA reads {FORMAT.strip()!r}")
 
     @classmethod
     def create(cls, root: Path) -> Store:
