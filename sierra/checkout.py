@@ -1,7 +1,8 @@
 """The code of a batch in a folder of its own, ready to execute: as it was recorded, or as it was committed.
 
-The user's files are never touched. What the command or a variable names of the project by `{project}/…`, and the source does
-not hold (git ignores it, say), is copied as it is now: its fingerprint tells whether it is still what it was.
+The user's files are never touched. What runs need of the project, and the source does not hold (git ignores what was built,
+say), is copied as it is now: programs, the libraries that they load, files that the command or a variable names. Its
+fingerprint tells whether it is still what it was. Of a virtual environment, where a program is its Python, all is linked.
 """
 
 from __future__ import annotations
@@ -16,19 +17,22 @@ from sierra import jobs
 from sierra.errors import Missing
 from sierra.model import Recipe
 from sierra.provenance import named, programs, source
-from sierra.provenance.program import NOTHING, Programs
+from sierra.provenance.program import NOTHING, Kind, Programs
 
 INSIDE = "{project}/"
+VENV = "pyvenv.cfg"
+"""Says that a folder is a virtual environment."""
 
 
-def programs_in(recipe: Recipe, manifest: bytes, root: Path, data: Programs = NOTHING) -> Programs:
+def programs_in(recipe: Recipe, manifest: bytes, root: Path, data: Programs = NOTHING, project: Path | None = None) -> Programs:
     """The programs that a recipe's command starts where the code lies in `root`, and the files that they need.
 
-    `data` are those that nothing in the recipe names. Raises Missing.
+    `data` are those that nothing in the recipe names; `project` is where the user has the project. Raises Missing.
     """
     command, variables = recipe.command, recipe.environment
     files = named.files((*command, *variables.values()), root, source.paths(manifest), data)
-    return programs.find(jobs.fill(command, root), jobs.declared(variables, root), root, files)
+    found = programs.find(jobs.fill(command, root), jobs.declared(variables, root), root, files)
+    return programs.of_project(found, (root, project or root))
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,8 +42,8 @@ class Checkout:
     project: Path
     recipe: Recipe
     manifest: bytes
-    beside: tuple[str, ...]
-    """Files that the source does not hold: `{project}/path`, or where they are."""
+    used: tuple[tuple[str, str], ...]
+    """The programs, libraries and files that were recorded, by name (`{project}/path`, or where they are) and kind."""
     content: Callable[[str], bytes | None]
     """A file that git does not have, by git's hash."""
     commit: str | None = None
@@ -51,14 +55,15 @@ class Checkout:
             root.mkdir(parents=True)
         else:
             source.restore(self.recipe.source, self.manifest, self.project, root, self.content, commit=self.commit)
-        for name in self.beside:
+        for name, _ in self.used:
             inside = Path(name.removeprefix(INSIDE))
             if name.startswith(INSIDE) and not inside.is_absolute() and ".." not in inside.parts:
-                _copy(self.project / inside, root / inside, name)
+                _bring(self.project / inside, root / inside)
 
     def programs_in(self, root: Path) -> Programs:
         """The programs that its command starts where it was made in `root`, and the files that it needed, as they are now."""
-        return programs_in(self.recipe, self.manifest, root, named.again(self.beside, root))
+        files = named.again((name for name, kind in self.used if kind == Kind.FILE), root)
+        return programs_in(self.recipe, self.manifest, root, files, self.project)
 
     def programs(self) -> Programs:
         """The same, found in a folder that is gone again."""
@@ -67,8 +72,17 @@ class Checkout:
             return self.programs_in(root)
 
 
-def _copy(there: Path, here: Path, name: str) -> None:
+def _bring(there: Path, here: Path) -> None:
+    """Copy what was not restored, or only as a link that leads out of the project."""
+    if here.exists() and not here.is_symlink():
+        return
     if not there.is_file():
-        raise Missing(f"{there} is not there; runs need {name}, and the recorded source does not hold it")
+        raise Missing(f"{there} is not there; runs need it, and the recorded source does not hold it: build or fetch it again")
+    if (there.parent.parent / VENV).is_file():
+        there, here = there.parent.parent, here.parent.parent
     here.parent.mkdir(parents=True, exist_ok=True)
-    shutil.copy2(there, here)
+    here.unlink(missing_ok=True)
+    if there.is_dir():
+        here.symlink_to(there)
+    else:
+        shutil.copy2(there, here)

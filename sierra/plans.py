@@ -20,7 +20,7 @@ from sierra.expansion import Expansion, Files
 from sierra.model import Batch, Design, Experiment, Limits, Query, Recipe, Run, Set
 from sierra.paths import CONFIG, DRAWN, FIGURES, PYPROJECT, STORE, ProjectPaths, StorePaths
 from sierra.provenance import environment, named, source, versions
-from sierra.provenance.program import Kind, Programs
+from sierra.provenance.program import Programs
 from sierra.record import Context
 from sierra.store.tables import RESERVED, check_name
 from sierra.version import __version__
@@ -157,8 +157,8 @@ def _source(project: LoadedProject, own: Sequence[str]) -> source.Source:
 
 def _committed(root: Path, recipe: Recipe, code: source.Source, used: Programs) -> Checkout:
     """The code of the commit, which executes instead of the files that are there."""
-    beside = tuple(program.name for program in used.all if program.kind == Kind.FILE)
-    return Checkout(root, recipe, code.manifest, beside, lambda blob: None)
+    known = tuple((program.name, program.kind) for program in used.all)
+    return Checkout(root, recipe, code.manifest, known, lambda blob: None)
 
 
 def versioned(plan: Plan) -> Plan:

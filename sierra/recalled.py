@@ -22,7 +22,6 @@ from sierra.hashing import short
 from sierra.model import Axis, Batch, Experiment, Query, Recipe, Run
 from sierra.plans import Plan
 from sierra.provenance import environment
-from sierra.provenance.program import Kind
 from sierra.record import rules_of
 from sierra.store import Question, Store
 from sierra.store.files import Taken, contents, recorded
@@ -63,8 +62,8 @@ class Recalled:
             rows = store.rows("SELECT sha256 FROM blobs WHERE blob = $b", b=blob)
             return store.object(rows[0]["sha256"]) if rows else None
 
-        files = tuple(row["name"] for row in self.programs if row["kind"] == Kind.FILE)
-        return Checkout(project.root, self.recipe, self.manifest, files, content, self.commit)
+        used = tuple((row["name"], row["kind"]) for row in self.programs)
+        return Checkout(project.root, self.recipe, self.manifest, used, content, self.commit)
 
 
 def recall(store: Store, batch: str, programs: str, reading: str) -> Recalled:

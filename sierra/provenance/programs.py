@@ -13,6 +13,7 @@ import os
 import shutil
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -44,6 +45,22 @@ def find(argv: Sequence[str], variables: Mapping[str, str], root: Path, more: Pr
         elif word and not word.startswith("-") and (path := shutil.which(word, path=search)):
             finding.start(word, path)
     return finding.found(more)
+
+
+def of_project(found: Programs, roots: Sequence[Path]) -> Programs:
+    """The same, where what lies in the project is named by `{project}/…`, in whichever of `roots` that is.
+
+    A program is where the command calls it by its path, a library always.
+    """
+    return replace(found, all=tuple(_of_project(one, roots) for one in found.all))
+
+
+def _of_project(one: Program, roots: Sequence[Path]) -> Program:
+    meant = one.kind == Kind.LIBRARY or (one.kind == Kind.PROGRAM and one.name == one.path)
+    for place in (place for root in roots for place in (root, root.resolve()) if meant):
+        if Path(one.path).is_relative_to(place):
+            return replace(one, name=f"{{project}}/{Path(one.path).relative_to(place)}")
+    return one
 
 
 class _Finding:

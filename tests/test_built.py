@@ -1,0 +1,94 @@
+"""Programs that are built in the project, in a folder that git ignores: replayed with what is built now, and said so."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+import venv
+from pathlib import Path
+
+import pytest
+
+from tests import projects
+
+SIMULATOR = """\
+#include <stdio.h>
+double speed(void);
+int main(void) {
+    FILE *out = fopen("swarm.csv", "w");
+    fprintf(out, "tick,way\\n1,%g\\n", speed());
+    return fclose(out);
+}
+"""
+CONFIG = 'template = "arena.xml"\ncommand = "./build/sim {input}"\nruns = 2\n[variables]\npopulation_size = "//swarm/@count"\n'
+compiled = pytest.mark.skipif(shutil.which("gcc") is None, reason="needs gcc")
+
+
+def build(root: Path, speed: float, rpath: str = "$ORIGIN") -> None:
+    (root / "build").mkdir(exist_ok=True)
+    (root / "speed.c").write_text(f"double speed(void) {{ return {speed}; }}\n")
+    library = ["gcc", "-shared", "-fPIC", "-o", "build/libspeed.so", "speed.c"]
+    program = ["gcc", "-o", "build/sim", "sim.c", "-Lbuild", "-lspeed", f"-Wl,-rpath,{rpath}"]
+    for words in (library, program):
+        subprocess.run(words, cwd=root, check=True)
+
+
+def made(root: Path, rpath: str = "$ORIGIN") -> Path:
+    """A project whose simulator is built in build/, and was asked once."""
+    projects.make(root, CONFIG)
+    (root / "sim.c").write_text(SIMULATOR)
+    (root / ".gitignore").write_text("build/\n.venv/\n")
+    build(root, 0.5, rpath)
+    projects.commit(root)
+    assert projects.quick(root, "run", "population_size=1", "--no-figures").returncode == 0
+    return root
+
+
+def replayed(root: Path) -> tuple[int, str, str]:
+    batch = projects.quick(root, "sql", "SELECT batch FROM batches", "-f", "csv").stdout.split()[1]
+    ended = projects.quick(root, "replay", batch)
+    return ended.returncode, ended.stdout, ended.stderr
+
+
+@compiled
+@pytest.mark.parametrize("place", ["$ORIGIN", "{root}/build"])
+def test_what_was_built_is_found_with_its_libraries(tmp_path: Path, place: str) -> None:
+    root = made(tmp_path / "p", place.format(root=tmp_path / "p"))
+    code, out, err = replayed(root)
+    assert (code, err) == (0, "")
+    assert "identical (2 runs: 2 identical)" in out
+
+
+@compiled
+def test_what_was_built_anew_is_said_before_the_verdict(tmp_path: Path) -> None:
+    root = made(tmp_path / "p")
+    build(root, 0.75)
+    code, out, err = replayed(root)
+    assert code == 1
+    assert "libraries other than recorded: {project}/build/libspeed.so" in err
+    assert "'way' was 0.5 and is 0.75" in out
+
+
+@compiled
+def test_what_is_not_built_is_named(tmp_path: Path) -> None:
+    root = made(tmp_path / "p")
+    (root / "build" / "sim").unlink()
+    code, _, err = replayed(root)
+    assert code == 3
+    assert f"{root}/build/sim is not there; runs need it, and the recorded source does not hold it" in err
+
+
+def test_the_python_of_a_virtual_environment_in_the_project_sees_what_is_installed_there(tmp_path: Path) -> None:
+    root = projects.make(tmp_path / "p", projects.CONFIG.replace("python3", ".venv/bin/python"))
+    (root / ".gitignore").write_text(".venv/\n")
+    venv.create(root / ".venv", symlinks=True)
+    packages = root / ".venv" / "lib" / f"python{sys.version_info.major}.{sys.version_info.minor}" / "site-packages"
+    (packages / "installed.py").write_text("")
+    (root / "sim.py").write_text("import installed\n" + projects.SIMULATOR)
+    projects.commit(root)
+    assert projects.quick(root, "run", "population_size=1", "--no-figures").returncode == 0
+    code, out, err = replayed(root)
+    assert (code, err) == (0, "")
+    assert "identical" in out
+    assert (packages / "installed.py").exists()
