@@ -75,7 +75,10 @@ def _made_from(plan: Plan, store: Store, before: dict[str, Any]) -> Iterator[str
 
 PROGRAMS = """
 SELECT name, kind, version, sha256 FROM programs
-WHERE programs = (SELECT arg_max(programs, ended) FROM executions JOIN members USING (run) WHERE members.batch = $batch)
+WHERE programs = (
+    SELECT arg_max(programs, ended) FROM executions JOIN members USING (run)
+    WHERE members.batch = $batch AND purpose = 'run'
+)
 """
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import subprocess
 import sys
@@ -45,9 +46,12 @@ def made(root: Path, rpath: str = "$ORIGIN") -> Path:
     return root
 
 
+def batch_of(root: Path) -> str:
+    return projects.quick(root, "sql", "SELECT batch FROM batches", "-f", "csv").stdout.split()[1]
+
+
 def replayed(root: Path) -> tuple[int, str, str]:
-    batch = projects.quick(root, "sql", "SELECT batch FROM batches", "-f", "csv").stdout.split()[1]
-    ended = projects.quick(root, "replay", batch)
+    ended = projects.quick(root, "replay", batch_of(root))
     return ended.returncode, ended.stdout, ended.stderr
 
 
@@ -68,6 +72,18 @@ def test_what_was_built_anew_is_said_before_the_verdict(tmp_path: Path) -> None:
     assert code == 1
     assert "libraries other than recorded: {project}/build/libspeed.so" in err
     assert "'way' was 0.5 and is 0.75" in out
+
+
+@compiled
+def test_a_recorded_batch_is_not_executed_with_what_was_built_anew_without_a_word(tmp_path: Path) -> None:
+    root = made(tmp_path / "p")
+    build(root, 0.75)
+    replayed(root)
+    ended = projects.quick(root, "run", batch_of(root), "--no-figures")
+    assert "2 executed" in ended.stdout
+    assert "executes again: libraries other than recorded: {project}/build/libspeed.so" in ended.stderr
+    told = projects.quick(root, "why", batch_of(root)).stdout
+    assert re.search(r"other programs before: \{project}/build/libspeed.so: \w{10} → \w{10}\n", told)
 
 
 @compiled

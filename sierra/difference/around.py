@@ -47,7 +47,7 @@ def _programs(rows: Rows) -> dict[tuple[str | None, str], list[Mapping[str, Any]
 
 
 def _which(rows: Rows) -> str:
-    return " and ".join(map(_one, rows)) or "not there"
+    return " and ".join(dict.fromkeys(map(_one, rows))) or "not there"
 
 
 def _one(row: Mapping[str, Any]) -> str:
