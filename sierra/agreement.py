@@ -17,6 +17,8 @@ from sierra.config import Tolerance
 STEPS = 10
 """Parts of the rows for which the growth of a difference is told."""
 EXACT = Tolerance()
+MANY_ULP = 1e6
+"""From which on units in the last place tell nobody anything."""
 LARGEST_ULP = 2.0**971
 """That of the greatest double, for which numpy says infinity."""
 
@@ -114,9 +116,7 @@ def _of_rows(recorded: Any, found: Any, rules: Rules) -> Agreement:
     beyond = [one for one in parted if not one.keeps_to(rules.of(one.name))]
     if not beyond:
         far = max(parted, key=lambda one: one.rel)
-        return far.told(
-            Verdict.WITHIN, f"at most {far.abs:.3g} apart (relative {far.rel:.3g}, {far.ulp:.3g} ulp) in {far.name!r}"
-        )
+        return far.told(Verdict.WITHIN, f"at most {far.far()} in {far.name!r}")
     first = min(beyond, key=lambda one: one.first or 0)
     return first.told(Verdict.DIFFERENT, f"{first.where()}; {first.how_far()}")
 
@@ -197,7 +197,11 @@ class _Distance:
     def how_far(self) -> str:
         if not self.numeric:
             return "texts differ"
-        return f"at worst {self.abs:.3g} apart (relative {self.rel:.3g}, {self.ulp:.3g} ulp)"
+        return f"at worst {self.far()}"
+
+    def far(self) -> str:
+        ulp = f", {self.ulp:.3g} ulp" if self.ulp < MANY_ULP else ""
+        return f"{self.abs:.3g} apart (relative {self.rel:.3g}{ulp})"
 
     def told(self, verdict: Verdict, why: str) -> Agreement:
         was, now = self._values()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -12,11 +12,11 @@ import typer
 from sierra.errors import Missing, UsageError
 
 if TYPE_CHECKING:
-    from sierra.agreement import Agreement
+    from sierra.agreement import Agreement, Verdict
     from sierra.config import Tolerance
     from sierra.verdicts import Compared, OfExperiment, Replay
 
-SHOWN = 10
+SHOWN = 3
 
 
 def replay(
@@ -154,11 +154,8 @@ def _print(answer: Replay) -> None:
     if answer.interrupted:
         print("interrupted: nothing was compared")
         return
-    told = [run for run in answer.runs if run.verdict != "identical"]
-    for run in told[:SHOWN]:
-        _print_run(run)
-    if len(told) > SHOWN:
-        print(f"and {len(told) - SHOWN} more (--json has them all)")
+    for (verdict, path), found in _alike(answer).items():
+        _print_outputs(verdict, path, found)
     for experiment in answer.experiments:
         for metric in experiment.metrics:
             print(f"{'equivalent' if metric.equivalent else 'not shown to be equivalent'}: {_values(experiment)}: {metric.why}")
@@ -169,6 +166,11 @@ def _print(answer: Replay) -> None:
     counts = ", ".join(f"{count} {verdict}" for verdict, count in sorted(answer.counts.items()))
     runs = "1 run" if len(answer.runs) == 1 else f"{len(answer.runs)} runs"
     print(f"{answer.found.kind} {short(answer.found.id)}: {answer.verdict} ({runs}: {counts})")
+    if answer.verdict == "different" and not answer.notes:
+        print(
+            "what is recorded of code, inputs, programs and machine is the same: chance, clock or threads make the difference,"
+        )
+        print("or something that is not recorded; what may differ is declared in [outputs], or with [equivalence]")
     if answer.kept:
         print(f"kept: {answer.kept}")
 
@@ -177,17 +179,32 @@ def _values(experiment: OfExperiment) -> str:
     return ", ".join(f"{name}={value}" for name, value in experiment.values.items())
 
 
-def _print_run(run: Compared) -> None:
+def _alike(answer: Replay) -> dict[tuple[Verdict, str | None], list[tuple[Compared, Agreement]]]:
+    """The outputs that are not identical, by verdict and path, the worst verdict first."""
+    from sierra.agreement import Verdict
+
+    order = list(Verdict)
+    found: dict[tuple[Verdict, str | None], list[tuple[Compared, Agreement]]] = {}
+    for run in answer.runs:
+        for path, agreement in run.outputs.items():
+            if agreement.verdict != "identical":
+                found.setdefault((agreement.verdict, path), []).append((run, agreement))
+    return dict(sorted(found.items(), key=lambda item: (-order.index(item[0][0]), item[0][1] or "")))
+
+
+def _print_outputs(verdict: Verdict, path: str | None, found: Sequence[tuple[Compared, Agreement]]) -> None:
+    """Some runs for all of which one output has the same verdict; of what is fine, one will do."""
     from sierra.cli.output import readable
     from sierra.hashing import short
 
-    for path, agreement in run.outputs.items():
-        if agreement.verdict != "identical":
-            where = f" {path}" if path else ""
-            told = f"{agreement.verdict}: run {short(run.taken.run)} (number {run.taken.number}){where}: {agreement.why}"
-            print(readable(told))
-            if agreement.growth and not agreement.verdict.fine:
-                print(f"    {_grown(agreement)}")
+    shown = found[: 1 if verdict.fine else SHOWN]
+    for run, agreement in shown:
+        where = f" {path}" if path else ""
+        print(readable(f"{verdict}: run {short(run.taken.run)} (number {run.taken.number}){where}: {agreement.why}"))
+        if agreement.growth and not verdict.fine and run is found[0][0]:
+            print(f"    {_grown(agreement)}")
+    if more := len(found) - len(shown):
+        print(readable(f"{verdict}: {path or 'as a whole'} of {more} more run{'s' * (more > 1)} (--json has them all)"))
 
 
 def _grown(agreement: Agreement) -> str:
@@ -199,4 +216,4 @@ def _grown(agreement: Agreement) -> str:
     apart = list(dropwhile(lambda part: part[1] == 0, agreement.growth))
     same = agreement.growth[: len(agreement.growth) - len(apart)]
     before = [f"the same until {cell(same[-1][0])}"] if same else []
-    return ", ".join([*before, *(f"{far:.3g} apart until {cell(until)}" for until, far in apart)])
+    return ", ".join([*before, f"apart {', '.join(f'{far:.3g} until {cell(until)}' for until, far in apart)}"])

@@ -80,7 +80,7 @@ def _standing(one: Standing) -> str:
 
     if one.counts:
         return f"execution {short(one.execution or '')}: " if one.runs == 1 else f"{one.runs} runs have one, "
-    return "no execution: " if one.runs == 1 else f"{one.runs} runs have none (as {short(one.run)}): "
+    return "no execution: " if one.runs == 1 else f"{one.runs} runs have none (run {short(one.run)}, …): "
 
 
 def _print_event(event: Event, answer: Why, *, because: bool) -> None:
@@ -95,7 +95,11 @@ def _print_event(event: Event, answer: Why, *, because: bool) -> None:
     what = "asked" if event.what == "asking" else event.what
     print(f"{cell(event.when)} {what} (batch {short(event.batch)}): {counts}{unended}")
     for cause in event.causes[:LINES]:
-        which = f"{_runs(cause.executions)}, as {short(cause.execution)}" if many else f"execution {short(cause.execution)}"
+        which = (
+            f"{_runs(cause.executions)} (execution {short(cause.execution)}{', …' * (cause.executions > 1)})"
+            if many
+            else f"execution {short(cause.execution)}"
+        )
         print(f"  {which}: {readable(cause.why)}")
         if cause.new and because:
             for line in answer.new_because.get(event.batch, ()):
