@@ -133,7 +133,7 @@ class Asking:
 
     def _jobs(self, wanted: AbstractSet[str], root: Path) -> Iterator[Job]:
         plan = self.plan
-        maker = jobs.Maker(plan.batch.recipe, root, plan.engine, plan.limits, self.session.id)
+        maker = jobs.Maker(plan.batch.recipe, root, plan.engine, plan.limits, self.session.id, plan.project.root)
         sent: set[str] = set()
         for run, files in plan.inputs.files(plan.batch, lambda run: run.id in wanted):
             if run.id not in sent:

@@ -30,8 +30,9 @@ def programs_in(recipe: Recipe, manifest: bytes, root: Path, data: Programs = NO
     `data` are those that nothing in the recipe names; `project` is where the user has the project. Raises Missing.
     """
     command, variables = recipe.command, recipe.environment
-    files = named.files((*command, *variables.values()), root, source.paths(manifest), data)
-    found = programs.find(jobs.fill(command, root), jobs.declared(variables, root), root, files)
+    files = named.files((*command, *variables.values()), root, source.paths(manifest), data, project or root)
+    words, declared = jobs.fill(command, root, project=project), jobs.declared(variables, root, project)
+    found = programs.find(words, declared, root, files)
     return programs.of_project(found, (root, project or root))
 
 

@@ -23,6 +23,7 @@ from sierra.paths import RUN_HOME, RUN_OUTPUT, RUN_TMP
 from sierra.platforms import Platform
 
 PLACEHOLDER = re.compile(r"\{\{([a-z_]+)\}\}|\{([a-z_]+)\}")
+ABOVE = re.compile(r"(?<!\{)\{project\}((?:/\.\.)+)(?=/|$)")
 KNOWN = ("input", "output", "run", "seed", "project", "python")
 FIXED = {
     "PYTHONHASHSEED": "0",
@@ -66,9 +67,9 @@ def environment(platform: Platform, project: Project) -> dict[str, str]:
     return {**FIXED, **platform.environment(), **passed, **project.environment.set}
 
 
-def declared(variables: Mapping[str, str], root: Path) -> dict[str, str]:
+def declared(variables: Mapping[str, str], root: Path, project: Path | None = None) -> dict[str, str]:
     """The declared variables with the paths of this machine, and the PATH of runs."""
-    filled = {name: fill((value,), root)[0] for name, value in variables.items()}
+    filled = {name: fill((value,), root, project=project)[0] for name, value in variables.items()}
     return {**filled, "PATH": search_path(filled)}
 
 
@@ -77,14 +78,22 @@ def search_path(variables: Mapping[str, str]) -> str:
     return variables.get("PATH", os.environ.get("PATH", os.defpath))
 
 
-def fill(words: Iterable[str], root: Path, values: Mapping[str, str] | None = None) -> tuple[str, ...]:
-    """The placeholders of the machine filled in; those of a run too, where `values` are given."""
+def fill(
+    words: Iterable[str], root: Path, values: Mapping[str, str] | None = None, *, project: Path | None = None
+) -> tuple[str, ...]:
+    """The placeholders of the machine filled in; those of a run too, where `values` are given.
+
+    The code lies in `root`; what is outside of it (`{project}/../build`) is where the user has the `project`.
+    """
     known = {"project": str(root), "python": sys.executable, **(values or {})}
 
     def filled(match: re.Match[str]) -> str:
         return f"{{{match[1]}}}" if match[1] else known.get(match[2], match[0])
 
-    return tuple(PLACEHOLDER.sub(filled, word) for word in words)
+    def above(match: re.Match[str]) -> str:
+        return os.path.normpath(f"{(project or root).resolve()}{match[1]}")
+
+    return tuple(PLACEHOLDER.sub(filled, ABOVE.sub(above, word)) for word in words)
 
 
 def limits(project: Project) -> Limits:
@@ -96,14 +105,18 @@ def limits(project: Project) -> Limits:
 class Maker:
     """Makes the jobs of one session."""
 
-    def __init__(self, recipe: Recipe, root: Path, engine: Engine, bounds: Limits, session: str) -> None:
+    def __init__(
+        self, recipe: Recipe, root: Path, engine: Engine, bounds: Limits, session: str, project: Path | None = None
+    ) -> None:
+        """`root` is where the code is, `project` where the user has it."""
         self._recipe = recipe
         self._root = root
+        self._project = project
         self._engine = engine
         self._bounds = bounds
         self._session = session
         self._environment = {
-            **declared(recipe.environment, root),
+            **declared(recipe.environment, root, project),
             "HOME": f"{HERE}/{RUN_HOME}",
             "TMPDIR": f"{HERE}/{RUN_TMP}",
             "SIERRA_RUN_DIR": HERE,
@@ -120,7 +133,7 @@ class Maker:
             "seed": str(run.seed),
         }
         own = {"SIERRA_RUN_ID": run.id, "SIERRA_SEED": str(run.seed), "SIERRA_EXECUTION": execution}
-        argv = self._engine.argv(fill(self._recipe.command, self._root, values))
+        argv = self._engine.argv(fill(self._recipe.command, self._root, values, project=self._project))
         return Job(run.id, execution, argv, {**self._environment, **own}, files, self._bounds)
 
 

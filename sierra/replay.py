@@ -98,7 +98,7 @@ def replay(
         root = session.paths.source
         checkout = record.of.checkout(project, store)
         checkout.make(root)
-        variables = jobs.declared(record.of.recipe.environment, root)
+        variables = jobs.declared(record.of.recipe.environment, root, project.root)
         now = versions.asked(checkout.programs_in(root), project.config.programs, variables, root)
         around = environment.capture(__version__, project.config.environment.record)
         notes = (*record.notes, *now.notes, *_other_programs(record.of, now), *_other_machine(store, record, around))
@@ -107,7 +107,7 @@ def replay(
         context = Context(
             session.id, record.of.batch, "replay", around["environment"], now.id, record.of.outputs, record.of.success
         )
-        maker = jobs.Maker(record.of.recipe, root, engine, jobs.limits(project.config), session.id)
+        maker = jobs.Maker(record.of.recipe, root, engine, jobs.limits(project.config), session.id, project.root)
         made = {job.run: job for job in _jobs(record, store, maker)}
         failed, interrupted = _execute(store, session, context, list(made.values()), runner, watch, kept)
         _leave(session.paths, kept)

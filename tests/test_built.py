@@ -108,3 +108,17 @@ def test_the_python_of_a_virtual_environment_in_the_project_sees_what_is_install
     assert (code, err) == (0, "")
     assert "identical" in out
     assert (packages / "installed.py").exists()
+
+
+def test_what_lies_beside_the_project_is_found_from_where_the_project_is(tmp_path: Path) -> None:
+    config = projects.CONFIG.replace("python3 sim.py", "python3 ../shared/sim.py")
+    root = projects.make(tmp_path / "repository" / "experiments", config)
+    (tmp_path / "repository" / "shared").mkdir()
+    simulator = (root / "sim.py").rename(tmp_path / "repository" / "shared" / "sim.py")
+    projects.commit(root.parent)
+    assert projects.quick(root, "run", "population_size=1", "--no-figures").returncode == 0
+    assert (replayed(root)[0], replayed(root)[2]) == (0, "")
+    simulator.write_text(projects.SIMULATOR.replace("count * tick", "count * tick + 1"))
+    code, _, err = replayed(root)
+    assert code == 1
+    assert "other programs: sim.py: " in err

@@ -27,21 +27,26 @@ READABLE = 1 << 24
 LETTER = re.compile(r"[^\W\d_]")
 
 
-def files(words: Iterable[str], root: Path, source: Container[bytes], texts: Programs = NOTHING) -> Programs:
-    """What the words of a command and the values of variables name, and what `texts` has found beside."""
+def files(
+    words: Iterable[str], root: Path, source: Container[bytes], texts: Programs = NOTHING, project: Path | None = None
+) -> Programs:
+    """What the words of a command and the values of variables name, and what `texts` has found beside.
+
+    The code lies in `root`; what is outside of it (`{project}/../data`) is where the user has the `project`.
+    """
     digests = Digests()
     found = {}
     for word in words:
-        for path in _named(word.replace(f"{root}/", "{project}/"), root):
+        for path in _named(word.replace(f"{root}/", "{project}/"), root, (project or root).resolve()):
             if not _holds(source, path, root):
                 found[str(path)] = _file(path, root, digests)
     digests.save()
     return Programs((*found.values(), *(one for one in texts.all if one.path not in found)), texts.notes)
 
 
-def _named(word: str, root: Path) -> Iterator[Path]:
+def _named(word: str, root: Path, project: Path) -> Iterator[Path]:
     for inside in re.findall(r"\{project\}/([^:;,=]+)", word):
-        yield from _files(root / inside)
+        yield from _files(Path(os.path.normpath(project / inside)) if inside.split("/")[0] == ".." else root / inside)
     for absolute in re.findall(r"(?:^|[:;,=])(/[^:;,=]+)", word):
         if Path(absolute).is_file():
             yield Path(absolute)
