@@ -61,6 +61,15 @@ def test_a_sound_store_is_sound(made: Path) -> None:
     assert (report["sound"], report["findings"], report["executions"]) == (True, [], 12)
 
 
+def test_where_something_is_damaged_the_next_step_is_named(made: Path) -> None:
+    segment = segment_with(made, "members")
+    (segment / "members.parquet").write_bytes(b"")
+    said = projects.quick(made, "fsck").stdout
+    assert f"damaged: segments/{segment.name}/members.parquet: " in said
+    assert said.splitlines()[-1].startswith("sierra fsck --repair puts aside what is damaged")
+    assert "--repair puts" not in projects.quick(made, "fsck", "--repair").stdout
+
+
 def positions(data: bytes, name: str, numbers: random.Random) -> Iterator[int]:
     """Places of all kinds in a file: its ends, its footer, each line of a text, and any."""
     size = len(data)

@@ -50,6 +50,8 @@ def fsck(
         for line in done:
             print(("would repair: " if dry_run else "repaired: ") + line)
         _print(report)
+        if not done and any(one.kind.repairable for one in report.findings):
+            print("sierra fsck --repair puts aside what is damaged, and keeps the rest; sierra run makes again what is lost")
     if not report.sound:
         raise typer.Exit(1)
 
@@ -72,7 +74,7 @@ def _print(report: Report) -> None:
         print(f"and {len(report.findings) - SHOWN} more (--json has them all)")
     wrong = sum(not finding.kind.fine for finding in report.findings)
     print(
-        f"{'sound' if report.sound else f'{wrong} found'}: {report.segments} segments, {report.files} files, "
+        f"{'sound' if report.sound else f'{wrong} wrong'}: {report.segments} segments, {report.files} files, "
         f"{size(report.bytes)}, {report.objects} objects, {report.executions} executions checked in {report.seconds:.1f} s"
     )
 

@@ -79,8 +79,8 @@ def _standing(one: Standing) -> str:
     from sierra.hashing import short
 
     if one.counts:
-        return f"execution {short(one.execution or '')}: " if one.runs == 1 else f"{one.runs} runs have one, "
-    return "no execution: " if one.runs == 1 else f"{one.runs} runs have none (run {short(one.run)}, …): "
+        return f"execution {short(one.execution or '')}: " if one.runs == 1 else f"of {one.runs} runs, "
+    return "no execution: " if one.runs == 1 else f"none of {one.runs} runs (run {short(one.run)}, …): "
 
 
 def _print_event(event: Event, answer: Why, *, because: bool) -> None:

@@ -39,6 +39,10 @@ class Kind(StrEnum):
     def fine(self) -> bool:
         return self in (Kind.DEAD, Kind.LEFT, Kind.UNKNOWN)
 
+    @property
+    def repairable(self) -> bool:
+        return not self.fine and self is not Kind.GONE
+
 
 @dataclass(frozen=True, slots=True)
 class Affected:
