@@ -41,13 +41,17 @@ WHERE list_contains($batches, m.batch) AND (n.verdict IS NULL OR n.verdict = 'di
 def batches(store: Store) -> list[dict[str, Any]]:
     """All batches in the order in which they were last asked for.
 
-    `failed` and `missing` are runs without a good execution, tried or not; where the last asking ended well,
-    both are 0 and nothing is counted again. `nondeterministic` are runs that gave other bytes when executed again, with the
-    same programs, and beyond what the project declares to be volatile or within tolerance.
+    `failed` and `missing` are runs without a good execution, tried or not; where the last asking ended well, both are 0 and
+    nothing is counted again, unless records were rewritten since: executions may have been removed. `nondeterministic` are
+    runs that gave other bytes when executed again, with the same programs, and beyond what the project declares to be
+    volatile or within tolerance.
     """
+    rewritten = any(segment.replaces for segment in store.segments())
     with store.ask() as question:
         rows: list[dict[str, Any]] = question.sql(BATCHES).to_pylist()
-        open_ones = [row["batch"] for row in rows if row.pop("doubted") or row["failed"] != 0 or row["missing"] != 0]
+        open_ones = [
+            row["batch"] for row in rows if row.pop("doubted") or rewritten or row["failed"] != 0 or row["missing"] != 0
+        ]
         counted = {}
         if open_ones:
             counted = {row["batch"]: row for row in question.sql(COUNTS, batches=open_ones).to_pylist()}

@@ -61,13 +61,13 @@ def test_a_sound_store_is_sound(made: Path) -> None:
     assert (report["sound"], report["findings"], report["executions"]) == (True, [], 12)
 
 
-def test_where_something_is_damaged_the_next_step_is_named(made: Path) -> None:
-    segment = segment_with(made, "members")
+def test_where_something_is_damaged_the_next_step_is_named(root: Path) -> None:
+    segment = segment_with(root, "members")
     (segment / "members.parquet").write_bytes(b"")
-    said = projects.quick(made, "fsck").stdout
+    said = projects.quick(root, "fsck").stdout
     assert f"damaged: segments/{segment.name}/members.parquet: " in said
     assert said.splitlines()[-1].startswith("sierra fsck --repair puts aside what is damaged")
-    assert "--repair puts" not in projects.quick(made, "fsck", "--repair").stdout
+    assert "--repair puts" not in projects.quick(root, "fsck", "--repair").stdout
 
 
 def positions(data: bytes, name: str, numbers: random.Random) -> Iterator[int]:

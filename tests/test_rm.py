@@ -61,6 +61,15 @@ def test_a_dry_run_says_what_would_go_and_changes_nothing(root: Path) -> None:
     assert stores.state(root) == before
 
 
+def test_what_is_removed_is_missing_from_the_batches_that_stay(root: Path) -> None:
+    batch = batches(root)["noise=0.5"]
+    [run, *_] = sierra.open(root).sql("SELECT run FROM members", within=batch).column("run").to_pylist()
+    projects.quick(root, "rm", run, "--yes")
+    [told] = [row for row in sierra.open(root).batches if row["batch"] == batch]
+    assert (told["failed"], told["missing"]) == (0, 1)
+    assert "1 missing" in projects.quick(root, "ls").stdout
+
+
 def test_without_a_terminal_yes_is_needed(root: Path) -> None:
     before = stores.state(root)
     ended = projects.sierra(root, "rm", batches(root)["noise=0.5"])
