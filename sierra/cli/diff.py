@@ -38,8 +38,8 @@ def diff(
 
     \b
     Examples:
-      sierra diff 774d 0c1f
-      sierra diff 774d 0c1f --patch
+      sierra diff 774d 0cdc
+      sierra diff 774d 0cdc --patch
     """
     from sierra.cli.opened import project
     from sierra.cli.output import note, print_json

@@ -25,7 +25,9 @@ def run(
     query: Annotated[
         list[str],
         typer.Argument(
-            metavar="QUERY", help="Criteria, one for each axis. The name of a query in sierra.toml stands for its own."
+            metavar="QUERY",
+            help="Criteria, one for each axis. The name of a query in sierra.toml stands for its own. "
+            "Or the beginning of a batch's id: what is missing of it, with the code of then.",
         ),
     ],
     runs: Annotated[int | None, typer.Option("--runs", metavar="N", help="Runs per experiment.")] = None,
@@ -63,6 +65,7 @@ def run(
       sierra run noise=0:1:5 scenario=low,high -j 4
       sierra run population_size=4 --set "//arena/@size=20"
       sierra run scalability noise=0,0.1 --dry-run --explain
+      sierra run 774d
     """
     from sierra import settings
     from sierra.cli import opened
