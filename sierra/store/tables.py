@@ -288,7 +288,7 @@ RECORDED = {
             (
                 "name",
                 TEXT,
-                "as the command calls it; of a library, as the loader does; of a project's file, {project}/…",
+                "as the command calls it; of a library, as the loader does; of what lies in the project, {project}/…",
             ),
             ("kind", TEXT, "program, library, distributions (what a Python has installed) or file"),
             (
