@@ -6,6 +6,7 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+from sierra.paths import STORE, WORK
 from sierra.store import Found, Question, Store
 from sierra.store.files import recorded, take
 
@@ -220,13 +221,18 @@ def _execution(question: Question, found: Found) -> dict[str, Any]:
 
 
 def _programs(question: Question, identity: str | None) -> list[dict[str, Any]]:
-    """What was used together: programs first, then files, installed distributions and libraries."""
+    """What was used together: programs first, then files, installed distributions and libraries.
+
+    What was only a replay's copy of the project's, and is gone, is left out where the project's is recorded too.
+    """
     rows: list[dict[str, Any]] = question.sql(
         "SELECT name, kind, version, path, sha256 FROM programs WHERE programs = $p "
         "ORDER BY list_position(['program', 'file', 'distributions', 'library'], kind), name, path",
         p=identity,
     ).to_pylist()
-    return rows
+    lasting = [row for row in rows if f"/{STORE}/{WORK}/" not in row["path"]]
+    known = {row["name"] for row in lasting}
+    return [row for row in rows if row in lasting or row["name"] not in known]
 
 
 def _environment(question: Question, identity: str | None) -> dict[str, Any] | None:

@@ -24,6 +24,7 @@ from pathlib import Path
 CONFIG = "sierra.toml"
 PYPROJECT = "pyproject.toml"
 STORE = ".sierra"
+WORK = "work"
 FIGURES = "figures"
 DRAWN = ".drawn.json"
 
@@ -77,7 +78,7 @@ class StorePaths:
 
     @property
     def work(self) -> Path:
-        return self.root / "work"
+        return self.root / WORK
 
     @property
     def files(self) -> Path:

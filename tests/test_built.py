@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shutil
 import subprocess
@@ -62,6 +63,9 @@ def test_what_was_built_is_found_with_its_libraries(tmp_path: Path, place: str) 
     code, out, err = replayed(root)
     assert (code, err) == (0, "")
     assert "identical (2 runs: 2 identical)" in out
+    shown = json.loads(projects.quick(root, "show", batch_of(root), "--json").stdout)["programs"]
+    [program] = [one for one in shown if "sim" in one["name"]]
+    assert (program["name"], program["path"]) == ("{project}/build/sim", f"{root}/build/sim")
 
 
 @compiled

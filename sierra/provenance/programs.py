@@ -56,10 +56,10 @@ def of_project(found: Programs, roots: Sequence[Path]) -> Programs:
 
 
 def _of_project(one: Program, roots: Sequence[Path]) -> Program:
-    meant = one.kind == Kind.LIBRARY or (one.kind == Kind.PROGRAM and one.name == one.path)
-    for place in (place for root in roots for place in (root, root.resolve()) if meant):
-        if Path(one.path).is_relative_to(place):
-            return replace(one, name=f"{{project}}/{Path(one.path).relative_to(place)}")
+    there = Path(one.path if one.kind == Kind.LIBRARY else one.name)
+    for place in (place for root in roots for place in (root, root.resolve())):
+        if there.is_relative_to(place):
+            return replace(one, name=f"{{project}}/{there.relative_to(place)}")
     return one
 
 
