@@ -127,7 +127,7 @@ def _salvage(paths: StorePaths, root: Path, checked: Checked, dry_run: bool, tel
     for name in names:
         yield f"segments/{name}: what is sound in it written to a new segment, and the old one moved to damaged/"
     if loss.executions:
-        yield f"{len(loss.executions)} executions are lost; sierra run executes them again"
+        yield f"{len(loss.executions)} executions are lost; sierra run executes again those that counted"
     for batch in sorted(loss.batches):
         yield f"batch {short(batch)} is not complete; asking for it again records it again"
 

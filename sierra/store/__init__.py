@@ -54,7 +54,10 @@ class Store:
         except OSError as error:
             raise Missing(f"no store in {root}: nothing has been run here yet (sierra run makes one)") from error
         if found != FORMAT:
-            raise Damaged(f"{self.paths.format}: this is {found.strip()[:40]!r}, and this SIERRA reads {FORMAT.strip()!r}")
+            told = f"this is {found.strip()[:40]!r}, and this SIERRA reads {FORMAT.strip()!r}"
+            raise Damaged(
+                f"{self.paths.format}: {told}; read it with the SIERRA that made it, or move {root} away and ask again"
+            )
 
     @classmethod
     def create(cls, root: Path) -> Store:
