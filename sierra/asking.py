@@ -60,6 +60,7 @@ class Asking:
         self._open: set[str] = set()
         self.failed: set[str] = set()
         self.notes: tuple[str, ...] = ()
+        self._doubted: str | None = None
         self._runner = runner
         self._fail_fast = fail_fast
         self._only = only
@@ -83,7 +84,7 @@ class Asking:
         while not self.interrupted:
             recorded = len(self.store.segments())
             wanted = self._wanted()
-            if not wanted or (self._fail_fast and self.failed):
+            if not wanted or self._is_enough():
                 return
             mine = self.session.claim(wanted)
             if len(self.store.segments()) != recorded:
@@ -116,15 +117,23 @@ class Asking:
         self._context.save(self.session.paths.context)
         self._claimed |= wanted
         self._open |= wanted
-        recorder = Recorder(self.store, self.session.paths, self._context)
+        recorder = Recorder(self.store, self.session.paths, self._context, doubt=self._doubt)
         root = self._code()
         with noted() as signals:
             following = Following(self._runner(), recorder, self.store, self.session, self._took, self._tell)
-            following.execute(self._jobs(wanted, root), signals, enough=lambda: self._fail_fast and bool(self.failed))
+            following.execute(self._jobs(wanted, root), signals, enough=self._is_enough)
             odd = find_odd(self.store, self.session.paths, self._context)
             self.notes += tuple(recorder.notes())
         self.interrupted = bool(signals)
         return odd
+
+    def _doubt(self) -> str | None:
+        """Why what has been executed cannot be ascribed to what was planned: files are others than then, or were."""
+        self._doubted = self._doubted or self.plan.seen.doubt()
+        return self._doubted
+
+    def _is_enough(self) -> bool:
+        return self._doubted is not None or (self._fail_fast and bool(self.failed))
 
     def _took(self, run: str, status: Status) -> None:
         self._open.discard(run)

@@ -21,6 +21,7 @@ from sierra.model import Batch, Design, Experiment, Limits, Query, Recipe, Run, 
 from sierra.paths import CONFIG, DRAWN, FIGURES, PYPROJECT, STORE, ProjectPaths, StorePaths
 from sierra.provenance import environment, named, source, versions
 from sierra.provenance.program import Programs
+from sierra.provenance.seen import Seen, seen
 from sierra.record import Context
 from sierra.store.tables import RESERVED, check_name
 from sierra.version import __version__
@@ -58,6 +59,8 @@ class Plan:
     template_sha256: str
     outputs: Mapping[str, Output]
     success: Success
+    seen: Seen
+    """What executes, as it was when it was taken for that."""
     notes: tuple[str, ...] = ()
 
 
@@ -120,6 +123,7 @@ def plan(project: LoadedProject, asked: Query, *, engine: str = "none") -> Plan:
     batch = expansion.batch()
     used = programs_in(recipe, code.manifest, root, data)
     checkout = _committed(root, recipe, code, used) if code.checkout else None
+    executed = checkout.programs() if checkout else used
     uncounted = named.uncounted(_set_by(designed), root / config.template, root, held, used)
     return Plan(
         project=project,
@@ -130,13 +134,14 @@ def plan(project: LoadedProject, asked: Query, *, engine: str = "none") -> Plan:
         source=code,
         source_id=code.id,
         checkout=checkout,
-        programs=checkout.programs() if checkout else used,
+        programs=executed,
         environment=environment.capture(__version__, config.environment.record),
         engine=contained,
         limits=jobs.limits(config),
         template_sha256=template.sha256,
         outputs=config.outputs,
         success=config.success,
+        seen=seen(root, b"" if checkout else code.manifest, executed),
         notes=(
             *code.notes,
             *_doubts(designed, command),

@@ -22,6 +22,7 @@ from sierra.hashing import short
 from sierra.model import Axis, Batch, Experiment, Query, Recipe, Run
 from sierra.plans import Plan
 from sierra.provenance import environment
+from sierra.provenance.seen import seen
 from sierra.record import rules_of
 from sierra.store import Question, Store
 from sierra.store.files import Taken, contents, recorded
@@ -128,6 +129,7 @@ def plan(project: LoadedProject, store: Store, prefix: str) -> Plan:
         raise Missing(f"batch {short(found.id)}: no asking for it has come to an end; ask by its query: {row['query']}")
     recalled = recall(store, found.id, last["programs"], last["reading"])
     checkout = recalled.checkout(project, store)
+    used = checkout.programs()
     batch = _batch(store, row, recalled.recipe)
     text = last["query"] or row["query"]
     return Plan(
@@ -146,13 +148,14 @@ def plan(project: LoadedProject, store: Store, prefix: str) -> Plan:
         source=None,
         source_id=last["source"],
         checkout=checkout,
-        programs=checkout.programs(),
+        programs=used,
         environment=environment.capture(__version__, project.config.environment.record),
         engine=engine(recalled.recipe),
         limits=jobs.limits(project.config),
         template_sha256=row["template_sha256"],
         outputs=recalled.outputs,
         success=recalled.success,
+        seen=seen(project.root, b"", used),
     )
 
 

@@ -18,7 +18,7 @@ import signal
 import stat
 import time
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path, PurePosixPath
@@ -176,12 +176,27 @@ class _Judged:
     reason: str | None
 
 
+def _doubted(one: _Judged, doubt: str) -> _Judged:
+    return _Judged(one.result, Status.FAILED, doubt) if one.status is Status.OK else one
+
+
 class Recorder:
     """Takes results, and writes them to the store now and then, and at the end."""
 
-    def __init__(self, store: Store, session: SessionPaths, context: Context, kept: Path | None = None) -> None:
-        """`kept`: the folder that the runs' folders are moved to once they are recorded; without, they are removed."""
+    def __init__(
+        self,
+        store: Store,
+        session: SessionPaths,
+        context: Context,
+        kept: Path | None = None,
+        doubt: Callable[[], str | None] = lambda: None,
+    ) -> None:
+        """`kept`: the folder that the runs' folders are moved to once they are recorded; without, they are removed.
+
+        `doubt` says, before anything is written, why none of what has ended since can be good.
+        """
         self._folder = kept
+        self._doubt = doubt
         self._store = store
         self._session = session
         self._context = context
@@ -219,6 +234,8 @@ class Recorder:
         if not self._pending:
             return []
         writer = self._store.writer(self._session.segment, self._context.batch)
+        if (doubt := self._doubt()) is not None:
+            self._pending = [_doubted(one, doubt) for one in self._pending]
         judged = self._write(writer, self._pending)
         self._store.publish(writer)
         for one in judged:

@@ -1,0 +1,79 @@
+"""What executes is what was planned: what changes meanwhile is noticed, and nothing is ascribed to what did not make it."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from sierra.provenance.program import NOTHING
+from sierra.provenance.seen import seen
+from sierra.provenance.source.manifest import Entry, listed
+from tests import projects
+
+SCRIPT = r"sleep 0.3; printf 't,v\n1,1\n2,4\n' > swarm.csv"
+OTHER = r"printf 't,v\n1,1000\n2,4000\n' > swarm.csv"
+
+
+@pytest.mark.parametrize("git", [True, False])
+def test_runs_that_other_code_than_planned_may_have_made_never_count(simulate: Callable[..., Any], git: bool) -> None:
+    project = simulate(SCRIPT)
+    if git:
+        projects.commit(project.folder)
+    asking = project.start("run", "size=1,2,3,4,5,6,7,8", "--runs", "1", "-j", "1", "--no-figures")
+    project.until_executed(2, asking)
+    code = (project.folder / "sim.sh").read_text()
+    (project.folder / "sim.sh").write_text(code.replace(SCRIPT, OTHER))
+    ended = project.end_of(asking)
+    assert ended.returncode == 1
+    assert "code or programs have changed since the runs began: sim.sh" in ended.stdout
+    assert project.sql("SELECT DISTINCT status FROM executions WHERE reason LIKE 'code or programs%'") == [{"status": "failed"}]
+    (project.folder / "sim.sh").write_text(code)
+    assert project.ask("run", "size=1,2,3,4,5,6,7,8", "--runs", "1", "--no-figures").returncode == 0
+    assert project.sql("SELECT count(*) AS runs, max(v) AS v FROM swarm WHERE t = 2") == [{"runs": 8, "v": 4}]
+
+
+def test_a_program_that_is_replaced_while_runs_execute_spoils_them(simulate: Callable[..., Any], tmp_path: Path) -> None:
+    program = tmp_path / "sim"
+    program.write_text(f"#!/bin/sh\n{SCRIPT}\n")
+    program.chmod(0o755)
+    project = simulate(f'{program}; echo "$SIERRA_RUN_ID" >> "{tmp_path}/ended"')
+    toml = project.folder / "sierra.toml"
+    toml.write_text(toml.read_text().replace('"sim.sh", "{input}"]', f'"sim.sh", "{{input}}", "{program}"]'))
+    asking = project.start("run", "size=1,2,3", "-j", "1", "--no-figures")
+    project.until_executed(1, asking)
+    replaced = tmp_path / "new"
+    replaced.write_text(f"#!/bin/sh\n{OTHER}\n")
+    replaced.chmod(0o755)
+    replaced.replace(program)
+    ended = project.end_of(asking)
+    assert (ended.returncode, f"changed since the runs began: {program}" in ended.stdout) == (1, True)
+    assert project.sql("SELECT DISTINCT status FROM executions") == [{"status": "failed"}]
+
+
+def test_what_was_another_for_a_while_and_what_is_only_new(tmp_path: Path) -> None:
+    files = {name: tmp_path / name for name in ("a", "b", "sub/c")}
+    for file in files.values():
+        file.parent.mkdir(exist_ok=True)
+        file.write_text("x")
+    manifest = listed(Entry("100644", "0" * 40, os.fsencode(name)) for name in files)
+
+    def changed(what: Callable[[], object]) -> str | None:
+        before = seen(tmp_path, manifest, NOTHING)
+        what()
+        return before.doubt()
+
+    assert changed(lambda: (tmp_path / "new").write_text("")) is None
+    assert changed(lambda: files["a"].read_text()) is None
+    times = files["a"].stat()
+
+    def there_and_back() -> None:
+        files["a"].write_text("y")
+        files["a"].write_text("x")
+        os.utime(files["a"], ns=(times.st_atime_ns, times.st_mtime_ns))
+
+    for what, name in ((there_and_back, "a"), (files["b"].unlink, "b"), (lambda: files["sub/c"].write_text("x"), "sub/c")):
+        assert f": {name} (" in str(changed(what))
