@@ -232,12 +232,10 @@ def _differ(recorded: Any, found: Any) -> Any:
     import pyarrow as pa
     import pyarrow.compute as pc
 
-    if recorded.type != found.type and _is_number(recorded.type) and _is_number(found.type):
-        exact = pa.decimal256(76, 20) if not any(map(pa.types.is_floating, (recorded.type, found.type))) else pa.float64()
-        recorded, found = recorded.cast(exact, safe=False), found.cast(exact, safe=False)
     if recorded.type != found.type:
-        pairs = zip(recorded.to_pylist(), found.to_pylist(), strict=True)
-        return np.array([one != other for one, other in pairs], dtype=bool)
+        flags = [pa.types.is_boolean(column.type) for column in (recorded, found)]
+        pairs = zip(recorded.to_pylist(), found.to_pylist(), strict=True)  # Python compares numbers exactly, 2**53 + 1 too
+        return np.array([one != other or (any(flags) and one is not None) for one, other in pairs], dtype=bool)
     same = pc.fill_null(pc.equal(recorded, found), False)
     same = pc.or_(same, pc.and_(pc.is_null(recorded), pc.is_null(found)))
     if pa.types.is_floating(recorded.type):
