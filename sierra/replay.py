@@ -19,7 +19,7 @@ from sierra.agreement import Agreement, Verdict
 from sierra.asking import Progress, Watch
 from sierra.config import LoadedProject, Output
 from sierra.engines import Engine
-from sierra.errors import NotFound, UsageError
+from sierra.errors import Missing, NotFound, UsageError
 from sierra.following import Following, noted
 from sierra.hashing import short
 from sierra.metrics import Metric
@@ -32,7 +32,7 @@ from sierra.recalled import Recalled
 from sierra.record import Context, Recorder
 from sierra.sessions import Session
 from sierra.store import Found, Store
-from sierra.store.files import Taken, take
+from sierra.store.files import Taken, take, where
 from sierra.verdicts import Compared, OfExperiment, Replay, Tolerances, metric_rows, plain, verdict_rows
 from sierra.version import __version__
 
@@ -123,6 +123,8 @@ def replay(
 
 
 def _look_up(store: Store, found: Found, runs: int | None) -> _Record:
+    import pyarrow as pa
+
     with store.ask() as question:
         named = take(question, found)
         good = [one for one in named if one.status == "ok"]
@@ -130,17 +132,17 @@ def _look_up(store: Store, found: Found, runs: int | None) -> _Record:
         if not taken:
             raise NotFound(f"{found.kind} {short(found.id)} has no good execution to compare with; sierra run makes one")
         question.views.make(("members", "experiments", "batches"))
-        batch = found.id if found.kind == "batch" else _batch_of(question, taken[0])
+        batch = where(question, found).batch
+        question.register("taken", pa.table({"execution": [str(one.execution) for one in taken]}))
         by = question.sql(
-            "SELECT DISTINCT programs, reading, environment FROM executions WHERE list_contains($e, execution) ORDER BY ALL",
-            e=[str(one.execution) for one in taken],
+            "SELECT DISTINCT programs, reading, environment FROM executions SEMI JOIN taken USING (execution) ORDER BY ALL"
         ).to_pylist()
         cells = question.sql("SELECT * FROM experiments WHERE batch = $b", b=batch).to_pylist()
         [(axes,)] = question.run("SELECT axes FROM batches WHERE batch = $b", {"b": batch})
         tables = question.sql(
-            "SELECT DISTINCT output FROM artifacts WHERE kind = 'table' AND list_contains($e, execution) ORDER BY 1",
-            e=[str(one.execution) for one in taken],
+            "SELECT DISTINCT output FROM artifacts SEMI JOIN taken USING (execution) WHERE kind = 'table' ORDER BY 1"
         )
+        wrote = {row[0] for row in question.run(WROTE)}
         seeds = dict(question.run("SELECT run, seed FROM members WHERE batch = $b", {"b": batch}))
     record = _Record(
         found=found,
@@ -153,17 +155,20 @@ def _look_up(store: Store, found: Found, runs: int | None) -> _Record:
         environment=by[0]["environment"],
         notes=[],
     )
-    if left := len(named) - len(good):
-        record.notes.append(f"{left} of {len(named)} runs have no good execution to compare with; they are left out")
+    left = sum(one.execution in wrote for one in taken)
+    if not left:
+        raise Missing(f"{found.kind} {short(found.id)} left nothing but logs, which are not compared")
+    if left < len(taken):
+        record.notes.append(f"{len(taken) - left} of {len(taken)} runs left nothing but logs, which are not compared")
+    if without := len(named) - len(good):
+        record.notes.append(f"{without} of {len(named)} runs have no good execution to compare with; they are left out")
     if len({(row["programs"], row["reading"]) for row in by}) > 1:
         record.notes.append("not all runs were recorded with the same programs and rules; those of the first are heeded")
     return record
 
 
-def _batch_of(question: Any, taken: Taken) -> str:
-    statement = "SELECT max(batch) FROM experiments WHERE experiment = $x"
-    [(batch,)] = question.run(statement, {"x": taken.experiment})
-    return str(batch)
+WROTE = "SELECT DISTINCT execution FROM artifacts SEMI JOIN taken USING (execution) WHERE kind <> 'log'"
+"""The executions that left files, or tables."""
 
 
 def _declared(record: _Record, project: LoadedProject, tolerances: Tolerances) -> dict[str, Output]:

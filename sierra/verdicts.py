@@ -68,7 +68,8 @@ class Replay:
 
     @property
     def verdict(self) -> Verdict:
-        return worst(experiment.verdict for experiment in self.experiments)
+        """That of the worst experiment. Nothing is said of what was not compared: a replay that was interrupted has failed."""
+        return Verdict.FAILED if self.interrupted else worst(experiment.verdict for experiment in self.experiments)
 
     @property
     def counts(self) -> Counter[Verdict]:

@@ -359,3 +359,33 @@ def test_texts_are_compared_by_lines() -> None:
 def test_the_worst_verdict_is_that_of_all() -> None:
     assert worst([Verdict.IDENTICAL, Verdict.WITHIN, Verdict.EQUAL]) is Verdict.WITHIN
     assert not worst([Verdict.FAILED, Verdict.DIFFERENT]).fine
+
+
+def test_whole_numbers_and_fractions_are_compared_exactly_and_flags_are_no_numbers() -> None:
+    def of(was: pa.Array, now: pa.Array) -> Verdict:
+        return of_tables(pa.table({"v": was}), pa.table({"v": now})).verdict
+
+    assert of(pa.array([1, 2]), pa.array([1.0, 2.0])) is Verdict.EQUAL
+    assert of(pa.array([2**53 + 1]), pa.array([2.0**53])) is Verdict.DIFFERENT
+    assert of(pa.array([2**63 + 1], pa.uint64()), pa.array([2.0**63])) is Verdict.DIFFERENT
+    assert of(pa.array([True, False]), pa.array([1, 0])) is Verdict.DIFFERENT
+    assert of(pa.array([None], pa.bool_()), pa.array([None], pa.int64())) is Verdict.EQUAL
+
+
+def test_an_experiment_of_several_batches_is_replayed_as_it_stands_in_one(make: Make) -> None:
+    root = make()
+    for query in ("population_size=4", "population_size=1,2,4", "population_size=4,5"):
+        ask(root, query)
+        [row] = sierra.open(root).sql("SELECT DISTINCT experiment FROM experiments WHERE population_size = 4").to_pylist()
+        code, said = replay(root, row["experiment"])
+        assert (code, said["verdict"], said["experiments"][0]["values"]) == (0, "identical", {"population_size": 4})
+
+
+def test_runs_of_which_nothing_is_compared_are_not_said_to_be_the_same(make: Make) -> None:
+    only_logs = "import sys, time\nprint(time.time_ns())\n"
+    root = make(only_logs + "if b'count=\"2\"' in open(sys.argv[1], 'rb').read(): open('x.txt', 'w').write('x')\n")
+    batch = ask(root, "population_size=1")
+    ended = projects.sierra(root, "replay", batch)
+    assert (ended.returncode, "left nothing but logs, which are not compared" in ended.stderr) == (3, True)
+    code, said = replay(root, ask(root))
+    assert (code, said["notes"]) == (0, ["2 of 4 runs left nothing but logs, which are not compared"])
