@@ -32,7 +32,7 @@ def programs_in(recipe: Recipe, manifest: bytes, root: Path, data: Programs = NO
     command, variables = recipe.command, recipe.environment
     files = named.files((*command, *variables.values()), root, source.paths(manifest), data, project or root)
     words, declared = jobs.fill(command, root, project=project), jobs.declared(variables, root, project)
-    found = programs.find(words, declared, root, files)
+    found = programs.find(words, declared, root, files, project=project)
     return programs.of_project(found, (root, project or root))
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import venv
 from pathlib import Path
 
 import pytest
@@ -102,3 +103,33 @@ def test_what_is_not_committed_neither_counts_nor_executes_where_it_is_to_be_ign
     assert found["most"] < 1000
     assert project.replay(more.batch).verdict == "identical"
     assert (root / "sim.py").read_text() == other
+
+
+@pytest.mark.parametrize("link", ["path", "editable"])
+def test_what_is_installed_from_the_project_does_not_execute_in_the_place_of_the_recorded(tmp_path: Path, link: str) -> None:
+    venv.create(tmp_path / "env", symlinks=True)
+    [installed] = (tmp_path / "env").glob("lib/python3*/site-packages")
+    simulator = "from swarm.model import f\n" + projects.SIMULATOR.replace("count * tick", "f(count * tick)")
+    config = projects.CONFIG.replace("python3", str(tmp_path / "env" / "bin" / "python"))
+    root = projects.make(tmp_path / "p", config, simulator=simulator)
+    model = root / "src" / "swarm" / "model.py"
+    model.parent.mkdir(parents=True)
+    model.write_text("def f(x): return x\n")
+    (installed / "swarm.pth").write_text(f"{root}/src\n")
+    if link == "editable":
+        info = installed / "swarm-1.dist-info"
+        info.mkdir()
+        (info / "direct_url.json").write_text(json.dumps({"url": root.as_uri(), "dir_info": {"editable": True}}))
+    projects.commit(root)
+    batch = sierra.open(root).run("population_size=1", figures=False).batch
+    assert sierra.open(root).replay(batch).notes == ()
+    assert "4 executed" not in projects.sierra(root, "run", batch).stdout
+    model.write_text("def f(x): return x + 1000\n")
+    projects.commit(root, "second")
+    for words in (("replay", batch), ("run", batch)):
+        ended = projects.sierra(root, *words)
+        assert (ended.returncode, ended.stderr.count("\n")) == (3, 1)
+        assert "where model.py is not the recorded one" in ended.stderr
+    (root / "sierra.toml").write_text(config + '[source]\ndirty = "ignore"\n')
+    model.write_text("def f(x): return x + 2000\n")
+    assert projects.sierra(root, "run", "population_size=1").returncode == 3

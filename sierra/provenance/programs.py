@@ -13,6 +13,7 @@ import os
 import shutil
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Set as AbstractSet
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -26,10 +27,18 @@ from sierra.provenance.program import NOTHING, Kind, Program, Programs, called
 SHOWN = 5
 
 
-def find(argv: Sequence[str], variables: Mapping[str, str], root: Path, more: Programs = NOTHING) -> Programs:
+def find(
+    argv: Sequence[str],
+    variables: Mapping[str, str],
+    root: Path,
+    more: Programs = NOTHING,
+    *,
+    project: Path | None = None,
+) -> Programs:
     """The programs that a command starts, with what they load, and `more`; `variables` are those of its runs, with PATH.
 
-    Raises Missing where the first word is no program, or lacks a library.
+    The code lies in `root`, which may be another folder than the `project`. Raises Missing where the first word is no program,
+    lacks a library, or imports from the project what is other code than in `root`.
     """
     search = variables["PATH"]
     first = shutil.which(argv[0], path=search)
@@ -37,7 +46,8 @@ def find(argv: Sequence[str], variables: Mapping[str, str], root: Path, more: Pr
         if Path(argv[0]).is_file():
             raise Missing(f"{argv[0]} is no program; name its interpreter (python3 …), or make it one with chmod +x")
         raise Missing(f"the program {argv[0]!r} is not there; install it, or mend the command of the project in {root}")
-    finding = _Finding(root, variables)
+    scripts = {Path(word).parent for word in argv if Path(word).is_relative_to(root) and Path(word).is_file()}
+    finding = _Finding(root, variables, project or root, scripts)
     finding.start(argv[0], first, needed=True)
     for word in argv[1:]:
         if Path(argv[0]).name == "env" and "=" in word:
@@ -66,8 +76,11 @@ def _of_project(one: Program, roots: Sequence[Path]) -> Program:
 class _Finding:
     """The programs of one command, as they are found: each path once."""
 
-    def __init__(self, root: Path, variables: Mapping[str, str]) -> None:
+    def __init__(self, root: Path, variables: Mapping[str, str], project: Path, scripts: AbstractSet[Path]) -> None:
+        """`scripts`: folders of scripts; Python imports from there before all else."""
+        self._scripts = scripts
         self._root = root
+        self._project = project
         self._variables = dict(variables)
         self._digests = Digests()
         self._programs: dict[str, Program] = {}
@@ -115,7 +128,7 @@ class _Finding:
 
     def _python(self, name: str, path: str, *, needed: bool) -> None:
         """The interpreter that is meant, where it is another file than is called, and what it sees."""
-        interpreter = pythons.ask(path, self._variables, self._root)
+        interpreter = pythons.ask(path, self._variables, self._root, self._project)
         real = os.path.realpath(interpreter.executable)
         if real not in self._programs:
             sha = self._digests.of(real)
@@ -131,7 +144,9 @@ class _Finding:
         where = os.pathsep.join(map(str, interpreter.installed))
         if interpreter.installed:
             yield Program(f"{name}: installed distributions", where, sha256(lines.encode()), Kind.DISTRIBUTIONS, lines)
-        for one in pythons.contents(interpreter, found, self._root, self._digests):
+        if self._project != self._root:
+            pythons.check(name, pythons.imported(interpreter, found, self._project), self._root, self._project, self._scripts)
+        for one in pythons.contents(interpreter, found, (self._root, self._project), self._digests):
             yield Program(f"{name}: {one.name}", one.origin, one.digest, Kind.DISTRIBUTIONS, one.version)
 
 

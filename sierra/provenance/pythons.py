@@ -14,12 +14,13 @@ import os
 import re
 import subprocess
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote, urlsplit
 
+from sierra.errors import Missing
 from sierra.hashing import digest
 from sierra.provenance.digests import Digests
 
@@ -38,6 +39,8 @@ class Interpreter:
     executable: str
     installed: tuple[Path, ...]
     others: tuple[Path, ...] = ()
+    project: tuple[Path, ...] = ()
+    """Folders of the project."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,12 +71,12 @@ def is_python(path: str) -> bool:
     return NAME.fullmatch(Path(path).name) is not None
 
 
-def ask(path: str, variables: Mapping[str, str], root: Path) -> Interpreter:
+def ask(path: str, variables: Mapping[str, str], root: Path, project: Path) -> Interpreter:
     """What an interpreter sees in runs, whose HOME is empty.
 
     Of one that does not answer, what lies beside it; a file of the project is not asked, since planning executes nothing of it.
     """
-    if Path(path).resolve().is_relative_to(root.resolve()):
+    if any(Path(path).resolve().is_relative_to(own.resolve()) for own in (root, project)):
         return Interpreter(path, tuple(_beside(Path(path))))
     with tempfile.TemporaryDirectory(prefix="sierra-") as home:
         try:
@@ -91,9 +94,13 @@ def ask(path: str, variables: Mapping[str, str], root: Path) -> Interpreter:
             return Interpreter(path, tuple(_beside(Path(path))))
     seen = [folder for folder in map(Path, dict.fromkeys(folders)) if folder.is_absolute() and folder.is_dir()]
     installed = [folder for folder in seen if folder.name in ("site-packages", "dist-packages")]
-    inside = (Path(prefix), Path(base), root)
-    others = [f for f in seen if f not in installed and not any(f.resolve().is_relative_to(i.resolve()) for i in inside)]
-    return Interpreter(executable, tuple(installed), tuple(others))
+    beside = [f for f in seen if f not in installed and not _is_in(f, Path(prefix), Path(base))]
+    others = [folder for folder in beside if not _is_in(folder, root, project)]
+    return Interpreter(executable, tuple(installed), tuple(others), tuple(f for f in beside if _is_in(f, project)))
+
+
+def _is_in(folder: Path, *above: Path) -> bool:
+    return any(folder.resolve().is_relative_to(one.resolve()) for one in above)
 
 
 def _beside(interpreter: Path) -> list[Path]:
@@ -127,27 +134,57 @@ def _header(file: Path, name: str) -> str | None:
     return next((line.partition(":")[2].strip() for line in lines if line.startswith(f"{name}:")), None)
 
 
-def contents(interpreter: Interpreter, found: Sequence[Distribution], root: Path, digests: Digests) -> Iterator[Content]:
-    """What counts by content. Files of the project itself are the source's matter."""
+def imported(interpreter: Interpreter, found: Sequence[Distribution], project: Path) -> Iterator[Path]:
+    """The folders in the project that an interpreter imports from, wherever a script lies: its path, editable installs."""
+    yield from interpreter.project
+    for direct in (_direct_url(one.info) for one in found):
+        if direct is not None and direct.get("dir_info", {}).get("editable") and _is_in(folder := _folder_of(direct), project):
+            yield from (one for one in (folder, folder / "src") if one.is_dir())
+
+
+def check(name: str, folders: Iterable[Path], root: Path, project: Path, scripts: Container[Path]) -> None:
+    """Raise Missing where a folder in the project holds other code than the same in `root`: it would be executed.
+
+    What lies beside a script in `root` is imported before that.
+    """
+    for folder in folders:
+        restored = root / folder.resolve().relative_to(project.resolve())
+        for file in _code(restored, ()) if restored not in scripts else ():
+            there = folder / file.relative_to(restored)
+            if not there.is_file() or there.read_bytes() != file.read_bytes():
+                raise Missing(
+                    f"{name} imports from {folder} (an editable install, or its path), where {there.name} is not the recorded "
+                    "one: other code would execute; check the recorded one out there, or install it in another way"
+                )
+
+
+def contents(
+    interpreter: Interpreter, found: Sequence[Distribution], own: Sequence[Path], digests: Digests
+) -> Iterator[Content]:
+    """What counts by content. Files of the project itself, which lies in the folders `own`, are the source's matter."""
     told = set()
     for one in found:
         direct = _direct_url(one.info)
         if direct is None:
             continue
         url = re.sub(r"(?<=://)[^/]*@", "", direct["url"])
-        folder = Path(unquote(urlsplit(url).path))
+        folder = _folder_of(direct)
         match direct:
             case {"dir_info": {"editable": True}} if folder.is_dir():
                 told.add(folder.resolve())
                 if one.name != OWN:
-                    yield Content(one.name, str(folder), _folder(folder, root, digests), one.line)
+                    yield Content(one.name, str(folder), _folder(folder, own, digests), one.line)
             case {"vcs_info": {"commit_id": str(commit)}}:
                 yield Content(one.name, url, digest("installed", {"commit": commit}), one.line)
             case _:
                 yield Content(one.name, url, digest("installed", {"files": _recorded(one.info)}), one.line)
     for folder in interpreter.others:
         if folder.resolve() not in told:
-            yield Content(folder.name, str(folder), _folder(folder, root, digests))
+            yield Content(folder.name, str(folder), _folder(folder, own, digests))
+
+
+def _folder_of(direct: Mapping[str, Any]) -> Path:
+    return Path(unquote(urlsplit(direct["url"]).path))
 
 
 def _direct_url(info: Path) -> dict[str, Any] | None:
@@ -168,15 +205,16 @@ def _recorded(info: Path) -> list[str]:
     return sorted(line for line in lines if not line.startswith(("..", info.name)) and ".pyc," not in line)
 
 
-def _folder(folder: Path, root: Path, digests: Digests) -> str:
-    files = [[path.relative_to(folder).as_posix(), digests.of(str(path))] for path in _code(folder, root.resolve())]
+def _folder(folder: Path, own: Sequence[Path], digests: Digests) -> str:
+    files = [[path.relative_to(folder).as_posix(), digests.of(str(path))] for path in _code(folder, own)]
     return digest("folder", {"files": files})
 
 
-def _code(folder: Path, root: Path) -> Iterator[Path]:
+def _code(folder: Path, own: Sequence[Path]) -> Iterator[Path]:
     """The Python files in a folder, but not in environments and hidden folders inside it, nor in the project."""
+    left = {one.resolve() for one in own}
     for here, folders, files in os.walk(folder):
-        if "pyvenv.cfg" in files or Path(here).resolve() == root:
+        if "pyvenv.cfg" in files or Path(here).resolve() in left:
             folders.clear()
             continue
         folders[:] = sorted(
