@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import venv
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -389,3 +390,31 @@ def test_runs_of_which_nothing_is_compared_are_not_said_to_be_the_same(make: Mak
     assert (ended.returncode, "left nothing but logs, which are not compared" in ended.stderr) == (3, True)
     code, said = replay(root, ask(root))
     assert (code, said["notes"]) == (0, ["2 of 4 runs left nothing but logs, which are not compared"])
+
+
+def test_a_program_that_git_ignores_is_executed_as_it_is_now_and_said_to_be_another(tmp_path: Path) -> None:
+    root = projects.make(tmp_path / "project", projects.CONFIG.replace("python3 sim.py", "build/sim"))
+    program = root / "build" / "sim"
+    program.parent.mkdir()
+    program.write_text("#!/bin/sh\nprintf 'tick,v\\n0,1\\n' > out.csv\n")
+    program.chmod(0o755)
+    (root / ".gitignore").write_text("build\n")
+    projects.commit(root)
+    batch = ask(root)
+    code, said = replay(root, batch)
+    assert (code, said["verdict"], said["notes"]) == (0, "identical", [])
+    program.write_text("#!/bin/sh\nprintf 'tick,v\\n0,2\\n' > out.csv\n")
+    code, said = replay(root, batch)
+    assert (code, said["notes"][0].startswith("other programs: {project}/build/sim: ")) == (1, True)
+
+
+def test_a_python_environment_in_the_project_is_the_one_that_replays(tmp_path: Path) -> None:
+    root = projects.make(tmp_path / "project", projects.CONFIG.replace("python3", ".venv/bin/python"))
+    venv.create(root / ".venv", symlinks=True)
+    [installed] = root.glob(".venv/lib/python3*/site-packages")
+    (installed / "used.py").write_text("")
+    (root / "sim.py").write_text("import used\n" + projects.SIMULATOR)
+    (root / ".gitignore").write_text(".venv\n")
+    projects.commit(root)
+    code, said = replay(root, ask(root))
+    assert (code, said["verdict"], said["notes"]) == (0, "identical", [])
