@@ -93,9 +93,9 @@ class _Contents:
     def rows(self, artifact: Artifact) -> Any:
         file = artifact["path"] if json.loads(artifact["form"] or "{}").get("file", "") is None else None
         rows = self._rows.get((artifact["execution"], artifact["output"], file))
-        if rows is None and artifact["rows"]:
-            execution = artifact["execution"][:10]
-            raise Damaged(f"the rows of {artifact['output']!r} that execution {execution} wrote are not in the store")
+        if (count := 0 if rows is None else rows.num_rows) != artifact["rows"]:
+            told = f"{count} of {artifact['rows']} rows of {artifact['output']!r} are in the store"
+            raise Damaged(f"{told}, as execution {artifact['execution'][:10]} wrote them")
         return rows
 
     def bytes(self, artifact: Artifact) -> bytes:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -418,3 +419,13 @@ def test_a_python_environment_in_the_project_is_the_one_that_replays(tmp_path: P
     projects.commit(root)
     code, said = replay(root, ask(root))
     assert (code, said["verdict"], said["notes"]) == (0, "identical", [])
+
+
+def test_rows_that_the_store_has_lost_are_not_taken_for_a_result(make: Make) -> None:
+    root = make(NOISY)
+    batch = ask(root)
+    [file] = root.glob(".sierra/segments/*/output.swarm.parquet")
+    pq.write_table(pq.read_table(file).slice(0, 17), file)
+    ended = projects.sierra(root, "replay", batch)
+    assert (ended.returncode, ended.stderr.count("\n")) == (1, 1)
+    assert "2 of 5 rows of 'swarm' are in the store" in ended.stderr

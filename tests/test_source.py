@@ -713,6 +713,14 @@ def test_no_path_of_a_hostile_list_leaves_the_folder(folder: Path, git: Git, tmp
     assert not (tmp_path / "x").exists()
 
 
+def test_a_list_of_files_that_is_another_trees_restores_nothing(folder: Path, tmp_path: Path) -> None:
+    first = capture(folder)
+    (folder / "a.txt").write_text("other")
+    with pytest.raises(Damaged, match="other code would be restored"):
+        source.restore(first.tree, capture(folder).manifest, folder, tmp_path / "x", {}.get)
+    assert not (tmp_path / "x").exists()
+
+
 # ---------------------------------------------------------------- outside git
 
 

@@ -17,7 +17,7 @@ from sierra.errors import Damaged, Missing
 from sierra.provenance.source import lfs
 from sierra.provenance.source.chosen import shown
 from sierra.provenance.source.git import Git, in_repository
-from sierra.provenance.source.manifest import LINK, REPOSITORY, Files, is_blob, parts, read, written
+from sierra.provenance.source.manifest import LINK, REPOSITORY, Files, is_blob, parts, read, tree_of, written
 from sierra.provenance.source.working import of_tree
 
 Content = Callable[[str], bytes | None]
@@ -27,10 +27,13 @@ def restore(tree: str, manifest: bytes, root: Path, target: Path, content: Conte
     """Write the files of a recorded source into `target`, a folder that is made.
 
     They come from the git repository that `root` lies in, where it has them, else from `content`, which gives a file
-    by git's hash of it. Raises Missing where neither has one, with the `commit` to fetch if that is said.
+    by git's hash of it. Raises Damaged where the list is that of another tree, Missing where neither has a file, with the
+    `commit` to fetch if that is said.
     """
     files = read(manifest)
     _check(files)
+    if tree_of(manifest) not in (None, tree.rpartition(":")[2]):
+        raise Damaged(f"the list of the recorded source's files does not give {tree}: other code would be restored")
     target.mkdir(parents=True)
     git = Git(root) if in_repository(root) else None
     lacking = _lacking(git, tree.rpartition(":")[2], files)
