@@ -362,3 +362,12 @@ def test_the_interval_of_a_difference_is_welchs(seed: int) -> None:
     assert found[0] <= exact.low
     assert found[1] >= exact.high
     assert found == pytest.approx((exact.low, exact.high), rel=0.1, abs=0.1)
+
+
+def test_runs_that_left_nothing_but_logs_are_not_said_to_have_the_same_results(make: Make) -> None:
+    root = make("print(__import__('time').time_ns())\n")
+    ask(root, "population_size=1", runs=2)
+    one, other = executions(root)
+    said = diff(root, one["execution"], other["execution"])
+    assert "results" not in said["same"]
+    assert any("nothing was left but logs" in note for note in said["notes"])

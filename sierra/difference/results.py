@@ -87,6 +87,8 @@ def _outputs(
     except SierraError as error:
         notes.append(Note(f"{run}results cannot be compared: {error}", "results"))
         return
+    if not compared:
+        notes.append(Note(f"{run}nothing was left but logs, which are not compared", "results"))
     for path, agreement in compared.items():
         if agreement.verdict is Verdict.EQUAL:
             notes.append(Note(f"{run}{path}: {agreement.why}"))
