@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from sierra import sessions
-from sierra.model import Result
+from sierra.model import Result, Status
 from sierra.paths import SessionPaths
 from sierra.record import Context, Recorder, find_odd
 from sierra.runners import orphans
@@ -32,8 +32,7 @@ def recover(store: Store, paths: SessionPaths) -> int:
     recorded = {row["execution"] for row in rows}
     recorder = Recorder(store, paths, context)
     missing = [result for result in results if result.execution not in recorded]
-    for result in missing:
-        recorder.add(result)
+    added = [recorder.add(result) for result in missing]
     recorder.flush()
     find_odd(store, paths, context)
-    return len(missing)
+    return sum(status is not Status.INTERRUPTED for status in added)

@@ -62,6 +62,8 @@ class _Record:
     found: Found
     of: Recalled
     runs: list[Taken]
+    named: int
+    """How many runs the id names, also such as have no good execution."""
     whole: bool
     """Whether all good runs of each experiment are among them."""
     cells: dict[int, dict[str, Any]]
@@ -112,10 +114,10 @@ def replay(
         failed, interrupted = _execute(store, session, context, list(made.values()), runner, watch, kept)
         _leave(session.paths, kept)
         if interrupted:
-            return Replay(session.id, record.found, (), notes, interrupted=True, kept=kept)
+            return Replay(session.id, record.found, (), notes, interrupted=True, of=record.named, kept=kept)
         compared = _compare(record, store, made, failed, declared)
         experiments = tuple(_experiments(project, store, record, list(compared), was, declared))
-        answer = Replay(session.id, record.found, experiments, notes, interrupted=False, kept=kept)
+        answer = Replay(session.id, record.found, experiments, notes, interrupted=False, of=record.named, kept=kept)
         _keep(answer, store, session, record, now, around, began, how, engine)
         return answer
     finally:
@@ -148,6 +150,7 @@ def _look_up(store: Store, found: Found, runs: int | None) -> _Record:
         found=found,
         of=recalled.recall(store, batch, by[0]["programs"], by[0]["reading"]),
         runs=taken,
+        named=len(named),
         whole=len(taken) == len(good) and found.kind in ("batch", "experiment"),
         cells={row["ordinal"]: {axis: row[axis] for axis in axes} for row in cells},
         seeds=seeds,

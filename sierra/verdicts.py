@@ -59,6 +59,8 @@ class Replay:
     notes: tuple[str, ...]
     """What is other than it was recorded, before any verdict."""
     interrupted: bool
+    of: int = 0
+    """How many runs the id names, compared or not."""
     kept: Path | None = None
     """Where the restored source and the folders of the runs are left."""
 

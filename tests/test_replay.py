@@ -429,3 +429,13 @@ def test_rows_that_the_store_has_lost_are_not_taken_for_a_result(make: Make) -> 
     ended = projects.sierra(root, "replay", batch)
     assert (ended.returncode, ended.stderr.count("\n")) == (1, 1)
     assert "2 of 5 rows of 'swarm' are in the store" in ended.stderr
+
+
+def test_runs_that_are_left_out_are_counted_beside_the_verdict(make: Make) -> None:
+    root = make(projects.SIMULATOR + "if count == 2 and seed % 2 == 0: sys.exit(7)\n")
+    batch = ask(root, "population_size=1,2", "montecarlo.C4")
+    [(good,)] = [row.values() for row in sierra.open(root).sql("SELECT count(*) FROM counting").to_pylist()]
+    assert 0 < good < 16
+    code, said = replay(root, batch)
+    assert (code, said["verdict"], said["runs"], said["of"]) == (0, "identical", good, 16)
+    assert f"identical ({good} of 16 runs: {good} identical)" in projects.sierra(root, "replay", batch).stdout

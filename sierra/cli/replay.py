@@ -114,6 +114,7 @@ def _answer(answer: Replay) -> dict[str, Any]:
         "target": answer.found.id,
         "verdict": None if answer.interrupted else answer.verdict,
         "runs": len(answer.runs),
+        "of": answer.of,
         "counts": {str(verdict): count for verdict, count in answer.counts.items()},
         "by_output": answer.outputs,
         "notes": list(answer.notes),
@@ -164,7 +165,7 @@ def _print(answer: Replay) -> None:
         rows = [[*one.values.values(), len(one.runs), one.verdict] for one in answer.experiments]
         table([*axes, "runs", "verdict"], rows, right=["runs"])
     counts = ", ".join(f"{count} {verdict}" for verdict, count in sorted(answer.counts.items()))
-    runs = "1 run" if len(answer.runs) == 1 else f"{len(answer.runs)} runs"
+    runs = f"{len(answer.runs)} of {answer.of} runs" if len(answer.runs) < answer.of else _many(answer.of)
     print(f"{answer.found.kind} {short(answer.found.id)}: {answer.verdict} ({runs}: {counts})")
     if answer.verdict == "different" and not answer.notes:
         print(
@@ -173,6 +174,10 @@ def _print(answer: Replay) -> None:
         print("or something that is not recorded; what may differ is declared in [outputs], or with [equivalence]")
     if answer.kept:
         print(f"kept: {answer.kept}")
+
+
+def _many(runs: int) -> str:
+    return "1 run" if runs == 1 else f"{runs} runs"
 
 
 def _values(experiment: OfExperiment) -> str:
