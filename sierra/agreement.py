@@ -94,13 +94,25 @@ def of_tables(recorded: Any, found: Any, rules: Rules | None = None) -> Agreemen
     others = [name for name in found.column_names if name not in rules.volatile]
     if set(columns) != set(others):
         return Agreement(Verdict.DIFFERENT, f"columns were {', '.join(columns)} and are {', '.join(others)}", form=True)
-    recorded, found = recorded.select(columns), found.select(columns)
+    recorded, found = _plain(recorded.select(columns)), _plain(found.select(columns))
     answer = _of_rows(recorded, found, rules)
     if rules.ordered or answer.verdict.fine:
         return answer
     answer = _of_rows(_sorted(recorded), _sorted(found), rules)
     equal = answer.verdict is Verdict.EQUAL
     return replace(answer, why="the same rows in another order" if equal else f"rows sorted: {answer.why}")
+
+
+def _plain(table: Any) -> Any:
+    """The table, with columns of lists, structures and the like, which Arrow compares and sorts not, as texts."""
+    import pyarrow as pa
+
+    kinds = (pa.types.is_nested, pa.types.is_interval, pa.types.is_dictionary, pa.types.is_null)
+    for place, column in enumerate(table.schema):
+        if any(kind(column.type) for kind in kinds):
+            texts = [None if value is None else repr(value) for value in table.column(place).to_pylist()]
+            table = table.set_column(place, column.name, pa.array(texts, pa.string()))
+    return table
 
 
 def _of_rows(recorded: Any, found: Any, rules: Rules) -> Agreement:
@@ -112,7 +124,8 @@ def _of_rows(recorded: Any, found: Any, rules: Rules) -> Agreement:
         first = min(parted, key=lambda one: one.first or 0, default=None)
         return Agreement(Verdict.DIFFERENT, why) if first is None else first.told(Verdict.DIFFERENT, f"{why}; {first.where()}")
     if not parted:
-        return Agreement(Verdict.EQUAL, "the same values, written in other bytes")
+        only = "only what is declared volatile (which is every column) differs"
+        return Agreement(Verdict.EQUAL, "the same values, written in other bytes" if distances else only)
     beyond = [one for one in parted if not one.keeps_to(rules.of(one.name))]
     if not beyond:
         far = max(parted, key=lambda one: one.rel)
@@ -137,7 +150,8 @@ def of_texts(recorded: bytes, found: bytes, volatile: Sequence[str] = ()) -> Agr
         for content in (recorded, found)
     )
     if ours == theirs:
-        return Agreement(Verdict.EQUAL, "only what is declared volatile differs")
+        every = " (which is every line)" * (not ours)
+        return Agreement(Verdict.EQUAL, f"only what is declared volatile{every} differs")
     both = zip(ours, theirs, strict=False)
     row = next((row for row, (one, other) in enumerate(both) if one != other), min(len(ours), len(theirs)))
     was, now = (_shown(lines[row]) if row < len(lines) else "nothing" for lines in (ours, theirs))

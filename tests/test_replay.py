@@ -439,3 +439,19 @@ def test_runs_that_are_left_out_are_counted_beside_the_verdict(make: Make) -> No
     code, said = replay(root, batch)
     assert (code, said["verdict"], said["runs"], said["of"]) == (0, "identical", good, 16)
     assert f"identical ({good} of 16 runs: {good} identical)" in projects.sierra(root, "replay", batch).stdout
+
+
+def test_lists_and_structures_are_compared_too() -> None:
+    def table(*values: Any) -> pa.Table:
+        return pa.table({"list": [[1.5, value] for value in values], "struct": [{"x": value} for value in values]})
+
+    nan = float("nan")
+    assert of_tables(table(1.0, None, nan), table(1.0, None, nan)).verdict is Verdict.EQUAL
+    assert of_tables(table(1.0, 2.0), table(2.0, 1.0), Rules(ordered=False)).verdict is Verdict.EQUAL
+    said = of_tables(table(1.0, 2.0), table(1.0, 3.0))
+    assert (said.verdict, said.row, said.column) == (Verdict.DIFFERENT, 1, "list")
+
+
+def test_where_all_is_volatile_that_is_said() -> None:
+    assert "every column" in of_tables(pa.table({"v": [1]}), pa.table({"v": [2]}), Rules(volatile=["v"])).why
+    assert "every line" in of_texts(b"a\n", b"b\n", ["^"]).why
