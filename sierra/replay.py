@@ -28,6 +28,7 @@ from sierra.outcomes import compare_all
 from sierra.paths import SessionPaths
 from sierra.provenance import environment, programs, versions
 from sierra.provenance.program import Programs
+from sierra.provenance.seen import seen
 from sierra.recalled import Recalled
 from sierra.record import Context, Recorder
 from sierra.sessions import Session
@@ -111,7 +112,9 @@ def replay(
         )
         maker = jobs.Maker(record.of.recipe, root, engine, jobs.limits(project.config), session.id, project.root)
         made = {job.run: job for job in _jobs(record, store, maker)}
-        failed, interrupted = _execute(store, session, context, list(made.values()), runner, watch, kept)
+        failed, interrupted = _execute(
+            store, session, context, list(made.values()), runner, watch, kept, seen(root, b"", now).doubt
+        )
         _leave(session.paths, kept)
         if interrupted:
             return Replay(session.id, record.found, (), notes, interrupted=True, of=record.named, kept=kept)
@@ -231,6 +234,7 @@ def _execute(
     runner: runners.Runner,
     watch: Watch,
     kept: Path | None,
+    doubt: Callable[[], str | None],
 ) -> tuple[dict[str, Status], bool]:
     """Execute; how runs ended that did not end well, and whether it was interrupted."""
     context.save(session.paths.context)
@@ -245,7 +249,7 @@ def _execute(
     with noted() as signals:
         following = Following(
             runner,
-            Recorder(store, session.paths, context, kept),
+            Recorder(store, session.paths, context, kept, doubt),
             store,
             session,
             took,

@@ -77,3 +77,19 @@ def test_what_was_another_for_a_while_and_what_is_only_new(tmp_path: Path) -> No
 
     for what, name in ((there_and_back, "a"), (files["b"].unlink, "b"), (lambda: files["sub/c"].write_text("x"), "sub/c")):
         assert f": {name} (" in str(changed(what))
+
+
+def test_a_replay_says_nothing_of_programs_that_were_replaced_meanwhile(simulate: Callable[..., Any], tmp_path: Path) -> None:
+    program = tmp_path / "sim"
+    program.write_text(f"#!/bin/sh\n{SCRIPT}\n")
+    program.chmod(0o755)
+    project = simulate(str(program))
+    toml = project.folder / "sierra.toml"
+    toml.write_text(toml.read_text().replace('"sim.sh", "{input}"]', f'"sim.sh", "{{input}}", "{program}"]'))
+    assert project.ask("run", "size=1", "--runs", "3", "--no-figures").returncode == 0
+    [row] = project.sql("SELECT batch FROM batches")
+    replaying = project.start("replay", row["batch"], "-j", "1")
+    project.until_executed(4, replaying)
+    program.touch()
+    ended = project.end_of(replaying)
+    assert (ended.returncode, "3 failed" in ended.stdout, "changed since the runs began" in ended.stdout) == (1, True, True)
