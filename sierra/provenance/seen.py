@@ -3,7 +3,7 @@
 A result must not be ascribed to files that did not make it, and while a batch executes for hours, somebody edits, pulls or
 upgrades. So each file is remembered by size, inode and both its times, as in git's index: no program can set back the time of
 change (ctime), so a file that was another for a while, and is as before again, is noticed too. Reading none of them, 50,000
-take 0.1 s. Files that are only new are no change: runs may leave some in the project.
+take 0.15 s. Files that are only new are no change: runs may leave some in the project.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from pathlib import Path
 
 from sierra.provenance.program import Kind, Programs
 from sierra.provenance.source.chosen import shown
-from sierra.provenance.source.manifest import REPOSITORY, parts, read
+from sierra.provenance.source.manifest import REPOSITORY, read
 
 State = tuple[int, int, int, int] | None
 """Both times, size and inode; None where there is no file."""
@@ -47,7 +47,7 @@ def seen(root: Path, manifest: bytes, programs: Programs) -> Seen:
 
 def _files(base: bytes, manifest: bytes) -> Iterator[bytes]:
     for path, what in read(manifest).items():
-        if parts(what)[0] == REPOSITORY:
+        if what.startswith(REPOSITORY.encode()):
             yield from _below(base + b"/" + path)
         else:
             yield base + b"/" + path
