@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from sierra.errors import Missing
+from sierra.hashing import sealed, unsealed
 from sierra.provenance import digests
 from sierra.provenance.digests import Digests
 
@@ -40,7 +41,8 @@ def rested(path: Path, content: bytes) -> Path:
 def test_a_file_at_rest_is_hashed_once_and_again_when_it_changes(tmp_path: Path, cache: Path) -> None:
     path = rested(tmp_path / "file", LARGE)
     assert hashed(path) == hashlib.sha256(LARGE).hexdigest()
-    cache.write_text(cache.read_text().replace(hashlib.sha256(LARGE).hexdigest(), "from the cache"))
+    known = unsealed(cache.read_bytes()) or b""
+    cache.write_bytes(sealed(known.replace(hashlib.sha256(LARGE).hexdigest().encode(), b"from the cache")))
     assert hashed(path) == "from the cache"
     status = path.stat()
     path.write_bytes(LARGE[:-1] + b"y")

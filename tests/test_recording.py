@@ -718,8 +718,8 @@ def noted(monkeypatch: pytest.MonkeyPatch) -> Callable[[], list[str]]:
     recorders: list[Recorder] = []
     made = Recorder.__init__
 
-    def make(self: Recorder, *arguments: Any) -> None:
-        made(self, *arguments)
+    def make(self: Recorder, *arguments: Any, **options: Any) -> None:
+        made(self, *arguments, **options)
         recorders.append(self)
 
     monkeypatch.setattr(Recorder, "__init__", make)

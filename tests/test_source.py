@@ -18,6 +18,7 @@ import pytest
 
 import sierra
 from sierra.errors import ConfigError, Damaged, Missing
+from sierra.hashing import sealed, unsealed
 from sierra.provenance import source
 from sierra.provenance.source import SWHID, Source
 from sierra.provenance.source.remote import without_credentials
@@ -750,10 +751,12 @@ def test_remembered_hashes_are_used(folder: Path, tmp_path: Path) -> None:
     time.sleep(2.1)
     first = remembered(folder, memory)
     blob = hashlib.sha1(b"blob 1\0a", usedforsecurity=False).hexdigest().encode()
-    memory.write_bytes(memory.read_bytes().replace(blob, b"0" * 40))
+    wrong = (unsealed(memory.read_bytes()) or b"").replace(blob, b"0" * 40)
+    memory.write_bytes(sealed(wrong))
     assert remembered(folder, memory).tree != first.tree
-    memory.write_bytes(b"nonsense\0\t\0x\ty\0")
-    assert remembered(folder, memory).tree == first.tree
+    for damaged in (wrong, sealed(wrong)[:-1], b"nonsense\0\t\0x\ty\0"):
+        memory.write_bytes(damaged)
+        assert remembered(folder, memory).tree == first.tree
 
 
 # ---------------------------------------------------------------- addresses

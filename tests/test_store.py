@@ -93,8 +93,8 @@ def test_a_store_says_what_it_is(project: Project) -> None:
     root = project.paths.store
     assert (root / ".gitignore").read_text() == "*\n"
     assert (root / "CACHEDIR.TAG").read_text().startswith("Signature: 8a477f597d28d172789f06886806bc55\n")
-    (root / "format").write_text("sierra store 2\n")
-    with pytest.raises(Damaged, match="'sierra store 2'"):
+    (root / "format").write_text("sierra store 1\n")
+    with pytest.raises(Damaged, match="'sierra store 1'"):
         Store(root)
     with pytest.raises(Missing, match="nothing has been run"):
         Store(root / "elsewhere")
