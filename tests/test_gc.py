@@ -109,7 +109,7 @@ def test_what_a_dead_asking_had_finished_is_recorded(simulate: Callable[..., Any
 def test_killed_at_any_moment_nothing_is_lost_or_doubled(made: Path, tmp_path: Path) -> None:
     numbers = random.Random(4)
     before = everything(made)
-    for attempt in range(8):
+    for attempt in range(4):
         root = stores.copy(made, tmp_path / str(attempt))
         folder, count = root / ".sierra" / "segments", segments(root)
         process = subprocess.Popen([str(projects.SIERRA), "gc", "--yes"], cwd=root, stdout=subprocess.DEVNULL)
@@ -128,7 +128,7 @@ def test_killed_at_any_moment_nothing_is_lost_or_doubled(made: Path, tmp_path: P
 
 def test_beside_a_running_batch_nothing_is_lost(simulate: Callable[..., Any]) -> None:
     project = simulate(r"sleep 0.15; printf 't,v\n1,1\n2,4\n' > swarm.csv")
-    for _ in range(4):
+    for _ in range(2):
         assert project.ask("run", "size=1", "--runs", "3", "--no-figures").returncode == 0
         assert project.ask("run", "size=1", "--runs", "2", "--no-figures").returncode == 0
     running = project.start("run", "size=1,2", "--runs", "30", "-j", "2", "--no-figures")

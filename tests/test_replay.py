@@ -47,7 +47,7 @@ def ask(root: Path, *query: str) -> str:
 
 
 def replay(root: Path, *words: str) -> tuple[int, dict[str, Any]]:
-    ended = projects.sierra(root, "replay", *words, "--json")
+    ended = projects.quick(root, "replay", *words, "--json")
     return ended.returncode, json.loads(ended.stdout) if ended.stdout else {"stderr": ended.stderr}
 
 
