@@ -47,8 +47,8 @@ def batches(store: Store) -> list[dict[str, Any]]:
     runs that gave other bytes when executed again, with the same programs, and beyond what the project declares to be
     volatile or within tolerance.
     """
-    rewritten = any(segment.replaces for segment in store.segments())
     with store.ask() as question:
+        rewritten = any(segment.replaces for segment in question.segments)
         rows: list[dict[str, Any]] = question.sql(BATCHES).to_pylist()
         open_ones = [
             row["batch"] for row in rows if row.pop("doubted") or rewritten or row["failed"] != 0 or row["missing"] != 0
