@@ -43,6 +43,7 @@ CREATE TABLE recipes (
     "variables" VARCHAR,  -- declared environment variables, as JSON
     "source" VARCHAR,  -- the tree of the code (an SWHID); NULL where no source counts
     "image" VARCHAR,  -- content identity of the container image; NULL without one
+    "reach" VARCHAR[],  -- what runs reach beyond it: network, gpu, each device and each mount
     "files" VARCHAR[]  -- names of the input files that each run gets
 );
 
@@ -59,9 +60,9 @@ CREATE TABLE executions (
     "exit_code" BIGINT,  -- the program's exit status; NULL where a signal ended it
     "signal" BIGINT,  -- the signal that ended it
     "wall" DOUBLE,  -- from start to end [s]
-    "user" DOUBLE,  -- CPU time in user mode, of all its processes that ended [s]
+    "user" DOUBLE,  -- CPU time in user mode, of all its processes that ended; in a container, what was seen of it [s]
     "system" DOUBLE,  -- CPU time in the kernel, likewise [s]
-    "max_rss" BIGINT,  -- greatest resident size of its greatest process (the worker's own size at least) [bytes]
+    "max_rss" BIGINT,  -- greatest resident size of its greatest process (the worker's own size at least); in a container, as seen [bytes]
     "host" VARCHAR,  -- host name
     "slot" BIGINT,  -- the slot of the worker that executed it
     "result" VARCHAR,  -- Merkle hash of its outputs' names and digests
@@ -69,7 +70,25 @@ CREATE TABLE executions (
     "environment" VARCHAR,  -- what was around it
     "programs" VARCHAR,  -- fingerprint of the programs outside source and image
     "reading" VARCHAR,  -- hash of what the project declares of outputs and success
-    "purpose" VARCHAR  -- run, or what else it was executed for; only those of run count in statistics
+    "purpose" VARCHAR,  -- run, or what else it was executed for; only those of run count in statistics
+    "isolation" VARCHAR  -- how it was contained; NULL where it was not
+);
+
+-- How executions were contained, recorded once.
+CREATE TABLE isolations (
+    "isolation" VARCHAR,  -- hash of all below
+    "engine" VARCHAR,  -- what contained them
+    "version" VARCHAR,  -- its version, and that of what it starts containers with
+    "rootless" BOOLEAN,  -- whether it ran without root's rights
+    "mode" VARCHAR,  -- run: a container for each; worker: one for all runs of a slot, which is weaker
+    "image" VARCHAR,  -- content identity of the image
+    "user" VARCHAR,  -- who a process of a container is outside of it
+    "network" VARCHAR,  -- none, host, or not isolated where none was asked for and can't be had
+    "devices" VARCHAR[],  -- devices of the host that runs could use; gpu for NVIDIA's
+    "mounts" VARCHAR,  -- files and folders of the host that runs could read, as JSON: path inside, path outside
+    "limits_asked" VARCHAR,  -- limits that the engine was to enforce, as JSON: memory in bytes, cpus, pids
+    "limits_enforced" VARCHAR,  -- those that it does enforce here; others are ignored
+    "argv" VARCHAR[]  -- the command that starts a container, but for what is a run's own
 );
 
 -- What was found out about an execution after it was recorded; it is not ok from then on.

@@ -68,8 +68,10 @@ class Project:
         controller: str | None = None,
         scenario: str | None = None,
         sets: Sequence[tuple[str, str]] = (),
+        engine: str | None = None,
     ) -> Plan:
-        """What a query would execute: the batch with all ids. `sets` are pairs of XPath and value.
+        """What a query would execute: the batch with all ids. `sets` are pairs of XPath and value,
+        `engine` is what is to contain runs, instead of what the project says.
 
         The beginning of a recorded batch's id instead of a query is that batch, with the code and the inputs of then.
         """
@@ -82,9 +84,9 @@ class Project:
                 raise UsageError(
                     f"batch {word} is executed as it was recorded; without --runs, --controller, --scenario, --set"
                 )
-            return recalled.plan(self._loaded, self.store, word)
+            return recalled.plan(self._loaded, self.store, word, contained=engine)
         asked = plans.ask(self._loaded, query, runs=runs, controller=controller, scenario=scenario, sets=sets)
-        return plans.plan(self._loaded, asked)
+        return plans.plan(self._loaded, asked, engine=engine)
 
     def run(
         self,
@@ -97,12 +99,13 @@ class Project:
         fail_fast: bool = False,
         figures: bool = True,
         watch: Watch | None = None,
+        engine: str | None = None,
     ) -> Summary:
         """Answer a query: execute what is missing, record it, draw the figures.
 
         `jobs` is how many runs execute at a time (default: the user's setting, or usable cores). `watch` hears of the progress.
         """
-        plan = self.plan(*query, runs=runs, controller=controller, scenario=scenario, sets=sets)
+        plan = self.plan(*query, runs=runs, controller=controller, scenario=scenario, sets=sets, engine=engine)
         return self.execute(plan, jobs=jobs, fail_fast=fail_fast, figures=figures, watch=watch)
 
     def execute(
@@ -158,7 +161,7 @@ class Project:
         runs: int | None = None,
         jobs: int | None = None,
         runner: str = "local",
-        engine: str = "none",
+        engine: str | None = None,
         tolerances: Tolerances | None = None,
         keep: bool = False,
         watch: Watch | None = None,

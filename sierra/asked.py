@@ -8,6 +8,7 @@ from datetime import UTC, datetime
 from typing import Any
 
 from sierra import sessions
+from sierra.containment import Containment
 from sierra.hashing import sha256
 from sierra.model import Batch
 from sierra.paths import SessionPaths
@@ -56,6 +57,7 @@ def keep(plan: Plan, store: Store, session: SessionPaths) -> None:
                 "variables": json.dumps(dict(recipe.environment), sort_keys=True),
                 "source": recipe.source,
                 "image": recipe.image,
+                "reach": list(recipe.reach),
                 "files": [name for name, _ in first.inputs],
             }
         ],
@@ -71,7 +73,15 @@ def keep(plan: Plan, store: Store, session: SessionPaths) -> None:
 
 
 def close(
-    plan: Plan, store: Store, session: Session, counts: Mapping[str, Any], *, started: datetime, runner: str, slots: int
+    plan: Plan,
+    store: Store,
+    session: Session,
+    counts: Mapping[str, Any],
+    *,
+    started: datetime,
+    runner: str,
+    slots: int,
+    contained: Containment | None,
 ) -> None:
     """Record how an asking went, with what was around it."""
     now = context(plan)
@@ -97,6 +107,8 @@ def close(
     if counts["executed"]:
         writer.rows("environments", [plan.environment])
         writer.rows("programs", plan.programs.rows())
+    if contained is not None:
+        writer.rows("isolations", contained.rows())
     store.publish(writer)
 
 

@@ -5,10 +5,11 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from collections.abc import Set as AbstractSet
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from sierra import jobs, recovery, sessions
+from sierra.containment import Containment, contain
 from sierra.errors import Missing
 from sierra.following import Following, noted
 from sierra.model import Job, Status
@@ -68,6 +69,7 @@ class Asking:
         self.reused = 0
         self._total = len({run.id for run in plan.batch.runs})
         self._context = context(plan, session.id)
+        self.containment: Containment | None = None
 
     @property
     def attempted(self) -> set[str]:
@@ -114,14 +116,19 @@ class Asking:
 
     def _execute(self, wanted: AbstractSet[str]) -> int:
         """Execute these runs; how many executions, of these or of earlier ones, were found to be unlike their siblings."""
+        root = self._code()
+        contained = self._contain(root)
+        self._context = replace(self._context, **contained.context)
         self._context.save(self.session.paths.context)
         self._claimed |= wanted
         self._open |= wanted
         recorder = Recorder(self.store, self.session.paths, self._context, doubt=self._doubt)
-        root = self._code()
         with noted() as signals:
             following = Following(self._runner(), recorder, self.store, self.session, self._took, self._tell)
-            following.execute(self._jobs(wanted, root), signals, enough=self._is_enough)
+            try:
+                following.execute(self._jobs(wanted, root, contained), signals, enough=self._is_enough)
+            finally:
+                contained.close()
             odd = find_odd(self.store, self.session.paths, self._context)
             self.notes += tuple(recorder.notes())
         self.interrupted = bool(signals)
@@ -140,9 +147,27 @@ class Asking:
         if status is not Status.OK:
             self.failed.add(run)
 
-    def _jobs(self, wanted: AbstractSet[str], root: Path) -> Iterator[Job]:
+    def _contain(self, root: Path) -> Containment:
+        """What contains the runs, ready."""
+        if self.containment is None:
+            plan = self.plan
+            self.containment = contain(
+                plan.engine,
+                plan.image,
+                plan.batch.recipe,
+                plan.project.config.container,
+                plan.limits,
+                code=root,
+                project=plan.project.root,
+                store=self.store.paths,
+                session=self.session.id,
+            )
+            self.notes += self.containment.notes
+        return self.containment
+
+    def _jobs(self, wanted: AbstractSet[str], root: Path, contained: Containment) -> Iterator[Job]:
         plan = self.plan
-        maker = jobs.Maker(plan.batch.recipe, root, plan.engine, plan.limits, self.session.id, plan.project.root)
+        maker = jobs.Maker(plan.batch.recipe, root, plan.engine, plan.limits, self.session.id, plan.project.root, contained.box)
         sent: set[str] = set()
         for run, files in plan.inputs.files(plan.batch, lambda run: run.id in wanted):
             if run.id not in sent:

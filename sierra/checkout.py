@@ -10,7 +10,7 @@ from __future__ import annotations
 import shutil
 import tempfile
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from sierra import jobs
@@ -30,10 +30,20 @@ def programs_in(recipe: Recipe, manifest: bytes, root: Path, data: Programs = NO
     `data` are those that nothing in the recipe names; `project` is where the user has the project. Raises Missing.
     """
     command, variables = recipe.command, recipe.environment
+    if recipe.image is not None:
+        return _beside_image(recipe, manifest, root, data)
     files = named.files((*command, *variables.values()), root, source.paths(manifest), data, project or root)
     words, declared = jobs.fill(command, root, project=project), jobs.declared(variables, root, project)
     found = programs.find(words, declared, root, files, project=project)
     return programs.of_project(found, (root, project or root))
+
+
+def _beside_image(recipe: Recipe, manifest: bytes, root: Path, data: Programs) -> Programs:
+    """The files of the project, and those mounted, that count where the programs are the image's."""
+    words = [word for word in (*recipe.command, *recipe.environment.values()) if "{project}" in word]
+    files = named.files(words, root, source.paths(manifest), data)
+    kept = {one.path for one in data.all}
+    return replace(files, all=tuple(one for one in files.all if one.path in kept or one.name.startswith(INSIDE)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,6 +57,8 @@ class Checkout:
     """The programs, libraries and files that were recorded, by name (`{project}/path`, or where they are) and kind."""
     content: Callable[[str], bytes | None]
     """A file that git does not have, by git's hash."""
+    mounted: Programs = NOTHING
+    """Files that are mounted into the containers of runs, as they are now."""
     commit: str | None = None
     """The commit that was checked out, to be named where something is missing."""
 
@@ -63,7 +75,10 @@ class Checkout:
 
     def programs_in(self, root: Path) -> Programs:
         """The programs that its command starts where it was made in `root`, and the files that it needed, as they are now."""
-        files = named.again((name for name, kind in self.used if kind == Kind.FILE), root)
+        contained = self.recipe.image is not None
+        kept = (name for name, kind in self.used if kind == Kind.FILE and (not contained or name.startswith(INSIDE)))
+        files = named.again(kept, root)
+        files = replace(files, all=(*files.all, *self.mounted.all))
         return programs_in(self.recipe, self.manifest, root, files, self.project)
 
     def programs(self) -> Programs:

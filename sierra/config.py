@@ -41,6 +41,8 @@ Scalar = str | int | float
 Words = str | tuple[str, ...]
 """A list of texts, or its short form."""
 OptionsT = TypeVar("OptionsT", bound=BaseModel)
+SYSTEM = ("proc", "sys", "dev", "tmp")
+"""Folders of a container that are its own."""
 KINDS = {
     "int_type": "should be a whole number",
     "float_type": "should be a number",
@@ -71,6 +73,20 @@ def _inside(path: str) -> str:
     """A path or glob that stays in the output folder."""
     if path.startswith("/") or ".." in PurePosixPath(path).parts:
         raise ValueError(f"{path!r} should be a path within the run's output folder, as in results.csv")
+    return path
+
+
+def _inner(path: str) -> str:
+    """A path in a container where something may be put."""
+    parts = PurePosixPath(path).parts
+    if parts[:1] != ("/",) or len(parts) < 2 or ".." in parts or parts[:3] == ("/", "run", "sierra") or parts[1] in SYSTEM:
+        raise ValueError(f"{path!r} should be a path in the container such as /data (not in {', '.join(SYSTEM)} or run/sierra)")
+    return str(PurePosixPath(path))
+
+
+def _device(path: str) -> str:
+    if not path.startswith("/dev/") or ".." in PurePosixPath(path).parts:
+        raise ValueError(f"{path!r} should be a device, as in /dev/dri")
     return path
 
 
@@ -105,6 +121,8 @@ Size = Annotated[
     WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "integer", "exclusiveMinimum": 0}]}),
 ]
 Inside = Annotated[str, AfterValidator(_inside)]
+Inner = Annotated[str, AfterValidator(_inner)]
+Device = Annotated[str, AfterValidator(_device)]
 
 
 class Table(BaseModel):
@@ -264,6 +282,32 @@ class Environment(Table):
     )
 
 
+class Container(Table):
+    """The image that runs execute in, and what they reach beyond it; by default nothing, neither network nor devices."""
+
+    image: str = Field(
+        min_length=1, description="a tag, an archive, a SIF or squashfs file, or the folder of a recipe; see `sierra image pin`"
+    )
+    engine: str = Field("podman", description="what contains runs: `podman`, `apptainer`, `none`, or one that is installed")
+    isolation: Literal["run", "worker"] = Field(
+        "run", description="a container for each run, or one for each slot that its runs share (quicker, and weaker)"
+    )
+    mounts: Mapping[Inner, str] = Field(
+        default_factory=dict,
+        description="files and folders that runs may read, by their path in the container; as seen from the project's root",
+    )
+    variables: Mapping[VariableName, Text] = Field(
+        default_factory=dict, description="given to every run in the container; part of its identity"
+    )
+    network: bool = Field(False, description="whether runs reach the network; part of their identity")
+    devices: tuple[Device, ...] = Field((), description="devices that runs may use, as in `/dev/dri`; part of their identity")
+    gpu: bool = Field(False, description="whether runs reach NVIDIA's graphics processors; part of their identity")
+    cpus: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = Field(
+        None, description="cores that a container may use at a time"
+    )
+    pids: PositiveInt | None = Field(None, description="processes and threads that a container may have")
+
+
 class Source(Table):
     """What of the project counts as the code that a run was made from."""
 
@@ -411,6 +455,7 @@ class Project(Table):
     success: Success = Success()
     limits: LimitsTable = LimitsTable()
     environment: Environment = Environment()
+    container: Container | None = Field(None, description="the image that runs execute in; on this machine where absent")
     source: Source = Source()
     determinism: Determinism = Determinism()
     equivalence: Mapping[Name, Equivalence] = Field(

@@ -13,12 +13,14 @@ import re
 import sys
 from collections.abc import Iterable, Mapping
 from pathlib import Path
+from typing import cast
 
+from sierra import worker
 from sierra.config import Project
-from sierra.engines import Engine
+from sierra.engines import INSIDE, Box, Engine, Mount, Process
 from sierra.errors import ConfigError
 from sierra.hashing import digest
-from sierra.model import Job, Limits, Recipe, Run
+from sierra.model import Client, Job, Limits, Recipe, Run
 from sierra.paths import RUN_HOME, RUN_OUTPUT, RUN_TMP
 from sierra.platforms import Platform
 
@@ -41,12 +43,21 @@ FIXED = {
 OWN = ("HOME", "TMPDIR")
 HERE = "\0"
 """The run's folder, which only the worker knows."""
+_IN_RUN = f"{INSIDE}/run"
+SEARCHED = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin"
+"""The PATH of an image that has none of its own."""
 
 
-def command(platform: Platform, root: Path) -> tuple[str, ...]:
-    """The command as a run's identity holds it. Raises ConfigError for an unknown placeholder."""
+def command(platform: Platform, root: Path, *, contained: bool = False) -> tuple[str, ...]:
+    """The command as a run's identity holds it. Raises ConfigError for an unknown placeholder, or for a path that
+    a container lacks.
+    """
     words = tuple(_in_project(word, root) for word in platform.command())
     for word in words:
+        if contained and ABOVE.search(word):
+            raise ConfigError(
+                f"command: {word!r} leaves the project, and a container has no more; name it in [container] mounts"
+            )
         for _, name in PLACEHOLDER.findall(word):
             if name and name not in KNOWN:
                 known = ", ".join("{" + known + "}" for known in KNOWN)
@@ -106,35 +117,78 @@ class Maker:
     """Makes the jobs of one session."""
 
     def __init__(
-        self, recipe: Recipe, root: Path, engine: Engine, bounds: Limits, session: str, project: Path | None = None
+        self,
+        recipe: Recipe,
+        root: Path,
+        engine: Engine,
+        bounds: Limits,
+        session: str,
+        project: Path | None = None,
+        box: Box | None = None,
     ) -> None:
-        """`root` is where the code is, `project` where the user has it."""
+        """`root` is where the code is, `project` where the user has it; `box` is what contains the runs, if anything does."""
         self._recipe = recipe
         self._root = root
-        self._project = project
         self._engine = engine
         self._bounds = bounds
-        self._session = session
+        self._box = box
+        self._here = _IN_RUN if box and not box.shared else HERE
+        self._placed = {"project": str(root), "python": sys.executable}
+        self._project = project
+        variables = recipe.environment
+        if box:
+            self._placed = {"project": f"{INSIDE}/project", "python": "python3"}
+            self._project = Path(self._placed["project"])
+            variables = {"PATH": SEARCHED, **box.image.variables, **variables}
         self._environment = {
-            **declared(recipe.environment, root, project),
-            "HOME": f"{HERE}/{RUN_HOME}",
-            "TMPDIR": f"{HERE}/{RUN_TMP}",
-            "SIERRA_RUN_DIR": HERE,
+            **{name: self._fill((value,))[0] for name, value in variables.items()},
+            "HOME": f"{self._here}/{RUN_HOME}",
+            "TMPDIR": "/tmp" if self._here != HERE else f"{HERE}/{RUN_TMP}",  # noqa: S108 - the container's own
+            "SIERRA_RUN_DIR": self._here,
             "SIERRA_SESSION": session,
         }
+        if not box:
+            self._environment["PATH"] = search_path(self._environment)
+        self._shared = self._container() if box and box.shared else None
 
     def job(self, run: Run, files: tuple[tuple[str, bytes], ...]) -> Job:
         """The job that executes a run in this session."""
-        execution = digest("execution", {"session": self._session, "run": run.id})
+        execution = digest("execution", {"session": self._environment["SIERRA_SESSION"], "run": run.id})
         values = {
-            "input": f"{HERE}/{files[0][0]}",
-            "output": f"{HERE}/{RUN_OUTPUT}",
-            "run": HERE,
+            "input": f"{self._here}/{files[0][0]}",
+            "output": f"{self._here}/{RUN_OUTPUT}",
+            "run": self._here,
             "seed": str(run.seed),
         }
         own = {"SIERRA_RUN_ID": run.id, "SIERRA_SEED": str(run.seed), "SIERRA_EXECUTION": execution}
-        argv = self._engine.argv(fill(self._recipe.command, self._root, values, project=self._project))
-        return Job(run.id, execution, argv, {**self._environment, **own}, files, self._bounds)
+        argv = self._fill(self._recipe.command, values)
+        variables = {**self._environment, **own}
+        client = self._shared or self._contained(execution, argv, variables)
+        return Job(run.id, execution, argv, variables, files, self._bounds, client, shared=self._shared is not None)
+
+    def _fill(self, words: Iterable[str], values: Mapping[str, str] | None = None) -> tuple[str, ...]:
+        return fill(words, self._root, {**self._placed, **(values or {})}, project=self._project)
+
+    def _contained(self, execution: str, argv: tuple[str, ...], variables: Mapping[str, str]) -> Client | None:
+        """What starts the container of one run."""
+        if self._box is None:
+            return None
+        own = (
+            Mount(HERE, _IN_RUN),
+            *(Mount(f"{HERE}/{name}", f"{_IN_RUN}/{name}", writable=True) for name in (RUN_OUTPUT, RUN_HOME)),
+            Mount(f"{HERE}/{RUN_TMP}", "/tmp", writable=True),  # noqa: S108
+        )
+        process = Process(argv, variables, own, f"{_IN_RUN}/{RUN_OUTPUT}")
+        return self._engine.client(self._box, process)
+
+    def _container(self) -> Client:
+        """What starts a container for the runs of a slot, with the worker in it."""
+        runs, script = f"{INSIDE}/runs", f"{INSIDE}/worker.py"
+        own = (Mount(HERE, runs, writable=True), Mount(str(Path(worker.__file__)), script))
+        variables = {name: self._environment[name] for name in ("PATH", "SIERRA_SESSION")} | {"HOME": runs, "TMPDIR": "/tmp"}  # noqa: S108
+        argv = ("python3", "-I", "-S", script, runs, "1", "-")
+        process = Process(argv, variables, own, runs, interactive=True)
+        return self._engine.client(cast(Box, self._box), process)
 
 
 def _in_project(word: str, root: Path) -> str:

@@ -228,6 +228,9 @@ class Recipe:
     source: str | None
     """The id of the source's tree (`swh:1:dir:…`), or None where nothing of the source counts."""
     image: str | None = None
+    """The content identity of the container image; None without one."""
+    reach: tuple[str, ...] = ()
+    """What runs reach beyond the image and their own folder, sorted: `network`, `device /dev/dri`, `mount /data`."""
 
     def preimage(self) -> dict[str, Any]:
         return {
@@ -235,7 +238,7 @@ class Recipe:
             "command": list(self.command),
             "environment": dict(self.environment),
             "source": self.source,
-            "image": self.image,
+            "image": {"id": self.image, "reach": list(self.reach)} if self.image else None,
         }
 
 
@@ -295,10 +298,20 @@ class Limits:
 
 
 @dataclass(frozen=True, slots=True)
+class Client:
+    """A program that starts a container, and stays as long as it."""
+
+    argv: tuple[str, ...]
+    environment: Mapping[str, str]
+    stop: tuple[str, ...] = ()
+    """What ends the container where the client can't any more."""
+
+
+@dataclass(frozen=True, slots=True)
 class Job:
     """A run made ready for a worker, on any host.
 
-    In `argv` and `environment`, the character NUL (which no argument can hold) stands for the run's
+    In these, and in those of `client`, the character NUL (which no argument can hold) stands for the run's
     directory, which only the worker knows.
     """
 
@@ -309,6 +322,9 @@ class Job:
     environment: Mapping[str, str]
     files: tuple[tuple[str, bytes], ...]
     limits: Limits
+    client: Client | None = None
+    """What starts the container of the run, or, where `shared`, that of all runs of a slot, in which a worker executes it."""
+    shared: bool = False
 
 
 class Status(StrEnum):
@@ -357,9 +373,10 @@ class Result:
     signal: int | None
     stopped: str | None
     """Why the worker ended it: a `Status`, or None where the program ended by itself."""
-    user_s: float
-    system_s: float
-    max_rss_bytes: int
+    user_s: float | None
+    """CPU seconds; None where the program ended in a container before anything was seen of it."""
+    system_s: float | None
+    max_rss_bytes: int | None
     host: str
     slot: int
     outputs: tuple[OutputFile, ...]

@@ -101,7 +101,8 @@ def run(
         asking = Asking(plan, store, session, partial(runners.find(runner), slots), fail_fast, watch, only)
         asking.answer()
         summary = _sum_up(asking)
-        asked.close(plan, store, session, asdict(summary), started=began, runner=runner, slots=slots)
+        contained = asking.containment
+        asked.close(plan, store, session, asdict(summary), started=began, runner=runner, slots=slots, contained=contained)
         return summary
     finally:
         session.close()

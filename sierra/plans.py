@@ -10,13 +10,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol
 
-from sierra import engines, inputs, jobs, platforms, query
+from sierra import containment, engines, images, inputs, jobs, platforms, query
 from sierra.checkout import Checkout, programs_in
 from sierra.config import LoadedProject, Output, Project, Success
 from sierra.design import design, mentions
 from sierra.engines import Engine
 from sierra.errors import ConfigError, Missing, QueryError, UsageError
 from sierra.expansion import Expansion, Files
+from sierra.images import Image
 from sierra.model import Batch, Design, Experiment, Limits, Query, Recipe, Run, Set
 from sierra.paths import CONFIG, DRAWN, FIGURES, PYPROJECT, STORE, ProjectPaths, StorePaths
 from sierra.provenance import environment, named, source, versions
@@ -55,6 +56,8 @@ class Plan:
     programs: Programs
     environment: Mapping[str, Any]
     engine: Engine
+    image: Image | None
+    """What runs execute in."""
     limits: Limits
     template_sha256: str
     outputs: Mapping[str, Output]
@@ -100,9 +103,12 @@ def ask(
     )
 
 
-def plan(project: LoadedProject, asked: Query, *, engine: str = "none") -> Plan:
-    """All that a query's answer depends on. Nothing is executed (but a Python is asked for its path, and the loader for
-    libraries) or written (but the source's tree, by git).
+def plan(project: LoadedProject, asked: Query, *, engine: str | None = None) -> Plan:
+    """All that a query's answer depends on; `engine` instead of what the project says.
+
+    Nothing is executed (but a Python is asked for its path, the loader for libraries, and an engine for its image) or written
+    (but the source's tree, by git).
+
 
     Raises what is wrong with project, query, template, source or programs.
     """
@@ -110,14 +116,24 @@ def plan(project: LoadedProject, asked: Query, *, engine: str = "none") -> Plan:
     _check_names(project)
     template = inputs.read(root / config.template)
     platform = platforms.find(config.platform, config)
-    contained = engines.find(engine)
-    command = jobs.command(platform, root)
-    variables = jobs.environment(platform, config)
-    own = (STORE, *_drawn(root), CONFIG, PYPROJECT if project.file.name == PYPROJECT else CONFIG, *_inside(config.template))
+    contained, image = _contained(project, engine)
+    box = config.container if image else None
+    command = jobs.command(platform, root, contained=image is not None)
+    variables = {**jobs.environment(platform, config), **(box.variables if box else {})}
+    own = (
+        STORE,
+        images.LOCK,
+        *_drawn(root),
+        CONFIG,
+        PYPROJECT if project.file.name == PYPROJECT else CONFIG,
+        *_inside(config.template),
+    )
     code = _source(project, own)
     held = source.paths(code.manifest)
     data = named.data(root / config.template, _written(config), root, held, own)
-    recipe = Recipe(config.platform, command, variables, code.tree, contained.image())
+    if box:
+        data = containment.data(data, box, root)
+    recipe = Recipe(config.platform, command, variables, code.tree, image.id if image else None, containment.reach(box))
     designed = design(asked, config, platform, template)
     expansion = Expansion(designed, template, platform, recipe)
     batch = expansion.batch()
@@ -137,6 +153,7 @@ def plan(project: LoadedProject, asked: Query, *, engine: str = "none") -> Plan:
         programs=executed,
         environment=environment.capture(__version__, config.environment.record),
         engine=contained,
+        image=image,
         limits=jobs.limits(config),
         template_sha256=template.sha256,
         outputs=config.outputs,
@@ -151,6 +168,19 @@ def plan(project: LoadedProject, asked: Query, *, engine: str = "none") -> Plan:
             *(f"{file} is named by the query alone: a change of it would not be seen" for file in uncounted),
         ),
     )
+
+
+def _contained(project: LoadedProject, name: str | None) -> tuple[Engine, Image | None]:
+    """What contains the runs, and the image, which is still what was pinned. Raises ConfigError, Missing."""
+    container = project.config.container
+    engine = engines.find(name or (container.engine if container else "none"))
+    if engine.name == "none":
+        return engine, None
+    if container is None:
+        raise ConfigError(f'{engine.name} needs an image: [container] image = "…" in {project.file}')
+    image = images.pinned(project.root, container.image)
+    containment.check(engine, image, project.root)
+    return engine, image
 
 
 def _source(project: LoadedProject, own: Sequence[str]) -> source.Source:

@@ -12,16 +12,18 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from sierra import engines, jobs, query
+from sierra import containment, engines, images, jobs, query
 from sierra.checkout import Checkout
 from sierra.config import LoadedProject, Output, Success
 from sierra.engines import Engine
-from sierra.errors import Damaged, Missing, NotFound
+from sierra.errors import Damaged, Missing, NotFound, UsageError
 from sierra.expansion import Files
 from sierra.hashing import short
+from sierra.images import Image
 from sierra.model import Axis, Batch, Experiment, Query, Recipe, Run
 from sierra.plans import Plan
 from sierra.provenance import environment
+from sierra.provenance.program import NOTHING
 from sierra.provenance.seen import seen
 from sierra.record import rules_of
 from sierra.store import Question, Store
@@ -64,7 +66,9 @@ class Recalled:
             return store.object(rows[0]["sha256"]) if rows else None
 
         used = tuple((row["name"], row["kind"]) for row in self.programs)
-        return Checkout(project.root, self.recipe, self.manifest, used, content, self.commit)
+        container = project.config.container if self.recipe.image else None
+        mounted = containment.data(NOTHING, container, project.root) if container else NOTHING
+        return Checkout(project.root, self.recipe, self.manifest, used, content, mounted, self.commit)
 
 
 def recall(store: Store, batch: str, programs: str, reading: str) -> Recalled:
@@ -75,16 +79,45 @@ def recall(store: Store, batch: str, programs: str, reading: str) -> Recalled:
         used = question.sql("SELECT * FROM programs WHERE programs = $p", p=programs).to_pylist()
         code = question.sql('SELECT files, "commit" FROM sources WHERE tree = $t LIMIT 1', t=made["source"]).to_pylist()
     outputs, success = rules_of(json.loads(rules["declared"]))
-    recipe = Recipe(made["platform"], tuple(made["command"]), json.loads(made["variables"]), made["source"], made["image"])
+    recipe = Recipe(
+        made["platform"],
+        tuple(made["command"]),
+        json.loads(made["variables"]),
+        made["source"],
+        made["image"],
+        tuple(made["reach"] or ()),
+    )
     manifest, commit = (store.object(code[0]["files"]), code[0]["commit"]) if code else (b"", None)
     return Recalled(batch, recipe, manifest, commit, used, programs, outputs, success)
 
 
-def engine(recipe: Recipe, name: str = "none") -> Engine:
-    """What contained the runs of a recipe. Raises Missing where it is not there."""
-    if recipe.image is not None:
-        raise Missing(f"it was executed in the image {recipe.image}, and containers are not there yet")
+def engine(store: Store, batch: str, recipe: Recipe, name: str | None = None) -> Engine:
+    """What is to contain runs of a recipe: what is asked for, or else what contained those of this batch last."""
+    if recipe.image is None:
+        if name not in (None, "none"):
+            raise UsageError(f"--engine {name}: batch {short(batch)} was executed without an image; leave it out")
+        return engines.find("none")
+    if name is None:
+        [row] = store.rows(
+            "SELECT arg_max(engine, ended) AS engine FROM sessions WHERE batch = $b AND engine <> 'none'", b=batch
+        )
+        name = row["engine"] or "podman"
     return engines.find(name)
+
+
+def image(project: LoadedProject, store: Store, recipe: Recipe) -> Image | None:
+    """The image of a recipe: as it is pinned now, by whatever name, or as it was recorded. Raises Missing."""
+    if recipe.image is None:
+        return None
+    found = next((one for one in images.pins(project.root).values() if one.id == recipe.image), None)
+    if found is None:
+        rows = store.rows("SELECT * FROM images WHERE image = $i LIMIT 1", i=recipe.image)
+        if not rows:
+            raise Missing(
+                f"the image {recipe.image} is neither pinned nor recorded; sierra image import brings it, then pin it"
+            )
+        found = images.from_row(rows[0])
+    return found
 
 
 def inputs(store: Store, runs: Iterable[Taken]) -> Iterator[tuple[Taken, Files]]:
@@ -116,7 +149,7 @@ class Inputs:
             yield runs[one.run], files
 
 
-def plan(project: LoadedProject, store: Store, prefix: str) -> Plan:
+def plan(project: LoadedProject, store: Store, prefix: str, *, contained: str | None = None) -> Plan:
     """A recorded batch, to be executed as it was recorded. Raises NotFound, Missing."""
     found = store.resolve(prefix)
     if found.kind != "batch":
@@ -150,7 +183,8 @@ def plan(project: LoadedProject, store: Store, prefix: str) -> Plan:
         checkout=checkout,
         programs=used,
         environment=environment.capture(__version__, project.config.environment.record),
-        engine=engine(recalled.recipe),
+        engine=engine(store, found.id, recalled.recipe, contained),
+        image=image(project, store, recalled.recipe),
         limits=jobs.limits(project.config),
         template_sha256=row["template_sha256"],
         outputs=recalled.outputs,

@@ -24,7 +24,7 @@ from datetime import UTC, datetime
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from sierra import worker
+from sierra import engines, worker
 from sierra.config import Output, Success
 from sierra.hashing import digest, merkle, short
 from sierra.model import OutputFile, Result, Status
@@ -75,6 +75,9 @@ STOPPED = {
 }
 
 
+SAVED = ("session", "batch", "purpose", "environment", "programs", "engine", "isolation", "shared", "enforced")
+
+
 @dataclass(frozen=True, slots=True)
 class Context:
     """All that recording needs to know of a session, so that another process can finish it."""
@@ -86,6 +89,12 @@ class Context:
     programs: str
     outputs: Mapping[str, Output]
     success: Success
+    engine: str = "none"
+    isolation: str | None = None
+    """What contained the runs, each in a container of its own or not; None where nothing did."""
+    shared: bool = False
+    enforced: tuple[str, ...] = ()
+    """The limits that the engine enforces."""
 
     @property
     def reading(self) -> str:
@@ -111,7 +120,7 @@ class Context:
         return digest("reading", {"outputs": outputs, "success": self.success.model_dump(mode="json")})
 
     def save(self, path: Path) -> None:
-        fields = {name: getattr(self, name) for name in ("session", "batch", "purpose", "environment", "programs")}
+        fields = {name: getattr(self, name) for name in SAVED}
         fields |= self._tables()
         with disk_errors(path.parent):
             write_whole(path, json.dumps(fields).encode())
@@ -210,6 +219,7 @@ class Recorder:
 
     def add(self, result: Result) -> Status:
         """Take one result; how it is judged so far. One that was interrupted is not kept."""
+        result = self._ended(result)
         status, reason = judge(result, self._context.outputs, self._context.success)
         if status is Status.INTERRUPTED:
             discard(Path(result.directory))
@@ -217,6 +227,13 @@ class Recorder:
             self._pending.append(_Judged(result, status, reason))
             self._bytes += sum(file.bytes for file in result.outputs)
         return status
+
+    def _ended(self, result: Result) -> Result:
+        """The result, where an engine's client stood between the program and the worker."""
+        if self._context.isolation is None or self._context.shared or result.exit_code == 0:
+            return result
+        said = _log(Path(result.directory, RUN_STDERR))[0][-LOG_SHOWN:].decode("utf-8", "replace")
+        return engines.find(self._context.engine).classify(result, said, frozenset(self._context.enforced))
 
     def due(self) -> bool:
         """Whether it is time to write: soon at first, then ever less often, so that segments stay few."""
@@ -511,6 +528,7 @@ class Recorder:
             "programs": context.programs,
             "reading": self._reading,
             "purpose": context.purpose,
+            "isolation": context.isolation,
         }
 
 

@@ -18,7 +18,7 @@ from sierra import jobs, metrics, recalled, recovery, runners
 from sierra.agreement import Agreement, Verdict
 from sierra.asking import Progress, Watch
 from sierra.config import LoadedProject, Output
-from sierra.engines import Engine
+from sierra.containment import Containment, contain
 from sierra.errors import Missing, NotFound, UsageError
 from sierra.following import Following, noted
 from sierra.hashing import short
@@ -49,7 +49,8 @@ class How:
     runs: int | None = None
     """The first so many of each experiment alone."""
     runner: str = "local"
-    engine: str = "none"
+    engine: str | None = None
+    """What contains them; that which did, where it is not said."""
     tolerances: Tolerances = field(default_factory=dict)
     """Instead of what the project declares."""
     keep: bool = False
@@ -92,7 +93,8 @@ def replay(
     record = _look_up(store, store.resolve(prefix), how.runs)
     declared = _declared(record, project, how.tolerances)
     was = _metrics(project, store, record, declared)
-    engine = recalled.engine(record.of.recipe, how.engine)
+    engine = recalled.engine(store, record.of.batch, record.of.recipe, how.engine)
+    image = recalled.image(project, store, record.of.recipe)
     runner = runners.find(how.runner)(how.slots)
     began = datetime.now(UTC)
     session = Session(store.paths)
@@ -104,24 +106,51 @@ def replay(
         variables = jobs.declared(record.of.recipe.environment, root, project.root)
         now = versions.asked(checkout.programs_in(root), project.config.programs, variables, root)
         around = environment.capture(__version__, project.config.environment.record)
-        notes = (*record.notes, *now.notes, *_other_programs(record.of, now), *_other_machine(store, record, around))
+        contained = contain(
+            engine,
+            image,
+            record.of.recipe,
+            project.config.container,
+            jobs.limits(project.config),
+            code=root,
+            project=project.root,
+            store=store.paths,
+            session=session.id,
+        )
+        notes = (
+            *record.notes,
+            *contained.notes,
+            *now.notes,
+            *_other_programs(record.of, now),
+            *_other_machine(store, record, around),
+        )
         for text in notes:
             say(text)
         context = Context(
-            session.id, record.of.batch, "replay", around["environment"], now.id, record.of.outputs, record.of.success
+            session.id,
+            record.of.batch,
+            "replay",
+            around["environment"],
+            now.id,
+            record.of.outputs,
+            record.of.success,
+            **contained.context,
         )
-        maker = jobs.Maker(record.of.recipe, root, engine, jobs.limits(project.config), session.id, project.root)
+        maker = jobs.Maker(record.of.recipe, root, engine, jobs.limits(project.config), session.id, project.root, contained.box)
         made = {job.run: job for job in _jobs(record, store, maker)}
-        failed, interrupted = _execute(
-            store, session, context, list(made.values()), runner, watch, kept, seen(root, b"", now).doubt
-        )
+        try:
+            failed, interrupted = _execute(
+                store, session, context, list(made.values()), runner, watch, kept, seen(root, b"", now).doubt
+            )
+        finally:
+            contained.close()
         _leave(session.paths, kept)
         if interrupted:
             return Replay(session.id, record.found, (), notes, interrupted=True, of=record.named, kept=kept)
         compared = _compare(record, store, made, failed, declared)
         experiments = tuple(_experiments(project, store, record, list(compared), was, declared))
         answer = Replay(session.id, record.found, experiments, notes, interrupted=False, of=record.named, kept=kept)
-        _keep(answer, store, session, record, now, around, began, how, engine)
+        _keep(answer, store, session, record, now, around, began, how, contained)
         return answer
     finally:
         session.close()
@@ -320,7 +349,7 @@ def _keep(
     around: Mapping[str, Any],
     began: datetime,
     how: How,
-    engine: Engine,
+    contained: Containment,
 ) -> None:
     """Record the replay and its verdicts."""
     writer = store.writer(session.paths.segment, record.of.batch)
@@ -335,7 +364,7 @@ def _keep(
                 "started": began,
                 "ended": datetime.now(UTC),
                 "runner": how.runner,
-                "engine": engine.name,
+                "engine": contained.engine.name,
                 "runs": len(answer.runs),
                 "verdict": str(answer.verdict),
                 "tolerances": json.dumps(plain(how.tolerances)) if how.tolerances else None,
@@ -348,4 +377,5 @@ def _keep(
     writer.rows("equivalences", (row for one in answer.experiments for row in metric_rows(answer.id, one)))
     writer.rows("environments", [around])
     writer.rows("programs", now.rows())
+    writer.rows("isolations", contained.rows())
     store.publish(writer)

@@ -2,7 +2,7 @@
 
 One file on the standard library alone (Python 3.8 or newer), so that a node needs nothing installed:
 
-    worker.py FOLDER SLOTS < jobs
+    worker.py FOLDER SLOTS [-] < jobs
 
 Jobs come as lines of JSON, one run each, and end with the line `{"end": true}`. Whoever sends them through a
 pipe holds it open until the worker has ended. A pipe that is closed before, or an input that ends without that
@@ -24,6 +24,14 @@ went by, whatever was done to the clock meanwhile: no run takes less than no tim
 
 Processes that leave their group are found all the same: the worker is their subreaper (Linux), so an orphan
 becomes a child of the worker's main thread, which starts no process itself.
+
+A job may come with a `client`, which starts a container engine. Then it is executed instead of the job's own
+argv, in its own environment; the run's processes are those that have SIERRA_EXECUTION in theirs, wherever the
+engine starts them. Their use of resources is what was seen of them from outside, at intervals of a twentieth of
+the time that they have run; where they ended before they were seen, it is not known (null). Where the client was
+killed, its `stop` ends the container. A container that is `shared` has all runs of a slot, one after the other: it is
+started with the first of them, with a folder of its own (the NUL in its argv) and in it this worker, which takes
+jobs from its standard input, and with `-` as its last argument writes its journal to its standard output.
 """
 
 from __future__ import annotations
@@ -54,18 +62,26 @@ HEAD_BYTES = 4096
 LOG_BYTES = 256 << 20  # of standard output or error, whatever the limits say
 CHUNK = 1 << 20
 SETTLE_S = 2.0
+CLEAN_S = 10.0  # for what an engine has yet to do when its containers have ended
+SAMPLE_S = 0.02
 
 
 class Journal:
     """Lines appended to one file, each whole or not at all."""
 
-    def __init__(self, path: str) -> None:
-        self._file = os.open(path, os.O_CREAT | os.O_WRONLY | os.O_APPEND | os.O_CLOEXEC, 0o644)
+    def __init__(self, path: str | None) -> None:
+        """`None`: standard output, which somebody reads through a pipe."""
+        flags = os.O_CREAT | os.O_WRONLY | os.O_APPEND | os.O_CLOEXEC
+        self._file = os.dup(1) if path is None else os.open(path, flags, 0o644)
+        self._piped = path is None
         self._lock = threading.Lock()
 
     def write(self, event: dict[str, Any]) -> None:
         line = json.dumps(event, separators=(",", ":")).encode() + b"\n"
         with self._lock:
+            if self._piped:
+                write_all(self._file, line)
+                return
             written = os.write(self._file, line)
             if written != len(line):
                 os.ftruncate(self._file, os.fstat(self._file).st_size - written)
@@ -116,6 +132,8 @@ class Running:
         self.folder = folder
         self.pid = process.pid
         self.limits = job.get("limits", {})
+        self.client = job.get("client")
+        self.meter = Meter(self) if self.client else None
         self.measured = any(self.limits.get(name) is not None for name in ("cpu_s", "memory_bytes", "output_bytes"))
         self.limited = self.measured or self.limits.get("wall_s") is not None
         self.started = time.monotonic()
@@ -149,17 +167,150 @@ class Running:
                     signal_process(pid, signal.SIGKILL)
                 signal_group(self.pid, signal.SIGKILL)
 
+    def clean(self, status: int) -> None:
+        """End the container that a client has left."""
+        if self.client and (self.stopped is not None or os.WIFSIGNALED(status)):
+            end_container(self.client)
+
+
+class Meter:
+    """What the processes of a contained run have used, as it was seen from outside."""
+
+    def __init__(self, running: Running) -> None:
+        self._running = running
+        self._roots: list[tuple[int, int | None]] = []
+        self.seen = False
+        self.user_s = self.system_s = 0.0
+        self.max_rss = 0
+        self.due = 0.0
+
+    def read(self, now: float) -> None:
+        """Look once, if it is time to."""
+        if now < self.due:
+            return
+        self.due = now + min(POLL_S, max(SAMPLE_S, (now - self._running.started) / 20))
+        pids = self.pids()
+        if pids:
+            self.seen = True
+            user, system = cpu_of(pids)
+            self.user_s, self.system_s = max(user, self.user_s), max(system, self.system_s)
+            self.max_rss = max(self.max_rss, max(peak_of(pid) for pid in pids))
+
+    def pids(self) -> list[int]:
+        """The processes of the run that live now."""
+        self._roots = [(pid, born) for pid, born in self._roots if birth(pid) == born]
+        if not self._roots:
+            started = [pid for root in [self._running.pid, *orphans()] for pid in descendants(root)]
+            mark = b"SIERRA_EXECUTION=" + self._running.execution.encode()
+            marked = [pid for pid in started if mark in environment_of(pid)]
+            self._roots = [(pid, birth(pid)) for pid in marked[:1]]
+        return [pid for root, _ in self._roots for pid in descendants(root)]
+
+    def report(self) -> dict[str, Any]:
+        if not self.seen:
+            return {"user_s": None, "system_s": None, "max_rss_bytes": None}
+        return {"user_s": self.user_s, "system_s": self.system_s, "max_rss_bytes": self.max_rss}
+
+
+class Container:
+    """What the runs of a slot share: a client, and at the other end of its pipes this worker, in the container."""
+
+    def __init__(self, client: dict[str, Any], folder: str) -> None:
+        os.mkdir(folder)
+        self.client = client_in(client, folder)
+        self.folder = folder
+        self.log = os.path.join(folder, "log")
+        with open(self.log, "wb") as log:
+            self.process = subprocess.Popen(
+                self.client["argv"],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=log,
+                env=self.client["environment"],
+                start_new_session=True,
+            )
+        self.pid = self.process.pid
+        self.kill_at: float | None = None
+        self.lock = threading.Lock()
+
+    def execute(self, job: dict[str, Any]) -> Iterator[dict[str, Any]]:
+        """What the worker in the container says of a run, until it has ended; cut short where the container has."""
+        inner = {name: value for name, value in job.items() if name not in ("client", "shared")}
+        try:
+            self.send(inner)
+        except OSError:
+            return
+        for line in self.output():
+            event = json.loads(line)
+            yield event
+            if event["event"] == "end":
+                return
+
+    def output(self) -> Iterator[bytes]:
+        """The whole lines of what the container says."""
+        if self.process.stdout is not None:
+            for line in self.process.stdout:
+                if line.endswith(b"\n"):
+                    yield line
+
+    def send(self, record: dict[str, Any]) -> None:
+        with self.lock:
+            if self.process.stdin is None or self.process.stdin.closed:
+                raise BrokenPipeError
+            self.process.stdin.write(json.dumps(record, separators=(",", ":")).encode() + b"\n")
+            self.process.stdin.flush()
+
+    def stop(self, grace: float) -> None:
+        """Close the pipe: the worker inside ends what runs, and itself."""
+        if self.kill_at is None:
+            self.kill_at = time.monotonic() + grace + CLEAN_S
+            with self.lock:
+                self.shut()
+
+    def shut(self) -> None:
+        try:
+            if self.process.stdin is not None:
+                self.process.stdin.close()
+        except OSError:
+            pass
+
+    def hurry(self) -> None:
+        if self.kill_at is not None:
+            self.kill_at = min(self.kill_at, time.monotonic() + SETTLE_S)
+
+    def kill(self) -> None:
+        self.kill_at = None
+        signal_group(self.pid, signal.SIGKILL)
+
+    def close(self) -> str:
+        """End it, the way it is meant to end if possible; the end of what it said beside."""
+        try:
+            self.send({"end": True})
+            self.process.wait(CLEAN_S)
+        except (OSError, subprocess.TimeoutExpired):
+            signal_group(self.pid, signal.SIGKILL)
+        if self.process.wait() != 0:
+            end_container(self.client)
+        self.shut()
+        if self.process.stdout is not None:
+            self.process.stdout.close()
+        with open(self.log, "rb") as log:
+            said = log.read()[-HEAD_BYTES:].decode("utf-8", "replace").strip().splitlines()
+        return said[-1] if said else "status %s" % self.process.returncode
+
 
 class Worker:
     """Slots that take jobs from a queue, each a thread, and the main thread that watches over them."""
 
-    def __init__(self, folder: str, slots: int) -> None:
+    def __init__(self, folder: str, slots: int, *, piped: bool = False) -> None:
         self.folder = folder
         self.slots = slots
-        self.journal = Journal(os.path.join(folder, "journal.jsonl"))
+        self.journal = Journal(None if piped else os.path.join(folder, "journal.jsonl"))
         self.host = socket.gethostname()
         self.jobs: queue.Queue[dict[str, Any] | None] = queue.Queue(maxsize=2 * slots)
         self.running: dict[int, Running] = {}
+        self.containers: dict[int, Container] = {}
+        self.contains = False
         self.stopping = self.terminated = self.hurried = False
         self.bell = Bell()
         self.failure: str | None = None
@@ -178,6 +329,8 @@ class Worker:
         while any(thread.is_alive() for thread in threads):
             if not self.bell.wait(self.watch()):
                 self.stop()
+        if self.contains:
+            await_orphans()
         end_orphans(None)
         return not self.stopping
 
@@ -219,16 +372,54 @@ class Worker:
                 continue
             if job is None:
                 break
+            self.contains = self.contains or "client" in job
             try:
-                self.execute(job, number)
+                if job.get("shared"):
+                    self.execute_inside(job, number)
+                else:
+                    self.execute(job, number)
             except Exception as error:
                 self.fail(error)
+        container = self.containers.pop(number, None)
+        if container is not None:
+            container.close()
         self.bell.ring()
+
+    def execute_inside(self, job: dict[str, Any], slot: int) -> None:
+        """One run in the slot's container, which is started where there is none."""
+        container = self.containers.get(slot)
+        began, started = time.time(), time.monotonic()
+        if container is None:
+            try:
+                container = self.containers[slot] = Container(job["client"], self.next_folder("slot-"))
+            except OSError as error:
+                reason = "its container could not be started: " + explain(error)
+                self.journal.write(self.report(job, slot, self.folder, began, 0.0, error=reason))
+                return
+        for event in container.execute(job):
+            if event["event"] == "start":
+                event.update(pid=container.pid, born=birth(container.pid))
+            else:
+                folder = os.path.join(container.folder, os.path.basename(event["directory"]))
+                event.update(directory=folder, slot=slot, host=self.host)
+            self.journal.write(event)
+            if event["event"] == "end":
+                return
+        del self.containers[slot]
+        said = container.close()
+        wall = time.monotonic() - started
+        folder = os.path.join(container.folder, "lost")
+        stopped = "interrupted" if self.stopping else None
+        trouble = None if self.stopping else "its container ended: " + said
+        self.journal.write(self.report(job, slot, folder, began, wall, stopped=stopped, error=trouble))
+
+    def next_folder(self, prefix: str = "") -> str:
+        with self.lock:
+            return os.path.join(self.folder, prefix + str(next(self.numbers)))
 
     def execute(self, job: dict[str, Any], slot: int) -> None:
         """One run, from its folder to the line in the journal."""
-        with self.lock:
-            folder = os.path.join(self.folder, str(next(self.numbers)))
+        folder = self.next_folder()
         prepare(job, folder)
         began, started = time.time(), time.monotonic()
         try:
@@ -253,6 +444,7 @@ class Worker:
         process.returncode = status
         with self.lock:
             del self.running[running.pid]
+        running.clean(status)
         end_orphans(running.execution, running.pid)
         if running.stopped is None and self.stopping and os.WIFSIGNALED(status):
             running.stopped = "interrupted"
@@ -265,9 +457,7 @@ class Worker:
                 wall,
                 exit_code=os.WEXITSTATUS(status) if os.WIFEXITED(status) else None,
                 signal=os.WTERMSIG(status) if os.WIFSIGNALED(status) else None,
-                user_s=usage.ru_utime,
-                system_s=usage.ru_stime,
-                max_rss_bytes=usage.ru_maxrss * (1 if sys.platform == "darwin" else 1024),
+                **(running.meter.report() if running.meter else used(usage)),
                 **left_behind(running),
             )
         )
@@ -301,7 +491,19 @@ class Worker:
             running = list(self.running.values())
         now = time.monotonic()
         due = []
+        if self.contains:
+            reap()
+        for container in list(self.containers.values()):
+            if self.stopping:
+                container.stop(5.0)
+            if self.hurried:
+                container.hurry()
+            if container.kill_at is not None and now >= container.kill_at:
+                container.kill()
         for one in running:
+            if one.meter:
+                one.meter.read(now)
+                due.append(one.meter.due)
             if self.stopping:
                 one.stop("interrupted")
             if self.hurried:
@@ -340,21 +542,47 @@ def prepare(job: dict[str, Any], folder: str) -> None:
 
 def start(job: dict[str, Any], folder: str) -> subprocess.Popen[bytes]:
     """Start a run's program in its folder."""
-    environment = {name: value.replace("\0", folder) for name, value in job["environment"].items()}
+    started = client_in(job.get("client", job), folder)
     out, err = (os.open(os.path.join(folder, name), os.O_WRONLY | os.O_APPEND | os.O_CLOEXEC) for name in LOGS)
     try:
         return subprocess.Popen(
-            [word.replace("\0", folder) for word in job["argv"]],
+            started["argv"],
             stdin=subprocess.DEVNULL,
             stdout=out,
             stderr=err,
             cwd=os.path.join(folder, "output"),
-            env=environment,
+            env=started["environment"],
             start_new_session=True,
         )
     finally:
         os.close(out)
         os.close(err)
+
+
+def client_in(client: dict[str, Any], folder: str) -> dict[str, Any]:
+    """What starts a program, with the paths of the folder that it is given."""
+    return {
+        "argv": [word.replace("\0", folder) for word in client["argv"]],
+        "environment": {name: value.replace("\0", folder) for name, value in client["environment"].items()},
+        "stop": [word.replace("\0", folder) for word in client.get("stop", ())],
+    }
+
+
+def end_container(client: dict[str, Any]) -> None:
+    """End the container of a client that is gone, or does not heed anybody."""
+    if client.get("stop"):
+        try:
+            subprocess.run(
+                client["stop"],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+                env=client["environment"],
+                timeout=3 * CLEAN_S,
+                start_new_session=True,
+            )
+        except (OSError, subprocess.TimeoutExpired):
+            pass  # whoever asks next looks for it again
 
 
 def await_end(running: Running) -> tuple[int, Any]:
@@ -372,6 +600,12 @@ def await_end(running: Running) -> tuple[int, Any]:
     _, status, usage = os.wait4(running.pid, 0)
     running.over = True
     return status, usage
+
+
+def used(usage: Any) -> dict[str, Any]:
+    """What a program and all that it waited for have used, by the kernel's account."""
+    unit = 1 if sys.platform == "darwin" else 1024
+    return {"user_s": usage.ru_utime, "system_s": usage.ru_stime, "max_rss_bytes": usage.ru_maxrss * unit}
 
 
 def left_behind(running: Running) -> dict[str, Any]:
@@ -468,8 +702,12 @@ def exceeded(running: Running) -> str | None:
     """The name of the limit that a program is over, or None."""
     limits = running.limits
     if limits.get("memory_bytes") is not None or limits.get("cpu_s") is not None:
-        roots = [running.pid] + [pid for pid in orphans() if belongs(pid, running.execution, running.pid)]
-        memory, cpu = usage_of([pid for root in roots for pid in descendants(root)])
+        if running.meter:
+            pids = running.meter.pids()
+        else:
+            roots = [running.pid] + [pid for pid in orphans() if belongs(pid, running.execution, running.pid)]
+            pids = [pid for root in roots for pid in descendants(root)]
+        memory, cpu = usage_of(pids)
         if limits.get("memory_bytes") is not None and memory > limits["memory_bytes"]:
             return "memory"
         if limits.get("cpu_s") is not None and cpu > limits["cpu_s"]:
@@ -520,14 +758,41 @@ def children(path: str) -> list[int]:
 
 def usage_of(pids: list[int]) -> tuple[int, float]:
     """Resident bytes and CPU seconds (their ended children's too) of processes."""
-    page, tick = os.sysconf("SC_PAGE_SIZE"), os.sysconf("SC_CLK_TCK")
-    memory, cpu = 0, 0.0
-    for pid in pids:
-        fields = stat_of(pid)
-        if fields:
-            memory += int(fields[21]) * page
-            cpu += sum(int(field) for field in fields[11:15]) / tick
-    return memory, cpu
+    page = os.sysconf("SC_PAGE_SIZE")
+    resident = sum(int(fields[21]) for fields in map(stat_of, pids) if fields)
+    return resident * page, sum(cpu_of(pids))
+
+
+def cpu_of(pids: list[int]) -> tuple[float, float]:
+    """CPU seconds of processes and of their ended children, in user mode and in the kernel."""
+    tick = os.sysconf("SC_CLK_TCK")
+    found = [[int(field) for field in fields[11:15]] for fields in map(stat_of, pids) if fields]
+    return sum(one[0] + one[2] for one in found) / tick, sum(one[1] + one[3] for one in found) / tick
+
+
+def peak_of(pid: int) -> int:
+    """The greatest resident size that a process has had; 0 where there is none."""
+    try:
+        with open("/proc/%d/status" % pid, "rb") as file:
+            lines = [line.split() for line in file if line.startswith(b"VmHWM:")]
+    except OSError:
+        return 0
+    return int(lines[0][1]) * 1024 if lines else 0
+
+
+def environment_of(pid: int) -> list[bytes]:
+    """The environment that a process was started with, as NAME=value; empty where that can't be read."""
+    try:
+        with open("/proc/%d/environ" % pid, "rb") as file:
+            return file.read().split(b"\0")
+    except OSError:
+        return []
+
+
+def write_all(descriptor: int, data: bytes) -> None:
+    """Write all of it, however little a pipe takes at a time."""
+    while data:
+        data = data[os.write(descriptor, data) :]
 
 
 def stat_of(pid: int) -> list[bytes]:
@@ -564,6 +829,25 @@ def end_orphans(execution: str | None, group: int | None = None) -> None:
                 continue
 
 
+def reap() -> None:
+    """Wait for orphans that have ended: nobody else does."""
+    for pid in orphans():
+        fields = stat_of(pid)
+        if fields and fields[0] == b"Z":
+            try:
+                os.waitpid(pid, os.WNOHANG)
+            except ChildProcessError:
+                continue
+
+
+def await_orphans() -> None:
+    """Let an engine put away what containers have left, which have ended."""
+    give_up = time.monotonic() + CLEAN_S
+    while orphans() and time.monotonic() < give_up:
+        reap()
+        time.sleep(POLL_S / 10)
+
+
 def orphans() -> list[int]:
     """The children of the main thread, which has none of its own."""
     return children("/proc/self/task/%d/children" % os.getpid())
@@ -583,11 +867,7 @@ def lives_in(pid: int, group: int) -> bool:
 def belongs(pid: int, execution: str, group: int | None) -> bool:
     if group_of(pid) in (None, group):
         return True
-    try:
-        with open("/proc/%d/environ" % pid, "rb") as file:
-            return b"SIERRA_EXECUTION=" + execution.encode() in file.read().split(b"\0")
-    except OSError:
-        return False
+    return b"SIERRA_EXECUTION=" + execution.encode() in environment_of(pid)
 
 
 def has_ended(pid: int) -> bool:
@@ -633,9 +913,9 @@ def become_subreaper() -> None:
 
 
 def main(arguments: list[str]) -> int:
-    folder, slots = arguments
+    folder, slots = arguments[:2]
     become_subreaper()
-    worker = Worker(os.path.abspath(folder), int(slots))
+    worker = Worker(os.path.abspath(folder), int(slots), piped=arguments[2:] == ["-"])
 
     for number in (signal.SIGQUIT, signal.SIGUSR1, signal.SIGUSR2, signal.SIGALRM):
         signal.signal(number, signal.SIG_DFL)  # ignored by whoever started this in the background, perhaps

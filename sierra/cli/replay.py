@@ -28,7 +28,12 @@ def replay(
     ] = None,
     jobs: Annotated[int | None, typer.Option("-j", "--jobs", metavar="N", help="Runs at a time (default: cores).")] = None,
     runner: Annotated[str, typer.Option("--on", metavar="RUNNER", help="Where runs execute.")] = "local",
-    engine: Annotated[str, typer.Option("--engine", metavar="ENGINE", help="What contains them.")] = "none",
+    engine: Annotated[
+        str | None,
+        typer.Option(
+            "--engine", metavar="ENGINE", help="What contains them: podman, apptainer, none; as recorded where absent."
+        ),
+    ] = None,
     set_tolerance: Annotated[
         list[str] | None,
         typer.Option(

@@ -37,6 +37,12 @@ def run(
         list[str] | None, typer.Option("--set", metavar="XPATH=VALUE", help="Change the template in all runs. May be repeated.")
     ] = None,
     jobs: Annotated[int | None, typer.Option("-j", "--jobs", metavar="N", help="Runs at a time (default: cores).")] = None,
+    engine: Annotated[
+        str | None,
+        typer.Option(
+            "--engine", metavar="ENGINE", help="What contains runs: podman, apptainer, none (default: the project's)."
+        ),
+    ] = None,
     dry_run: Annotated[bool, typer.Option("-n", "--dry-run", help="Say what would execute, and execute nothing.")] = False,
     explain: Annotated[bool, typer.Option("--explain", help="Say why runs execute or are reused.")] = False,
     fail_fast: Annotated[bool, typer.Option("--fail-fast", help="End all at the first run that fails.")] = False,
@@ -75,7 +81,12 @@ def run(
 
     project = opened.project()
     plan = project.plan(
-        *query, runs=runs, controller=controller, scenario=scenario, sets=[setting(text) for text in sets or ()]
+        *query,
+        runs=runs,
+        controller=controller,
+        scenario=scenario,
+        sets=[setting(text) for text in sets or ()],
+        engine=engine,
     )
     told: dict[str, Any] = {}
     if dry_run or explain:

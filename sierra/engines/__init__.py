@@ -1,31 +1,148 @@
 """What contains a run where it is executed: the Engine contract, and the door to find one by name.
 
-Shipped: `none`. Others come as entry points of the group `sierra.engines`, each naming a class that fulfils `Engine`.
+Shipped: `none`, `podman` and `apptainer`. Others come as entry points of the group `sierra.engines`, each naming a class
+that fulfils `Engine`; `sierra.engines.conformance` holds them to it.
 
-Engine and runner are independent: an engine turns a job's argv into the argv that starts it contained, and
-nothing else in the program knows which engine it is.
+Engine and runner are independent: an engine turns a process that is to be contained into the client that starts it so, and
+nothing else in the program knows which engine it is. All engines give a process the same: a root that it can't write to,
+no network, no capabilities, the host name `run`, and below `INSIDE` the code, its inputs and its own folders.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from collections.abc import Set as AbstractSet
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Protocol
 
 from sierra import plugins
+from sierra.images import Image
+from sierra.model import Client, Result
+from sierra.paths import StorePaths
 
-SHIPPED = {"none": "sierra.engines:Uncontained"}
+SHIPPED = {
+    "none": "sierra.engines:Uncontained",
+    "podman": "sierra.engines.podman:Podman",
+    "apptainer": "sierra.engines.apptainer:Apptainer",
+}
+INSIDE = "/run/sierra"
+"""Where a container has what SIERRA gives it: `run`, `project` and, for runs that share it, `runs` and `worker.py`."""
+HOSTNAME = "run"
+
+
+@dataclass(frozen=True, slots=True)
+class Mount:
+    """A file or folder of the host (NUL in it stands for the run's folder) that a container has, at a path of its own."""
+
+    source: str
+    target: str
+    writable: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Box:
+    """What the containers of one session have in common."""
+
+    image: Image
+    reference: str
+    """What the engine calls the image, ready to be started: as `Engine.prepare` gave it."""
+    session: str
+    mounts: tuple[Mount, ...] = ()
+    network: bool = False
+    devices: tuple[str, ...] = ()
+    gpu: bool = False
+    memory: int | None = None
+    """Bytes, where the engine is to enforce it; likewise cores, and processes with their threads."""
+    cpus: float | None = None
+    pids: int | None = None
+    shared: bool = False
+    """Whether one container has many runs, one after the other, rather than one."""
+
+    @property
+    def limits(self) -> dict[str, float]:
+        """The limits that are asked for."""
+        asked = {"memory": self.memory, "cpus": self.cpus, "pids": self.pids}
+        return {name: limit for name, limit in asked.items() if limit is not None}
+
+
+@dataclass(frozen=True, slots=True)
+class Process:
+    """What is to run in a container of its own: paths are those of the container."""
+
+    argv: tuple[str, ...]
+    environment: Mapping[str, str]
+    """All of it: nothing of the host's or the image's is added, but what an engine can't leave out."""
+    mounts: tuple[Mount, ...]
+    """The first is the run's folder: NUL."""
+    folder: str
+    """Where it begins."""
+    interactive: bool = False
+    """Whether it reads the standard input of its client."""
+
+
+@dataclass(frozen=True, slots=True)
+class Abilities:
+    """What an engine can do on this host, for this user: found out by starting something with it."""
+
+    version: str
+    """The engine, and what it uses to start containers, each with its version."""
+    rootless: bool = False
+    enforced: frozenset[str] = frozenset()
+    """Of `memory`, `cpus` and `pids`: the limits that hold; others would be ignored."""
+    isolated: bool = True
+    """Whether a container without network has none."""
+    user: str = ""
+    """Who a process of a container is outside of it."""
+    trouble: str = ""
+    """Why nothing can be started, and what to do about it; empty where all is well."""
 
 
 class Engine(Protocol):
-    """One way to contain a run."""
+    """One way to contain processes. It has no state: an object of it may be made at any time, and used by many threads."""
 
     name: str
 
-    def image(self) -> str | None:
-        """The content identity of the image, or None without one; part of a run's identity."""
+    def probe(self) -> Abilities:
+        """Start something, and say what works; remembered for as long as nothing changes (boot, user, version).
+
+        Never raises.
+        """
         ...
 
-    def argv(self, argv: tuple[str, ...]) -> tuple[str, ...]:
-        """The command that starts `argv` contained. NUL stands for the run's folder, here as there."""
+    def present(self, image: Image, root: Path) -> str | None:
+        """The id of what the engine itself has under the image's name now; None where it has none, or where a file has it.
+
+        Quick: at most 50 ms where nothing has changed.
+        """
+        ...
+
+    def prepare(self, image: Image, root: Path, store: StorePaths) -> str:
+        """Have the image ready; what `client` calls it. Idempotent, quick once it is there, and safe beside others that do the
+        same. What is ready is the image by its content, whatever is called by its name now.
+
+        Raises Missing: not to be had, for another architecture, damaged, no room.
+        """
+        ...
+
+    def client(self, box: Box, process: Process) -> Client:
+        """What starts a process in a container of its own, waits for its end, and ends with its exit status.
+
+        Its standard output and error are the process's. SIGTERM ends the process likewise. `stop` of it is a command that ends
+        the container if it is still there, also where the client is gone (it may be empty where that can't be).
+        """
+        ...
+
+    def sweep(self, sessions: Sequence[str]) -> None:
+        """End and remove all containers of these sessions, whoever started them; there may be none."""
+        ...
+
+    def classify(self, result: Result, said: str, enforced: AbstractSet[str]) -> Result:
+        """What became of the process, from how its client ended and the end of what was `said` on standard error.
+
+        A signal that ended the process is the result's `signal`; a limit among `enforced` its `stopped`; what the engine
+        itself failed at (no image, no such command, no rights) its `error`. All else stays as it is.
+        """
         ...
 
 
@@ -34,14 +151,31 @@ class Uncontained:
 
     name = "none"
 
-    def image(self) -> str | None:
+    def probe(self) -> Abilities:
+        return Abilities("none")
+
+    def present(self, image: Image, root: Path) -> str | None:
         return None
 
-    def argv(self, argv: tuple[str, ...]) -> tuple[str, ...]:
-        return argv
+    def prepare(self, image: Image, root: Path, store: StorePaths) -> str:
+        return ""
+
+    def client(self, box: Box, process: Process) -> Client:
+        return Client(process.argv, process.environment)
+
+    def sweep(self, sessions: Sequence[str]) -> None:
+        return None
+
+    def classify(self, result: Result, said: str, enforced: AbstractSet[str]) -> Result:
+        return result
 
 
 def find(name: str) -> Engine:
     """The engine of that name. Raises ConfigError where there is none."""
     made: Engine = plugins.find("engine", SHIPPED, name)()
     return made
+
+
+def names() -> tuple[str, ...]:
+    """The engines that are known here."""
+    return plugins.names("engine", SHIPPED)

@@ -105,7 +105,7 @@ def _id(what: Callable[[], str]) -> str | None:
 def _recipes(records: Records) -> Iterator[Finding]:
     def recipe(row: Mapping[str, Any]) -> str:
         variables = json.loads(row["variables"])
-        made = Recipe(row["platform"], tuple(row["command"]), variables, row["source"], row["image"])
+        made = Recipe(row["platform"], tuple(row["command"]), variables, row["source"], row["image"], tuple(row["reach"] or ()))
         return digest("recipe", made.preimage())
 
     yield from _own(records, "recipes", "recipe", recipe)

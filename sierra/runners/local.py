@@ -10,6 +10,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Iterable
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -106,6 +107,7 @@ def line(job: Job) -> bytes:
         "environment": dict(job.environment),
         "files": {name: base64.b64encode(content).decode() for name, content in job.files},
         "limits": limits,
+        **({"client": asdict(job.client), "shared": job.shared} if job.client else {}),
     }
     return json.dumps(record, separators=(",", ":")).encode() + b"\n"
 

@@ -1,0 +1,186 @@
+"""The containers of one session: made ready before anything executes, and what is recorded of how they isolate."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from sierra import images
+from sierra.config import Container
+from sierra.engines import Abilities, Box, Engine, Mount, Process
+from sierra.errors import ConfigError, Missing
+from sierra.hashing import digest
+from sierra.images import Image
+from sierra.model import Limits, Recipe
+from sierra.paths import StorePaths
+from sierra.provenance.digests import Digests
+from sierra.provenance.program import Kind, Program, Programs
+
+NETWORK, GPU, DEVICE, MOUNT = "network", "gpu", "device ", "mount "
+PROJECT = "/run/sierra/project"
+
+
+def reach(container: Container | None) -> tuple[str, ...]:
+    """What runs reach beyond their image and their own folder, as their identity holds it."""
+    if container is None:
+        return ()
+    flags = [name for name, given in ((NETWORK, container.network), (GPU, container.gpu)) if given]
+    listed = [f"{DEVICE}{path}" for path in container.devices] + [f"{MOUNT}{path}" for path in container.mounts]
+    return tuple(sorted({*flags, *listed}))
+
+
+def data(named: Programs, container: Container, project: Path) -> Programs:
+    """The files that count beside image and source: those of the project that a template names, and all that is mounted.
+
+    What a template names elsewhere is the image's.
+    """
+    digests = Digests()
+    mounted = []
+    for target, source in container.mounts.items():
+        root = project / source
+        for path in sorted(below for below in root.rglob("*") if below.is_file()) if root.is_dir() else [root]:
+            name = str(Path(target, path.relative_to(root)))
+            mounted.append(Program(name, str(path), digests.of(str(path)), Kind.FILE))
+    digests.save()
+    own = (one for one in named.all if one.name.startswith("{project}/"))
+    return Programs((*own, *mounted), named.notes)
+
+
+@dataclass(frozen=True, slots=True)
+class Containment:
+    """What contains the runs of a session: nothing, or containers that are alike."""
+
+    engine: Engine
+    abilities: Abilities
+    box: Box | None = None
+    notes: tuple[str, ...] = ()
+
+    @property
+    def id(self) -> str | None:
+        """The hash of what is recorded; None where nothing contains the runs."""
+        return digest("isolation", self._fields()) if self.box else None
+
+    def rows(self) -> list[dict[str, Any]]:
+        """The row of `isolations`, if there is one."""
+        return [{"isolation": self.id, **self._fields()}] if self.box else []
+
+    @property
+    def context(self) -> dict[str, Any]:
+        """What recording needs to know of it."""
+        if self.box is None:
+            return {"engine": self.engine.name}
+        enforced = tuple(sorted(self.enforced))
+        return {"engine": self.engine.name, "isolation": self.id, "shared": self.box.shared, "enforced": enforced}
+
+    def close(self) -> None:
+        """Remove all containers that are left."""
+        if self.box is not None:
+            self.engine.sweep([self.box.session])
+
+    @property
+    def enforced(self) -> frozenset[str]:
+        """The limits that the engine enforces."""
+        return frozenset(self.box.limits) & self.abilities.enforced if self.box else frozenset()
+
+    def _fields(self) -> dict[str, Any]:
+        box, able = self.box, self.abilities
+        if box is None:
+            return {}
+        said = self.engine.client(replace(box, session=""), Process((), {}, (), "/"))
+        return {
+            "engine": self.engine.name,
+            "version": able.version,
+            "rootless": able.rootless,
+            "mode": "worker" if box.shared else "run",
+            "image": box.image.id,
+            "user": able.user,
+            "network": "host" if box.network else "none" if able.isolated else "not isolated",
+            "devices": [*box.devices, *(["gpu"] if box.gpu else [])],
+            "mounts": json.dumps({mount.target: mount.source for mount in box.mounts}, sort_keys=True),
+            "limits_asked": json.dumps(box.limits, sort_keys=True),
+            "limits_enforced": json.dumps({name: box.limits[name] for name in sorted(self.enforced)}),
+            "argv": [word.replace("\0", "{run}") for word in said.argv],
+        }
+
+
+def contain(
+    engine: Engine,
+    image: Image | None,
+    recipe: Recipe,
+    container: Container | None,
+    bounds: Limits,
+    *,
+    code: Path,
+    project: Path,
+    store: StorePaths,
+    session: str,
+) -> Containment:
+    """Make all ready that containers of runs need; `code` is the folder of it, `container` what the project says now.
+
+    Raises Missing where the image or the engine can't be had, or a mount is not there.
+    """
+    if image is None:
+        return Containment(engine, engine.probe())
+    able = engine.probe()
+    if able.trouble:
+        raise Missing(able.trouble)
+    reference = engine.prepare(image, project, store)
+    given = container or Container(image=image.name)
+    shared = given.isolation == "worker"
+    notes = []
+    if shared and (trouble := _without_python(store, image)):
+        shared = False
+        notes.append(f'isolation = "worker" needs Python 3.8 or newer in the image, {trouble}: each run has its own container')
+    box = Box(
+        image=image,
+        reference=reference,
+        session=session,
+        mounts=(Mount(str(code), PROJECT), *_mounts(recipe, given, project)),
+        network=NETWORK in recipe.reach,
+        devices=tuple(one.removeprefix(DEVICE) for one in recipe.reach if one.startswith(DEVICE)),
+        gpu=GPU in recipe.reach,
+        memory=bounds.memory_bytes,
+        cpus=given.cpus,
+        pids=given.pids,
+        shared=shared,
+    )
+    return Containment(engine, able, box, (*notes, *_ignored(engine, able, box)))
+
+
+def check(engine: Engine, image: Image, project: Path) -> None:
+    """That what is called by an image's name is still what was pinned: quick, before anything else. Raises Missing."""
+    images.verify(project, image)
+    now = engine.present(image, project)
+    if now is not None and now != image.id:
+        raise Missing(
+            f"the image {image.name} is {now[:17]}… now, and {image.id[:17]}… is pinned: sierra image pin takes the new one"
+        )
+
+
+def _mounts(recipe: Recipe, given: Container, project: Path) -> Iterator[Mount]:
+    """The further mounts that a recipe names, with what the project has there."""
+    for target in (one.removeprefix(MOUNT) for one in recipe.reach if one.startswith(MOUNT)):
+        if target not in given.mounts:
+            raise ConfigError(f"runs need a mount at {target}; name what is to be there in [container] mounts")
+        source = project / given.mounts[target]
+        if not source.exists():
+            raise Missing(f"[container] mounts: {source} is not there, which runs are to have at {target}")
+        yield Mount(str(source), target)
+
+
+def _without_python(store: StorePaths, image: Image) -> str:
+    """Why an image can't have the worker in it; empty where it can."""
+    found = images.contents(store, image)
+    return "" if found and found.program("python3", image.variables.get("PATH", "/usr/bin:/bin")) else "and it has none"
+
+
+def _ignored(engine: Engine, able: Abilities, box: Box) -> Iterator[str]:
+    """The limits that are asked for, and that nobody enforces."""
+    for name in sorted(box.limits.keys() - able.enforced):
+        instead = "; SIERRA's own watch looks four times a second" if name == "memory" else ""
+        yield f"LIMIT IGNORED: {engine.name} does not enforce {name} here ({able.version}){instead}"
+    if not box.network and not able.isolated:
+        yield f"NOT ISOLATED: {engine.name} gives containers the network here ({able.version})"

@@ -1,0 +1,130 @@
+"""The engine `podman`: one container a process, of OCI images, with or without root.
+
+podman's containers outlive their client: `conmon` holds them. So each has its id in the run's folder and its session as a
+label, and is removed by these. Its first process is podman's own init, which passes signals on and waits for orphans.
+What a container is called, and what podman itself prints, is nothing of the run's.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import resource
+import subprocess
+from collections.abc import Iterator, Sequence
+from collections.abc import Set as AbstractSet
+from dataclasses import replace
+from pathlib import Path
+
+from sierra.engines import HOSTNAME, Abilities, Box, Mount, Process, probing
+from sierra.errors import Missing
+from sierra.images import Image, storage
+from sierra.model import Client, Result
+from sierra.paths import StorePaths
+
+LABEL = "org.sierra.session"
+CID = "\0/.cid"
+HANDED_ON = re.compile(
+    r"PATH|HOME|USER|LOGNAME|LANG|LC_\w+|TMPDIR|XDG_\w+|DBUS_SESSION_BUS_ADDRESS|CONTAINERS_\w+|STORAGE_\w+|BUILDAH_\w+|SSL_CERT_\w+"
+)
+"""What podman itself needs of the caller's environment."""
+MOST_FILES = 16384
+"""Open files, and processes, that a container may have: podman's own default is more than some hosts allow."""
+FAILED, NOT_EXECUTABLE, NOT_FOUND = 125, 126, 127
+SIGNALLED = 128
+INIT = re.compile(r"ERROR \(catatonit:\d+\): failed to exec pid1: (.*)")
+ERROR = re.compile(r"Error: (.*)")
+
+
+class Podman:
+    """The engine `podman`."""
+
+    name = "podman"
+
+    def probe(self) -> Abilities:
+        return probing.podman()
+
+    def present(self, image: Image, root: Path) -> str | None:
+        return storage.identify(image.name) if not image.file else None
+
+    def prepare(self, image: Image, root: Path, store: StorePaths) -> str:
+        return storage.prepare(image, root, store)
+
+    def client(self, box: Box, process: Process) -> Client:
+        argv = ("podman", "run", *_options(box, process), box.reference, *process.argv)
+        return Client(argv, environment(box.session), ("podman", "rm", "--force", "--time=0", "--ignore", f"--cidfile={CID}"))
+
+    def sweep(self, sessions: Sequence[str]) -> None:
+        for session in sessions:
+            listed = _podman("ps", "--all", "--quiet", "--no-trunc", f"--filter=label={LABEL}={session}", session=session)
+            if found := listed.split():
+                _podman("rm", "--force", "--time=0", "--ignore", *found, session=session)
+
+    def classify(self, result: Result, said: str, enforced: AbstractSet[str]) -> Result:
+        last = said.strip().splitlines()[-1:] or [""]
+        if match := INIT.search(last[0]):
+            return replace(result, exit_code=None, error=f"the command cannot be started in the container: {match[1]}")
+        if result.exit_code in (FAILED, NOT_EXECUTABLE, NOT_FOUND) and (match := ERROR.match(last[0])):
+            return replace(result, exit_code=None, error=f"podman: {match[1]}")
+        return signalled(result, enforced)
+
+
+def signalled(result: Result, enforced: AbstractSet[str]) -> Result:
+    """The result, with the signal that ended its process: as in a shell, 128 and its number are the exit status then."""
+    number = (result.exit_code or 0) - SIGNALLED
+    if result.stopped is not None or result.error is not None or not 0 < number < 65:
+        return result
+    stopped = "memory" if number == 9 and "memory" in enforced else None
+    return replace(result, exit_code=None, signal=number, stopped=stopped)
+
+
+def environment(session: str) -> dict[str, str]:
+    """What podman is started with."""
+    return {**{name: value for name, value in os.environ.items() if HANDED_ON.fullmatch(name)}, "SIERRA_SESSION": session}
+
+
+def _options(box: Box, process: Process) -> Iterator[str]:
+    yield from ("--rm", "--init", "--pull=never", "--log-driver=none", f"--cidfile={CID}", f"--label={LABEL}={box.session}")
+    yield from ("--read-only", "--read-only-tmpfs=false", "--tmpfs=/run:rw,nosuid,nodev,mode=755", "--no-hosts")
+    yield from ("--cap-drop=all", "--security-opt=no-new-privileges", "--user=0:0", f"--hostname={HOSTNAME}", "--tz=UTC")
+    yield from (f"--ulimit={name}={_allowed(kind)}" for name, kind in (("nofile", "NOFILE"), ("nproc", "NPROC")))
+    yield "--network=host" if box.network else "--network=none"
+    if process.interactive:
+        yield "--interactive"
+    if not any(mount.target == "/tmp" for mount in process.mounts):  # noqa: S108 - the container's own
+        yield "--tmpfs=/tmp:rw,nosuid,nodev,mode=1777"
+    yield from (_mounted(mount) for mount in (*box.mounts, *process.mounts))
+    yield from (f"--device={device}" for device in box.devices)
+    if box.gpu:
+        yield "--device=nvidia.com/gpu=all"
+    if box.memory is not None:
+        yield from (f"--memory={box.memory}", f"--memory-swap={box.memory}")
+    if box.cpus is not None:
+        yield f"--cpus={box.cpus}"
+    if box.pids is not None:
+        yield f"--pids-limit={box.pids}"
+    yield "--unsetenv-all"
+    yield from (f"--env={name}={value}" for name, value in process.environment.items())
+    yield from ("--entrypoint=", f"--workdir={process.folder}", "--")
+
+
+def _allowed(kind: str) -> str:
+    _, hard = resource.getrlimit(getattr(resource, f"RLIMIT_{kind}"))
+    most = MOST_FILES if hard == resource.RLIM_INFINITY else min(hard, MOST_FILES)
+    return f"{most}:{most}"
+
+
+def _mounted(mount: Mount) -> str:
+    """A mount as podman reads it: a line of CSV."""
+    if '"' in mount.source or "\n" in mount.source:
+        raise Missing(f"{mount.source!r} cannot be mounted into a container; take a path without quotes and line feeds")
+    return f'--mount=type=bind,"src={mount.source}","dst={mount.target}"{"" if mount.writable else ",ro"}'
+
+
+def _podman(*words: str, session: str) -> str:
+    """What podman says; empty where it is not there, or fails."""
+    try:
+        told = subprocess.run(("podman", *words), capture_output=True, text=True, env=environment(session), check=False)
+    except OSError:
+        return ""
+    return told.stdout
