@@ -8,6 +8,7 @@ for each key, and an example of it. All examples together are one valid `sierra.
 from __future__ import annotations
 
 import json
+import re
 import textwrap
 import tomllib
 from collections.abc import Iterator, Mapping
@@ -28,6 +29,8 @@ Everything that sierra.toml may hold; in pyproject.toml, it may stand in [tool.s
 A line that begins with # and no blank is an example: take the # away to use it. A sentence about it stands before it,
 with its type in brackets, what it is where it is absent, and whether it must be there. An XPath is XPath 1.0."""
 
+BARE = re.compile(r"[A-Za-z0-9_-]+")
+"""A key of TOML that needs no quotes."""
 EXAMPLES = r"""
 template = "template.xml"
 command = "python3 sim.py {input}"
@@ -110,6 +113,18 @@ grace = 5.0
 set = { OMP_NUM_THREADS = 4 }
 pass = ["LICENSE_SERVER"]
 record = ["MODEL_ZOO"]
+
+[container]
+image = "localhost/sim:1"
+engine = "podman"
+isolation = "run"
+mounts = { "/data" = "data" }
+variables = { LD_LIBRARY_PATH = "/opt/sim/lib" }
+network = false
+devices = ["/dev/dri"]
+gpu = false
+cpus = 2.0
+pids = 500
 
 [source]
 paths = ["sim.py", "controllers"]
@@ -343,8 +358,12 @@ def _written(value: Any) -> str:
         case str() if '"' in value and "'" not in value:
             return f"'{value}'"
         case dict():
-            return "{ " + ", ".join(f"{name} = {_written(inner)}" for name, inner in value.items()) + " }"
+            return "{ " + ", ".join(f"{_key(name)} = {_written(inner)}" for name, inner in value.items()) + " }"
         case list() | tuple():
             return f"[{', '.join(map(_written, value))}]"
         case _:
             return json.dumps(value, ensure_ascii=False)
+
+
+def _key(name: str) -> str:
+    return name if BARE.fullmatch(name) else json.dumps(name)
