@@ -53,6 +53,7 @@ def seen(table: dict[str, Any]) -> dict[str, set[str]]:
         "success": "Success",
         "limits": "LimitsTable",
         "environment": "Environment",
+        "container": "Container",
         "programs": "ProgramsTable",
     }.items():
         found[model] = set(table[name])
