@@ -132,7 +132,7 @@ class Running:
         self.folder = folder
         self.pid = process.pid
         self.limits = job.get("limits", {})
-        self.client = job.get("client")
+        self.client = client_in(job["client"], folder) if "client" in job else None
         self.meter = Meter(self) if self.client else None
         self.measured = any(self.limits.get(name) is not None for name in ("cpu_s", "memory_bytes", "output_bytes"))
         self.limited = self.measured or self.limits.get("wall_s") is not None

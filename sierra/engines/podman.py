@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 import re
 import resource
+import signal
 import subprocess
 from collections.abc import Iterator, Sequence
 from collections.abc import Set as AbstractSet
@@ -72,10 +73,10 @@ class Podman:
 def signalled(result: Result, enforced: AbstractSet[str]) -> Result:
     """The result, with the signal that ended its process: as in a shell, 128 and its number are the exit status then."""
     number = (result.exit_code or 0) - SIGNALLED
-    if result.stopped is not None or result.error is not None or not 0 < number < 65:
+    if result.error is not None or not 0 < number < 65:
         return result
-    stopped = "memory" if number == 9 and "memory" in enforced else None
-    return replace(result, exit_code=None, signal=number, stopped=stopped)
+    stopped = "memory" if number == signal.SIGKILL and "memory" in enforced else None
+    return replace(result, exit_code=None, signal=number, stopped=result.stopped or stopped)
 
 
 def environment(session: str) -> dict[str, str]:
