@@ -148,9 +148,7 @@ def rm(
     if dry_run:
         removal: Removal | None = project.removal(*prefixes)
     else:
-        removal = project.remove(
-            *prefixes, agree=lambda found: found.nothing or _agreed(_lines(found), yes, as_json, "to be deleted, for good")
-        )
+        removal = project.remove(*prefixes, agree=agree)
     if removal is None:
         print("nothing was deleted")
         raise typer.Exit(1)
