@@ -118,11 +118,11 @@ class Project:
         watch: Watch | None = None,
     ) -> Summary:
         """Answer a query that is planned already."""
-        from sierra import pipeline, probing
+        from sierra import pipeline
 
         slots, watch = _slots(jobs), watch or (lambda progress: None)
         store = Store.create(self.paths.store)
-        probed = probing.probe(plan, store, watch) if self.config.determinism.probe else ()
+        probed = self._probe(plan, store, watch) if self.config.determinism.probe else ()
         summary = pipeline.run(plan, store, slots=slots, fail_fast=fail_fast, watch=watch)
         summary = replace(summary, notes=(*probed, *summary.notes))
         if not figures or summary.interrupted or summary.missing + summary.failed == summary.runs:
@@ -291,6 +291,11 @@ class Project:
             raise Missing("no batch is recorded yet; sierra run makes one")
         batch: str = known[-1]["batch"]
         return batch
+
+    def _probe(self, plan: Plan, store: Store, watch: Watch) -> tuple[str, ...]:
+        from sierra import probing  # and with it all that a replay needs
+
+        return probing.probe(plan, store, watch)
 
     def _deliver(self, batch: str, name: str | None = None, *, again: bool = True) -> tuple[list[Path], list[str]]:
         from sierra import deliver
