@@ -60,15 +60,10 @@ class Recalled:
 
     def checkout(self, project: LoadedProject, store: Store) -> Checkout:
         """What restores the code."""
-
-        def content(blob: str) -> bytes | None:
-            rows = store.rows("SELECT sha256 FROM blobs WHERE blob = $b", b=blob)
-            return store.object(rows[0]["sha256"]) if rows else None
-
         used = tuple((row["name"], row["kind"]) for row in self.programs)
         container = project.config.container if self.recipe.image else None
         mounted = containment.data(NOTHING, container, project.root) if container else NOTHING
-        return Checkout(project.root, self.recipe, self.manifest, used, content, mounted, self.commit)
+        return Checkout(project.root, self.recipe, self.manifest, used, store.blob, mounted, self.commit)
 
 
 def recall(store: Store, batch: str, programs: str, reading: str) -> Recalled:

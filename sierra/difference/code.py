@@ -58,9 +58,8 @@ def _file(file: File, *, known: bool) -> str:
 
 
 def _blob(store: Store, blob: str) -> bytes | None:
-    rows = store.rows("SELECT sha256 FROM blobs WHERE blob = $b LIMIT 1", b=blob)
     try:
-        return store.object(rows[0]["sha256"]) if rows else None
+        return store.blob(blob)
     except (NotFound, Damaged):
         return None
 

@@ -152,6 +152,11 @@ class Store:
             raise Damaged(f"the recorded file {digest} has other content than was recorded")
         return content
 
+    def blob(self, blob: str) -> bytes | None:
+        """The content of a file of a source, by git's hash of it; None where only git has it. Raises NotFound, Damaged."""
+        rows = self.rows("SELECT sha256 FROM blobs WHERE blob = $b LIMIT 1", b=blob)
+        return self.object(rows[0]["sha256"]) if rows else None
+
 
 class Question:
     """One connection, on one state of the store; a context manager."""
