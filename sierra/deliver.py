@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from importlib.metadata import version
 from math import isfinite
 from pathlib import Path
@@ -23,7 +23,7 @@ from sierra.hashing import sha256, short
 from sierra.model import Axis
 from sierra.paths import ProjectPaths, write_whole
 from sierra.store import Store
-from sierra.store.frame import Frame, OutputTable
+from sierra.store.frame import Column, Frame, OutputTable
 from sierra.store.reading import column_names
 from sierra.store.segments import disk_errors
 from sierra.version import __version__
@@ -155,20 +155,6 @@ def fingerprint(drawing: Drawing) -> str:
     return sha256(repr((shown, rest, __version__, version("matplotlib"))).encode())
 
 
-@dataclass(frozen=True, slots=True)
-class _Column:
-    """One column of one output, as statistics see it."""
-
-    frame: Frame
-    table: str
-    column: str
-    time: str
-
-    def sql(self, text: str, /, **params: Any) -> Any:
-        self.frame.samples(self.table, self.column, self.time)
-        return self.frame.sql(text, **params)
-
-
 class _Gallery:
     """All that the figures of one batch have in common."""
 
@@ -212,12 +198,12 @@ class _Gallery:
             found |= {_file_name(name, found): figure for name, figure in proposed.items()}
         return found, notes
 
-    def column(self, figure: Figure) -> tuple[_Column, analysis.Coverage]:
+    def column(self, figure: Figure) -> tuple[Column, analysis.Coverage]:
         """The one column that a figure names, as statistics see it."""
         output = self._output(figure)
         (column,) = figure.columns
         self._check(output, figure.columns)
-        return _Column(self._frame, output.name, column, self.time(output)), self._coverage(output)
+        return Column(self._frame, output.name, column, self.time(output)), self._coverage(output)
 
     def _check(self, output: OutputTable, columns: Sequence[str]) -> None:
         for column in columns:
@@ -230,7 +216,7 @@ class _Gallery:
         time = self.time(output)
         columns = figure.columns or tuple(column for column in output.columns if column != time)[:1]
         self._check(output, columns)
-        frames = {column: _Column(self._frame, output.name, column, time) for column in columns}
+        frames = {column: Column(self._frame, output.name, column, time) for column in columns}
         computed = analysis.compute(figure, self._axes, frames, planned=self.planned, known=self._coverage(output))
         declared = self._config.outputs.get(output.name)
         return Drawing(
@@ -261,7 +247,7 @@ class _Gallery:
                 raise NotFound("it has no numeric column")
             time = self.time(output)
             column = next((c for c in output.columns if c != time), output.columns[0])
-            self._seen[output.name] = analysis.coverage(_Column(self._frame, output.name, column, time))
+            self._seen[output.name] = analysis.coverage(Column(self._frame, output.name, column, time))
         return self._seen[output.name]
 
     def _output(self, figure: Figure) -> OutputTable:

@@ -15,7 +15,7 @@ from sierra import analysis
 from sierra.analysis import equivalence
 from sierra.config import Equivalence, Output
 from sierra.store import Store
-from sierra.store.frame import Frame
+from sierra.store.frame import Column, Frame
 
 Values = dict[str, dict[tuple[int, str], float]]
 """By metric: what each run of an experiment (its place) was reduced to."""
@@ -39,19 +39,6 @@ class Metric:
         return self.tested is not None and self.tested.equivalent
 
 
-@dataclass(frozen=True, slots=True)
-class _Column:
-    """One column of one output, as statistics see it."""
-
-    frame: Frame
-    declared: Equivalence
-    time: str
-
-    def sql(self, text: str, /, **params: object) -> object:
-        self.frame.samples(self.declared.table, self.declared.column, self.time)
-        return self.frame.sql(text, **params)
-
-
 def values(
     store: Store, batch: str, executions: Mapping[str, str], metrics: Mapping[str, Equivalence], outputs: Mapping[str, Output]
 ) -> Values:
@@ -60,7 +47,7 @@ def values(
     with Frame(store, batch, executions) as frame:
         for name, metric in metrics.items():
             declared = outputs.get(metric.table)
-            column = _Column(frame, metric, declared.time if declared else "")
+            column = Column(frame, metric.table, metric.column, declared.time if declared else "")
             rows = analysis.reduced(column, metric.measure, metric.threshold).to_pylist()
             found[name] = {(row["experiment"], row["run"]): row["value"] for row in rows}
     return found

@@ -183,6 +183,20 @@ class Frame:
             raise SqlError(explain(error)) from error
 
 
+@dataclass(frozen=True, slots=True)
+class Column:
+    """One column of one output, as statistics see it: a frame whose `samples` are its values."""
+
+    frame: Frame
+    table: str
+    column: str
+    time: str
+
+    def sql(self, text: str, /, **parameters: Any) -> pa.Table:
+        self.frame.samples(self.table, self.column, self.time)
+        return self.frame.sql(text, **parameters)
+
+
 def _like(name: str, known: Sequence[str]) -> str:
     """Which of these names may be meant."""
     close = difflib.get_close_matches(name, known, 1, cutoff=0.5)
