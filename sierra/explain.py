@@ -12,6 +12,7 @@ from sierra.plans import Plan
 from sierra.provenance import programs
 from sierra.provenance.source import changed
 from sierra.store import Store
+from sierra.wording import few
 
 LIKE = """
 SELECT b.*, r.command, r.variables, r.source, r.image
@@ -108,8 +109,7 @@ def _source(plan: Plan, store: Store, tree: str) -> list[str]:
     if not rows or plan.source is None:
         return ["the source has changed"]
     files = changed(store.object(rows[0]["files"]), plan.source.manifest)
-    more = f" and {len(files) - SHOWN} more" if len(files) > SHOWN else ""
-    return [f"the source has changed: {', '.join(files[:SHOWN])}{more}"]
+    return [f"the source has changed: {few(files, SHOWN)}"]
 
 
 def _asked(plan: Plan, before: dict[str, Any]) -> list[str]:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+from sierra.wording import few
+
 SHOWN = 12
 LONGEST = 100
 
@@ -21,7 +23,7 @@ def print_programs(rows: Sequence[Mapping[str, Any]]) -> None:
         [(readable(row["name"]), _version(row), row["sha256"][:10], readable(row["path"])) for row in others],
     )
     if loaded:
-        print(f"libraries: {_few([row['name'] for row in loaded])}")
+        print(f"libraries: {few([row['name'] for row in loaded], SHOWN)}")
 
 
 def _version(row: Mapping[str, Any]) -> str:
@@ -55,16 +57,11 @@ def _facts(around: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
             case (("environment" | "lock"), str()):
                 yield name, value[:10]
             case _, list():
-                yield name, _few(value)
+                yield name, few(value, SHOWN)
             case _, str():
                 yield name, readable(value)
             case _:
                 yield name, value
-
-
-def _few(names: Sequence[str]) -> str:
-    more = f", and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
-    return ", ".join(names[:SHOWN]) + more
 
 
 def _cut(text: str) -> str:

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from sierra.difference.kinds import ARROW, Difference, changed, joined, shown
+from sierra.difference.kinds import ARROW, Difference, changed, shown
 from sierra.difference.sides import Side
 from sierra.store import Question
+from sierra.wording import few
 
 SHOWN = 8
 
@@ -52,7 +53,7 @@ def _values(before: Side, after: Side) -> Iterator[Difference]:
         if axis in after.batch["axes"]:
             old, new = (list(dict.fromkeys(cell[axis] for cell in side.cells.values())) for side in (before, after))
             for difference in changed("query", axis, old, new):
-                line = f"{axis}: {joined([shown(v) for v in old], SHOWN)} {ARROW} {joined([shown(v) for v in new], SHOWN)}"
+                line = f"{axis}: {few([shown(v) for v in old], SHOWN)} {ARROW} {few([shown(v) for v in new], SHOWN)}"
                 yield Difference("query", axis, line, old, new, difference.details)
 
 

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-from sierra.difference.kinds import ARROW, Difference, joined
+from sierra.difference.kinds import ARROW, Difference
 from sierra.difference.sides import Side
 from sierra.errors import Damaged, NotFound
 from sierra.provenance import patch
 from sierra.provenance.patch import Commits, File, State
 from sierra.store import Store
+from sierra.wording import few
 
 SHOWN = 8
 
@@ -37,7 +38,7 @@ def _tree(store: Store, root: Path, before: Side, after: Side) -> Difference:
     commits = _commits(root, before, after)
     files = [_file(file, known=file.path not in found.unknown) for file in found.files]
     count = "1 file differs" if len(files) == 1 else f"{len(files)} files differ"
-    line = f"source: {count}: {joined(files, SHOWN)}{_how(commits, after)}"
+    line = f"source: {count}: {few(files, SHOWN)}{_how(commits, after)}"
     unknown = [f"{path}: its content is neither in git nor in the store" for path in found.unknown]
     more = files if len(files) > SHOWN else ()
     return Difference("source", "tree", line, was, now, (*more, *_logs(commits), *unknown, *found.lines))

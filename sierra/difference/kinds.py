@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -143,9 +143,3 @@ def _parsed(value: Any) -> Any:
             return value
     lines = value.splitlines()
     return lines if len(lines) > 1 else value.split() if value.count(" ") > 12 else value
-
-
-def joined(parts: Sequence[str], most: int) -> str:
-    """The first few of many, and how many more there are."""
-    more = f" and {len(parts) - most} more" if len(parts) > most else ""
-    return ", ".join(parts[:most]) + more

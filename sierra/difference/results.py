@@ -17,13 +17,14 @@ from sierra import deliver, outcomes
 from sierra.agreement import Agreement, Verdict
 from sierra.analysis import student_t
 from sierra.config import LoadedProject, Output
-from sierra.difference.kinds import ARROW, Difference, Note, changed, joined, shown
+from sierra.difference.kinds import ARROW, Difference, Note, changed, shown
 from sierra.difference.sides import Side
 from sierra.errors import SierraError
 from sierra.hashing import short
 from sierra.record import rules_of
 from sierra.store import Question, Store
 from sierra.store.frame import Frame
+from sierra.wording import few
 
 LOOKED_AT = 5
 """Runs with other results than before, of which the outputs are compared."""
@@ -185,7 +186,7 @@ def means(
             done += 1
             yield from _apart(before, chosen, old, new, output, column)
     if left:
-        notes.append(Note(f"the means of {done} columns are compared; not those of {joined(left, SHOWN)}", "results"))
+        notes.append(Note(f"the means of {done} columns are compared; not those of {few(left, SHOWN)}", "results"))
 
 
 OTHER = "was <> now AND other_result AND was_executed IS NOT NULL AND now_executed IS NOT NULL"

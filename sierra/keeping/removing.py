@@ -25,6 +25,7 @@ from sierra.provenance import source
 from sierra.store import Question, Store, read_parquet
 from sierra.store.rewriting import Drop, Rewriting, groups
 from sierra.store.segments import OUTPUT, Segment
+from sierra.wording import few
 
 SHOWN = 5
 
@@ -292,5 +293,4 @@ def text(removal: Removal) -> list[str]:
 
 
 def _some(batches: Iterable[str]) -> str:
-    named = [short(batch) for batch in batches]
-    return ", ".join(named[:SHOWN]) + (f" and {len(named) - SHOWN} more" if len(named) > SHOWN else "")
+    return few([short(batch) for batch in batches], SHOWN)

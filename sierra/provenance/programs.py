@@ -23,6 +23,7 @@ from sierra.hashing import sha256, short
 from sierra.provenance import libraries, pythons
 from sierra.provenance.digests import Digests
 from sierra.provenance.program import NOTHING, Kind, Program, Programs, called
+from sierra.wording import few
 
 SHOWN = 5
 
@@ -182,11 +183,11 @@ def told(before: Iterable[Mapping[str, Any]], now: Programs) -> Iterator[str]:
         if kind == Kind.LIBRARY:
             loaded.append(name)
         elif was and program and kind == Kind.DISTRIBUTIONS and was["version"] != program.version:
-            yield f"{name}: {_shown(list(_versions(was['version'], program.version)))}"
+            yield f"{name}: {few(list(_versions(was['version'], program.version)), SHOWN)}"
         else:
             yield f"{name}: {_said(was) if was else 'not'} recorded, {_said(program) if program else 'not'} found"
     if loaded:
-        yield f"libraries other than recorded: {_shown(loaded)}"
+        yield f"libraries other than recorded: {few(loaded, SHOWN)}"
 
 
 def _ambiguous(names: Iterable[str]) -> set[str]:
@@ -208,8 +209,3 @@ def _versions(before: str | None, now: str | None) -> Iterator[str]:
         if was.get(name) != found.get(name):
             old, new = (lines[name].partition("==")[2] if name in lines else "not" for lines in (was, found))
             yield f"{name} {old} recorded, {new} found"
-
-
-def _shown(items: list[str]) -> str:
-    more = f" and {len(items) - SHOWN} more" if len(items) > SHOWN else ""
-    return ", ".join(items[:SHOWN]) + more

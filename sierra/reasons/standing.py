@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from typing import Any
 
 from sierra.difference.around import other_programs, other_rules
-from sierra.difference.kinds import joined
 from sierra.difference.sides import make_runs
 from sierra.store import Question
 from sierra.store.files import Place
 from sierra.store.views import LATEST
+from sierra.wording import few
 
 SHOWN = 4
 
@@ -66,7 +66,7 @@ def _why(question: Question, row: dict[str, Any]) -> str:
 
 
 def _other(question: Question, row: dict[str, Any]) -> str:
-    return joined([*_differences(question, row)], SHOWN) or "which programs or rules is not recorded"
+    return few([*_differences(question, row)], SHOWN) or "which programs or rules is not recorded"
 
 
 def _differences(question: Question, row: dict[str, Any]) -> Iterator[str]:

@@ -12,10 +12,10 @@ from datetime import datetime
 from typing import Any
 
 from sierra.difference.around import other_programs, other_rules
-from sierra.difference.kinds import joined
 from sierra.hashing import short
 from sierra.states import FAILED, GOOD, OTHER_PROGRAMS, OTHER_RULES
 from sierra.store import Question
+from sierra.wording import few
 
 SHOWN = 4
 
@@ -157,4 +157,4 @@ def _why(question: Question, row: Mapping[str, Any], replay: Mapping[str, Any] |
 
 
 def _lines(changes: Iterator[Any]) -> str:
-    return joined([change.line for change in changes], SHOWN) or "which ones is not recorded"
+    return few([change.line for change in changes], SHOWN) or "which ones is not recorded"

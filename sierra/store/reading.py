@@ -32,6 +32,7 @@ from typing import Any, Literal
 
 from sierra.errors import Missing
 from sierra.store.tables import BESIDE_OUTPUTS
+from sierra.wording import few
 
 DELIMITERS = (",", "\t", ";", "|")
 FILE = "# file"
@@ -958,10 +959,9 @@ def difference(has: tuple[str, ...], names: tuple[str, ...]) -> str:
 
 
 def _few(names: Iterable[str]) -> str:
-    """Some names, and how many more there are."""
+    """Some names, and how many more there are; never `and 1 more`."""
     names = list(names)
-    more = f" and {len(names) - FEW} more" if len(names) > FEW + 1 else ""
-    return ", ".join(names[:FEW] if more else names) + more
+    return few(names, FEW if len(names) > FEW + 1 else len(names))
 
 
 def shown(path: str) -> str:

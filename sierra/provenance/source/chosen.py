@@ -7,6 +7,7 @@ import re
 from collections.abc import Iterable, Sequence
 
 from sierra.errors import ConfigError
+from sierra.wording import few
 
 
 class Chosen:
@@ -55,9 +56,8 @@ def check_size(path: bytes, size: int, large: int, way_out: str) -> None:
 
 def shown(paths: Sequence[bytes], most: int = 3) -> str:
     """The first paths, and how many more there are, in one line."""
-    names = [path.decode("utf-8", "replace") for path in paths[:most]]
-    text = ", ".join(name if name.isprintable() else ascii(name) for name in names)
-    return text + (f" and {len(paths) - most} more" if len(paths) > most else "")
+    names = (path.decode("utf-8", "replace") for path in paths)
+    return few([name if name.isprintable() else ascii(name) for name in names], most)
 
 
 def _bytes(size: float) -> str:
