@@ -12,7 +12,7 @@ from typing import Any
 from sierra.difference.kinds import ARROW, Difference, changed, shown
 from sierra.difference.sides import Side
 from sierra.hashing import short
-from sierra.provenance.program import called
+from sierra.provenance.program import called, versions
 from sierra.store import Question
 
 Rows = Sequence[Mapping[str, Any]]
@@ -58,9 +58,9 @@ def _one(row: Mapping[str, Any]) -> str:
 def _versions(was: Rows, now: Rows) -> Iterator[str]:
     """Of what lists several versions, distributions say, those that differ; and where programs lie, if elsewhere."""
     if len(was) == len(now) == 1:
-        versions = [row[0].get("version") or "" for row in (was, now)]
-        if any("\n" in version for version in versions):
-            old, new = (dict(line.partition("==")[::2] for line in version.splitlines()) for version in versions)
+        listed = [row[0].get("version") or "" for row in (was, now)]
+        if any("\n" in text for text in listed):
+            old, new = map(versions, listed)
             for name in sorted(old.keys() | new.keys()):
                 if old.get(name) != new.get(name):
                     yield f"{name} {old.get(name) or 'not there'} {ARROW} {new.get(name) or 'not there'}"

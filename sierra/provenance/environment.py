@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from sierra.hashing import digest, sha256
-from sierra.provenance import pythons
+from sierra.provenance import program, pythons
 from sierra.provenance.machine import facts, usable_cores
 
 VARIABLES = (
@@ -92,7 +92,7 @@ def differing(before: Mapping[str, Any], now: Mapping[str, Any]) -> Iterator[tup
 def _table(name: str, text: str | None) -> dict[str, Any]:
     """A text of several facts, by their names."""
     if name == "distributions":
-        return {line.partition("==")[0]: line.partition("==")[2] for line in (text or "").splitlines()}
+        return dict(program.versions(text))
     table: dict[str, Any] = json.loads(text or "{}")
     return table
 

@@ -64,6 +64,11 @@ def fingerprint(programs: Iterable[tuple[str, str]]) -> str:
     return digest("programs", {"programs": sorted({(called(name), found) for name, found in programs})})
 
 
+def versions(listed: str | None) -> dict[str, str]:
+    """The versions in a list of distributions, a line `name==version` for each, by name."""
+    return dict(line.partition("==")[::2] for line in (listed or "").splitlines())
+
+
 def called(name: str) -> str:
     """What a program is called wherever it lies: its path's last part, or what stands for a path of the project."""
     return name if "{" in name else Path(name).name

@@ -22,7 +22,7 @@ from sierra.errors import Missing
 from sierra.hashing import sha256, short
 from sierra.provenance import libraries, pythons
 from sierra.provenance.digests import Digests
-from sierra.provenance.program import NOTHING, Kind, Program, Programs, called
+from sierra.provenance.program import NOTHING, Kind, Program, Programs, called, versions
 from sierra.wording import few
 
 SHOWN = 5
@@ -204,8 +204,7 @@ def _said(one: Program | Mapping[str, Any]) -> str:
 
 def _versions(before: str | None, now: str | None) -> Iterator[str]:
     """The distributions that are others in two lists."""
-    was, found = ({line.partition("==")[0]: line for line in (text or "").splitlines()} for text in (before, now))
+    was, found = versions(before), versions(now)
     for name in sorted(was.keys() | found.keys()):
         if was.get(name) != found.get(name):
-            old, new = (lines[name].partition("==")[2] if name in lines else "not" for lines in (was, found))
-            yield f"{name} {old} recorded, {new} found"
+            yield f"{name} {was.get(name, 'not')} recorded, {found.get(name, 'not')} found"
