@@ -14,14 +14,12 @@ from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import pyarrow as pa
-
 from sierra import recovery, sessions, worker
 from sierra.keeping.changing import changing, publish, undisturbed
 from sierra.keeping.contents import UNFINISHED
 from sierra.paths import StorePaths
 from sierra.store import Question, Store, read_parquet
-from sierra.store.rewriting import Drop, Group, Rewriting, groups, out_of_use, tidy
+from sierra.store.rewriting import Drop, Group, Rewriting, groups, out_of_use, tidy, touched
 from sierra.store.segments import Segment
 
 MANY = 4
@@ -148,7 +146,8 @@ def _plan(store: Store) -> _Plan:
     with store.ask() as question:
         question.views.make(("artifacts", "members", "sources", "blobs"))
         unneeded = {} if not _has(question, "objects") else _unneeded(question)
-        holding = _holding(question, set(unneeded))
+        drop = {"objects": {"sha256": set(unneeded)}} if unneeded else {}
+        holding = touched(question, question.segments, drop)
         small: dict[str, list[Segment]] = {}
         for segment in question.segments:
             if segment.files and _size(segment) < SMALL:
@@ -157,7 +156,6 @@ def _plan(store: Store) -> _Plan:
         chosen |= {id(segment): segment for segment in holding}
         found = [part for group in groups(chosen.values()) for part in _parts(group)]
         kept = [group for group in found if len(group.segments) > 1 or group.segments[0] in holding]
-        drop = {"objects": {"sha256": set(unneeded)}} if unneeded else {}
         return _Plan(tuple(kept), drop, sum(unneeded.values()), {segment.name for segment in question.segments})
 
 
@@ -170,19 +168,6 @@ def _unneeded(question: Question) -> dict[str, int]:
     files = [segment.files["objects"] for segment in question.segments if "objects" in segment.files]
     statement = f"SELECT sha256, max(size) FROM {read_parquet(files)} o ANTI JOIN ({REFERRED}) r USING (sha256) GROUP BY sha256"
     return dict(question.run(statement))
-
-
-def _holding(question: Question, digests: AbstractSet[str]) -> list[Segment]:
-    if not digests:
-        return []
-    question.register("unneeded", pa.table({"sha256": sorted(digests)}))
-    found = []
-    for segment in question.segments:
-        if "objects" in segment.files:
-            source = read_parquet([segment.files["objects"]])
-            if question.run(f"SELECT 1 FROM {source} WHERE sha256 IN (SELECT sha256 FROM unneeded) LIMIT 1"):
-                found.append(segment)
-    return found
 
 
 def _size(segment: Segment) -> int:

@@ -22,9 +22,9 @@ from sierra.errors import NotFound, SierraError
 from sierra.hashing import short
 from sierra.keeping.changing import changing, publish, undisturbed
 from sierra.provenance import source
-from sierra.store import Question, Store, read_parquet
-from sierra.store.rewriting import Drop, Rewriting, groups
-from sierra.store.segments import OUTPUT, Segment
+from sierra.store import Question, Store
+from sierra.store.rewriting import Rewriting, groups, touched
+from sierra.store.segments import Segment
 from sierra.wording import few
 
 SHOWN = 5
@@ -195,7 +195,7 @@ def _plan(store: Store, named: Mapping[str, AbstractSet[str]]) -> _Plan:
         question.run(FIND)
         made = _Plan(_removal(question, named))
         made.drop = _drop(question, store, named)
-        made.touched = [segment for segment in question.segments if _touches(question, segment, made.drop)]
+        made.touched = touched(question, question.segments, made.drop)
         made.seen = {segment.name for segment in question.segments}
         concerned = "SELECT batch FROM members WHERE run IN (SELECT run FROM gone) UNION SELECT batch FROM gone_batches"
         made.concerned = _column(question, concerned)
@@ -257,22 +257,6 @@ def _blobs(question: Question, store: Store) -> set[str]:
 
 def _column(question: Question, statement: str) -> set[str]:
     return {row[0] for row in question.run(statement) if row[0] is not None}
-
-
-def _touches(question: Question, segment: Segment, drop: Drop) -> bool:
-    for name, path in segment.files.items():
-        table = "output" if name.startswith(OUTPUT) else name
-        for column, values in drop.get(table, {}).items():
-            if has_any(question, path, column, values):
-                return True
-    return False
-
-
-def has_any(question: Question, path: str, column: str, values: AbstractSet[str]) -> bool:
-    """Whether one of these values is in a column of a file."""
-    question.register("going", pa.table({"value": pa.array(sorted(values), pa.string())}))
-    statement = f"SELECT 1 FROM {read_parquet([path])} WHERE {column} IN (SELECT value FROM going) LIMIT 1"
-    return bool(question.run(statement))
 
 
 def text(removal: Removal) -> list[str]:

@@ -32,8 +32,8 @@ from sierra.keeping.findings import Kind
 from sierra.keeping.records import Records
 from sierra.paths import StorePaths, write_whole
 from sierra.store import FORMAT
-from sierra.store.rewriting import Drop, Rewriting, groups
-from sierra.store.segments import MANIFEST, OUTPUT, Segment, manifest
+from sierra.store.rewriting import Drop, Rewriting, groups, touched
+from sierra.store.segments import MANIFEST, Segment, manifest
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,18 +167,10 @@ def _loss(paths: StorePaths, checked: Checked) -> _Loss:
                     loss.executions |= set() if finding.what == records.ORPHANS else set(finding.affected.executions)
                     if not finding.affected.executions:
                         loss.batches |= set(finding.affected.batches)
-        loss.touched = [segment for segment in contents.sound if segment.name in broken or _touches(read, segment, loss.drop)]
+        readable = [segment for segment in contents.sound if segment.name not in broken]
+        going = {segment.name for segment in touched(read.question, readable, loss.drop)}
+        loss.touched = [segment for segment in contents.sound if segment.name in broken or segment.name in going]
     finally:
         read.question.__exit__()
         contents.broken = broken
     return loss
-
-
-def _touches(read: Records, segment: Segment, drop: Drop) -> bool:
-    from sierra.keeping.removing import has_any
-
-    return any(
-        has_any(read.question, path, column, values)
-        for name, path in segment.files.items()
-        for column, values in drop.get("output" if name.startswith(OUTPUT) else name, {}).items()
-    )

@@ -20,9 +20,9 @@ from typing import Any
 
 from sierra.errors import Damaged, Missing
 from sierra.paths import StorePaths
-from sierra.store import connect
+from sierra.store import Question, connect
 from sierra.store.objects import GROUP, ROWS
-from sierra.store.reading import first_line, quote
+from sierra.store.reading import first_line, identifier, quote
 from sierra.store.segments import (
     AFTER,
     MANIFEST,
@@ -66,6 +66,35 @@ def groups(segments: Iterable[Segment]) -> list[Group]:
     return [Group(tuple(members)) for _, _, members in found]
 
 
+def touched(question: Question, segments: Iterable[Segment], drop: Drop) -> list[Segment]:
+    """Those segments that have a row which goes."""
+    import pyarrow as pa
+
+    for table, columns in drop.items():
+        for column, values in columns.items():
+            question.register(f"going {table} {column}", pa.table({"value": pa.array(sorted(values), pa.string())}))
+
+    def goes(path: str, table: str, column: str) -> bool:
+        going = f"SELECT value FROM {identifier(f'going {table} {column}')}"
+        return bool(question.run(f"SELECT 1 FROM {read_parquet([path])} WHERE {column} IN ({going}) LIMIT 1"))
+
+    return [
+        segment
+        for segment in segments
+        if any(
+            goes(path, table, column)
+            for name, path in segment.files.items()
+            for table in (_table(name),)
+            for column in drop.get(table, ())
+        )
+    ]
+
+
+def _table(name: str) -> str:
+    """What a segment's file is called in a `Drop`."""
+    return "output" if name.startswith(OUTPUT) else name
+
+
 def _schema(path: str) -> Any:
     """Names and types. (Whether a column may lack values is no part of it: DuckDB notes that where it happens to know.)"""
     import pyarrow as pa
@@ -92,7 +121,7 @@ class Rewriting:
         for name in sorted({name for segment in group.segments for name in segment.files}):
             paths = [segment.files[name] for segment in group.segments if name in segment.files]
             with disk_errors(self._folder):
-                _write(writer.path(name), name, paths, drop.get("output" if name.startswith(OUTPUT) else name, {}))
+                _write(writer.path(name), name, paths, drop.get(_table(name), {}))
         self._replaced += group.segments
         if any(writer.folder.iterdir()):
             self._writers.append((group.segments[0].batch, writer))
