@@ -20,6 +20,8 @@ Artifact = Mapping[str, Any]
 """A row of `artifacts`."""
 Artifacts = Mapping[str, Artifact]
 """What one execution left, without logs, by path."""
+_Pair = tuple[tuple[str, str], list[tuple[Artifact, Artifact]]]
+"""Two executions, and the files of both that have other bytes."""
 
 
 def compare(question: Question, recorded: str, found: str, declared: Mapping[str, Output]) -> dict[str | None, Agreement]:
@@ -35,10 +37,10 @@ def compare_all(
 ) -> Iterator[dict[str | None, Agreement]]:
     """As `compare`, of many executions, a few of them in memory at a time."""
     left = _artifacts(question, (execution for pair in pairs for execution in pair))
-    for some in _by_weight(pairs, left):
-        unlike = [(was, now) for pair in some for was, now in _both(*(left[one] for one in pair)) if _same_kind(was, now)]
-        contents = _Contents(question, [row for rows in unlike for row in rows])
-        for recorded, found in some:
+    for some in _by_weight((pair, list(_unlike(*(left[one] for one in pair)))) for pair in pairs):
+        compared = [files for _, unlike in some for files in unlike if _same_kind(*files)]
+        contents = _Contents(question, [row for files in compared for row in files])
+        for (recorded, found), _ in some:
             yield _of_artifacts(contents, left[recorded], left[found], declared)
 
 
@@ -54,12 +56,12 @@ def _artifacts(question: Question, executions: Iterable[str]) -> dict[str, Artif
     return dict(left)
 
 
-def _by_weight(pairs: Sequence[tuple[str, str]], left: Mapping[str, Artifacts]) -> Iterator[list[tuple[str, str]]]:
+def _by_weight(pairs: Iterable[_Pair]) -> Iterator[list[_Pair]]:
     """Pairs of which not too much must be read at a time; one at least."""
-    some: list[tuple[str, str]] = []
+    some: list[_Pair] = []
     weight = 0
     for pair in pairs:
-        more = sum(row["size"] for rows in _both(*(left[one] for one in pair)) for row in rows)
+        more = sum(row["size"] for files in pair[1] for row in files)
         if some and (weight + more > BYTES or len(some) >= PAIRS):
             yield some
             some, weight = [], 0
@@ -68,7 +70,7 @@ def _by_weight(pairs: Sequence[tuple[str, str]], left: Mapping[str, Artifacts]) 
     yield some
 
 
-def _both(was: Artifacts, now: Artifacts) -> Iterator[tuple[Artifact, Artifact]]:
+def _unlike(was: Artifacts, now: Artifacts) -> Iterator[tuple[Artifact, Artifact]]:
     """The files that are in both, with other bytes."""
     for path in was.keys() & now.keys():
         if was[path]["sha256"] != now[path]["sha256"]:
