@@ -1,9 +1,10 @@
 """Every file name that SIERRA gives, in one place; and how a file appears whole.
 
 $XDG_CONFIG_HOME/sierra/config.toml a user's own defaults
-$XDG_CACHE_HOME/sierra/             what can be found out again: digests.json, versions.json
+$XDG_CACHE_HOME/sierra/             what can be found out again: digests.json, versions.json, images.json
 $XDG_STATE_HOME/sierra/             reports of faults; what was asked at the SQL prompt
 PROJECT/sierra.toml
+PROJECT/sierra.lock                 what the names of images stand for; committed with the project
 PROJECT/figures/<batch>/            what is drawn, and in .drawn.json from what
 PROJECT/.sierra/files               hashes of the project's files outside git; made again where it is gone
 PROJECT/.sierra/format              the version of the store's format
@@ -11,6 +12,8 @@ PROJECT/.sierra/segments/<segment>/ what is recorded; see sierra.store.segments
 PROJECT/.sierra/work/<session>/     what executes now; gone once it is recorded
     lock  owner.0  claims.json  context.json  journal.jsonl  segment/
     <number>/                       one run: input files, stdout, stderr, home/ tmp/ output/
+PROJECT/.sierra/images/<id>/        what is in an image, and its files as apptainer runs them; made again from the image
+    image.json  files.jsonl  rootfs.sqfs
 PROJECT/.sierra/damaged/<segment>/  segments that `sierra fsck --repair` put aside
 PROJECT/.sierra/kept/<replay>/      what `sierra replay --keep` leaves: source/, and the folder of each run by its id
 """
@@ -22,6 +25,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 CONFIG = "sierra.toml"
+LOCK = "sierra.lock"
 PYPROJECT = "pyproject.toml"
 STORE = ".sierra"
 WORK = "work"
@@ -44,6 +48,11 @@ class ProjectPaths:
     @property
     def store(self) -> Path:
         return self.root / STORE
+
+    @property
+    def lock(self) -> Path:
+        """What the names of images stand for."""
+        return self.root / LOCK
 
     @property
     def figures(self) -> Path:
@@ -86,6 +95,14 @@ class StorePaths:
         return self.root / "files"
 
     @property
+    def images(self) -> Path:
+        """Where images are described and kept for apptainer; all of it can be made again."""
+        return self.root / "images"
+
+    def image(self, folder: str) -> ImagePaths:
+        return ImagePaths(self.images / folder)
+
+    @property
     def work_lock(self) -> Path:
         return self.work / "lock"
 
@@ -105,6 +122,27 @@ class StorePaths:
 
     def session(self, session: str) -> SessionPaths:
         return SessionPaths(self.work / session)
+
+
+@dataclass(frozen=True, slots=True)
+class ImagePaths:
+    """The paths of what is known of one image."""
+
+    root: Path
+
+    @property
+    def description(self) -> Path:
+        return self.root / "image.json"
+
+    @property
+    def files(self) -> Path:
+        """The list of the image's files."""
+        return self.root / "files.jsonl"
+
+    @property
+    def rootfs(self) -> Path:
+        """The image's files as a squashfs."""
+        return self.root / "rootfs.sqfs"
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,6 +198,11 @@ def user_digests() -> Path:
 def user_versions() -> Path:
     """The file of what programs said of themselves; it need not be there."""
     return _user("XDG_CACHE_HOME", ".cache") / "versions.json"
+
+
+def user_images() -> Path:
+    """The file of what podman said of images; it need not be there."""
+    return _user("XDG_CACHE_HOME", ".cache") / "images.json"
 
 
 def _user(variable: str, fallback: str) -> Path:

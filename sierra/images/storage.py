@@ -1,21 +1,241 @@
-"""podman's storage of images."""
+"""Podman's storage of images: the only place where SIERRA calls podman for an image's sake.
+
+Nothing here ever asks a registry. What podman says of a name is remembered for as long as none of its lists of images has
+changed, so that asking again costs no process: a list is replaced, never written over, so its inode and times tell.
+"""
 
 from __future__ import annotations
 
+import contextlib
+import json
+import os
+import resource
+import shutil
+import signal
 import subprocess
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
-from sierra.errors import Missing
-from sierra.images import Image
-from sierra.paths import StorePaths
+from sierra.errors import Damaged, Missing
+from sierra.images.archive import image_of
+from sierra.images.image import Image, Kind
+from sierra.paths import user_images
+from sierra.provenance.remembered import Remembered
+
+MOST = 512
+RACY_NS = 2 * 10**9
+CONFIGURATION = ("storage.conf", "containers.conf")
+FOLDERS = ("/usr/share/containers", "/etc/containers")
+VARIABLES = ("CONTAINERS_CONF", "CONTAINERS_STORAGE_CONF", "STORAGE_DRIVER", "STORAGE_OPTS", "XDG_DATA_HOME", "HOME")
+"""What tells podman where its images are."""
+UNKNOWN = ("image not known", "no such image", "no such object", "unable to find a name and tag match")
+INSTALL = "podman is not installed (apt-get install podman, dnf install podman); or name the image as a file"
 
 
-def identify(name: str) -> str | None:
-    told = subprocess.run(("podman", "image", "inspect", "--format={{.Id}}", name), capture_output=True, text=True, check=False)
-    return f"sha256:{told.stdout.strip()}" if told.returncode == 0 else None
+def program() -> str:
+    """Podman's path. Raises Missing where it is not installed."""
+    found = shutil.which("podman")
+    if found is None:
+        raise Missing(INSTALL)
+    return found
 
 
-def prepare(image: Image, root: Path, store: StorePaths) -> str:
-    if identify(image.id) is None:
-        raise Missing(f"the image {image.name} ({image.id[:17]}…) is not in podman's storage")
-    return image.id
+def installed() -> bool:
+    return shutil.which("podman") is not None
+
+
+def identify(name: str) -> Image | None:
+    """What a name (or an id) stands for now; None where podman has no such image. Raises Missing without podman."""
+    remembered = Remembered(user_images(), MOST)
+    state, key = _state(remembered), f"{_where()} {name}"
+    known = remembered.get(key)
+    if state is not None and isinstance(known, dict) and known.get("state") == state:
+        with contextlib.suppress(TypeError, ValueError):
+            image = known["image"]
+            return None if image is None else Image(**(image | {"kind": Kind(image["kind"]), "layers": tuple(image["layers"])}))
+    found = inspect(name)
+    image = None if found is None else _image(name, found)
+    if state is not None and _state(remembered) == state and not _recent(state):
+        remembered.put(key, {"state": state, "image": None if image is None else asdict(image)})
+    remembered.save()
+    return image
+
+
+def inspect(name: str) -> dict[str, Any] | None:
+    """All that podman says of an image; None where it has none of that name."""
+    done = _call(["image", "inspect", "--", name])
+    if done.returncode == 0:
+        found: dict[str, Any] = json.loads(done.stdout)[0]
+        return found
+    if any(words in done.stderr for words in UNKNOWN):
+        return None
+    raise Missing(f"podman cannot look at {name!r}: {complaint(done.stderr)}")
+
+
+def config(found: Mapping[str, Any]) -> dict[str, Any]:
+    """What `inspect` said, as the image's configuration has it."""
+    return {
+        "architecture": found.get("Architecture") or "",
+        "created": found.get("Created"),
+        "rootfs": {"diff_ids": list((found.get("RootFS") or {}).get("Layers") or ())},
+        "config": found.get("Config") or {},
+        "history": found.get("History") or [],
+    }
+
+
+def save(name: str, path: Path) -> None:
+    """Write an image as a docker-archive, of which the same image always gives the same bytes."""
+    done = _call(["save", "--quiet", "--format", "docker-archive", "--output", str(path), name])
+    if done.returncode:
+        path.unlink(missing_ok=True)
+        raise Missing(f"podman cannot save {name!r} to {path}: {complaint(done.stderr)}")
+
+
+def load(path: Path, identity: str, name: str = "") -> None:
+    """Take an archive in, and see that it is the image of that id there; `name` is a further tag for it."""
+    done = _call(["load", "--quiet", "--input", str(path)])
+    if done.returncode:
+        raise Missing(f"podman cannot load {path}: {complaint(done.stderr)}")
+    if not present(identity):
+        raise Damaged(f"{path} is {identity}, but podman made another image of it")
+    if name:
+        tag(identity, name)
+
+
+def tag(identity: str, name: str) -> None:
+    done = _call(["tag", _bare(identity), name])
+    if done.returncode:
+        raise Missing(f"podman cannot call {identity} {name!r}: {complaint(done.stderr)}")
+
+
+def present(identity: str) -> bool:
+    """Whether podman has the image of that id."""
+    return identify(identity) is not None
+
+
+def build(context: Path, name: str, *, epoch: int, labels: Mapping[str, str], network: bool = False) -> str:
+    """Build a Containerfile, whose folder is the context; the image's id. Nothing is left of a build that fails.
+
+    Times are `epoch`, no cache is used, and nothing says which version of podman it was: the same recipe gives the same id.
+    """
+    identity = context.with_name(f"{context.name}.id")
+    words = [
+        *("build", "--pull=never", "--no-cache", "--layers=false", "--force-rm", "--timestamp", str(epoch)),
+        *("--identity-label=false", f"--network={'host' if network else 'none'}", *_limits()),
+        *(part for label, text in sorted(labels.items()) for part in ("--label", f"{label}={text}")),
+        *("--iidfile", str(identity), "--tag", name, "--file", str(context / "Containerfile"), str(context)),
+    ]
+    try:
+        done = _call(words)
+        if done.returncode:
+            raise Missing(f"podman cannot build {name}: {complaint(done.stderr)}")
+        return "sha256:" + identity.read_text().strip().removeprefix("sha256:")
+    finally:
+        identity.unlink(missing_ok=True)
+
+
+def complaint(said: str) -> str:
+    """The line in which podman says why, without its prefixes."""
+    lines = [line.strip() for line in said.splitlines() if line.strip()]
+    errors = [line for line in lines if line.startswith("Error:")]
+    why = (errors or lines or ["it said nothing"])[-1].removeprefix("Error:").strip()
+    return f"{why} ({lines[-2]})" if why.endswith(("exit status 1", "exit status 2")) and len(lines) > 1 else why
+
+
+def run(command: Sequence[str], **more: Any) -> subprocess.CompletedProcess[str]:
+    """Run a program in a process group of its own, all of which is ended where this process is interrupted."""
+    process = subprocess.Popen(command, stdin=subprocess.DEVNULL, text=True, errors="replace", start_new_session=True, **more)
+    try:
+        out, err = process.communicate()
+    except BaseException:
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGTERM)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(10)
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+        raise
+    return subprocess.CompletedProcess(command, process.returncode, out, err)
+
+
+def _call(words: Sequence[str]) -> subprocess.CompletedProcess[str]:
+    return run([program(), *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+
+
+def _limits() -> Iterator[str]:
+    """Limits that podman may give what it builds: as root without CAP_SYS_RESOURCE, none over this process's own."""
+    for name, number, most in (("nofile", resource.RLIMIT_NOFILE, 1 << 20), ("nproc", resource.RLIMIT_NPROC, 1 << 15)):
+        hard = resource.getrlimit(number)[1]
+        limit = most if hard == resource.RLIM_INFINITY else min(hard, most)
+        yield f"--ulimit={name}={limit}:{limit}"
+
+
+def _bare(identity: str) -> str:
+    return identity.removeprefix("sha256:")
+
+
+def _image(name: str, found: Mapping[str, Any]) -> Image:
+    return image_of(name, f"sha256:{_bare(found['Id'])}", config(found))
+
+
+# ---------------------------------------------------------------- what podman said, remembered
+
+
+def _where() -> str:
+    """Whose storage it is: all that is asked of the environment for that."""
+    return json.dumps([os.getuid(), *(os.environ.get(name, "") for name in VARIABLES)])
+
+
+def _state(remembered: Remembered) -> list[Any] | None:
+    """How the lists of images are now; None where it cannot be told."""
+    states = [_stat(path) for path in _lists(remembered)]
+    return states if states and any(state is not None for state in states) else None
+
+
+def _recent(state: list[Any]) -> bool:
+    """Whether a list was changed so lately that a further change might not show."""
+    return any(one is not None and max(one[-2:]) > time.time_ns() - RACY_NS for one in state)
+
+
+def _lists(remembered: Remembered) -> list[str]:
+    """Podman's lists of images, its own and those of the stores beside it."""
+    around = [program(), *_configuration()]
+    state = [_stat(path) for path in around]
+    known = remembered.get(_where())
+    if isinstance(known, dict) and known.get("state") == state and isinstance(known.get("lists"), list):
+        return [str(path) for path in known["lists"]]
+    done = _call(["info", "--format", "json"])
+    if done.returncode:
+        raise Missing(f"podman does not work here: {complaint(done.stderr)}")
+    lists = list(_said(json.loads(done.stdout).get("store") or {}))
+    remembered.put(_where(), {"state": state, "lists": lists})
+    remembered.save()
+    return lists
+
+
+def _said(store: Mapping[str, Any]) -> Iterator[str]:
+    driver = store.get("graphDriverName", "overlay")
+    others = [other for name, other in (store.get("graphOptions") or {}).items() if name.endswith("imagestore")]
+    for root in (
+        store.get("graphRoot", ""),
+        *(one for other in others for one in ([other] if isinstance(other, str) else other)),
+    ):
+        yield f"{root}/{driver}-images/images.json"
+
+
+def _configuration() -> Iterator[str]:
+    own = os.environ.get("XDG_CONFIG_HOME") or str(Path.home() / ".config")
+    yield from (f"{folder}/{name}" for folder in (*FOLDERS, f"{own}/containers") for name in CONFIGURATION)
+    yield from filter(None, (os.environ.get("CONTAINERS_CONF"), os.environ.get("CONTAINERS_STORAGE_CONF")))
+
+
+def _stat(path: str) -> list[int] | None:
+    try:
+        status = os.stat(path)  # noqa: PTH116 - as quick as can be
+    except OSError:
+        return None
+    return [status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns]

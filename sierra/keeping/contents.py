@@ -36,7 +36,7 @@ FIXED = {"format": FORMAT, ".gitignore": "*\n", "CACHEDIR.TAG": CACHEDIR}
 """Files that are the same in every store."""
 DERIVED = frozenset(("files",))
 """Files that are made again where they are not there."""
-FOLDERS = frozenset(("segments", "work", "damaged", "kept"))
+FOLDERS = frozenset(("segments", "work", "damaged", "kept", "images"))
 
 
 @dataclass(slots=True)
