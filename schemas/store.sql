@@ -255,6 +255,26 @@ CREATE TABLE programs (
     "sha256" VARCHAR  -- SHA-256 of the file; of distributions, of their names and versions, or of their content
 );
 
+-- Container images that runs were executed in, or were to be, recorded once.
+CREATE TABLE images (
+    "image" VARCHAR,  -- content identity: sha256: and the digest of an OCI image's configuration; squashfs: and that of a file system
+    "kind" VARCHAR,  -- oci or squashfs
+    "architecture" VARCHAR,  -- as OCI calls it: amd64, arm64, …; NULL where the image does not say
+    "layers" VARCHAR[],  -- digests of the layers' files (OCI's diff_ids), from the lowest; none of a squashfs
+    "name" VARCHAR,  -- as the project named it
+    "file" VARCHAR,  -- where it was a file: its path, from the project's root if it lay there; NULL for a tag
+    "sha256" VARCHAR,  -- SHA-256 of that file
+    "squashfs" VARCHAR,  -- SHA-256 of the squashfs that SIERRA made of it for apptainer; NULL where it made none
+    "manifests" VARCHAR,  -- digests of its manifests as JSON, by the form they were seen in: they differ by form
+    "created" TIMESTAMP WITH TIME ZONE,  -- when it was made, as it says
+    "labels" VARCHAR,  -- its labels, as JSON
+    "variables" VARCHAR,  -- what it sets for its programs, as JSON
+    "packages" VARCHAR,  -- what is installed, as JSON: by dpkg, apk and python, a list of name==version each
+    "recipe" VARCHAR,  -- what is known of how it was made: a definition file, or a history
+    "files" VARCHAR,  -- SHA-256 of the list of its files in objects: a JSON object a line, with path, type, size, sha256
+    "size" BIGINT  -- size of its files [bytes]
+);
+
 -- Files by the hash of their content, in parts of at most 8 MiB.
 CREATE TABLE objects (
     "sha256" VARCHAR,  -- SHA-256 of the whole file

@@ -138,13 +138,13 @@ def _unfinished(paths: StorePaths) -> Iterator[Path]:
 
 REFERRED = """
 SELECT sha256 FROM artifacts WHERE kind <> 'table' UNION SELECT unnest([input] || others) FROM members
-UNION SELECT files FROM sources UNION SELECT sha256 FROM blobs
+UNION SELECT files FROM sources UNION SELECT files FROM images UNION SELECT sha256 FROM blobs
 """
 
 
 def _plan(store: Store) -> _Plan:
     with store.ask() as question:
-        question.views.make(("artifacts", "members", "sources", "blobs"))
+        question.views.make(("artifacts", "members", "sources", "images", "blobs"))
         unneeded = {} if not _has(question, "objects") else _unneeded(question)
         drop = {"objects": {"sha256": set(unneeded)}} if unneeded else {}
         holding = touched(question, question.segments, drop)
