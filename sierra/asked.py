@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from datetime import UTC, datetime
 from typing import Any
 
-from sierra import sessions
+from sierra import images, sessions
 from sierra.containment import Containment
 from sierra.hashing import sha256
 from sierra.model import Batch
@@ -43,6 +43,10 @@ def keep(plan: Plan, store: Store, session: SessionPaths) -> None:
         blobs = {row["blob"] for row in store.rows("SELECT blob FROM blobs")}
         files_of_source = source.contents(code, plan.project.root, blobs)
         writer.rows("blobs", ({"blob": blob, "sha256": objects.add(content)} for blob, content in files_of_source))
+    if plan.image is not None:
+        inside = images.examine(plan.project.root, store.paths, plan.image)
+        objects.add(inside.listing)
+        writer.rows("images", [inside.row()])
     objects.close()
     recipe = batch.recipe
     first = batch.experiments[0].runs[0]

@@ -10,17 +10,18 @@ from typing import Any
 
 from sierra import images
 from sierra.config import Container
-from sierra.engines import Abilities, Box, Engine, Mount, Process
+from sierra.engines import INSIDE, Abilities, Box, Engine, Mount, Process
 from sierra.errors import ConfigError, Missing
 from sierra.hashing import digest
-from sierra.images import Image
+from sierra.images import Contents, Image
 from sierra.model import Limits, Recipe
 from sierra.paths import StorePaths
 from sierra.provenance.digests import Digests
 from sierra.provenance.program import Kind, Program, Programs
 
 NETWORK, GPU, DEVICE, MOUNT = "network", "gpu", "device ", "mount "
-PROJECT = "/run/sierra/project"
+PROJECT = f"{INSIDE}/project"
+PYTHON = "python3"
 
 
 def reach(container: Container | None) -> tuple[str, ...]:
@@ -127,13 +128,14 @@ def contain(
     able = engine.probe()
     if able.trouble:
         raise Missing(able.trouble)
+    inside = images.examine(project, store, image)
+    _check_command(recipe, inside)
     reference = engine.prepare(image, project, store)
     given = container or Container(image=image.name)
-    shared = given.isolation == "worker"
-    notes = []
-    if shared and (trouble := _without_python(store, image)):
+    shared, notes = given.isolation == "worker", []
+    if shared and not inside.program(PYTHON):
         shared = False
-        notes.append(f'isolation = "worker" needs Python 3.8 or newer in the image, {trouble}: each run has its own container')
+        notes.append(f'isolation = "worker" needs {PYTHON} in the image, which it lacks: each run has a container of its own')
     box = Box(
         image=image,
         reference=reference,
@@ -150,16 +152,6 @@ def contain(
     return Containment(engine, able, box, (*notes, *_ignored(engine, able, box)))
 
 
-def check(engine: Engine, image: Image, project: Path) -> None:
-    """That what is called by an image's name is still what was pinned: quick, before anything else. Raises Missing."""
-    images.verify(project, image)
-    now = engine.present(image, project)
-    if now is not None and now != image.id:
-        raise Missing(
-            f"the image {image.name} is {now[:17]}… now, and {image.id[:17]}… is pinned: sierra image pin takes the new one"
-        )
-
-
 def _mounts(recipe: Recipe, given: Container, project: Path) -> Iterator[Mount]:
     """The further mounts that a recipe names, with what the project has there."""
     for target in (one.removeprefix(MOUNT) for one in recipe.reach if one.startswith(MOUNT)):
@@ -171,10 +163,11 @@ def _mounts(recipe: Recipe, given: Container, project: Path) -> Iterator[Mount]:
         yield Mount(str(source), target)
 
 
-def _without_python(store: StorePaths, image: Image) -> str:
-    """Why an image can't have the worker in it; empty where it can."""
-    found = images.contents(store, image)
-    return "" if found and found.program("python3", image.variables.get("PATH", "/usr/bin:/bin")) else "and it has none"
+def _check_command(recipe: Recipe, inside: Contents) -> None:
+    """That the image has the program that runs begin with. Raises Missing."""
+    word = PYTHON if recipe.command[0] == "{python}" else recipe.command[0]
+    if "{" not in word and not inside.program(word, recipe.environment.get("PATH")):
+        raise Missing(f"the program {word!r} is not in the image {inside.image.name}; sierra image show lists what is")
 
 
 def _ignored(engine: Engine, able: Abilities, box: Box) -> Iterator[str]:

@@ -19,7 +19,7 @@ from sierra.errors import ConfigError, Missing, QueryError, UsageError
 from sierra.expansion import Expansion, Files
 from sierra.images import Image
 from sierra.model import Batch, Design, Experiment, Limits, Query, Recipe, Run, Set
-from sierra.paths import CONFIG, DRAWN, FIGURES, PYPROJECT, STORE, ProjectPaths, StorePaths
+from sierra.paths import CONFIG, DRAWN, FIGURES, LOCK, PYPROJECT, STORE, ProjectPaths, StorePaths
 from sierra.provenance import environment, named, source, versions
 from sierra.provenance.program import Programs
 from sierra.provenance.seen import Seen, seen
@@ -122,7 +122,7 @@ def plan(project: LoadedProject, asked: Query, *, engine: str | None = None) -> 
     variables = {**jobs.environment(platform, config), **(box.variables if box else {})}
     own = (
         STORE,
-        images.LOCK,
+        LOCK,
         *_drawn(root),
         CONFIG,
         PYPROJECT if project.file.name == PYPROJECT else CONFIG,
@@ -179,7 +179,7 @@ def _contained(project: LoadedProject, name: str | None) -> tuple[Engine, Image 
     if container is None:
         raise ConfigError(f'{engine.name} needs an image: [container] image = "…" in {project.file}')
     image = images.pinned(project.root, container.image)
-    containment.check(engine, image, project.root)
+    images.verify(project.root, image)
     return engine, image
 
 

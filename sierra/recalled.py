@@ -111,8 +111,13 @@ def image(project: LoadedProject, store: Store, recipe: Recipe) -> Image | None:
             raise Missing(
                 f"the image {recipe.image} is neither pinned nor recorded; sierra image import brings it, then pin it"
             )
-        found = images.from_row(rows[0])
+        found = _as_recorded(rows[0])
     return found
+
+
+def _as_recorded(row: Mapping[str, Any]) -> Image:
+    variables, layers = json.loads(row["variables"]), tuple(row["layers"] or ())
+    return Image(row["name"], row["image"], images.Kind(row["kind"]), row["architecture"] or "", layers, variables)
 
 
 def inputs(store: Store, runs: Iterable[Taken]) -> Iterator[tuple[Taken, Files]]:

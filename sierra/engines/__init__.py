@@ -110,13 +110,6 @@ class Engine(Protocol):
         """
         ...
 
-    def present(self, image: Image, root: Path) -> str | None:
-        """The id of what the engine itself has under the image's name now; None where it has none, or where a file has it.
-
-        Quick: at most 50 ms where nothing has changed.
-        """
-        ...
-
     def prepare(self, image: Image, root: Path, store: StorePaths) -> str:
         """Have the image ready; what `client` calls it. Idempotent, quick once it is there, and safe beside others that do the
         same. What is ready is the image by its content, whatever is called by its name now.
@@ -153,9 +146,6 @@ class Uncontained:
 
     def probe(self) -> Abilities:
         return Abilities("none")
-
-    def present(self, image: Image, root: Path) -> str | None:
-        return None
 
     def prepare(self, image: Image, root: Path, store: StorePaths) -> str:
         return ""

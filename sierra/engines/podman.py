@@ -19,7 +19,7 @@ from pathlib import Path
 
 from sierra.engines import HOSTNAME, Abilities, Box, Mount, Process, probing
 from sierra.errors import Missing
-from sierra.images import Image, storage
+from sierra.images import Image, Kind, short, storage
 from sierra.model import Client, Result
 from sierra.paths import StorePaths
 
@@ -45,11 +45,16 @@ class Podman:
     def probe(self) -> Abilities:
         return probing.podman()
 
-    def present(self, image: Image, root: Path) -> str | None:
-        return storage.identify(image.name) if not image.file else None
-
     def prepare(self, image: Image, root: Path, store: StorePaths) -> str:
-        return storage.prepare(image, root, store)
+        if image.kind != Kind.OCI:
+            raise Missing(f"podman can't run {image.name}, which is a file system alone: --engine apptainer does")
+        if not storage.present(image.id):
+            if not image.file:
+                raise Missing(
+                    f"the image {image.name} ({short(image.id)}) is not in podman's storage; sierra image import brings it"
+                )
+            storage.load(root / image.file, image.id)
+        return image.id
 
     def client(self, box: Box, process: Process) -> Client:
         argv = ("podman", "run", *_options(box, process), box.reference, *process.argv)
