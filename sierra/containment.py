@@ -22,6 +22,8 @@ from sierra.provenance.program import Kind, Program, Programs
 NETWORK, GPU, DEVICE, MOUNT = "network", "gpu", "device ", "mount "
 PROJECT = f"{INSIDE}/project"
 PYTHON = "python3"
+SPARE_S = 60.0
+"""Beyond a run's time limit, until its container ends by itself: whoever watched over it must be gone."""
 
 
 def reach(container: Container | None) -> tuple[str, ...]:
@@ -147,6 +149,7 @@ def contain(
         memory=bounds.memory_bytes,
         cpus=given.cpus,
         pids=given.pids,
+        wall=None if shared or bounds.wall_s is None else bounds.wall_s + bounds.grace_s + SPARE_S,
         shared=shared,
     )
     return Containment(engine, able, box, (*notes, *_ignored(engine, able, box)))

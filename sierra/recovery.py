@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from sierra import sessions
+from sierra import engines, sessions
 from sierra.model import Result, Status
 from sierra.paths import SessionPaths
 from sierra.record import Context, Recorder, find_odd
@@ -18,8 +18,16 @@ def finish_dead(store: Store) -> int:
         if found:
             orphans.end(found)
         for paths in found:
+            _sweep(paths)
             recovered += recover(store, paths)
     return recovered
+
+
+def _sweep(paths: SessionPaths) -> None:
+    """Remove the containers that a session has left."""
+    if paths.context.exists():
+        context = Context.load(paths.context)
+        engines.find(context.engine).sweep([context.session])
 
 
 def recover(store: Store, paths: SessionPaths) -> int:

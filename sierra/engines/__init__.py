@@ -56,6 +56,8 @@ class Box:
     """Bytes, where the engine is to enforce it; likewise cores, and processes with their threads."""
     cpus: float | None = None
     pids: int | None = None
+    wall: float | None = None
+    """Seconds after which a container is to end in any case, where that can be had: should nobody be left to end it."""
     shared: bool = False
     """Whether one container has many runs, one after the other, rather than one."""
 

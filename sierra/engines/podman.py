@@ -7,6 +7,7 @@ What a container is called, and what podman itself prints, is nothing of the run
 
 from __future__ import annotations
 
+import math
 import os
 import re
 import resource
@@ -72,6 +73,8 @@ class Podman:
             return replace(result, exit_code=None, error=f"the command cannot be started in the container: {match[1]}")
         if result.exit_code in (FAILED, NOT_EXECUTABLE, NOT_FOUND) and (match := ERROR.match(last[0])):
             return replace(result, exit_code=None, error=f"podman: {match[1]}")
+        if result.signal is not None and result.stopped is None:
+            return replace(result, error=f"podman was ended by signal {result.signal}, and its container with it")
         return signalled(result, enforced)
 
 
@@ -109,6 +112,8 @@ def _options(box: Box, process: Process) -> Iterator[str]:
         yield f"--cpus={box.cpus}"
     if box.pids is not None:
         yield f"--pids-limit={box.pids}"
+    if box.wall is not None:
+        yield f"--timeout={math.ceil(box.wall)}"
     yield "--unsetenv-all"
     yield from (f"--env={name}={value}" for name, value in process.environment.items())
     yield from ("--entrypoint=", f"--workdir={process.folder}", "--")
