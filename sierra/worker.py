@@ -63,7 +63,7 @@ LOG_BYTES = 256 << 20  # of standard output or error, whatever the limits say
 CHUNK = 1 << 20
 SETTLE_S = 2.0
 CLEAN_S = 10.0  # for what an engine has yet to do when its containers have ended
-SAMPLE_S = 0.02
+SAMPLE_S = 0.05
 
 
 class Journal:
