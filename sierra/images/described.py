@@ -116,6 +116,20 @@ class Contents:
         }
 
 
+def from_row(row: Mapping[str, Any]) -> Image:
+    """An image as the table `images` has it."""
+    return Image(
+        name=row["name"],
+        id=row["image"],
+        kind=Kind(row["kind"]),
+        architecture=row["architecture"] or "",
+        layers=tuple(row["layers"] or ()),
+        variables=json.loads(row["variables"] or "{}"),
+        file=row["file"] or "",
+        sha256=row["sha256"] or "",
+    )
+
+
 def contents(store: StorePaths, image: Image) -> Contents | None:
     """What is known of an image in this store; None where nothing is, or what is there is not whole."""
     paths = store.image(image.folder)

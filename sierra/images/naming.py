@@ -86,7 +86,7 @@ def _verify_file(root: Path, image: Image) -> None:
 
 def _verify_tag(root: Path, image: Image) -> None:
     called = tag(root, image.name)
-    found = None if called is None else storage.identify(called)
+    found = None if called is None else storage.look(called)
     if found is not None and found.id != image.id:
         raise Missing(
             f"the image {image.name} has moved: it is {short(found.id)} now, pinned is {short(image.id)}; "
@@ -95,7 +95,7 @@ def _verify_tag(root: Path, image: Image) -> None:
 
 
 def _tagged(root: Path, name: str, called: str) -> Image:
-    found = storage.identify(called)
+    found = storage.look(called)
     if found is None:
         again = f"run: sierra image build {name}" if called != name else "build, import or pull it; or name it as a file"
         raise Missing(f"there is no image {called!r} in podman's storage; {again}")
