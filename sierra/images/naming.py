@@ -8,10 +8,10 @@ from pathlib import Path
 from sierra.errors import Damaged, Missing
 from sierra.images import archive, described, sif, squashfs, storage
 from sierra.images.image import Image, Kind, machine, short
+from sierra.images.recipe import CONTAINERFILE, is_recipe
 from sierra.paths import ProjectPaths, StorePaths
 from sierra.provenance.digests import Digests
 
-CONTAINERFILE = "Containerfile"
 TAG = "localhost/sierra/"
 SUFFIXES = (".tar", ".sif", ".sqfs", ".squashfs", ".img", ".gz", ".tgz", ".zst")
 
@@ -25,11 +25,6 @@ def place(root: Path, name: str) -> Path | None:
     if path.exists():
         return path
     return path if name.startswith(("/", "./", "../")) or name.endswith(SUFFIXES) else None
-
-
-def is_recipe(path: Path | None) -> bool:
-    """Whether it is a folder that an image is built from."""
-    return path is not None and (path / CONTAINERFILE).is_file()
 
 
 def tag(root: Path, name: str) -> str | None:

@@ -1,9 +1,9 @@
-"""Recipes: folders from which images are built, so that two builds give one id.
+"""Building an image from a recipe, so that two builds give one id.
 
-A recipe is a folder with a `Containerfile`. An executable `rootfs` in it is run first, in a copy of the folder, with the path
-of the tar that it must write: the files of a base image, made from a distribution's packages, because there is no registry to
-take one from. What else it puts into the folder, as wheels, is there for the Containerfile too. Then podman builds, without
-network, without a cache, and with one time for all files: that of SOURCE_DATE_EPOCH, else EPOCH.
+An executable `rootfs` in the recipe is run first, in a copy of the folder, with the path of the tar that it must write: the
+files of a base image, made from a distribution's packages, because there is no registry to take one from. What else it puts
+into the folder, as wheels, is there for the Containerfile too. Then podman builds, without network, without a cache, and with
+one time for all files: that of SOURCE_DATE_EPOCH, else EPOCH. Nor do rights depend on the umask of whoever builds.
 """
 
 from __future__ import annotations
@@ -16,13 +16,12 @@ import tempfile
 from pathlib import Path
 
 from sierra.errors import ConfigError, Missing
-from sierra.hashing import digest, sha256_file
-from sierra.images import storage
-from sierra.images.described import RECIPE_LABEL
+from sierra.images import recipe, storage
 from sierra.images.image import Image
-from sierra.images.naming import CONTAINERFILE, TAG, is_recipe, named
+from sierra.images.naming import TAG, named
+from sierra.images.recipe import CONTAINERFILE, ROOTFS, is_recipe
 
-ROOTFS, TAR = "rootfs", "rootfs.tar"
+TAR = "rootfs.tar"
 EPOCH = 1700000000
 SAID = 1 << 16
 
@@ -43,34 +42,12 @@ def build(root: Path, name: str, *, network: bool = False) -> Image:
             shutil.copytree(folder, context, symlinks=True)
             if os.access(context / ROOTFS, os.X_OK):
                 _run_rootfs(name, context, epoch)
-            _set_times(context, epoch)
-            labels = {RECIPE_LABEL: recipe(folder)}
+            _settle(context, epoch)
+            labels = {recipe.LABEL: recipe.identity(folder)}
             storage.build(context, TAG + folder.name.lower(), epoch=epoch, labels=labels, network=network)
     except (OSError, shutil.Error) as error:
         raise Missing(f"{name} cannot be built: {getattr(error, 'strerror', None) or error}") from error
     return named(root, name)
-
-
-def recipe(folder: Path) -> str:
-    """The id of a recipe: of its files' names, contents, and whether they are programs."""
-    return digest("recipe", {"files": [list(_file(folder, path)) for path in sorted(folder.rglob("*")) if _counts(path)]})
-
-
-def text(folder: Path) -> str:
-    """What a recipe says: its Containerfile, after its `rootfs`."""
-    files = [folder / name for name in (ROOTFS, CONTAINERFILE) if (folder / name).is_file()]
-    return "\n".join(path.read_text("utf-8", "replace") for path in files)
-
-
-def _counts(path: Path) -> bool:
-    return path.is_symlink() or path.is_file()
-
-
-def _file(folder: Path, path: Path) -> tuple[str, str, str]:
-    name = str(path.relative_to(folder))
-    if path.is_symlink():
-        return name, "link", os.readlink(path)  # noqa: PTH115 - as it stands there
-    return name, "program" if path.stat().st_mode & stat.S_IXUSR else "file", sha256_file(path)
 
 
 def _run_rootfs(name: str, context: Path, epoch: int) -> None:
@@ -83,6 +60,7 @@ def _run_rootfs(name: str, context: Path, epoch: int) -> None:
             env={**os.environ, "SOURCE_DATE_EPOCH": str(epoch), "LC_ALL": "C.UTF-8", "TZ": "UTC"},
             stdout=said,
             stderr=subprocess.STDOUT,
+            umask=0o022,
         )
         said.seek(max(0, said.seek(0, os.SEEK_END) - SAID))
         lines = [line.strip() for line in said.read().splitlines() if line.strip()]
@@ -103,9 +81,11 @@ def _why(lines: list[str]) -> str:
     return (full or errors or lines or ["it said nothing"])[-1]
 
 
-def _set_times(context: Path, epoch: int) -> None:
-    """One time for all files: podman's build takes those of the context over."""
+def _settle(context: Path, epoch: int) -> None:
+    """One time for all files, and the rights that git knows: podman's build takes both over from the context."""
     for path in (context, *context.rglob("*")):
+        if not path.is_symlink():
+            path.chmod(0o755 if path.is_dir() or path.stat().st_mode & stat.S_IXUSR else 0o644)
         os.utime(path, (epoch, epoch), follow_symlinks=False)
 
 
