@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from sierra.asking import Watch
     from sierra.difference import Comparison
     from sierra.extract import Listing, Outcome
+    from sierra.images import Contents, Image
+    from sierra.images.listing import Known
     from sierra.keeping.checking import Report
     from sierra.keeping.collecting import Collection
     from sierra.keeping.removing import Removal
@@ -194,6 +196,54 @@ class Project:
         from sierra import reasons
 
         return reasons.why(self._loaded, self.store, prefix)
+
+    def pin(self, name: str | None = None) -> Contents:
+        """Pin what an image's name stands for now (default: that of `[container] image`), in `sierra.lock`; what is in it.
+
+        Raises Missing where there is none of that name, Damaged where it is not what it says to be; nothing is pinned then.
+        """
+        from sierra import images
+
+        return images.take(self.root, Store.create(self.paths.store).paths, self._image(name))
+
+    def build_image(self, name: str | None = None, *, network: bool = False) -> Image:
+        """Build an image from its recipe, a folder of the project: see `sierra.images.building`. It still is to be pinned."""
+        from sierra.images import building
+
+        return building.build(self.root, self._image(name), network=network)
+
+    def import_image(self, file: str | os.PathLike[str], name: str = "") -> Contents:
+        """Take an image's archive in, checked: into podman's storage, tagged `name`, where podman is; what is in it."""
+        from sierra.images import transfer
+
+        return transfer.take_in(self.root, Store.create(self.paths.store).paths, Path(file), name)
+
+    def export_image(self, name: str | None, file: str | os.PathLike[str]) -> Image:
+        """Write an image, as it is pinned, to a file that loads elsewhere as the same image."""
+        from sierra.images import transfer
+
+        return transfer.export(self.root, self._image(name), Path(file))
+
+    def image(self, name: str | None = None) -> Contents:
+        """What is in an image: as it is pinned, else as its name stands for it now."""
+        from sierra import images
+
+        name = self._image(name)
+        image = images.pins(self.root).get(name) or images.named(self.root, name)
+        return images.examine(self.root, Store.create(self.paths.store).paths, image)
+
+    def images(self) -> list[Known]:
+        """The images that the project knows, and where they are: see `sierra.images.listing.Known`."""
+        from sierra.images import listing
+
+        named = [self.config.container.image] if self.config.container else []
+        return listing.listing(self.root, StorePaths(self.paths.store), named)
+
+    def _image(self, name: str | None) -> str:
+        """An image's name as it was given, else the project's."""
+        if name is None and self.config.container is None:
+            raise UsageError(f'{self._loaded.file} names no image; name one here, or there: [container] image = "…"')
+        return name or (self.config.container.image if self.config.container else "")
 
     def fsck(self, *, tell: Callable[[str], None] = lambda text: None) -> Report:
         """Check all that is recorded: see `sierra.keeping.checking.Report`. `tell` hears how far it has come."""

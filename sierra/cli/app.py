@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from sierra.cli import deliver, diff, doctor, files, init, keep, look, replay, run, schema, sql, stats, why
+from sierra.cli import deliver, diff, doctor, files, image, init, keep, look, replay, run, schema, sql, stats, why
 
 EXIT_CODES = (
     "Exit codes: 0 fine; 1 a run failed, results differ, or the store is damaged; 2 usage; "
@@ -65,3 +65,7 @@ for command in (
     schema.schema,
 ):
     app.command(epilog=EXIT_CODES)(command)
+
+for registered in image.app.registered_commands:
+    registered.epilog = EXIT_CODES
+app.add_typer(image.app, epilog=EXIT_CODES)

@@ -7,18 +7,21 @@ is in an image, `rootfs` what apptainer runs of it. Formats are `archive`, `sif`
 
 from __future__ import annotations
 
-from sierra.images.described import Contents, contents, examine, rootfs
+from sierra.images.described import Contents, contents, examine, from_row, rootfs
 from sierra.images.image import Image, Kind, machine, short
 from sierra.images.naming import named, verify
 from sierra.images.pins import pin, pinned, pins
 from sierra.images.taking import take
+from sierra.paths import LOCK
 
 __all__ = [
+    "LOCK",
     "Contents",
     "Image",
     "Kind",
     "contents",
     "examine",
+    "from_row",
     "machine",
     "named",
     "pin",

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import posixpath
 import shutil
 import tempfile
 from collections.abc import Iterator, Mapping
@@ -20,17 +19,16 @@ from typing import Any
 
 from sierra.errors import Damaged, Missing
 from sierra.hashing import sha256
-from sierra.images import archive, packages, sif, squashfs, storage, variables
+from sierra.images import archive, packages, recipe, sif, squashfs, storage, variables
 from sierra.images.archive import Archive
 from sierra.images.image import Image, Kind, short
-from sierra.images.rootfs import Entry, Rootfs, merge, resolve
+from sierra.images.layers import Entry, Rootfs, merge, resolve
 from sierra.paths import ImagePaths, StorePaths, write_whole
 from sierra.provenance.digests import Digests
 
 FORMAT = 1
 DEFAULT_PATH = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin"
 """Where engines look for programs of an image that does not say."""
-RECIPE_LABEL = "org.sierra.recipe"
 EXECUTABLE = 0o111
 
 
@@ -47,7 +45,7 @@ class Contents:
     labels: Mapping[str, str]
     packages: Mapping[str, tuple[str, ...]]
     recipe: str
-    """The definition file of a SIF; else what its history says of how it was made."""
+    """The recipe that it was built by, the definition file of a SIF, or what its history says of how it was made."""
     created: str
     size: int
     """Bytes of its files."""
@@ -85,7 +83,7 @@ class Contents:
         return None if entry is None else entry.sha256
 
     def _file(self, path: str) -> Entry | None:
-        found = resolve(posixpath.normpath(path), self.files.get)
+        found = resolve(path, self.files.get)
         entry = self.files.get(found) if found else None
         return entry if entry is not None and entry.type == "file" else None
 
@@ -105,15 +103,29 @@ class Contents:
             "file": image.file or None,
             "sha256": image.sha256 or None,
             "squashfs": self.squashfs or None,
+            "manifests": json.dumps(dict(self.manifests), sort_keys=True),
             "created": _time(self.created),
             "labels": json.dumps(dict(self.labels), sort_keys=True),
             "variables": json.dumps(dict(image.variables), sort_keys=True),
             "packages": json.dumps({name: list(lines) for name, lines in self.packages.items()}, sort_keys=True),
             "recipe": self.recipe or None,
-            "manifests": json.dumps(dict(self.manifests), sort_keys=True),
             "files": sha256(self.listing),
             "size": self.size,
         }
+
+
+def from_row(row: Mapping[str, Any]) -> Image:
+    """An image as the table `images` has it."""
+    return Image(
+        name=row["name"],
+        id=row["image"],
+        kind=Kind(row["kind"]),
+        architecture=row["architecture"] or "",
+        layers=tuple(row["layers"] or ()),
+        variables=json.loads(row["variables"] or "{}"),
+        file=row["file"] or "",
+        sha256=row["sha256"] or "",
+    )
 
 
 def contents(store: StorePaths, image: Image) -> Contents | None:
@@ -161,14 +173,14 @@ def examine(root: Path, store: StorePaths, image: Image) -> Contents:
         if image.file and squashfs_file(root / image.file):
             return _keep(store, _of_squashfs(root / image.file, image))
         with opened(root, store, image) as read:
-            return _keep(store, of_archive(read, image))
+            return _keep(store, _with_recipe(root, of_archive(read, image)))
 
 
 def examine_again(root: Path, store: StorePaths, image: Image) -> Contents:
     """As `examine`, but all of the image is read and checked, also where it is known; what was made of it stays."""
     known = contents(store, image)
     with _disk(store.images), opened(root, store, image) as read:
-        return _keep(store, replace(of_archive(read, image), squashfs=known.squashfs if known else ""))
+        return _keep(store, replace(_with_recipe(root, of_archive(read, image)), squashfs=known.squashfs if known else ""))
 
 
 def rootfs(root: Path, store: StorePaths, image: Image) -> Path:
@@ -219,6 +231,12 @@ def wanted(path: str) -> int:
 def of_archive(read: Archive, image: Image) -> Contents:
     """What is in an archive's image; all of it is read, and checked."""
     return _of_rootfs(merge(read, wanted), image)
+
+
+def _with_recipe(root: Path, found: Contents) -> Contents:
+    """With the text of the recipe that it was built by, where the project has that still."""
+    said = recipe.text(root / found.image.name, found.labels.get(recipe.LABEL, ""))
+    return replace(found, recipe=said) if said else found
 
 
 def _of_rootfs(merged: Rootfs, image: Image) -> Contents:

@@ -8,10 +8,10 @@ from pathlib import Path
 from sierra.errors import Damaged, Missing
 from sierra.images import archive, described, sif, squashfs, storage
 from sierra.images.image import Image, Kind, machine, short
+from sierra.images.recipe import CONTAINERFILE, is_recipe
 from sierra.paths import ProjectPaths, StorePaths
 from sierra.provenance.digests import Digests
 
-CONTAINERFILE = "Containerfile"
 TAG = "localhost/sierra/"
 SUFFIXES = (".tar", ".sif", ".sqfs", ".squashfs", ".img", ".gz", ".tgz", ".zst")
 
@@ -25,11 +25,6 @@ def place(root: Path, name: str) -> Path | None:
     if path.exists():
         return path
     return path if name.startswith(("/", "./", "../")) or name.endswith(SUFFIXES) else None
-
-
-def is_recipe(path: Path | None) -> bool:
-    """Whether it is a folder that an image is built from."""
-    return path is not None and (path / CONTAINERFILE).is_file()
 
 
 def tag(root: Path, name: str) -> str | None:
@@ -86,7 +81,7 @@ def _verify_file(root: Path, image: Image) -> None:
 
 def _verify_tag(root: Path, image: Image) -> None:
     called = tag(root, image.name)
-    found = None if called is None else storage.identify(called)
+    found = None if called is None else storage.look(called)
     if found is not None and found.id != image.id:
         raise Missing(
             f"the image {image.name} has moved: it is {short(found.id)} now, pinned is {short(image.id)}; "
@@ -95,7 +90,7 @@ def _verify_tag(root: Path, image: Image) -> None:
 
 
 def _tagged(root: Path, name: str, called: str) -> Image:
-    found = storage.identify(called)
+    found = storage.look(called)
     if found is None:
         again = f"run: sierra image build {name}" if called != name else "build, import or pull it; or name it as a file"
         raise Missing(f"there is no image {called!r} in podman's storage; {again}")

@@ -21,8 +21,8 @@ from typing import IO, BinaryIO, cast
 
 from sierra.errors import Damaged, Missing, SierraError
 from sierra.hashing import sha256_file
+from sierra.images.layers import Entry, Type, Wanted
 from sierra.images.reading import PIECE
-from sierra.images.rootfs import Entry, Type, Wanted
 
 MAGIC = b"hsqs"
 MAKE = (

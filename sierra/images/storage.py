@@ -20,9 +20,10 @@ from pathlib import Path
 from typing import Any
 
 from sierra.errors import Damaged, Missing
+from sierra.images import archive
 from sierra.images.archive import image_of
-from sierra.images.image import Image, Kind
-from sierra.paths import user_images
+from sierra.images.image import Image, Kind, short
+from sierra.paths import StorePaths, user_images
 from sierra.provenance.remembered import Remembered
 
 MOST = 512
@@ -47,7 +48,13 @@ def installed() -> bool:
     return shutil.which("podman") is not None
 
 
-def identify(name: str) -> Image | None:
+def identify(name: str) -> str | None:
+    """The id of what a name stands for now: see `look`."""
+    found = look(name)
+    return None if found is None else found.id
+
+
+def look(name: str) -> Image | None:
     """What a name (or an id) stands for now; None where podman has no such image. Raises Missing without podman."""
     remembered = Remembered(user_images(), MOST)
     state, key = _state(remembered), f"{_where()} {name}"
@@ -114,6 +121,30 @@ def tag(identity: str, name: str) -> None:
 def present(identity: str) -> bool:
     """Whether podman has the image of that id."""
     return identify(identity) is not None
+
+
+def prepare(image: Image, root: Path, store: StorePaths) -> str:
+    """Have an image in podman's storage, and say what to call it there: its id, which no tag can take from it.
+
+    One that is a file is checked, and loaded, where it is not there yet. Raises Missing, Damaged.
+    """
+    if image.kind == Kind.SQUASHFS:
+        raise Missing(f"the image {image.name} is a squashfs, which podman does not run; use the engine apptainer")
+    if present(image.id):
+        return image.id
+    if not image.file:
+        raise Missing(
+            f"the image {image.name} ({short(image.id)}) is not in podman's storage; build or import it (sierra image)"
+        )
+    path = root / image.file
+    if not path.exists() or not archive.is_archive(path):
+        raise Missing(f"{path} is no archive that podman could load as {short(image.id)}; use the engine apptainer")
+    read = archive.read(path)
+    if read.id != image.id:
+        raise Damaged(f"{path} is the image {short(read.id)}, not {short(image.id)}")
+    read.check()
+    load(path, image.id)
+    return image.id
 
 
 def build(context: Path, name: str, *, epoch: int, labels: Mapping[str, str], network: bool = False) -> str:

@@ -119,6 +119,7 @@ TABLES = (
     "sessions",
     "recipes",
     "sources",
+    "images",
     "blobs",
 )
 FIND = """
@@ -153,6 +154,9 @@ CREATE TEMP TABLE gone_sources AS SELECT source, files, vcs FROM sources WHERE
      OR tree IN (SELECT source FROM recipes WHERE recipe IN (SELECT recipe FROM gone_members)))
     AND source NOT IN (SELECT source FROM staying_sessions WHERE source IS NOT NULL)
     AND tree NOT IN (SELECT tree FROM staying_trees WHERE tree IS NOT NULL);
+CREATE TEMP TABLE gone_images AS SELECT image, files FROM images WHERE
+    image IN (SELECT image FROM recipes WHERE recipe IN (SELECT recipe FROM gone_members))
+    AND image NOT IN (SELECT image FROM recipes WHERE recipe IN (SELECT recipe FROM staying_recipes) AND image IS NOT NULL);
 """
 AROUND = {
     "recipes": ("recipe", "SELECT recipe FROM gone_members EXCEPT SELECT recipe FROM staying_recipes"),
@@ -173,16 +177,18 @@ AROUND = {
         "(SELECT reading FROM staying UNION SELECT reading FROM staying_sessions)",
     ),
     "sources": ("source", "SELECT source FROM gone_sources"),
+    "images": ("image", "SELECT image FROM gone_images"),
 }
 """By table, its key, and the ids that nothing refers to any more."""
 OBJECTS = """
 (SELECT sha256 FROM artifacts WHERE kind <> 'table' AND execution IN (SELECT execution FROM gone)
  UNION SELECT unnest([input] || others) FROM gone_members UNION SELECT files FROM gone_sources
- UNION SELECT sha256 FROM blobs WHERE blob IN (SELECT blob FROM gone_blobs))
+ UNION SELECT files FROM gone_images UNION SELECT sha256 FROM blobs WHERE blob IN (SELECT blob FROM gone_blobs))
 EXCEPT
 (SELECT sha256 FROM artifacts WHERE kind <> 'table' AND execution NOT IN (SELECT execution FROM gone)
  UNION SELECT unnest([input] || others) FROM staying_members
  UNION SELECT files FROM sources WHERE source NOT IN (SELECT source FROM gone_sources)
+ UNION SELECT files FROM images WHERE image NOT IN (SELECT image FROM gone_images)
  UNION SELECT sha256 FROM blobs WHERE blob NOT IN (SELECT blob FROM gone_blobs))
 """
 

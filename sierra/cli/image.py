@@ -1,0 +1,245 @@
+"""`sierra image`: the images that runs execute in; built, pinned, looked at, and taken from machine to machine."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from sierra.images import Contents, Image
+
+app = typer.Typer(
+    name="image",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    help="Build, pin, look at and carry the images that runs execute in.",
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+Name = Annotated[
+    str | None,
+    typer.Argument(metavar="NAME", help="A tag, a file, or a recipe's folder (default: [container] image of sierra.toml)."),
+]
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead.")]
+PACKAGES = 12
+
+
+@app.command()
+def build(
+    recipes: Annotated[
+        list[str] | None, typer.Argument(metavar="RECIPE...", help="Folders with a Containerfile (default: [container] image).")
+    ] = None,
+    network: Annotated[bool, typer.Option("--network", help="Let the Containerfile's commands use the network.")] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Build images from recipes, so that two builds give one id.
+
+    A recipe is a folder with a Containerfile, and perhaps a program called rootfs, which is run before, with the path of the
+    tar that it must write into the folder. Podman builds; the image of containers/sim is tagged localhost/sierra/sim.
+
+    \b
+    Examples:
+      sierra image build containers/sim
+      sierra image build containers/python containers/swarm
+    """
+    from sierra.cli.opened import project
+    from sierra.cli.output import print_json
+
+    opened, built = project(), []
+    for name in recipes or (None,):
+        image = opened.build_image(name, network=network)
+        built.append(_image(image))
+        if not as_json:
+            print(f"{image.id}  {image.name}")
+            print(f"next: sierra image pin {image.name}")
+    if as_json:
+        print_json(built)
+
+
+@app.command("import")
+def import_(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="A docker-archive or an oci-archive.")],
+    name: Annotated[str, typer.Option("--name", metavar="TAG", help="The tag that it gets, as in localhost/sim:1.")] = "",
+    as_json: AsJson = False,
+) -> None:
+    """Take in an image that was exported, or saved by podman or docker.
+
+    All of it is checked before. It goes into podman's storage; without podman, it is made ready for apptainer.
+
+    \b
+    Examples:
+      sierra image import sim.tar --name localhost/sim:1
+    """
+    from sierra.cli.opened import project
+    from sierra.cli.output import print_json
+
+    found = project().import_image(file, name)
+    if as_json:
+        print_json(_contents(found))
+        return
+    print(f"{found.image.id}  {name or file}")
+    if name:
+        print(f"next: sierra image pin {name}")
+
+
+@app.command()
+def export(
+    name: Annotated[str, typer.Argument(metavar="NAME", help="A tag, a file, or a recipe's folder.")],
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="The archive to be written.")],
+    as_json: AsJson = False,
+) -> None:
+    """Write an image to a file that loads elsewhere as the same image.
+
+    It is the pinned one, where one is pinned. The file is read again before it counts.
+
+    \b
+    Examples:
+      sierra image export localhost/sim:1 sim.tar
+    """
+    from sierra.cli.opened import project
+    from sierra.cli.output import print_json
+
+    image = project().export_image(name, file)
+    if as_json:
+        print_json({**_image(image), "written": str(file)})
+    else:
+        print(f"{image.id}  {file}")
+
+
+@app.command()
+def pin(name: Name = None, as_json: AsJson = False) -> None:
+    """Pin what an image's name stands for now.
+
+    Runs execute in what is pinned. It is written to sierra.lock, which is committed with the project. All of the image is
+    read, checked and described.
+
+    \b
+    Examples:
+      sierra image pin
+      sierra image pin localhost/sim:1
+    """
+    from sierra.cli.opened import project
+    from sierra.cli.output import print_json
+
+    found = project().pin(name)
+    if as_json:
+        print_json(_contents(found))
+    else:
+        print(f"{found.image.id}  {found.image.name}: pinned in sierra.lock")
+
+
+@app.command()
+def show(
+    name: Name = None,
+    programs: Annotated[
+        list[str] | None, typer.Option("--program", metavar="WORD", help="Which program that command would start in it.")
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Show what is in an image.
+
+    That is its identity, layers, labels, recipe, packages, and the programs that are asked for.
+
+    \b
+    Examples:
+      sierra image show
+      sierra image show localhost/sim:1 --program python3
+    """
+    from sierra.cli.opened import project
+    from sierra.cli.output import cell, fields, print_json, readable
+
+    found = project().image(name)
+    shown = {**_contents(found), "programs": {word: _program(found, word) for word in programs or ()}}
+    if as_json:
+        print_json(shown)
+        return
+    plain = ("name", "id", "kind", "architecture", "file", "sha256", "squashfs", "created", "size", "files")
+    fields({key: readable(cell(shown[key])) for key in plain if shown[key] not in ("", None)})
+    for key in ("layers", "labels", "variables", "packages", "programs", "recipe"):
+        _print_part(key, shown[key])
+
+
+@app.command()
+def ls(as_json: AsJson = False) -> None:
+    """List the project's images, and where they are.
+
+    moved: the name stands for another image now than the pinned one. gone: it stands for nothing.
+
+    \b
+    Example:
+      sierra image ls
+    """
+    from dataclasses import asdict
+
+    from sierra.cli.keep import size
+    from sierra.cli.opened import project
+    from sierra.cli.output import print_json, readable, table
+    from sierra.images import short
+
+    known = project().images()
+    if as_json:
+        print_json([asdict(one) for one in known])
+        return
+    rows = [
+        (
+            readable(one.name or "-"),
+            short(one.id) if one.id else "",
+            one.state,
+            short(one.now) if one.now and one.now != one.id else "",
+            one.architecture,
+            ", ".join(where for where, there in (("podman", one.podman), ("squashfs", one.squashfs)) if there),
+            size(one.size) if one.size is not None else "",
+        )
+        for one in known
+    ]
+    table(("name", "image", "state", "now", "architecture", "where", "size"), rows, right=("size",))
+
+
+def _image(image: Image) -> dict[str, Any]:
+    from dataclasses import asdict
+
+    return asdict(image)
+
+
+def _contents(found: Contents) -> dict[str, Any]:
+    """All about an image but the list of its files."""
+    row = {**_image(found.image), "squashfs": found.squashfs, "created": found.created, "size": found.size}
+    more = {"labels": found.labels, "packages": found.packages, "recipe": found.recipe, "manifests": found.manifests}
+    return {**row, **more, "files": len(found.files)}
+
+
+def _program(found: Contents, word: str) -> dict[str, Any] | None:
+    path = found.program(word)
+    return None if path is None else {"path": path, "real": found.real(path), "sha256": found.sha256(path)}
+
+
+def _print_part(name: str, part: Any) -> None:
+    """A list, a table or a text of an image, in a few lines."""
+    from sierra.cli.output import readable
+
+    if not part:
+        return
+    print(f"\n{name}:")
+    match part:
+        case dict():
+            for key, value in part.items():
+                print(f"  {readable(f'{key}: {_short(value)}')}")
+        case str():
+            print("\n".join(f"  {readable(line)}" for line in part.splitlines()))
+        case _:
+            print("\n".join(f"  {one}" for one in part))
+
+
+def _short(value: Any) -> str:
+    match value:
+        case None:
+            return "there is none"
+        case dict():
+            return ", ".join(f"{key} {text}" for key, text in value.items())
+        case list() | tuple():
+            more = f" and {len(value) - PACKAGES} more (--json has them all)" if len(value) > PACKAGES else ""
+            return ", ".join(value[:PACKAGES]) + more
+        case _:
+            return str(value)

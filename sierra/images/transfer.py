@@ -1,0 +1,82 @@
+"""Images from one machine to another: in as a checked archive, out as one that is read again before it counts."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+from sierra.errors import Damaged, Missing, UsageError
+from sierra.images import archive, described, sif, storage
+from sierra.images.described import Contents
+from sierra.images.image import Image, Kind, short
+from sierra.images.naming import named, tag
+from sierra.images.pins import pins
+from sierra.paths import StorePaths
+
+
+def take_in(root: Path, store: StorePaths, file: Path, name: str = "") -> Contents:
+    """Take an archive in: checked, into podman's storage where podman is, and described, with its squashfs where it is not.
+
+    `name` is the tag that it gets. Raises Missing, Damaged; nothing was taken in then.
+    """
+    if not file.exists():
+        raise Missing(f"there is no image file {file}")
+    if not archive.is_archive(file):
+        what = "a SIF or a squashfs, which is used where it lies: name it in [container] image" if _runs(file) else "no archive"
+        raise UsageError(f"{file} is {what}; docker-archive and oci-archive are imported")
+    read = archive.read(file)
+    image = read.image(name or str(file), file=str(file.resolve()))
+    found = described.examine_again(root, store, image)
+    if storage.installed():
+        storage.load(file, image.id, name)
+    else:
+        described.rootfs(root, store, image)
+    return replace(found, image=replace(found.image, file="" if name else image.file))
+
+
+def export(root: Path, name: str, file: Path) -> Image:
+    """Write an image to a file that loads elsewhere as the same image; a pinned one as it was pinned. Which that is.
+
+    An OCI image becomes a docker-archive, whose bytes are always the same; a SIF or a squashfs is copied. What was written is
+    read again before it gets its name. Raises Missing, Damaged.
+    """
+    if file.is_dir():
+        raise UsageError(f"{file} is a folder; name the file to be written, as in {file / 'image.tar'}")
+    image = pins(root).get(name) or named(root, name)
+    unfinished = file.with_name(f".{file.name}.{os.getpid()}")
+    try:
+        _write(root, image, unfinished)
+        _check(image, unfinished)
+        unfinished.replace(file)
+    except OSError as error:
+        raise Missing(f"{file} cannot be written: {error.strerror or error}") from error
+    finally:
+        unfinished.unlink(missing_ok=True)
+    return image
+
+
+def _write(root: Path, image: Image, target: Path) -> None:
+    if image.file and (root / image.file).is_file():
+        shutil.copyfile(root / image.file, target)
+        return
+    called = None if image.file else tag(root, image.name)
+    is_that = called is not None and storage.identify(called) == image.id
+    storage.save(called if called and is_that else image.id.removeprefix("sha256:"), target)
+
+
+def _check(image: Image, path: Path) -> None:
+    if image.kind == Kind.SQUASHFS or described.squashfs_file(path):
+        found = sif.read(path).digest() if sif.is_sif(path) else ""
+        same = not found or f"squashfs:{found}" == image.id or image.kind == Kind.OCI
+    else:
+        read = archive.read(path)
+        read.check()
+        same = read.id == image.id
+    if not same:
+        raise Damaged(f"what was written of {image.name} is not the image {short(image.id)}; export it again")
+
+
+def _runs(file: Path) -> bool:
+    return file.is_file() and described.squashfs_file(file)

@@ -1,0 +1,127 @@
+"""Container images made by hand: layers, archives of all forms, SIFs; and a storage of podman's that only one test has."""
+
+from __future__ import annotations
+
+import gzip
+import hashlib
+import io
+import json
+import struct
+import tarfile
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from sierra.images import machine
+
+Member = tuple[str, str | bytes] | tarfile.TarInfo
+"""A path and what a file there holds; a folder ends with a slash; `->` in the path makes a link, `=>` a hard one."""
+
+
+def layer(*members: Member) -> bytes:
+    """A tar of these members."""
+    out = io.BytesIO()
+    with tarfile.open(fileobj=out, mode="w", format=tarfile.PAX_FORMAT) as tar:
+        for member in members:
+            header, content = (member, b"") if isinstance(member, tarfile.TarInfo) else _member(*member)
+            tar.addfile(header, io.BytesIO(content))
+    return out.getvalue()
+
+
+def _member(path: str, what: str | bytes) -> tuple[tarfile.TarInfo, bytes]:
+    for arrow, kind in ((" -> ", tarfile.SYMTYPE), (" => ", tarfile.LNKTYPE)):
+        if arrow in path:
+            header = tarfile.TarInfo(path.partition(arrow)[0])
+            header.type, header.linkname = kind, path.partition(arrow)[2]
+            return header, b""
+    header = tarfile.TarInfo(path)
+    if path.endswith("/"):
+        header.type, header.mode = tarfile.DIRTYPE, 0o755
+        return header, b""
+    content = what.encode() if isinstance(what, str) else what
+    header.size, header.mode = len(content), 0o755 if "bin/" in path else 0o644
+    return header, content
+
+
+def device(path: str) -> tarfile.TarInfo:
+    header = tarfile.TarInfo(path)
+    header.type, header.devmajor, header.devminor = tarfile.CHRTYPE, 1, 3
+    return header
+
+
+def config(layers: Iterable[bytes], **more: Any) -> bytes:
+    """An OCI configuration of these layers."""
+    diff_ids = ["sha256:" + sha256(one) for one in layers]
+    made = {"architecture": machine(), "os": "linux", "rootfs": {"type": "layers", "diff_ids": diff_ids}, **more}
+    return json.dumps(made).encode()
+
+
+def sha256(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()
+
+
+def docker_archive(path: Path, layers: Sequence[bytes], configuration: bytes | None = None, **changed: bytes | None) -> Path:
+    """A docker-archive; `changed` replaces its files, or leaves them out: `config`, `manifest`, `layer0`, …"""
+    configuration = config(layers) if configuration is None else configuration
+    names = [f"{sha256(one)}.tar" for one in layers]
+    manifest = [{"Config": f"{sha256(configuration)}.json", "RepoTags": None, "Layers": names}]
+    files = {
+        **{f"layer{place}": (name, one) for place, (name, one) in enumerate(zip(names, layers, strict=True))},
+        "config": (f"{sha256(configuration)}.json", configuration),
+        "manifest": ("manifest.json", json.dumps(manifest).encode()),
+    }
+    return _written(path, files, changed)
+
+
+def oci_archive(
+    path: Path,
+    layers: Sequence[bytes],
+    configuration: bytes | None = None,
+    *,
+    pack: Callable[[bytes], bytes] = lambda one: gzip.compress(one, mtime=0),
+    said: Mapping[str, Any] | None = None,
+    **changed: bytes | None,
+) -> Path:
+    """An oci-archive, its layers packed; `said` changes what the manifest says of its first layer."""
+    configuration = config(layers) if configuration is None else configuration
+    packed = [pack(one) for one in layers]
+    described = [_descriptor("layer.v1.tar+gzip", one) for one in packed]
+    described[:1] = [{**one, **(said or {})} for one in described[:1]]
+    manifest = json.dumps(
+        {"schemaVersion": 2, "config": _descriptor("config.v1+json", configuration), "layers": described}
+    ).encode()
+    index = json.dumps({"schemaVersion": 2, "manifests": [_descriptor("manifest.v1+json", manifest)]}).encode()
+    files = {
+        **{f"layer{place}": (f"blobs/sha256/{sha256(one)}", one) for place, one in enumerate(packed)},
+        "config": (f"blobs/sha256/{sha256(configuration)}", configuration),
+        "manifest": (f"blobs/sha256/{sha256(manifest)}", manifest),
+        "index": ("index.json", index),
+        "layout": ("oci-layout", b'{"imageLayoutVersion": "1.0.0"}'),
+    }
+    return _written(path, files, changed)
+
+
+def _descriptor(kind: str, data: bytes) -> dict[str, Any]:
+    return {"mediaType": f"application/vnd.oci.image.{kind}", "digest": f"sha256:{sha256(data)}", "size": len(data)}
+
+
+def _written(path: Path, files: Mapping[str, tuple[str, bytes]], changed: Mapping[str, bytes | None]) -> Path:
+    assert changed.keys() <= files.keys()
+    kept = {name: changed.get(part, content) for part, (name, content) in files.items()}
+    path.write_bytes(layer(*((name, content) for name, content in kept.items() if content is not None)))
+    return path
+
+
+def sif(path: Path, system: bytes, *, architecture: bytes = b"02", kind: int = 1, partitions: int = 1) -> Path:
+    """A SIF with a file system, laid out as apptainer does it: header, descriptors, data."""
+    offset = 4096
+    header = struct.pack(
+        "<32s10s3s3s16s8q", b"#!/usr/bin/env run-singularity\n", b"SIF_MAGIC\0", b"01", architecture, bytes(16),
+        *(0, 0, 47, 48, 128, 585 * 48, offset, len(system)),
+    )  # fmt: skip
+    extra = struct.pack("<ii3s", kind, 2, architecture)
+    one = struct.pack(
+        "<i?IIIqqqqqqq128s384s", 0x4004, True, 1, 1, 0, 32768, len(system), len(system), 0, 0, 0, 0, b"rootfs", extra
+    )
+    path.write_bytes((header + one * partitions).ljust(32768, b"\0") + system)
+    return path
