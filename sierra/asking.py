@@ -167,7 +167,16 @@ class Asking:
 
     def _jobs(self, wanted: AbstractSet[str], root: Path, contained: Containment) -> Iterator[Job]:
         plan = self.plan
-        maker = jobs.Maker(plan.batch.recipe, root, plan.engine, plan.limits, self.session.id, plan.project.root, contained.box)
+        maker = jobs.Maker(
+            plan.batch.recipe,
+            root,
+            plan.engine,
+            plan.limits,
+            self.session.id,
+            plan.project.root,
+            image=plan.image,
+            box=contained.box,
+        )
         sent: set[str] = set()
         for run, files in plan.inputs.files(plan.batch, lambda run: run.id in wanted):
             if run.id not in sent:

@@ -20,6 +20,7 @@ from sierra.config import Project
 from sierra.engines import INSIDE, Box, Engine, Mount, Process
 from sierra.errors import ConfigError
 from sierra.hashing import digest
+from sierra.images import Image
 from sierra.model import Client, Job, Limits, Recipe, Run
 from sierra.paths import RUN_HOME, RUN_OUTPUT, RUN_TMP
 from sierra.platforms import Platform
@@ -44,6 +45,8 @@ OWN = ("HOME", "TMPDIR")
 HERE = "\0"
 """The run's folder, which only the worker knows."""
 _IN_RUN = f"{INSIDE}/run"
+PYTHON = "python3"
+"""What `{python}` stands for in a container."""
 SEARCHED = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin"
 """The PATH of an image that has none of its own."""
 
@@ -82,6 +85,16 @@ def declared(variables: Mapping[str, str], root: Path, project: Path | None = No
     """The declared variables with the paths of this machine, and the PATH of runs."""
     filled = {name: fill((value,), root, project=project)[0] for name, value in variables.items()}
     return {**filled, "PATH": search_path(filled)}
+
+
+def within(image: Image | None, variables: Mapping[str, str]) -> dict[str, str]:
+    """The variables of runs with those that their image sets; its PATH is that which engines give where it has none."""
+    return {"PATH": SEARCHED, **image.variables, **variables} if image else dict(variables)
+
+
+def on_host(recipe: Recipe, image: Image, root: Path) -> tuple[tuple[str, ...], dict[str, str]]:
+    """A command that was recorded in an image, and its variables, for this machine."""
+    return fill(recipe.command, root, {"python": PYTHON}), declared(within(image, recipe.environment), root)
 
 
 def search_path(variables: Mapping[str, str]) -> str:
@@ -124,22 +137,24 @@ class Maker:
         bounds: Limits,
         session: str,
         project: Path | None = None,
+        *,
+        image: Image | None = None,
         box: Box | None = None,
     ) -> None:
-        """`root` is where the code is, `project` where the user has it; `box` is what contains the runs, if anything does."""
+        """`root` is where the code is, `project` where the user has it; `box` is what contains the runs, if anything does.
+
+        With an `image` and without a box, runs have the image's variables on this machine.
+        """
         self._recipe = recipe
         self._root = root
         self._engine = engine
         self._bounds = bounds
         self._box = box
         self._here = _IN_RUN if box and not box.shared else HERE
-        self._placed = {"project": str(root), "python": sys.executable}
-        self._project = project
-        variables = recipe.environment
-        if box:
-            self._placed = {"project": f"{INSIDE}/project", "python": "python3"}
-            self._project = Path(self._placed["project"])
-            variables = {"PATH": SEARCHED, **box.image.variables, **variables}
+        self._placed = {"project": f"{INSIDE}/project" if box else str(root)}
+        self._placed["python"] = PYTHON if image else sys.executable
+        self._project = Path(self._placed["project"]) if box else project
+        variables = within(image, recipe.environment)
         self._environment = {
             **{name: self._fill((value,))[0] for name, value in variables.items()},
             "HOME": f"{self._here}/{RUN_HOME}",

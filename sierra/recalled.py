@@ -19,7 +19,7 @@ from sierra.engines import Engine
 from sierra.errors import Damaged, Missing, NotFound, UsageError
 from sierra.expansion import Files
 from sierra.hashing import short
-from sierra.images import Image
+from sierra.images import Contents, Image
 from sierra.model import Axis, Batch, Experiment, Query, Recipe, Run
 from sierra.plans import Plan
 from sierra.provenance import environment
@@ -86,12 +86,16 @@ def recall(store: Store, batch: str, programs: str, reading: str) -> Recalled:
     return Recalled(batch, recipe, manifest, commit, used, programs, outputs, success)
 
 
-def engine(store: Store, batch: str, recipe: Recipe, name: str | None = None) -> Engine:
+def engine(store: Store, batch: str, recipe: Recipe, name: str | None, *, hosted: bool) -> Engine:
     """What is to contain runs of a recipe: what is asked for, or else what contained those of this batch last."""
     if recipe.image is None:
         if name not in (None, "none"):
             raise UsageError(f"--engine {name}: batch {short(batch)} was executed without an image; leave it out")
         return engines.find("none")
+    if name == "none" and not hosted:
+        raise UsageError(
+            f"batch {short(batch)} was executed in an image, and so is what is missing of it; leave out --engine none"
+        )
     if name is None:
         [row] = store.rows(
             "SELECT arg_max(engine, ended) AS engine FROM sessions WHERE batch = $b AND engine <> 'none'", b=batch
@@ -105,19 +109,15 @@ def image(project: LoadedProject, store: Store, recipe: Recipe) -> Image | None:
     if recipe.image is None:
         return None
     found = next((one for one in images.pins(project.root).values() if one.id == recipe.image), None)
-    if found is None:
-        rows = store.rows("SELECT * FROM images WHERE image = $i LIMIT 1", i=recipe.image)
-        if not rows:
-            raise Missing(
-                f"the image {recipe.image} is neither pinned nor recorded; sierra image import brings it, then pin it"
-            )
-        found = _as_recorded(rows[0])
-    return found
+    return found or inside(store, recipe.image).image
 
 
-def _as_recorded(row: Mapping[str, Any]) -> Image:
-    variables, layers = json.loads(row["variables"]), tuple(row["layers"] or ())
-    return Image(row["name"], row["image"], images.Kind(row["kind"]), row["architecture"] or "", layers, variables)
+def inside(store: Store, identity: str) -> Contents:
+    """What is recorded of an image. Raises Missing."""
+    rows = store.rows("SELECT * FROM images WHERE image = $i LIMIT 1", i=identity)
+    if not rows:
+        raise Missing(f"the image {identity} is neither pinned nor recorded; sierra image import brings it, then pin it")
+    return Contents.of_row(rows[0], store.object(rows[0]["files"]))
 
 
 def inputs(store: Store, runs: Iterable[Taken]) -> Iterator[tuple[Taken, Files]]:
@@ -183,7 +183,7 @@ def plan(project: LoadedProject, store: Store, prefix: str, *, contained: str | 
         checkout=checkout,
         programs=used,
         environment=environment.capture(__version__, project.config.environment.record),
-        engine=engine(store, found.id, recalled.recipe, contained),
+        engine=engine(store, found.id, recalled.recipe, contained, hosted=False),
         image=image(project, store, recalled.recipe),
         limits=jobs.limits(project.config),
         template_sha256=row["template_sha256"],

@@ -14,7 +14,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from sierra import jobs, metrics, recalled, recovery, runners
+from sierra import hosted, jobs, metrics, recalled, recovery, runners
 from sierra.agreement import Agreement, Verdict
 from sierra.asking import Progress, Watch
 from sierra.config import LoadedProject, Output
@@ -93,7 +93,7 @@ def replay(
     record = _look_up(store, store.resolve(prefix), how.runs)
     declared = _declared(record, project, how.tolerances)
     was = _metrics(project, store, record, declared)
-    engine = recalled.engine(store, record.of.batch, record.of.recipe, how.engine)
+    engine = recalled.engine(store, record.of.batch, record.of.recipe, how.engine, hosted=True)
     image = recalled.image(project, store, record.of.recipe)
     runner = runners.find(how.runner)(how.slots)
     began = datetime.now(UTC)
@@ -103,6 +103,8 @@ def replay(
         root = session.paths.source
         checkout = record.of.checkout(project, store)
         checkout.make(root)
+        if image is not None and engine.name == "none":
+            hosted.check(record.of.recipe, recalled.inside(store, image.id), root)
         variables = jobs.declared(record.of.recipe.environment, root, project.root)
         now = versions.asked(checkout.programs_in(root), project.config.programs, variables, root)
         around = environment.capture(__version__, project.config.environment.record)
@@ -136,7 +138,16 @@ def replay(
             record.of.success,
             **contained.context,
         )
-        maker = jobs.Maker(record.of.recipe, root, engine, jobs.limits(project.config), session.id, project.root, contained.box)
+        maker = jobs.Maker(
+            record.of.recipe,
+            root,
+            engine,
+            jobs.limits(project.config),
+            session.id,
+            project.root,
+            image=image,
+            box=contained.box,
+        )
         made = {job.run: job for job in _jobs(record, store, maker)}
         try:
             failed, interrupted = _execute(

@@ -54,6 +54,25 @@ class Contents:
     squashfs: str = ""
     """SHA-256 of the squashfs that was made of it; empty where there is none."""
 
+    @classmethod
+    def of_row(cls, row: Mapping[str, Any], listing: bytes) -> Contents:
+        """What a row of the table `images` has, with the listing that it names."""
+        variables, layers = json.loads(row["variables"]), tuple(row["layers"] or ())
+        image = Image(row["name"], row["image"], Kind(row["kind"]), row["architecture"] or "", layers, variables)
+        return cls(
+            image=image,
+            form="",
+            manifests=json.loads(row["manifests"]),
+            config={},
+            labels=json.loads(row["labels"]),
+            packages={manager: tuple(lines) for manager, lines in json.loads(row["packages"]).items()},
+            recipe=row["recipe"] or "",
+            created=row["created"].isoformat() if row["created"] else "",
+            size=row["size"],
+            listing=listing,
+            squashfs=row["squashfs"] or "",
+        )
+
     @cached_property
     def files(self) -> dict[str, Entry]:
         """Every path of it, without a slash before it."""

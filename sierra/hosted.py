@@ -1,0 +1,43 @@
+"""Executing on this machine itself what was recorded in an image: allowed where its programs are the image's, byte by byte.
+
+What counts is what counts without an image (see `sierra.provenance.programs`): programs, the libraries that they load, what a
+Python has installed. Each must be in the image, where it is here, as the same file.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from sierra import jobs
+from sierra.errors import Missing
+from sierra.hashing import short
+from sierra.images import Contents
+from sierra.model import Recipe
+from sierra.provenance import programs
+from sierra.provenance.program import Kind, Program
+from sierra.wording import few
+
+SHOWN = 3
+
+
+def check(recipe: Recipe, inside: Contents, root: Path) -> None:
+    """That this machine's programs are the image's; the code lies in `root`. Raises Missing, which names what differs."""
+    words, variables = jobs.on_host(recipe, inside.image, root)
+    found = programs.find(words, variables, root)
+    other = [line for one in found.all if (line := _other(one, inside, root))]
+    if other:
+        raise Missing(f"without a container, runs would not have the programs of {inside.image.name}: {few(other, SHOWN)}")
+
+
+def _other(one: Program, inside: Contents, root: Path) -> str | None:
+    """How one thing here differs from the image's; None where it does not."""
+    if one.kind == Kind.DISTRIBUTIONS:
+        lines = set((one.version or "").splitlines())
+        lacking = sorted(lines - set(inside.packages.get("python", ())))
+        return f"{one.name}: {lacking[0]} is not in the image" if lacking else None
+    if Path(one.path).is_relative_to(root):
+        return None
+    there = inside.sha256(one.path)
+    if there == one.sha256:
+        return None
+    return f"{one.path} is {short(one.sha256)} here, {short(there) if there else 'nothing'} in the image"
