@@ -43,7 +43,7 @@ def data(named: Programs, container: Container, project: Path) -> Programs:
     digests = Digests()
     mounted = []
     for target, source in container.mounts.items():
-        root = project / source
+        root = _there(project, target, source)
         for path in sorted(below for below in root.rglob("*") if below.is_file()) if root.is_dir() else [root]:
             name = str(Path(target, path.relative_to(root)))
             mounted.append(Program(name, str(path), digests.of(str(path)), Kind.FILE))
@@ -146,7 +146,8 @@ def contain(
         network=NETWORK in recipe.reach,
         devices=tuple(one.removeprefix(DEVICE) for one in recipe.reach if one.startswith(DEVICE)),
         gpu=GPU in recipe.reach,
-        memory=bounds.memory_bytes,
+        # in a container that is shared, the worker would starve with the run: it looks itself
+        memory=None if shared else bounds.memory_bytes,
         cpus=given.cpus,
         pids=given.pids,
         wall=None if shared or bounds.wall_s is None else bounds.wall_s + bounds.grace_s + SPARE_S,
@@ -160,10 +161,15 @@ def _mounts(recipe: Recipe, given: Container, project: Path) -> Iterator[Mount]:
     for target in (one.removeprefix(MOUNT) for one in recipe.reach if one.startswith(MOUNT)):
         if target not in given.mounts:
             raise ConfigError(f"runs need a mount at {target}; name what is to be there in [container] mounts")
-        source = project / given.mounts[target]
-        if not source.exists():
-            raise Missing(f"[container] mounts: {source} is not there, which runs are to have at {target}")
-        yield Mount(str(source), target)
+        yield Mount(str(_there(project, target, given.mounts[target])), target)
+
+
+def _there(project: Path, target: str, source: str) -> Path:
+    """What is mounted. Raises Missing."""
+    path = project / source
+    if not path.exists():
+        raise Missing(f"[container] mounts: {path} is not there, which runs are to have at {target}")
+    return path
 
 
 def _check_command(recipe: Recipe, inside: Contents) -> None:

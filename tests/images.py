@@ -6,6 +6,7 @@ import gzip
 import hashlib
 import io
 import json
+import re
 import struct
 import tarfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -39,7 +40,7 @@ def _member(path: str, what: str | bytes) -> tuple[tarfile.TarInfo, bytes]:
         header.type, header.mode = tarfile.DIRTYPE, 0o755
         return header, b""
     content = what.encode() if isinstance(what, str) else what
-    header.size, header.mode = len(content), 0o755 if "bin/" in path else 0o644
+    header.size, header.mode = len(content), 0o755 if re.search(r"bin/|\.so|ld-linux", path) else 0o644
     return header, content
 
 

@@ -32,6 +32,11 @@ HANDED_ON = re.compile(
 """What podman itself needs of the caller's environment."""
 MOST_FILES = 16384
 """Open files, and processes, that a container may have: podman's own default is more than some hosts allow."""
+UNIFIED = Path("/sys/fs/cgroup/cgroup.controllers")
+"""Is there where control groups are of version 2."""
+OUT_OF_MEMORY = {True: "--cgroup-conf=memory.oom.group=1", False: "--oom-kill-disable"}
+"""Out of memory, the kernel kills one process, of which a script may take no notice: all must end instead, or (version 1) none
+may go on until the worker has seen it and ends them."""
 FAILED, NOT_EXECUTABLE, NOT_FOUND = 125, 126, 127
 SIGNALLED = 128
 INIT = re.compile(r"ERROR \(catatonit:\d+\): failed to exec pid1: (.*)")
@@ -107,7 +112,7 @@ def _options(box: Box, process: Process) -> Iterator[str]:
     if box.gpu:
         yield "--device=nvidia.com/gpu=all"
     if box.memory is not None:
-        yield from (f"--memory={box.memory}", f"--memory-swap={box.memory}")
+        yield from (f"--memory={box.memory}", f"--memory-swap={box.memory}", OUT_OF_MEMORY[UNIFIED.exists()])
     if box.cpus is not None:
         yield f"--cpus={box.cpus}"
     if box.pids is not None:

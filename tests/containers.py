@@ -1,0 +1,88 @@
+"""Images of this machine's own programs, made in a second and without a registry; and projects whose runs execute in them."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+
+from tests import images, projects
+
+BUSYBOX = Path("/bin/busybox")
+PYTHON = Path("/usr/bin/python3")
+FOLDERS = ("tmp/", "run/", "proc/", "sys/", "dev/", "etc/", "home/")
+LEFT_OUT = re.compile(r"/(__pycache__|test|idlelib|ensurepip|tkinter|lib2to3|dist-packages|pydoc_data|config-[^/]*)(/|$)")
+
+SIMULATOR = """\
+count=$(sed -n 's/.*count="\\([0-9]*\\)".*/\\1/p' "$1")
+seed=$(sed -n 's/.*random seed="\\([0-9]*\\)".*/\\1/p' "$1")
+echo tick,coverage > swarm.csv
+for tick in 0 1 2; do echo $tick,$((count * tick + seed % 100)) >> swarm.csv; done
+"""
+
+
+def busybox(folder: Path) -> Path:
+    """An archive of an image with a shell and the usual tools; 2 MB."""
+    applets = subprocess.run([BUSYBOX, "--list"], capture_output=True, text=True, check=True).stdout.split()
+    links = [(f"bin/{name} -> busybox", "") for name in applets if name != "busybox"]
+    return _archive(folder / "busybox.tar", ("bin/busybox", BUSYBOX.read_bytes()), *links)
+
+
+def python(folder: Path) -> Path:
+    """The same with the system's Python: its program, its library, and what the loader gives them."""
+    real = PYTHON.resolve()
+    library = Path("/usr/lib") / real.name
+    files = [path for path in library.rglob("*") if path.is_file() and not LEFT_OUT.search(str(path))]
+    loaded = {path for one in (real, *(file for file in files if file.suffix == ".so")) for path in _loaded(one)}
+    members = [(str(path).lstrip("/"), path.read_bytes()) for path in (real, *files, *sorted(loaded))]
+    applets = ("sh", "sleep", "sed", "cat", "env")
+    shell = [("bin/busybox", BUSYBOX.read_bytes()), *((f"bin/{name} -> busybox", "") for name in applets)]
+    return _archive(folder / "python.tar", *members, ("usr/bin/python3 -> " + real.name, ""), *shell)
+
+
+def host(folder: Path, *programs: Path) -> Path:
+    """An image of just these programs of the machine's, where they are here, with their libraries."""
+    loaded = {path for program in programs for path in _loaded(program.resolve())}
+    members = [(str(path).lstrip("/"), path.resolve().read_bytes()) for path in (*programs, *sorted(loaded))]
+    return _archive(folder / "host.tar", *members)
+
+
+def _archive(path: Path, *members: images.Member) -> Path:
+    folders = [(name, "") for name in FOLDERS]
+    return images.docker_archive(path, [images.layer(*folders, *members)])
+
+
+@cache
+def _loaded(program: Path) -> tuple[Path, ...]:
+    told = subprocess.run(["ldd", program], capture_output=True, text=True, check=False).stdout
+    return tuple(Path(path) for path in re.findall(r"(/\S+) \(0x", told))
+
+
+def make(folder: Path, image: Path | str, *more: str, command: str = "sh sim.sh {input}", simulator: str = SIMULATOR) -> Path:
+    """A project whose runs execute in an image, which is pinned; `more` are further lines of [container]; the folder."""
+    config = projects.CONFIG.replace("python3 sim.py {input}", command)
+    container = "\n".join(("[container]", f'image = "{image}"', *more))
+    projects.make(folder, f"{config}{container}\n")
+    (folder / "sim.py").unlink()
+    (folder / "sim.sh").write_text(simulator)
+    pinned = projects.quick(folder, "image", "pin")
+    assert pinned.returncode == 0, pinned.stderr
+    return folder
+
+
+def left(folder: Path) -> list[str]:
+    """The containers that podman has for a project's runs, running or not."""
+    words = ["podman", "ps", "--all", "--quiet", f"--filter=volume={folder}"]
+    return subprocess.run(words, capture_output=True, text=True, check=True).stdout.split()
+
+
+def sleepers(mark: str) -> Iterator[int]:
+    """The processes of this machine, in containers and out of them, that have a word among their arguments."""
+    for process in Path("/proc").glob("[0-9]*"):
+        try:
+            if mark.encode() in (process / "cmdline").read_bytes().split(b"\0"):
+                yield int(process.name)
+        except OSError:
+            continue

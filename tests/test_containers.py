@@ -1,0 +1,383 @@
+"""Runs in containers, by real podman: the same bits, isolated, ended whatever happens, and recorded as they were."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests import containers
+from tests.projects import SIERRA, quick, sierra
+
+pytestmark = pytest.mark.real
+RUN = ("run", "population_size=1,2", "--no-figures", "-j2")
+
+
+@pytest.fixture(scope="session")
+def busybox(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    if not containers.BUSYBOX.exists():
+        return Path("/nowhere")
+    return containers.busybox(tmp_path_factory.mktemp("busybox"))
+
+
+@pytest.fixture(scope="session")
+def python(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    if not containers.PYTHON.exists() or not containers.BUSYBOX.exists():
+        return Path("/nowhere")
+    return containers.python(tmp_path_factory.mktemp("python"))
+
+
+@pytest.fixture(autouse=True)
+def podman(require: Callable[..., str]) -> str:
+    require("busybox-static, as /bin/busybox", there=containers.BUSYBOX.exists())
+    return require("podman")
+
+
+def rows(folder: Path, statement: str) -> list[dict[str, Any]]:
+    done = quick(folder, "sql", "--json", statement)
+    assert done.returncode == 0, done.stderr
+    answer: list[dict[str, Any]] = json.loads(done.stdout)
+    return answer
+
+
+def says(folder: Path, *words: str, code: int = 0) -> str:
+    """What a command prints, which must end so."""
+    done = sierra(folder, *words)
+    assert done.returncode == code, done.stdout + done.stderr
+    assert "Traceback" not in done.stderr
+    return done.stdout + done.stderr
+
+
+# ---------------------------------------------------------------- what runs, and what is recorded
+
+
+def test_a_batch_executes_in_its_image_and_says_so_in_sql(tmp_path: Path, busybox: Path) -> None:
+    folder = containers.make(tmp_path / "a project, with 'blanks' and: colons", busybox)
+    assert "4 runs: 4 executed" in says(folder, *RUN)
+    assert "0 executed, 4 reused" in says(folder, *RUN)
+    [batch] = rows(folder, "SELECT engine, count(*) AS n FROM sessions WHERE executed > 0 GROUP BY ALL")
+    assert batch == {"engine": "podman", "n": 1}
+    [one] = rows(
+        folder,
+        "SELECT DISTINCT i.engine, i.mode, i.network, i.image = r.image AS same, r.reach, m.kind FROM executions "
+        "JOIN isolations i USING (isolation) JOIN batches USING (batch) JOIN recipes r USING (recipe) JOIN images m ON m.image = i.image",
+    )
+    assert one == {"engine": "podman", "mode": "run", "network": "none", "same": True, "reach": [], "kind": "oci"}
+    values = rows(folder, "SELECT DISTINCT population_size AS n FROM swarm WHERE tick = 2 ORDER BY n")
+    assert values == [{"n": 1}, {"n": 2}]
+    assert containers.left(folder) == []
+
+
+TOLD = """\
+{ echo what,said
+grep -c : /proc/net/dev | sed 's/^/interfaces,/'
+hostname | sed 's/^/host,/'
+grep CapEff /proc/self/status | sed 's/.*\\t/capabilities,/'
+grep NoNewPrivs /proc/self/status | sed 's/.*\\t/privileges,/'
+date +%Z | sed 's/^/zone,/'
+touch /file 2>/dev/null && echo root,writable || echo root,kept
+touch "$SIERRA_RUN_DIR/file" 2>/dev/null && echo inputs,writable || echo inputs,kept
+echo >> "$1" 2>/dev/null && echo input,writable || echo input,kept
+touch "$PROJECT/file" 2>/dev/null && echo project,writable || echo project,kept
+touch "$HOME/file" "$TMPDIR/file" /tmp/other && echo own,writable || echo own,kept
+echo "threads,$OMP_NUM_THREADS"
+echo "secret,$SECRET"
+echo "value,$VALUE"
+ls / | grep -cE '^(home|root|work|usr)$' | sed 's/^/folders,/'
+ls "$HOME" | wc -l | sed 's/^/home,/'
+} > told.csv
+"""
+
+
+@pytest.mark.parametrize("isolation", ["run", "worker"])
+def test_runs_are_isolated_by_default(tmp_path: Path, python: Path, isolation: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SECRET", "s3cret")
+    folder = containers.make(tmp_path / "project", python, f'isolation = "{isolation}"', simulator=TOLD)
+    with (folder / "sierra.toml").open("a") as file:
+        file.write('[environment.set]\nPROJECT = "{project}"\nVALUE = \'a=b "c" $HOME\'\n[outputs.told]\nfile = "told.csv"\n')
+    assert "2 executed" in says(folder, "run", "population_size=1", "--no-figures", "-j1")
+    told = {row["what"]: row["said"] for row in rows(folder, "SELECT DISTINCT what, said FROM told")}
+    assert told == {
+        "interfaces": "1",
+        "host": "run",
+        "capabilities": "0000000000000000",
+        "privileges": "1",
+        "zone": "UTC",
+        "root": "kept",
+        "inputs": "kept" if isolation == "run" else "writable",
+        "input": "kept" if isolation == "run" else "writable",
+        "project": "kept",
+        "own": "writable",
+        "threads": "1",
+        "secret": None,
+        "value": 'a=b "c" $HOME',
+        "folders": "2",
+        "home": "1",
+    }
+    [row] = rows(folder, "SELECT DISTINCT mode, host FROM isolations JOIN executions USING (isolation)")
+    assert (row["mode"], row["host"] != "run") == (isolation, True)
+
+
+def test_an_image_without_python_can_not_be_shared_and_that_is_said(tmp_path: Path, busybox: Path) -> None:
+    folder = containers.make(tmp_path / "project", busybox, 'isolation = "worker"')
+    assert "each run has a container of its own" in says(folder, *RUN)
+    assert rows(folder, "SELECT mode FROM isolations") == [{"mode": "run"}]
+
+
+def test_outputs_belong_to_the_caller_and_nothing_is_left_of_the_work(tmp_path: Path, busybox: Path) -> None:
+    folder = containers.make(tmp_path / "project", busybox, simulator=SIMULATOR_LOCKED)
+    says(folder, *RUN)
+    assert [path.name for path in (folder / ".sierra" / "work").iterdir()] == ["lock"]
+
+
+SIMULATOR_LOCKED = containers.SIMULATOR + "mkdir deep; echo x > deep/file; chmod 000 deep\n"
+
+
+# ---------------------------------------------------------------- how runs end
+
+ENDS = """\
+case $(sed -n 's/.*count="\\([0-9]*\\)".*/\\1/p' "$1") in
+1) exit 7;;
+2) kill -SEGV $$;;
+3) exit 125;;
+4) exit 255;;
+5) echo "ERROR: no" >&2; exit 127;;
+6) exec sleep 61.5;;
+7) trap '' TERM; while true; do sleep 0.1; done;;
+8) python3 -c 'x = bytearray(200000000); import time; time.sleep(2)';;
+9) (sleep 61.5 &); (setsid sleep 61.5 &);;
+esac
+echo tick,coverage > swarm.csv
+echo 0,1 >> swarm.csv
+"""
+
+
+@pytest.mark.parametrize("isolation", ["run", "worker"])
+def test_each_way_to_end_is_told_apart(tmp_path: Path, python: Path, isolation: str) -> None:
+    folder = containers.make(tmp_path / "project", python, f'isolation = "{isolation}"', simulator=ENDS)
+    with (folder / "sierra.toml").open("a") as file:
+        file.write('[limits]\nwall = 3.0\ngrace = 1.0\nmemory = "120 MB"\n')
+    says(folder, "run", "population_size=1,2,3,4,5,6,7,8,9", "--runs", "1", "--no-figures", code=1)
+    ended = rows(
+        folder, 'SELECT population_size AS n, status, exit_code, "signal" FROM executions JOIN points USING (run) ORDER BY n'
+    )
+    found = {row["n"]: (row["status"], row["exit_code"], row["signal"]) for row in ended}
+    assert found[8][0] == "memory"
+    del found[8]
+    assert found == {
+        1: ("failed", 7, None),
+        2: ("failed", None, 11),
+        3: ("failed", 125, None),
+        4: ("failed", 255, None),
+        5: ("failed", 127, None),
+        6: ("timeout", None, 15),
+        7: ("timeout", None, 9),
+        9: ("ok", 0, None),
+    }
+    assert containers.left(folder) == []
+    assert list(containers.sleepers("61.5")) == []
+
+
+BURNS = "python3 -c 'import time; x = b\"1\" * 60000000\nwhile time.process_time() < 0.8: pass'\n" + containers.SIMULATOR
+
+
+@pytest.mark.parametrize("isolation", ["run", "worker"])
+def test_what_a_run_has_used_is_the_programs_and_not_the_engines(tmp_path: Path, python: Path, isolation: str) -> None:
+    folder = containers.make(tmp_path / "project", python, f'isolation = "{isolation}"', simulator=BURNS)
+    says(folder, "run", "population_size=1", "--runs", "1", "--no-figures")
+    [used] = rows(folder, 'SELECT "user" + "system" AS cpu, max_rss FROM executions')
+    assert 0.7 < used["cpu"] < 1.0
+    assert 60e6 < used["max_rss"] < 90e6
+
+
+def test_a_command_that_is_not_in_the_image_is_found_out_before_anything_runs(tmp_path: Path, busybox: Path) -> None:
+    folder = containers.make(tmp_path / "project", busybox, command="simulate {input}")
+    assert "the program 'simulate' is not in the image" in says(folder, *RUN, code=3)
+    assert rows(folder, "SELECT count(*) AS n FROM executions") == [{"n": 0}]
+
+
+# ---------------------------------------------------------------- what is killed
+
+SLEEPS = containers.SIMULATOR + "sleep {mark}\n"
+
+
+@pytest.fixture
+def sleeping(tmp_path: Path, python: Path, request: pytest.FixtureRequest) -> Iterator[tuple[Path, subprocess.Popen[str], str]]:
+    """A batch whose two runs sleep in containers, and what marks their processes."""
+    mark = f"62.{os.getpid()}"
+    folder = containers.make(
+        tmp_path / "project", python, f'isolation = "{request.param}"', simulator=SLEEPS.replace("{mark}", mark)
+    )
+    words = [str(SIERRA), "run", "population_size=1", "--no-figures", "-j2"]
+    asking = subprocess.Popen(
+        words, cwd=folder, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, start_new_session=True
+    )
+    give_up = time.monotonic() + 60
+    while len(list(containers.sleepers(mark))) < 2:
+        assert time.monotonic() < give_up, asking.poll()
+        time.sleep(0.05)
+    yield folder, asking, mark
+    asking.kill()
+    asking.communicate()
+
+
+def of(folder: Path, what: str) -> list[int]:
+    """The processes of a batch on the host: its worker, or the clients of its containers."""
+    found = []
+    for process in Path("/proc").glob("[0-9]*"):
+        try:
+            words = (process / "cmdline").read_bytes().split(b"\0")
+        except OSError:
+            continue
+        if any(os.fsencode(folder / ".sierra") in word for word in words):
+            client = words[0].endswith(b"podman")
+            if client == (what == "clients") and b"conmon" not in words[0]:
+                found.append(int(process.name))
+    return found
+
+
+def await_none(folder: Path, mark: str, seconds: float = 20) -> None:
+    give_up = time.monotonic() + seconds
+    while found := list(containers.sleepers(mark)) + containers.left(folder):
+        assert time.monotonic() < give_up, found
+        time.sleep(0.1)
+
+
+@pytest.mark.parametrize("sleeping", ["run", "worker"], indirect=True)
+@pytest.mark.parametrize("killed", ["sierra", "worker", "clients", "interrupted"])
+def test_whatever_is_killed_no_container_is_left_and_the_batch_can_be_finished(
+    sleeping: tuple[Path, subprocess.Popen[str], str], killed: str
+) -> None:
+    folder, asking, mark = sleeping
+    if killed == "sierra":
+        asking.kill()
+    elif killed == "interrupted":
+        os.killpg(asking.pid, signal.SIGINT)
+    else:
+        for pid in of(folder, killed):
+            os.kill(pid, signal.SIGKILL)
+    said, _ = asking.communicate(timeout=60)
+    assert asking.returncode == {"sierra": -9, "worker": 3, "clients": 1, "interrupted": 130}[killed], said
+    assert "Traceback" not in said
+    await_none(folder, mark)
+    ended = {row["status"] for row in rows(folder, "SELECT status FROM executions")}
+    assert ended == ({"failed"} if killed == "clients" else set())
+    (folder / "sim.sh").write_text(containers.SIMULATOR)
+    assert "2 executed" in says(folder, "run", "population_size=1", "--no-figures")
+
+
+@pytest.mark.parametrize("sleeping", ["run"], indirect=True)
+def test_where_all_that_could_end_it_was_killed_a_container_is_ended_by_the_next_asking(
+    sleeping: tuple[Path, subprocess.Popen[str], str],
+) -> None:
+    folder, asking, mark = sleeping
+    for pid in (asking.pid, *of(folder, "worker"), *of(folder, "clients")):
+        os.kill(pid, signal.SIGKILL)
+    asking.wait()
+    time.sleep(0.5)
+    assert len(list(containers.sleepers(mark))) >= 2
+    (folder / "sim.sh").write_text(containers.SIMULATOR)
+    assert "2 executed" in says(folder, "run", "population_size=1", "--no-figures")
+    await_none(folder, mark, 1)
+
+
+# ---------------------------------------------------------------- identity
+
+
+def ids(folder: Path, *words: str) -> set[str]:
+    """The runs of a batch that would execute."""
+    import sierra as package
+
+    plan = package.open(folder).plan("population_size=1,2", **dict(zip(words[::2], words[1::2], strict=True)))
+    return {run.id for run in plan.batch.runs}
+
+
+def test_what_may_change_a_result_is_part_of_a_runs_identity_and_what_may_not_is_none(tmp_path: Path, busybox: Path) -> None:
+    folder = containers.make(tmp_path / "project", busybox)
+    (folder / "data").mkdir()
+    (folder / "data" / "map").write_text("1")
+    plain, config = ids(folder), (folder / "sierra.toml").read_text()
+    seen = [plain, ids(folder, "engine", "none")]
+    for more in ("network = true", 'devices = ["/dev/null"]', "gpu = true", 'mounts = { "/data" = "data" }'):
+        (folder / "sierra.toml").write_text(config + more + "\n")
+        seen.append(ids(folder))
+    for k, one in enumerate(seen):
+        assert all(one.isdisjoint(other) for other in seen[:k])
+    for more in ("cpus = 1.0", "pids = 100", 'isolation = "worker"', 'engine = "apptainer"'):
+        (folder / "sierra.toml").write_text(config + more + "\n")
+        assert ids(folder) == plain
+
+
+def test_a_mount_is_read_only_and_what_is_in_it_counts(tmp_path: Path, busybox: Path) -> None:
+    writes = 'echo tick,coverage > swarm.csv; echo "0,$(cat /data/map)" >> swarm.csv\n'
+    simulator = f"touch /data/x 2>/dev/null && exit 9\n{writes}"
+    folder = containers.make(tmp_path / "project", busybox, f'mounts = {{ "/data" = "{tmp_path}/maps" }}', simulator=simulator)
+    (tmp_path / "maps").mkdir()
+    (tmp_path / "maps" / "map").write_text("1")
+    assert "4 executed" in says(folder, *RUN)
+    (tmp_path / "maps" / "map").write_text("2")
+    assert "4 executed" in says(folder, *RUN)
+    assert "4 reused" in says(folder, *RUN)
+    shutil.rmtree(tmp_path / "maps")
+    assert "/data" in says(folder, *RUN, "--runs", "3", code=3)
+
+
+def test_a_path_out_of_the_project_is_no_path_in_a_container(tmp_path: Path, busybox: Path) -> None:
+    folder = containers.make(tmp_path / "project", busybox, command="sh {project}/../sim.sh {input}")
+    assert "[container] mounts" in says(folder, *RUN, code=2)
+
+
+# ---------------------------------------------------------------- replay
+
+
+def test_a_batch_is_replayed_in_its_image_and_on_a_host_with_the_same_programs(tmp_path: Path) -> None:
+    archive = containers.host(tmp_path, Path("/usr/bin/gawk") if Path("/usr/bin/gawk").exists() else Path("/usr/bin/mawk"))
+    program = "/usr/bin/gawk" if Path("/usr/bin/gawk").exists() else "/usr/bin/mawk"
+    folder = containers.make(tmp_path / "project", archive, command=f"{program} -f sim.awk {{input}}")
+    script = 'BEGIN { print "tick,coverage" > "swarm.csv"; print "0," exp(1.5) > "swarm.csv" }'
+    (folder / "sim.awk").write_text(script)
+    says(folder, *RUN)
+    [batch] = rows(folder, "SELECT batch FROM batches")
+    assert "identical (4 runs: 4 identical)" in says(folder, "replay", batch["batch"])
+    assert "identical (4 runs: 4 identical)" in says(folder, "replay", batch["batch"], "--engine", "none")
+    assert rows(folder, "SELECT engine FROM replays ORDER BY ended") == [{"engine": "podman"}, {"engine": "none"}]
+
+
+def test_a_host_with_other_programs_gives_no_verdict_and_says_which(tmp_path: Path, busybox: Path) -> None:
+    folder = containers.make(tmp_path / "project", busybox)
+    says(folder, *RUN)
+    [batch] = rows(folder, "SELECT batch FROM batches")
+    assert "in the image" in says(folder, "replay", batch["batch"], "--engine", "none", code=3)
+    assert rows(folder, "SELECT count(*) AS n FROM replays") == [{"n": 0}]
+
+
+def test_an_image_that_is_gone_is_named(tmp_path: Path, busybox: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    archive = shutil.copy(busybox, tmp_path / "image.tar")
+    folder = containers.make(tmp_path / "project", archive)
+    says(folder, *RUN)
+    archive.unlink()
+    assert str(archive) in says(folder, *RUN, code=3)
+
+
+def test_podman_is_asked_for_where_it_is_not_there(tmp_path: Path, busybox: Path) -> None:
+    folder = containers.make(tmp_path / "project", busybox)
+    done = sierra(folder, *RUN, environment={"PATH": str(tmp_path)})
+    assert (done.returncode, "podman" in done.stderr, len(done.stderr.splitlines())) == (3, True, 1), done.stderr
+
+
+def test_two_at_once_share_the_work(tmp_path: Path, busybox: Path) -> None:
+    folder = containers.make(tmp_path / "project", busybox, simulator=containers.SIMULATOR + "sleep 0.5\n")
+    words = [str(SIERRA), "run", "population_size=1,2,3,4", "--no-figures", "-j2", "--json"]
+    both = [subprocess.Popen(words, cwd=folder, text=True, stdout=subprocess.PIPE) for _ in range(2)]
+    executed = [json.loads(one.communicate(timeout=120)[0])["executed"] for one in both]
+    assert sum(executed) == 8
+    assert rows(folder, "SELECT count(*) AS n FROM executions WHERE status = 'ok'") == [{"n": 8}]
+    assert containers.left(folder) == []
