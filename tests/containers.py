@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import subprocess
 from collections.abc import Iterator
@@ -74,8 +75,10 @@ def make(folder: Path, image: Path | str, *more: str, command: str = "sh sim.sh 
 
 def left(folder: Path) -> list[str]:
     """The containers that podman has for a project's runs, running or not."""
-    words = ["podman", "ps", "--all", "--quiet", f"--filter=volume={folder}"]
-    return subprocess.run(words, capture_output=True, text=True, check=True).stdout.split()
+    listed = subprocess.run(["podman", "ps", "--all", "--quiet"], capture_output=True, text=True, check=True).stdout.split()
+    told = subprocess.run(["podman", "container", "inspect", *listed], capture_output=True, text=True, check=False)
+    known = json.loads(told.stdout or "[]") if listed else []
+    return [one["Id"] for one in known if any(mount.get("Source") == str(folder) for mount in one["Mounts"])]
 
 
 def sleepers(mark: str) -> Iterator[int]:

@@ -68,7 +68,8 @@ def test_a_batch_executes_in_its_image_and_says_so_in_sql(tmp_path: Path, busybo
     [one] = rows(
         folder,
         "SELECT DISTINCT i.engine, i.mode, i.network, i.image = r.image AS same, r.reach, m.kind FROM executions "
-        "JOIN isolations i USING (isolation) JOIN batches USING (batch) JOIN recipes r USING (recipe) JOIN images m ON m.image = i.image",
+        "JOIN isolations i USING (isolation) "
+        "JOIN batches USING (batch) JOIN recipes r USING (recipe) JOIN images m ON m.image = i.image",
     )
     assert one == {"engine": "podman", "mode": "run", "network": "none", "same": True, "reach": [], "kind": "oci"}
     values = rows(folder, "SELECT DISTINCT population_size AS n FROM swarm WHERE tick = 2 ORDER BY n")
