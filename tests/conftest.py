@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import json
 import os
 import shutil
@@ -19,6 +20,7 @@ import pytest
 from hypothesis import settings
 
 from sierra.store import Store
+from tests import projects, stores
 
 # A shell that starts the tests in the background makes them, and all that they start, ignore these.
 signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -36,6 +38,20 @@ def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
         yield
+
+
+@pytest.fixture(scope="session")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The project of `stores.make`, outside git, made once for all tests, in however many processes; nobody changes it."""
+    base = tmp_path_factory.getbasetemp()
+    root = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "recorded" / "project"
+    root.parent.mkdir(exist_ok=True)
+    with (root.parent / "lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not (root.parent / "made").exists():
+            stores.make(root)
+            (root.parent / "made").touch()
+    return root
 
 
 @pytest.fixture
@@ -83,6 +99,12 @@ class Simulated:
     def ask(self, *words: str) -> subprocess.CompletedProcess[str]:
         """`sierra WORDS`, to its end; what it says has no traceback in it."""
         return self.end_of(self.start(*words))
+
+    def quick(self, *words: str) -> subprocess.CompletedProcess[str]:
+        """The same within this process: see `projects.quick`."""
+        done = projects.quick(self.folder, *words)
+        assert "fault in SIERRA" not in done.stderr
+        return done
 
     def end_of(self, process: subprocess.Popen[str], timeout: float = 60.0) -> subprocess.CompletedProcess[str]:
         out, err = process.communicate(timeout=timeout)

@@ -82,7 +82,7 @@ def sierra(
 
 
 def quick(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
-    """The same within this process, for commands that only look: no time goes into starting Python."""
+    """The same within this process, where that it is one of its own is not the subject: no time goes into starting Python."""
     out, err = io.TextIOWrapper(io.BytesIO(), "utf-8"), io.StringIO()
     before, sys.argv = sys.argv, ["sierra", *words]
     try:

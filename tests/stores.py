@@ -23,11 +23,9 @@ print("complained", file=sys.stderr)
 )
 
 
-def make(folder: Path, *, git: bool) -> Path:
+def make(folder: Path) -> Path:
     """A project with three batches, two of which share runs, and a replay; its folder."""
     root = projects.make(folder, simulator=SIMULATOR)
-    if git:
-        projects.commit(root)
     project = sierra.open(root)
     first = project.run("population_size=1,2", figures=False).batch
     project.run("population_size=2,3", runs=3, figures=False)

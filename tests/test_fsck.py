@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import random
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,22 +23,10 @@ from tests import projects, stores
 Where = tuple[str, int, int]
 
 
-@pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A project outside git, whose store is only looked at, or left as it was."""
-    return stores.make(tmp_path_factory.mktemp("none") / "project", git=False)
-
-
 @pytest.fixture
-def in_git(tmp_path: Path) -> Path:
-    """A project in git, whose source is in git alone."""
-    return stores.make(tmp_path / "project", git=True)
-
-
-@pytest.fixture
-def root(made: Path, tmp_path: Path) -> Path:
-    """A copy of it that a test may damage."""
-    return stores.copy(made, tmp_path / "project")
+def root(recorded: Path, tmp_path: Path) -> Path:
+    """A copy of a project outside git, which a test may damage."""
+    return stores.copy(recorded, tmp_path / "project")
 
 
 def fsck(root: Path) -> Report:
@@ -53,11 +41,11 @@ def segment_with(root: Path, table: str) -> Path:
     return next(path.parent for path in sorted(root.glob(f".sierra/segments/*/{table}.parquet")))
 
 
-def test_a_sound_store_is_sound(made: Path) -> None:
-    ended = projects.quick(made, "fsck")
+def test_a_sound_store_is_sound(recorded: Path) -> None:
+    ended = projects.quick(recorded, "fsck")
     assert (ended.returncode, ended.stderr) == (0, "")
     assert ended.stdout.startswith("sound: ")
-    report = json.loads(projects.quick(made, "fsck", "--json").stdout)
+    report = json.loads(projects.quick(recorded, "fsck", "--json").stdout)
     assert (report["sound"], report["findings"], report["executions"]) == (True, [], 12)
 
 
@@ -80,27 +68,32 @@ def positions(data: bytes, name: str, numbers: random.Random) -> Iterator[int]:
     yield from (numbers.randrange(size) for _ in range(1))
 
 
-def test_any_flipped_bit_is_found_and_its_file_is_named(made: Path) -> None:
+def flip(path: Path, place: int, numbers: random.Random) -> None:
+    data = bytearray(path.read_bytes())
+    data[place] ^= 1 << numbers.randrange(8)
+    path.write_bytes(data)
+
+
+def test_any_flipped_bit_is_found_and_its_file_is_named(recorded: Path, root: Path) -> None:
+    """One bit in a file of each segment at a time, and in one of the store's own."""
     numbers = random.Random(1)
-    store = made / ".sierra"
-    files = [path for path in sorted(store.rglob("*")) if path.is_file() and "work" not in path.parts]
-    flips = [(path, place) for path in files for place in positions(path.read_bytes(), path.name, numbers)]
-    chosen = [*((path, 0) for path in files if path.parent == store), *numbers.sample(flips, 30)]
-    for path, place in chosen:
-        data = path.read_bytes()
-        flipped = bytearray(data)
-        flipped[place] ^= 1 << numbers.randrange(8)
-        path.write_bytes(flipped)
-        report = fsck(made)
-        path.write_bytes(data)
-        named = {finding.path for finding in report.findings if not finding.kind.fine}
-        assert str(path.relative_to(store)) in named, (path, place)
-    assert fsck(made).sound
+    own = [path.relative_to(root) for path in sorted((root / ".sierra").iterdir()) if path.is_file()]
+    folders = [sorted(path.relative_to(root) for path in one.iterdir()) for one in root.glob(".sierra/segments/*")]
+    for attempt in range(9):
+        chosen = [own[attempt % len(own)], *(numbers.choice(files) for files in folders)]
+        for file in chosen:
+            places = [0] if file in own else [*positions((root / file).read_bytes(), file.name, numbers)]
+            flip(root / file, numbers.choice(places), numbers)
+        named = {finding.path for finding in fsck(root).findings if not finding.kind.fine}
+        assert {str(file.relative_to(".sierra")) for file in chosen} <= named
+        for file in chosen:
+            shutil.copyfile(recorded / file, root / file)
+    assert fsck(root).sound
 
 
-def test_each_bit_of_a_segment_counts_in_what_vouches_for_it(made: Path) -> None:
+def test_each_bit_of_a_segment_counts_in_what_vouches_for_it(recorded: Path) -> None:
     """All places at once, without a whole check for each: hashes see every bit, so it is the hash that must be compared."""
-    for folder in sorted((made / ".sierra" / "segments").iterdir()):
+    for folder in sorted((recorded / ".sierra" / "segments").iterdir()):
         files = sorted(path for path in folder.iterdir() if path.name != "MANIFEST")
         text = manifest(files)
         assert (folder / "MANIFEST").read_bytes() == text
@@ -257,32 +250,29 @@ def test_a_bomb_is_refused_and_not_expanded(root: Path) -> None:
     assert any(kind is Kind.INCONSISTENT and path.endswith("objects.parquet") for kind, path in wrong(root))
 
 
-def test_nothing_that_stands_in_files_makes_it_fail(root: Path) -> None:
+def test_nothing_that_stands_in_files_makes_it_fail(recorded: Path, root: Path) -> None:
+    """Any bytes in a file of each segment, each of which is what its MANIFEST and its name say."""
     numbers = random.Random(2)
-    files = [path for path in sorted((root / ".sierra").rglob("*")) if path.is_file()]
-    for _ in range(15):
-        folder = segment_with(root, numbers.choice(["executions", "members", "objects"]))
-        path = numbers.choice([path for path in files if path.suffix == ".parquet" and path.parent == folder] or files)
-        data = bytearray(path.read_bytes())
-        for _ in range(numbers.randrange(1, 20)):
-            data[numbers.randrange(len(data))] = numbers.randrange(256)
-        before = path.read_bytes()
-        path.write_bytes(data)
-        listed = (folder / "MANIFEST").read_bytes()
-        text = manifest(sorted(one for one in folder.iterdir() if one.name != "MANIFEST"))
-        (folder / "MANIFEST").write_bytes(text)
-        renamed = folder.rename(folder.with_name(folder.name[:13] + sha256(text)[:16]))
+    for _ in range(5):
+        for folder in sorted(root.glob(".sierra/segments/*")):
+            path = numbers.choice(sorted(folder.glob("*.parquet")))
+            data = bytearray(path.read_bytes())
+            for _ in range(numbers.randrange(1, 20)):
+                data[numbers.randrange(len(data))] = numbers.randrange(256)
+            path.write_bytes(data)
+            seal(folder)
         fsck(root)
-        renamed = renamed.rename(folder)
-        (renamed / "MANIFEST").write_bytes(listed)
-        path.write_bytes(before)
+        shutil.rmtree(root / ".sierra")
+        shutil.copytree(recorded / ".sierra", root / ".sierra")
     assert fsck(root).sound
 
 
-def test_a_source_that_git_lost_is_named_apart(in_git: Path) -> None:
-    assert fsck(in_git).sound
-    shutil.rmtree(in_git / ".git")
-    [(kind, _)] = wrong(in_git)
+def test_a_source_that_git_lost_is_named_apart(tmp_path: Path) -> None:
+    root = projects.commit(projects.make(tmp_path / "project"))
+    sierra.open(root).run("population_size=1", runs=1, figures=False)
+    assert fsck(root).sound
+    shutil.rmtree(root / ".git")
+    [(kind, _)] = wrong(root)
     assert kind is Kind.GONE
 
 
@@ -304,19 +294,22 @@ def everything(root: Path) -> bytes:
     return b"".join(sorted(stores.state(root).values()))
 
 
-@pytest.mark.parametrize("name", ["format", ".gitignore", "CACHEDIR.TAG"])
-@pytest.mark.parametrize("damage", [truncate, empty, Path.unlink])
-def test_what_is_the_same_in_every_store_is_written_again(made: Path, root: Path, name: str, damage: Any) -> None:
-    damage(root / ".sierra" / name)
-    assert repaired(root) == [f"{name}: written again"]
+@pytest.mark.parametrize(
+    "damages", [(truncate, empty, Path.unlink), (empty, Path.unlink, truncate), (Path.unlink, truncate, empty)]
+)
+def test_what_is_the_same_in_every_store_is_written_again(recorded: Path, root: Path, damages: Sequence[Any]) -> None:
+    names = ("format", ".gitignore", "CACHEDIR.TAG")
+    for name, damage in zip(names, damages, strict=True):
+        damage(root / ".sierra" / name)
+    assert sorted(repaired(root)) == sorted(f"{name}: written again" for name in names)
     assert fsck(root).sound
-    assert stores.state(root) == stores.state(made)
+    assert stores.state(root) == stores.state(recorded)
 
 
-def test_a_manifest_is_made_again(made: Path, root: Path) -> None:
+def test_a_manifest_is_made_again(recorded: Path, root: Path) -> None:
     truncate(segment_with(root, "executions") / "MANIFEST")
     assert len(repaired(root)) == 1
-    assert stores.state(root) == stores.state(made)
+    assert stores.state(root) == stores.state(recorded)
 
 
 def test_strays_are_put_aside(root: Path) -> None:
@@ -327,33 +320,39 @@ def test_strays_are_put_aside(root: Path) -> None:
     assert (root / ".sierra" / "damaged" / "more").read_text() == "mine"
 
 
-EXECUTED = ("executions", "artifacts", "objects", "readings", "output.swarm", "output.notes")
-
-
-@pytest.mark.parametrize("table", EXECUTED)
-def test_what_was_executed_and_is_lost_is_executed_again_and_nothing_else(root: Path, table: str) -> None:
-    found = {path.parent: pq.read_table(path).to_pydict() for path in root.glob(".sierra/segments/*/executions.parquet")}
-    folder = min(folder for folder, rows in found.items() if rows["purpose"][0] == "run")
+@pytest.mark.parametrize("tables", [("executions", "objects", "artifacts"), ("output.swarm", "readings", "output.notes")])
+def test_what_was_executed_and_is_lost_is_executed_again_and_nothing_else(root: Path, tables: Sequence[str]) -> None:
+    """Each of the tables in what another batch executed; the second batch has files that no other has."""
     project = sierra.open(root)
-    [batch] = set(found[folder]["batch"])
-    [there] = project.sql("SELECT count(*) AS n FROM executions").to_pylist()
-    extend(folder / f"{table}.parquet")
+    executed = "SELECT batch, count(*) AS n, count_if(purpose = 'run') AS most FROM executions GROUP BY batch"
+    before = {row["batch"]: row for row in project.sql(executed).to_pylist()}
+    batches = [row["batch"] for row in project.batches]
+    purposes = {path: pq.read_table(path)["purpose"][0].as_py() for path in root.glob(".sierra/segments/*/executions.parquet")}
+    of_runs = [path.parent for path, purpose in purposes.items() if purpose == "run"]
+    folders = [next(folder for folder in of_runs if folder.name.startswith(batch[:12])) for batch in batches]
+    for folder, table in zip(folders, tables, strict=True):
+        extend(folder / f"{table}.parquet")
     repaired(root)
-    assert (root / ".sierra" / "damaged" / folder.name).is_dir()
+    assert {folder.name for folder in folders} <= {path.name for path in root.glob(".sierra/damaged/*")}
     assert fsck(root).sound
-    lost = there["n"] - project.sql("SELECT count(*) AS n FROM executions").to_pylist()[0]["n"]
-    assert 0 <= lost <= len(found[folder]["run"])
-    assert (lost > 0) == (table != "readings")  # which other segments have too
-    summary = project.run(batch, figures=False)
-    assert (summary.executed, summary.failed, summary.missing) == (lost, 0, 0)
+    after = {row["batch"]: row["n"] for row in project.sql(executed).to_pylist()}
+    lost = [before[batch]["n"] - after.get(batch, 0) for batch in batches]
+    assert [count > 0 for count in lost] == [table != "readings" for table in tables]  # which other segments have too
+    assert all(count <= before[batch]["most"] for batch, count in zip(batches, lost, strict=True))
+    summaries = [project.run(batch, figures=False) for batch in batches]
+    assert sum(one.failed + one.missing for one in summaries) == 0
+    assert sum(one.executed for one in summaries) == sum(lost)
     assert fsck(root).sound
 
 
-@pytest.mark.parametrize("table", ["batches", "experiments", "members", "recipes", "objects", "sources", "blobs"])
-def test_what_says_that_there_is_a_batch_is_recorded_again(root: Path, table: str) -> None:
-    folders = {path.parent for path in root.glob(".sierra/segments/*/members.parquet")}
-    folder = next(path.parent for path in sorted(root.glob(f".sierra/segments/*/{table}.parquet")) if path.parent in folders)
-    extend(folder / f"{table}.parquet")
+@pytest.mark.parametrize("tables", [("blobs", "batches", "experiments"), ("members", "recipes", "sources"), ("objects",)])
+def test_what_says_that_there_is_a_batch_is_recorded_again(root: Path, tables: Sequence[str]) -> None:
+    """Each of the tables in the segment of another batch."""
+    folders = sorted(path.parent for path in root.glob(".sierra/segments/*/members.parquet"))
+    for table in tables:
+        folder = next(one for one in folders if (one / f"{table}.parquet").exists())
+        folders.remove(folder)
+        extend(folder / f"{table}.parquet")
     repaired(root)
     again = [("population_size=1,2", None), ("population_size=2,3", 3), ("noise=0.5", None)]
     assert sum(sierra.open(root).run(query, runs=runs, figures=False).executed for query, runs in again) == 0

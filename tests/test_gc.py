@@ -20,10 +20,10 @@ from tests import projects, stores
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def made(recorded: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A project with a batch that was asked for often, so that its segments are many."""
-    root = stores.make(tmp_path_factory.mktemp("gc") / "project", git=False)
-    for query in ("population_size=1,2", "noise=0.5") * 4:
+    root = stores.copy(recorded, tmp_path_factory.mktemp("gc") / "project")
+    for query in ("population_size=1,2", "noise=0.5") * 2:
         sierra.open(root).run(query, figures=False)
     return root
 
@@ -35,17 +35,16 @@ def root(made: Path, tmp_path: Path) -> Path:
 
 def everything(root: Path) -> dict[str, Any]:
     """All that SQL and `sierra files` give."""
-    project = sierra.open(root)
-    tables = {
-        name: project.sql(f"SELECT * FROM {name} ORDER BY ALL").to_pylist()
-        for name in RECORDED
-        if name not in ("objects", "blobs", "recipes", "sources", "environments", "programs", "readings")
-    }
-    for name in ("objects", "blobs", "recipes", "sources", "environments", "programs", "readings"):
-        tables[name] = project.sql(f"SELECT DISTINCT * FROM {name} ORDER BY ALL").to_pylist()
-    for name in ("swarm", "notes"):
-        tables[name] = project.sql(f"SELECT * EXCLUDE (row) FROM {name} ORDER BY run, row").to_pylist()
-    return tables
+    around = ("objects", "blobs", "recipes", "sources", "environments", "programs", "readings")
+    with sierra.open(root).store.ask() as question:
+
+        def rows(what: str) -> list[dict[str, Any]]:
+            found: list[dict[str, Any]] = question.sql(f"SELECT {what}").to_pylist()
+            return found
+
+        tables = {name: rows(f"* FROM {name} ORDER BY ALL") for name in RECORDED if name not in around}
+        tables |= {name: rows(f"DISTINCT * FROM {name} ORDER BY ALL") for name in around}
+        return tables | {name: rows(f"* EXCLUDE (row) FROM {name} ORDER BY run, row") for name in ("swarm", "notes")}
 
 
 def segments(root: Path) -> int:
@@ -57,17 +56,17 @@ def test_many_small_segments_become_few_and_every_row_stays(root: Path) -> None:
     dry = projects.quick(root, "gc", "--dry-run")
     assert (dry.returncode, segments(root)) == (0, count)
     assert "small segments, merged into" in dry.stdout
-    assert projects.sierra(root, "gc", "--yes").returncode == 0
+    assert projects.quick(root, "gc", "--yes").returncode == 0
     assert segments(root) <= 6 < count
     assert everything(root) == before
     assert sierra.open(root).fsck().findings == ()
-    assert projects.sierra(root, "gc", "--yes").stdout == "nothing: there is only what is needed\n"
+    assert projects.quick(root, "gc", "--yes").stdout == "nothing: there is only what is needed\n"
     assert sierra.open(root).run("population_size=1,2", figures=False).executed == 0
 
 
 def test_without_a_terminal_yes_is_needed(root: Path) -> None:
     before = stores.state(root)
-    ended = projects.sierra(root, "gc")
+    ended = projects.quick(root, "gc")
     assert (ended.returncode, ended.stderr.count("\n")) == (2, 1)
     assert stores.state(root) == before
 
@@ -84,7 +83,7 @@ def test_files_that_nothing_refers_to_go_and_unfinished_ones(root: Path) -> None
     objects.close()
     store.publish(writer)
     (root / ".sierra" / ".format.4194399").write_text("")
-    assert projects.sierra(root, "gc", "--yes").returncode == 0
+    assert projects.quick(root, "gc", "--yes").returncode == 0
     assert store.object(needed)
     assert not store.rows("SELECT 1 FROM objects WHERE sha256 = $d", d=unneeded)
     assert not (root / ".sierra" / ".format.4194399").exists()
@@ -97,12 +96,12 @@ def test_what_a_dead_asking_had_finished_is_recorded(simulate: Callable[..., Any
     project.until_executed(6, running)
     running.kill()
     running.communicate()
-    assert "dead: work/" in project.ask("fsck").stdout
-    assert project.ask("gc", "--yes").returncode == 0
+    assert "dead: work/" in project.quick("fsck").stdout
+    assert project.quick("gc", "--yes").returncode == 0
     assert project.work() == []
     assert project.left_running() == []
-    assert project.ask("fsck").returncode == 0
-    assert project.ask("run", "size=1", "--runs", "8", "--no-figures").returncode == 0
+    assert project.quick("fsck").returncode == 0
+    assert project.quick("run", "size=1", "--runs", "8", "--no-figures").returncode == 0
     assert project.sql("SELECT count(*) AS n FROM executions") == [{"n": 8}]
 
 
@@ -120,7 +119,7 @@ def test_killed_at_any_moment_nothing_is_lost_or_doubled(made: Path, tmp_path: P
         process.wait()
         assert everything(root) == before
         assert sierra.open(root).fsck().sound
-        assert projects.sierra(root, "gc", "--yes").returncode == 0
+        assert projects.quick(root, "gc", "--yes").returncode == 0
         assert everything(root) == before
         assert sierra.open(root).fsck().findings == ()
         shutil.rmtree(root)
@@ -129,19 +128,19 @@ def test_killed_at_any_moment_nothing_is_lost_or_doubled(made: Path, tmp_path: P
 def test_beside_a_running_batch_nothing_is_lost(simulate: Callable[..., Any]) -> None:
     project = simulate(r"sleep 0.15; printf 't,v\n1,1\n2,4\n' > swarm.csv")
     for _ in range(2):
-        assert project.ask("run", "size=1", "--runs", "3", "--no-figures").returncode == 0
-        assert project.ask("run", "size=1", "--runs", "2", "--no-figures").returncode == 0
-    running = project.start("run", "size=1,2", "--runs", "30", "-j", "2", "--no-figures")
+        assert project.quick("run", "size=1", "--runs", "3", "--no-figures").returncode == 0
+        assert project.quick("run", "size=1", "--runs", "2", "--no-figures").returncode == 0
+    running = project.start("run", "size=1,2", "--runs", "15", "-j", "2", "--no-figures")
     while running.poll() is None:
-        project.ask("gc", "--yes")
-        project.ask("fsck")
+        project.quick("gc", "--yes")
+        project.quick("fsck")
     assert project.end_of(running).returncode == 0
-    assert project.ask("gc", "--yes").returncode == 0
-    assert project.ask("fsck").returncode == 0
+    assert project.quick("gc", "--yes").returncode == 0
+    assert project.quick("fsck").returncode == 0
     assert project.sql("SELECT count(*) AS n, count(DISTINCT run) AS runs FROM executions WHERE status = 'ok'") == [
-        {"n": 60, "runs": 60}
+        {"n": 30, "runs": 30}
     ]
-    assert project.sql("SELECT count(*) AS n, sum(v)::INT AS v FROM swarm") == [{"n": 120, "v": 300}]
+    assert project.sql("SELECT count(*) AS n, sum(v)::INT AS v FROM swarm") == [{"n": 60, "v": 150}]
 
 
 def test_a_reader_keeps_what_it_reads(root: Path) -> None:

@@ -18,15 +18,9 @@ import sierra
 from tests import projects, stores
 
 
-@pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A project whose store is only looked at."""
-    return stores.make(tmp_path_factory.mktemp("rm") / "project", git=False)
-
-
 @pytest.fixture
-def root(made: Path, tmp_path: Path) -> Path:
-    return stores.copy(made, tmp_path / "project")
+def root(recorded: Path, tmp_path: Path) -> Path:
+    return stores.copy(recorded, tmp_path / "project")
 
 
 def batches(root: Path) -> dict[str, str]:
@@ -72,7 +66,7 @@ def test_what_is_removed_is_missing_from_the_batches_that_stay(root: Path) -> No
 
 def test_without_a_terminal_yes_is_needed(root: Path) -> None:
     before = stores.state(root)
-    ended = projects.sierra(root, "rm", batches(root)["noise=0.5"])
+    ended = projects.quick(root, "rm", batches(root)["noise=0.5"])
     assert (ended.returncode, ended.stderr.count("\n")) == (2, 1)
     assert "--yes" in ended.stderr
     assert stores.state(root) == before
@@ -86,7 +80,7 @@ def test_a_batch_goes_whole_and_what_others_have_stays(root: Path) -> None:
     before = rows(root, "SELECT * FROM executions ORDER BY execution")
     swarm = rows(root, "SELECT * EXCLUDE (row) FROM swarm ORDER BY ALL", within=stays)
     bytes_of = {row["sha256"] for row in rows(root, "SELECT DISTINCT sha256 FROM objects")}
-    said = json.loads(projects.sierra(root, "rm", gone[:8], "--yes", "--json").stdout)
+    said = json.loads(projects.quick(root, "rm", gone[:8], "--yes", "--json").stdout)
     assert (said["done"], said["left"], said["shared"], said["sharing"]) == (True, 0, 2, [stays])
     assert gone not in batches(root).values()
     for table in ("batches", "experiments", "members", "sessions", "replays"):
@@ -101,7 +95,7 @@ def test_a_batch_goes_whole_and_what_others_have_stays(root: Path) -> None:
 
 def test_what_stays_is_not_executed_again_and_what_went_is(root: Path) -> None:
     named = batches(root)
-    projects.sierra(root, "rm", named["population_size=1,2"], "--yes")
+    projects.quick(root, "rm", named["population_size=1,2"], "--yes")
     assert sierra.open(root).run("population_size=2,3", runs=3, figures=False).executed == 0
     again = sierra.open(root).run("population_size=1,2", figures=False)
     assert (again.batch, again.executed, again.reused) == (named["population_size=1,2"], 2, 2)
@@ -112,7 +106,7 @@ def test_segments_of_other_batches_are_the_same_bytes(root: Path) -> None:
     named = batches(root)
     gone = named["noise=0.5"]
     before = {path: data for path, data in stores.state(root).items() if not path.startswith(f"segments/{gone[:12]}")}
-    projects.sierra(root, "rm", gone, "--yes")
+    projects.quick(root, "rm", gone, "--yes")
     after = {path: data for path, data in stores.state(root).items() if not path.startswith(f"segments/{gone[:12]}")}
     assert after == before
     assert sound(root)
@@ -124,7 +118,7 @@ def test_of_a_part_what_was_executed_goes_and_the_batch_asks_for_it_again(root: 
     table = "experiments" if kind == "experiment" else "executions"
     statement = f"SELECT {kind} AS id FROM {table} WHERE batch = $b ORDER BY 1 LIMIT 1"
     [one] = rows(root, statement, b=batch)
-    ended = projects.sierra(root, "rm", one["id"], "--yes")
+    ended = projects.quick(root, "rm", one["id"], "--yes")
     assert ended.returncode == 0, ended.stderr
     assert sound(root)
     assert batches(root)["noise=0.5"] == batch
@@ -136,10 +130,10 @@ def test_of_a_part_what_was_executed_goes_and_the_batch_asks_for_it_again(root: 
 def test_batches_named_together_take_what_only_they_share(root: Path) -> None:
     named = batches(root)
     both = [named["population_size=1,2"], named["population_size=2,3"]]
-    assert projects.sierra(root, "rm", *both, "--yes").returncode == 0
+    assert projects.quick(root, "rm", *both, "--yes").returncode == 0
     assert rows(root, "SELECT DISTINCT batch FROM executions") == [{"batch": named["noise=0.5"]}]
     assert sound(root)
-    assert projects.sierra(root, "rm", named["noise=0.5"], "--yes").returncode == 0
+    assert projects.quick(root, "rm", named["noise=0.5"], "--yes").returncode == 0
     assert rows(root, "SELECT (SELECT count(*) FROM executions) + (SELECT count(*) FROM objects) AS n") == [{"n": 0}]
     assert list((root / ".sierra" / "segments").iterdir()) == []
     assert sierra.open(root).run("population_size=1,2", figures=False).executed == 4
@@ -154,13 +148,13 @@ def test_what_is_not_there_or_ambiguous_is_refused(root: Path) -> None:
     assert stores.state(root) == before
 
 
-def test_killed_at_any_moment_it_is_before_or_after_and_again_finishes_it(made: Path, tmp_path: Path) -> None:
+def test_killed_at_any_moment_it_is_before_or_after_and_again_finishes_it(recorded: Path, tmp_path: Path) -> None:
     numbers = random.Random(3)
-    named = batches(made)
+    named = batches(recorded)
     both = [named["population_size=1,2"], named["population_size=2,3"]]
     outcomes = set()
     for attempt in range(5):
-        root = stores.copy(made, tmp_path / str(attempt))
+        root = stores.copy(recorded, tmp_path / str(attempt))
         process = subprocess.Popen([str(projects.SIERRA), "rm", *both, "--yes"], cwd=root, stdout=subprocess.DEVNULL)
         if attempt % 2:
             segments, known = root / ".sierra" / "segments", len(stores.state(root))
@@ -175,7 +169,7 @@ def test_killed_at_any_moment_it_is_before_or_after_and_again_finishes_it(made: 
         assert count in (2, 12)
         outcomes.add(count)
         assert sierra.open(root).fsck().sound
-        ended = projects.sierra(root, "rm", *both, "--yes")
+        ended = projects.quick(root, "rm", *both, "--yes")
         assert ended.returncode == (0 if count == 12 else 2)
         assert rows(root, "SELECT count(*) AS n FROM executions") == [{"n": 2}]
         sierra.open(root).run("noise=0.5", "population_size=1", figures=False)
@@ -184,8 +178,8 @@ def test_killed_at_any_moment_it_is_before_or_after_and_again_finishes_it(made: 
     assert 12 in outcomes
 
 
-def test_a_full_disk_loses_nothing(made: Path, tmp_path: Path) -> None:
-    root = stores.copy(made, tmp_path / "project")
+def test_a_full_disk_loses_nothing(recorded: Path, tmp_path: Path) -> None:
+    root = stores.copy(recorded, tmp_path / "project")
     before = stores.state(root)
     batch = batches(root)["population_size=1,2"]
     command = ["bash", "-c", 'trap "" XFSZ; ulimit -f 1; exec "$@"', "-", str(projects.SIERRA), "rm", batch, "--yes"]
@@ -197,17 +191,17 @@ def test_a_full_disk_loses_nothing(made: Path, tmp_path: Path) -> None:
 
 def test_an_executing_batch_is_not_removed_and_another_is(simulate: Callable[..., Any]) -> None:
     project = simulate(r"sleep 0.2; printf 't,v\n1,1\n2,4\n' > swarm.csv")
-    assert project.ask("run", "size=1", "--runs", "3", "--no-figures").returncode == 0
+    assert project.quick("run", "size=1", "--runs", "3", "--no-figures").returncode == 0
     [other] = project.sql("SELECT batch FROM batches")
-    running = project.start("run", "size=5,6", "--runs", "10", "-j", "2", "--no-figures")
+    running = project.start("run", "size=5,6", "--runs", "5", "-j", "2", "--no-figures")
     project.until_executed(5, running)
     [mine] = project.sql(f"SELECT batch FROM batches WHERE batch <> '{other['batch']}'")
-    refused = project.ask("rm", mine["batch"], "--yes")
+    refused = project.quick("rm", mine["batch"], "--yes")
     assert refused.returncode == 1
     assert "is being executed" in refused.stderr
-    assert project.ask("rm", other["batch"], "--yes").returncode == 0
+    assert project.quick("rm", other["batch"], "--yes").returncode == 0
     assert project.end_of(running).returncode == 0
-    assert project.sql("SELECT count(*) AS n FROM executions WHERE status = 'ok'") == [{"n": 20}]
-    assert project.ask("fsck").returncode == 0
-    assert project.ask("rm", mine["batch"], "--yes").returncode == 0
-    assert project.ask("fsck").returncode == 0
+    assert project.sql("SELECT count(*) AS n FROM executions WHERE status = 'ok'") == [{"n": 10}]
+    assert project.quick("fsck").returncode == 0
+    assert project.quick("rm", mine["batch"], "--yes").returncode == 0
+    assert project.quick("fsck").returncode == 0
