@@ -15,7 +15,7 @@ from sierra.paths import SessionPaths
 from sierra.plans import Plan, context
 from sierra.provenance import source
 from sierra.sessions import Session
-from sierra.store import Store
+from sierra.store import Question, Store
 from sierra.store.objects import Objects
 from sierra.store.tables import arrow_schema
 
@@ -33,14 +33,15 @@ def keep(plan: Plan, store: Store, session: SessionPaths) -> None:
     if code is None:  # a recorded batch, by its id
         return
     writer = store.writer(session.segment, batch.id)
-    known = _known_inputs(plan, store)
+    with store.ask() as question:
+        known = _known_inputs(plan, question)
+        blobs = set(question.sql("SELECT blob FROM blobs").column(0).to_pylist()) if code.vcs == "none" else set()
     objects = Objects(writer.path("objects"))
     for _, files in plan.inputs.files(batch, lambda run: run.id not in known):
         for _, content in files:
             objects.add(content)
     listing = objects.add(code.manifest)
     if code.vcs == "none":  # git keeps its own
-        blobs = {row["blob"] for row in store.rows("SELECT blob FROM blobs")}
         files_of_source = source.contents(code, plan.project.root, blobs)
         writer.rows("blobs", ({"blob": blob, "sha256": objects.add(content)} for blob, content in files_of_source))
     if plan.image is not None:
@@ -121,17 +122,16 @@ def is_kept(plan: Plan, store: Store) -> bool:
     return bool(store.rows("SELECT 1 FROM batches WHERE batch = $b LIMIT 1", b=plan.batch.id))
 
 
-def _known_inputs(plan: Plan, store: Store) -> set[str]:
+def _known_inputs(plan: Plan, question: Question) -> set[str]:
     """Runs of the batch whose input files the store has: those that belong to an earlier batch."""
     import pyarrow as pa
 
     recipe = {"recipe": plan.batch.recipe_id}
-    with store.ask() as question:
-        question.views.make(("members",))
-        if not question.run("SELECT 1 FROM members WHERE recipe = $recipe LIMIT 1", recipe):
-            return set()
-        question.register("asked", pa.table({"run": [run.id for run in plan.batch.runs]}))
-        return {row[0] for row in question.run("SELECT DISTINCT run FROM members SEMI JOIN asked USING (run)")}
+    question.views.make(("members",))
+    if not question.run("SELECT 1 FROM members WHERE recipe = $recipe LIMIT 1", recipe):
+        return set()
+    question.register("asked", pa.table({"run": [run.id for run in plan.batch.runs]}))
+    return {row[0] for row in question.run("SELECT DISTINCT run FROM members SEMI JOIN asked USING (run)")}
 
 
 def batch_row(plan: Plan) -> dict[str, Any]:

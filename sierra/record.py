@@ -393,10 +393,11 @@ class Recorder:
 
     def _siblings(self, name: str) -> Siblings:
         """What the store has of the table `name` in the experiments of this batch, whoever asked for them."""
-        if not self._store.rows(ANY_TABLE):
-            return Siblings()
         asked = {**_asked(self._context), "output": name}
-        forms = self._store.rows(SIBLINGS + SIBLINGS_FORMS, **asked)
+        with self._store.ask() as question:
+            if not question.sql(ANY_TABLE).num_rows:
+                return Siblings()
+            forms = question.sql(SIBLINGS + SIBLINGS_FORMS, **asked).to_pylist()
         mixed = {
             column
             for row in forms
@@ -545,11 +546,12 @@ def find_odd(store: Store, session: SessionPaths, context: Context) -> int:
     `mismatch = "ragged"` may differ, and one that is not required may be absent. What a column holds (numbers, text, …)
     must be the same among siblings; between experiments it may differ, for which `Recorder.notes` has a word.
     """
-    if not store.rows(ANY_TABLE):
-        return 0
-    asked = _asked(context)
+    with store.ask() as question:
+        if not question.sql(ANY_TABLE).num_rows:
+            return 0
+        rows = question.sql(GOOD + ODD, **_asked(context)).to_pylist()
     tables: dict[tuple[int, str], list[dict[str, Any]]] = {}
-    for row in store.rows(GOOD + ODD, **asked):
+    for row in rows:
         tables.setdefault((row["ordinal"], row["output"]), []).append(row)
     found: dict[str, str] = {}
     for (_, name), siblings in sorted(tables.items()):
