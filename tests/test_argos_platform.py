@@ -664,9 +664,9 @@ def argos_project(folder: Path, config: str = CONFIG, template: str = TEMPLATE) 
 
 def seen(folder: Path, *words: str) -> list[dict[str, Any]]:
     """What the runs of a query were given, in the order of its experiments."""
-    ran = projects.sierra(folder, "run", *words, "--no-figures")
+    ran = projects.quick(folder, "run", *words, "--no-figures")
     assert ran.returncode == 0, ran.stderr + ran.stdout
-    asked = projects.sierra(folder, "sql", "--json", "SELECT x, y, robots, length, walls FROM seen ORDER BY robots, x, length")
+    asked = projects.quick(folder, "sql", "--json", "SELECT x, y, robots, length, walls FROM seen ORDER BY robots, x, length")
     assert asked.returncode == 0, asked.stderr
     rows: list[dict[str, Any]] = json.loads(asked.stdout)
     return rows
@@ -843,7 +843,7 @@ def test_a_library_that_is_built_anew_makes_runs_execute_again_though_git_ignore
 
     def executed(content: str) -> int:
         library.write_text(content)
-        ran = projects.sierra(folder, "run", "population_size=1", "--no-figures", "--json")
+        ran = projects.quick(folder, "run", "population_size=1", "--no-figures", "--json")
         assert ran.returncode == 0, ran.stderr
         count: int = json.loads(ran.stdout)["executed"]
         return count

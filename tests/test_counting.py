@@ -159,7 +159,7 @@ def test_one_batch_can_be_asked_alone(tmp_path: Path) -> None:
     assert project.sql(count).to_pylist() == [{"runs": 10}]
     assert project.sql(count, within=first).to_pylist() == [{"runs": 4}]
     assert project.sql("SELECT count(*) AS runs FROM runs", within=first[:8]).to_pylist() == [{"runs": 4}]
-    shown = projects.sierra(tmp_path, "sql", "--batch", first[:8], count, "--json")
+    shown = projects.quick(tmp_path, "sql", "--batch", first[:8], count, "--json")
     assert '"runs": 4' in shown.stdout
 
 
@@ -200,7 +200,7 @@ def test_explain_names_the_program_that_has_changed(tmp_path: Path) -> None:
     for value in (1, 2):
         program.write_text(f"#!/bin/sh\nprintf 'tick,v\\n0,{value}\\n' > out.csv\n")
         program.chmod(0o755)
-        said = projects.sierra(root, "run", "population_size=1", "-n", "--explain").stdout
+        said = projects.quick(root, "run", "population_size=1", "-n", "--explain").stdout
         sierra.open(root).run("population_size=1", figures=False)
     assert re.search(r"sim: [0-9a-f]{10} recorded, [0-9a-f]{10} found", said)
 
@@ -212,7 +212,7 @@ def test_before_anything_executes_again_the_reason_is_said(tmp_path: Path) -> No
     def ask(value: int = 1) -> str:
         program.write_text(f"#!/bin/sh\nprintf 'tick,v\\n0,{value}\\n' > out.csv\n")
         program.chmod(0o755)
-        return projects.sierra(root, "run", "population_size=1", "--no-figures").stderr
+        return projects.quick(root, "run", "population_size=1", "--no-figures").stderr
 
     assert "asked before" not in ask() + ask()
     assert "this was asked before, and executes again: sim: " in ask(2)
@@ -222,7 +222,7 @@ def test_before_anything_executes_again_the_reason_is_said(tmp_path: Path) -> No
     assert "executes again: the template arena.xml has changed" in ask(2)
     (root / "sierra.toml").write_text((root / "sierra.toml").read_text().replace('"//swarm/@count"', '"/arena/@size"'))
     assert "executes again: sierra.toml makes other changes to the template" in ask(2)
-    assert "asked before" not in projects.sierra(root, "run", "population_size=1", "--runs", "3", "--no-figures").stderr
+    assert "asked before" not in projects.quick(root, "run", "population_size=1", "--runs", "3", "--no-figures").stderr
 
 
 def test_runs_that_write_no_table_are_said_to(tmp_path: Path) -> None:

@@ -76,14 +76,14 @@ def test_a_probe_executes_one_run_twice_before_the_batch_and_says_what_came_of_i
     tmp_path: Path, simulator: str, said: str
 ) -> None:
     project = make(tmp_path, simulator, PROBE)
-    ended = projects.sierra(project.root, "run", "population_size=1,2", "--json", "--no-figures")
+    ended = projects.quick(project.root, "run", "population_size=1,2", "--json", "--no-figures")
     answer = json.loads(ended.stdout)
     assert ended.returncode == 0
     assert (answer["runs"], answer["failed"] + answer["missing"]) == (4, 0)
     assert said in answer["notes"][0]
     counts = project.sql("SELECT purpose, count(*) AS n FROM executions GROUP BY ALL ORDER BY 1").to_pylist()
     assert counts == [{"purpose": "replay", "n": 1}, {"purpose": "run", "n": 4}]
-    assert not json.loads(projects.sierra(project.root, "run", "population_size=1,2", "--json", "--no-figures").stdout)["notes"]
+    assert not json.loads(projects.quick(project.root, "run", "population_size=1,2", "--json", "--no-figures").stdout)["notes"]
 
 
 def test_a_probe_of_a_run_that_fails_is_none(tmp_path: Path) -> None:

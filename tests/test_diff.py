@@ -14,7 +14,7 @@ import pytest
 
 import sierra
 from sierra.difference.results import Mean, welch
-from tests import projects
+from tests import projects, stores
 
 Make = Callable[..., Path]
 OTHER = projects.SIMULATOR.replace("count * tick", "count * tick + 1")
@@ -56,8 +56,7 @@ def first(root: Path) -> None:
 
 
 def ask(root: Path, *query: str, **more: Any) -> str:
-    batch: str = sierra.open(root).run(*(query or ("population_size=1,2",)), figures=False, **more).batch
-    return batch
+    return stores.ask(root, *(query or ("population_size=1,2",)), **more)
 
 
 def diff(root: Path, before: str, after: str) -> dict[str, Any]:

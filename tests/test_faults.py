@@ -14,8 +14,8 @@ from typing import Any
 
 import pytest
 
-ASKED = ("run", "size.Log8", "--runs", "10", "-j", "2", "--no-figures")
-RUNS = 40
+ASKED = ("run", "size.Log8", "--runs", "6", "-j", "2", "--no-figures")
+RUNS = 24
 Simulate = Callable[..., Any]
 
 
@@ -76,7 +76,7 @@ def test_asking_again_after_a_kill_at_any_moment_finishes_the_batch(simulate: Si
         assert first.returncode in (0, 3)
         said = [text for text in first.stderr.splitlines() if text.startswith("sierra:")]
         assert len(said) == (first.returncode == 3)
-    second = project.ask(*ASKED)
+    second = project.quick(*ASKED)
     assert second.returncode == 0, second.stderr
     assert_complete(project)
     assert {run: n for run, n in project.executed().items() if n > 1 and run in finished} == {}
@@ -87,7 +87,7 @@ def test_a_joiner_records_what_a_killed_session_had_finished(simulate: Simulate)
     one = project.start(*ASKED)
     project.until_executed(3, one)
     two = project.start(*ASKED)
-    project.until_executed(25, one)
+    project.until_executed(14, one)
     kill(one.pid)
     finished = ended_well(project)
     project.end_of(one)
@@ -107,7 +107,7 @@ def test_an_interrupted_asking_keeps_what_had_finished(simulate: Simulate, numbe
     assert (project.work(), project.left_running()) == ([], [])
     good = {row["run"] for row in project.sql("SELECT run FROM executions WHERE status = 'ok'")}
     assert 6 <= len(good) < RUNS
-    assert project.ask(*ASKED).returncode == 0
+    assert project.quick(*ASKED).returncode == 0
     assert_complete(project)
     assert {run for run, n in project.executed().items() if n > 1} & good == set()
 
@@ -132,19 +132,19 @@ def test_signals_at_any_moment_tear_nothing_apart(simulate: Simulate, repetition
     chance = random.Random(repetition)
     project = simulate()
     sierra = project.start(*ASKED)
-    time.sleep(chance.uniform(0.5, 2.5))
+    time.sleep(chance.uniform(0.5, 2))
     for _ in range(20):
         with contextlib.suppress(ProcessLookupError):
             sierra.send_signal(chance.choice([signal.SIGINT, signal.SIGTERM]))
         time.sleep(chance.uniform(0, 0.02))
     sierra.communicate(timeout=60)
-    assert project.ask(*ASKED).returncode == 0
+    assert project.quick(*ASKED).returncode == 0
     assert_complete(project)
 
 
 def test_failed_runs_are_results_and_the_rest_goes_on(simulate: Simulate) -> None:
     project = simulate('grep -q size=.2 "$1" && { echo "no room" >&2; exit 9; }\nprintf "t,v\\n1,1\\n" > swarm.csv')
-    done = project.ask("run", "size.Log4", "--runs", "3", "--no-figures")
+    done = project.quick("run", "size.Log4", "--runs", "3", "--no-figures")
     assert done.returncode == 1
     assert "3 failed" in done.stdout
     assert "3 runs failed, as" in done.stdout
@@ -152,7 +152,7 @@ def test_failed_runs_are_results_and_the_rest_goes_on(simulate: Simulate) -> Non
     assert done.stdout.count("    no room") == 1
     rows = project.sql("SELECT status, count(*) AS n, max(log) AS log FROM executions GROUP BY 1 ORDER BY 1")
     assert rows == [{"status": "failed", "n": 3, "log": "no room"}, {"status": "ok", "n": 6, "log": None}]
-    again = project.ask("run", "size.Log4", "--runs", "3", "--no-figures")
+    again = project.quick("run", "size.Log4", "--runs", "3", "--no-figures")
     assert again.returncode == 1
     assert sorted(project.executed().values()) == [1] * 6 + [2] * 3
 
@@ -160,7 +160,7 @@ def test_failed_runs_are_results_and_the_rest_goes_on(simulate: Simulate) -> Non
 def test_the_first_failure_ends_all_if_asked_for(simulate: Simulate) -> None:
     project = simulate('grep -q size=.1 "$1" && { sleep 0.2; exit 1; }\nsleep 60')
     began = time.monotonic()
-    done = project.ask("run", "size=1,2", "--runs", "3", "-j", "4", "--fail-fast", "--no-figures")
+    done = project.quick("run", "size=1,2", "--runs", "3", "-j", "4", "--fail-fast", "--no-figures")
     assert (done.returncode, time.monotonic() - began < 30) == (1, True)
     assert project.sql("SELECT DISTINCT status FROM executions") == [{"status": "failed"}]
     assert (project.work(), project.left_running()) == ([], [])
@@ -176,7 +176,7 @@ def test_a_killed_worker_is_said_in_one_line(simulate: Simulate) -> None:
     assert done.stderr.endswith("sierra: the worker ended with signal 9; what had finished by then is kept\n")
     assert (project.work(), project.left_running()) == ([], [])
     assert project.sql("SELECT count(*) >= 3 AS kept FROM executions WHERE status = 'ok'") == [{"kept": True}]
-    assert project.ask(*ASKED).returncode == 0
+    assert project.quick(*ASKED).returncode == 0
     assert_complete(project)
 
 
@@ -198,7 +198,7 @@ def test_half_written_files_of_a_killed_session_stop_nobody(simulate: Simulate) 
         session.mkdir(parents=True)
         (session / name).write_text(text)
     (project.folder / ".sierra" / "work" / "empty").mkdir()
-    assert project.ask(*ASKED).returncode == 0
+    assert project.quick(*ASKED).returncode == 0
     assert_complete(project)
 
 
@@ -210,15 +210,15 @@ def test_a_full_disk_is_said_and_what_had_finished_is_kept(simulate: Simulate, r
     mounted = subprocess.run(mount, check=False, capture_output=True).returncode == 0
     require("the right to mount a small disk", there=mounted)
     try:
-        done = project.ask(*ASKED)
+        done = project.quick(*ASKED)
         assert done.returncode == 3
         assert "No space left on device" in done.stderr
         assert project.left_running() == []
         finished = ended_well(project)
         subprocess.run(["mount", "-o", "remount,size=60m", str(store)], check=True)
-        assert project.ask(*ASKED).returncode == 0
+        assert project.quick(*ASKED).returncode == 0
         assert project.sql("SELECT count(*) AS n, count(DISTINCT run) AS r FROM executions WHERE status = 'ok'") == [
-            {"n": 40, "r": 40}
+            {"n": RUNS, "r": RUNS}
         ]
         assert (project.work(), project.left_running()) == ([], [])
         assert {run: n for run, n in project.executed().items() if n > 1 and run in finished} == {}
@@ -233,7 +233,7 @@ def test_what_a_run_puts_in_place_of_its_folder_is_never_followed(simulate: Simu
         (foreign / name / "swarm.csv").write_text("t,v\n1,666\n")
     (foreign / "stdout").write_text("a secret")
     project = simulate(f'cd /; mv "$SIERRA_RUN_DIR" "$SIERRA_RUN_DIR.moved"; ln -s "{foreign}" "$SIERRA_RUN_DIR"')
-    assert project.ask("run", "size=1", "--runs", "1", "--no-figures").returncode == 0
+    assert project.quick("run", "size=1", "--runs", "1", "--no-figures").returncode == 0
     assert len(list(foreign.glob("*/swarm.csv"))) == 3
     assert project.sql("SELECT count(*) AS n FROM artifacts") == [{"n": 0}]
     assert project.work() == []
@@ -242,6 +242,6 @@ def test_what_a_run_puts_in_place_of_its_folder_is_never_followed(simulate: Simu
 def test_a_log_that_is_a_link_is_not_recorded(simulate: Simulate, tmp_path: Path) -> None:
     (tmp_path / "secret").write_text("a secret")
     project = simulate(f'cd ..; for log in stdout stderr; do rm $log; ln -s "{tmp_path}/secret" $log; done; exit 1')
-    assert project.ask("run", "size=1", "--runs", "1", "--no-figures").returncode == 1
+    assert project.quick("run", "size=1", "--runs", "1", "--no-figures").returncode == 1
     assert project.sql("SELECT count(*) AS n FROM artifacts") == [{"n": 0}]
     assert project.sql("SELECT log FROM executions") == [{"log": None}]

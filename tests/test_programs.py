@@ -386,11 +386,11 @@ def test_what_a_batch_and_an_execution_had_around_them_is_shown(tmp_path: Path) 
     batch = project.run("n=1", figures=False).batch
     [execution] = project.sql("SELECT execution FROM executions").column(0).to_pylist()
     for shown in (batch, execution):
-        text = projects.sierra(project.root, "show", shown).stdout
+        text = projects.quick(project.root, "show", shown).stdout
         assert "true (GNU coreutils)" in text
         assert "libc.so.6" in text
         assert max(len(line) for line in text.splitlines() if line.startswith("  cpu_flags")) < 300
-        whole = json.loads(projects.sierra(project.root, "show", shown, "--json").stdout)
+        whole = json.loads(projects.quick(project.root, "show", shown, "--json").stdout)
         assert {row["name"] for row in whole["programs"]} >= {"true", "libc.so.6"}
         assert whole["environment"]["limits"]["nofile"][0] > 0
         assert len(whole["environment"]["distributions"]) > 5

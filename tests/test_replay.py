@@ -19,7 +19,7 @@ import sierra
 from sierra.agreement import Rules, Verdict, of_tables, of_texts, worst
 from sierra.config import Tolerance
 from sierra.provenance import environment, machine
-from tests import projects
+from tests import projects, stores
 
 NOISY = projects.SIMULATOR.replace("count * tick", "__import__('time').time_ns() % 1000 + count * tick")
 JITTER = projects.SIMULATOR.replace("count * tick", "(1 + 1e-13 * __import__('random').random()) * count * tick")
@@ -42,8 +42,7 @@ def make_either(request: pytest.FixtureRequest, make: Make) -> Make:
 
 
 def ask(root: Path, *query: str) -> str:
-    batch: str = sierra.open(root).run(*(query or ("population_size=1,2",)), figures=False).batch
-    return batch
+    return stores.ask(root, *(query or ("population_size=1,2",)))
 
 
 def replay(root: Path, *words: str) -> tuple[int, dict[str, Any]]:
@@ -124,7 +123,7 @@ def test_another_program_is_said_before_the_verdict_and_a_missing_one_ends_all(t
     assert code == 1
     assert said["notes"][0].startswith("other programs: sim: ")
     program.unlink()
-    ended = projects.sierra(root, "replay", batch)
+    ended = projects.quick(root, "replay", batch)
     assert (ended.returncode, ended.stderr.count("\n")) == (3, 1)
     assert "is not there" in ended.stderr
 
@@ -190,13 +189,13 @@ def test_sums_in_another_order_are_within_a_tolerance(make: Make) -> None:
 
 @pytest.mark.parametrize("text", ["coverage", "coverage=1", "=rel:1", "coverage=rel:x", "coverage=far:1", "coverage=rel:-1"])
 def test_a_tolerance_that_is_none_is_refused(make: Make, text: str) -> None:
-    ended = projects.sierra(make(), "replay", "774d", "--set-tolerance", text)
+    ended = projects.quick(make(), "replay", "774d", "--set-tolerance", text)
     assert (ended.returncode, ended.stderr.count("\n")) == (2, 1)
 
 
 def test_a_tolerance_of_an_output_that_is_not_there_is_refused_before_anything_executes(make: Make) -> None:
     root = make()
-    ended = projects.sierra(root, "replay", ask(root), "--set-tolerance", "swamp.coverage=rel:1")
+    ended = projects.quick(root, "replay", ask(root), "--set-tolerance", "swamp.coverage=rel:1")
     assert (ended.returncode, "no output 'swamp'; there is swarm" in ended.stderr) == (2, True)
     assert not sierra.open(root).sql("SELECT 1 FROM executions WHERE purpose <> 'run'").num_rows
 
@@ -239,7 +238,7 @@ def test_stochastic_runs_are_equivalent_where_a_declared_metric_is(make: Make) -
 def test_a_margin_that_is_too_narrow_leaves_them_different_and_says_the_power(make: Make) -> None:
     root = make(STOCHASTIC, f"{DECLARED}{METRIC}margin = 1e-6\n")
     batch = ask(root)
-    ended = projects.sierra(root, "replay", batch)
+    ended = projects.quick(root, "replay", batch)
     assert ended.returncode == 1
     assert "not shown to be equivalent: population_size=1: coverage: mean difference" in ended.stdout
     assert "power 0.00" in ended.stdout
@@ -276,7 +275,7 @@ def test_verdicts_are_also_written_as_junit(make: Make, tmp_path: Path) -> None:
     ]
     failures = [case.find("failure") for suite in suites for case in suite]
     assert any(failure is not None and "row " in str(failure.text) for failure in failures)
-    ended = projects.sierra(root, "replay", batch, "--junit", str(tmp_path / "no" / "replay.xml"))
+    ended = projects.quick(root, "replay", batch, "--junit", str(tmp_path / "no" / "replay.xml"))
     assert (ended.returncode, "there is no folder" in ended.stderr) == (3, True)
 
 
@@ -294,7 +293,7 @@ def test_where_and_in_what_to_execute_can_be_said(make: Make) -> None:
     batch = ask(root)
     assert replay(root, batch, "--on", "local", "--engine", "none")[0] == 0
     for words in (("--on", "cloud"), ("--engine", "docker")):
-        ended = projects.sierra(root, "replay", batch, *words)
+        ended = projects.quick(root, "replay", batch, *words)
         assert (ended.returncode, ended.stderr.count("\n")) == (2, 1)
 
 
@@ -387,7 +386,7 @@ def test_runs_of_which_nothing_is_compared_are_not_said_to_be_the_same(make: Mak
     only_logs = "import sys, time\nprint(time.time_ns())\n"
     root = make(only_logs + "if b'count=\"2\"' in open(sys.argv[1], 'rb').read(): open('x.txt', 'w').write('x')\n")
     batch = ask(root, "population_size=1")
-    ended = projects.sierra(root, "replay", batch)
+    ended = projects.quick(root, "replay", batch)
     assert (ended.returncode, "left nothing but logs, which are not compared" in ended.stderr) == (3, True)
     code, said = replay(root, ask(root))
     assert (code, said["notes"]) == (0, ["2 of 4 runs left nothing but logs, which are not compared"])
@@ -426,7 +425,7 @@ def test_rows_that_the_store_has_lost_are_not_taken_for_a_result(make: Make) -> 
     batch = ask(root)
     [file] = root.glob(".sierra/segments/*/output.swarm.parquet")
     pq.write_table(pq.read_table(file).slice(0, 17), file)
-    ended = projects.sierra(root, "replay", batch)
+    ended = projects.quick(root, "replay", batch)
     assert (ended.returncode, ended.stderr.count("\n")) == (1, 1)
     assert "2 of 5 rows of 'swarm' are in the store" in ended.stderr
 
@@ -438,7 +437,7 @@ def test_runs_that_are_left_out_are_counted_beside_the_verdict(make: Make) -> No
     assert 0 < good < 16
     code, said = replay(root, batch)
     assert (code, said["verdict"], said["runs"], said["of"]) == (0, "identical", good, 16)
-    assert f"identical ({good} of 16 runs: {good} identical)" in projects.sierra(root, "replay", batch).stdout
+    assert f"identical ({good} of 16 runs: {good} identical)" in projects.quick(root, "replay", batch).stdout
 
 
 def test_lists_and_structures_are_compared_too() -> None:

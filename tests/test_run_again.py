@@ -44,7 +44,7 @@ def test_what_is_missing_is_executed_with_the_code_and_the_inputs_of_then(half: 
     for name in ("sim.py", "arena.xml"):
         (root / name).write_text("nothing that works")
     (root / "sierra.toml").write_text((root / "sierra.toml").read_text().replace("runs = 2", "runs = 9"))
-    ended = projects.sierra(root, "run", batch[:10], "--json", "--no-figures")
+    ended = projects.quick(root, "run", batch[:10], "--json", "--no-figures")
     said = json.loads(ended.stdout)
     assert (ended.returncode, said["batch"], said["executed"], said["again"], said["reused"]) == (0, batch, 2, 2, 2)
     assert state(root, batch) == (0, 0)
@@ -56,7 +56,7 @@ def test_what_is_missing_is_executed_with_the_code_and_the_inputs_of_then(half: 
 
 def test_where_nothing_is_missing_nothing_is_executed_and_it_can_be_said_before(half: tuple[Path, str]) -> None:
     root, batch = half
-    told = json.loads(projects.sierra(root, "run", batch[:8], "-n", "--json").stdout)
+    told = json.loads(projects.quick(root, "run", batch[:8], "-n", "--json").stdout)
     assert (told["batch"], told["to_execute"]) == (batch, 2)
     assert sierra.open(root).run(batch, figures=False).executed == 2
     assert sierra.open(root).run(batch, figures=False).executed == 0
@@ -77,7 +77,7 @@ def test_only_a_batch_is_executed_so_and_nothing_may_be_changed(half: tuple[Path
         ((batch, "--runs", "3"), "is executed as it was recorded"),
         (("0123456789",), "no batch, experiment, run or execution begins with"),
     ):
-        ended = projects.sierra(root, "run", *words)
+        ended = projects.quick(root, "run", *words)
         assert (ended.returncode, said in ended.stderr, ended.stderr.count("\n")) == (2, True, 1)
 
 
@@ -123,13 +123,13 @@ def test_what_is_installed_from_the_project_does_not_execute_in_the_place_of_the
     projects.commit(root)
     batch = sierra.open(root).run("population_size=1", figures=False).batch
     assert sierra.open(root).replay(batch).notes == ()
-    assert "4 executed" not in projects.sierra(root, "run", batch).stdout
+    assert "4 executed" not in projects.quick(root, "run", batch).stdout
     model.write_text("def f(x): return x + 1000\n")
     projects.commit(root, "second")
     for words in (("replay", batch), ("run", batch)):
-        ended = projects.sierra(root, *words)
+        ended = projects.quick(root, *words)
         assert (ended.returncode, ended.stderr.count("\n")) == (3, 1)
         assert "where model.py is not the recorded one" in ended.stderr
     (root / "sierra.toml").write_text(config + '[source]\ndirty = "ignore"\n')
     model.write_text("def f(x): return x + 2000\n")
-    assert projects.sierra(root, "run", "population_size=1").returncode == 3
+    assert projects.quick(root, "run", "population_size=1").returncode == 3

@@ -20,6 +20,7 @@ from sierra.store.frame import Frame
 from sierra.store.objects import PART, Objects
 from sierra.store.segments import MANIFEST, Writer
 from sierra.store.tables import DERIVED, RECORDED, check_name
+from tests import stores
 
 TOML = """
 template = "t.xml"
@@ -57,7 +58,7 @@ def one(project: Project, statement: str, **parameters: Any) -> Any:
 
 
 def test_a_segment_vouches_for_all_that_is_in_it(project: Project) -> None:
-    run(project, "n=1")
+    stores.ask(project.root, "n=1")
     segments = list((project.paths.store / "segments").iterdir())
     assert segments
     for segment in segments:
@@ -89,7 +90,7 @@ def test_publishing_the_same_twice_is_publishing_it_once(tmp_path: Path) -> None
 
 
 def test_a_store_says_what_it_is(project: Project) -> None:
-    run(project, "n=1")
+    stores.ask(project.root, "n=1")
     root = project.paths.store
     assert (root / ".gitignore").read_text() == "*\n"
     assert (root / "CACHEDIR.TAG").read_text().startswith("Signature: 8a477f597d28d172789f06886806bc55\n")
@@ -137,7 +138,7 @@ def test_files_do_not_multiply_with_runs(project: Project) -> None:
     ],
 )
 def test_a_question_cannot_reach_out_or_write(project: Project, statement: str) -> None:
-    run(project, "n=1")
+    stores.ask(project.root, "n=1")
     (project.root / "x.parquet").write_bytes(b"PAR1")
     before = sorted(project.paths.store.rglob("*"))
     with pytest.raises(SqlError) as caught:
@@ -160,12 +161,12 @@ def test_a_question_cannot_reach_out_or_write(project: Project, statement: str) 
     ],
 )
 def test_tables_are_known_wherever_they_are_named(project: Project, statement: str) -> None:
-    run(project, "n=1")
+    stores.ask(project.root, "n=1")
     assert one(project, statement) == 2
 
 
 def test_the_tables_are_as_they_are_described(project: Project) -> None:
-    run(project, "n=1")
+    stores.ask(project.root, "n=1")
     for table in (*RECORDED.values(), *DERIVED.values()):
         found = {row["column_name"]: row["column_type"] for row in project.sql(f"DESCRIBE {table.name}").to_pylist()}
         said = {column.name: column.type for column in table.columns}
@@ -237,7 +238,7 @@ def test_rows_of_a_run_can_be_put_in_the_order_they_were_written(project: Projec
 
 
 def test_a_damaged_segment_is_one_line(project: Project) -> None:
-    run(project, "n=1")
+    stores.ask(project.root, "n=1")
     for path in project.paths.store.glob("segments/*/executions.parquet"):
         path.chmod(0o644)
         path.write_bytes(b"")
@@ -291,7 +292,7 @@ def _with_program(project: Project, path: Path, value: int) -> Project:
 
 
 def test_a_finding_takes_an_execution_out_of_all_tables(project: Project) -> None:
-    batch = run(project, "n=1").batch
+    batch = stores.ask(project.root, "n=1")
     [first, _] = project.sql("SELECT execution FROM runs ORDER BY number").column(0).to_pylist()
     writer = project.store.writer(project.paths.store / "work" / "w", batch)
     found = {"execution": first, "found": datetime.now(UTC), "status": "mismatch", "reason": "so it is"}
@@ -327,7 +328,7 @@ def test_questions_are_answered_while_a_batch_runs(project: Project) -> None:
 
 
 def test_an_id_is_found_by_its_beginning(project: Project) -> None:
-    batch = run(project, "n=1").batch
+    batch = stores.ask(project.root, "n=1")
     assert project.store.resolve(batch[:8]).kind == "batch"
     with pytest.raises(NotFound, match="4 to 64"):
         project.store.resolve("abc")

@@ -11,7 +11,7 @@ import pytest
 
 import sierra
 from sierra import seeds
-from tests import projects
+from tests import projects, stores
 
 Install = Callable[[int], None]
 
@@ -22,8 +22,7 @@ def root(tmp_path: Path) -> Path:
 
 
 def ask(root: Path, *query: str, **more: Any) -> str:
-    batch: str = sierra.open(root).run(*(query or ("population_size=1,2",)), figures=False, **more).batch
-    return batch
+    return stores.ask(root, *(query or ("population_size=1,2",)), **more)
 
 
 def why(root: Path, prefix: str) -> dict[str, Any]:
