@@ -84,7 +84,8 @@ def sierra(
 def quick(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
     """The same within this process, where that it is one of its own is not the subject: no time goes into starting Python."""
     out, err = io.TextIOWrapper(io.BytesIO(), "utf-8"), io.StringIO()
-    before, sys.argv = sys.argv, ["sierra", *words]
+    before = sys.argv, sys.stdin
+    sys.argv, sys.stdin = ["sierra", *words], io.StringIO()
     try:
         with contextlib.chdir(folder), contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
             cli.main()
@@ -93,5 +94,5 @@ def quick(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
         said = out.buffer.getvalue().decode()  # type: ignore[attr-defined]
         return subprocess.CompletedProcess(words, int(str(ended.code or 0)), said, err.getvalue())
     finally:
-        sys.argv = before
+        sys.argv, sys.stdin = before
     raise AssertionError("the command line always exits")

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from sierra import cli
-from tests.projects import CONFIG, TEMPLATE, make, sierra
+from tests.projects import CONFIG, TEMPLATE, make, quick, sierra
 
 Ask = Callable[..., tuple[int, str]]
 COMMAND = 'command = "python3 sim.py {input}"'
@@ -161,7 +161,7 @@ def test_before_the_first_run_there_is_nothing_to_look_at(ask: Ask) -> None:
 
 def test_a_file_in_the_place_of_the_store_is_said(project: Path) -> None:
     (project / ".sierra").write_text("")
-    ended = sierra(project, "run", "noise=1")
+    ended = quick(project, "run", "noise=1")
     assert ended.returncode == 3
     assert ended.stderr.count("\n") == 1
     assert "is a file; the store is to be a folder there" in ended.stderr
@@ -174,7 +174,7 @@ def test_the_number_of_slots_is_one_or_more(ask: Ask) -> None:
 def test_a_failed_run_is_a_result(tmp_path: Path) -> None:
     simulator = 'import sys\nprint("no wheels")\nsys.exit("fell over" if \'count="2"\' in open(sys.argv[1]).read() else 0)\n'
     folder = make(tmp_path / "p", simulator=simulator)
-    ended = sierra(folder, "run", "population_size=1,2", "--runs", "1", "--no-figures")
+    ended = quick(folder, "run", "population_size=1,2", "--runs", "1", "--no-figures")
     assert ended.returncode == 1
     assert "2 executed, 0 reused, 1 failed" in ended.stdout
     assert "fell over" in ended.stdout
@@ -221,7 +221,7 @@ def test_names_may_hold_anything(tmp_path: Path, name: str) -> None:
         f'template = "{quoted}.xml"\ncommand = ["python3", "{quoted}.py", "{{input}}"]\n'
         f'[variables]\nx = "//noise"\n[outputs.out]\nfile = "{quoted}.csv"\n'
     )
-    ended = sierra(folder, "run", "x=1", "--runs", "1", "--no-figures")
+    ended = quick(folder, "run", "x=1", "--runs", "1", "--no-figures")
     assert ended.stderr == ""
     assert ended.returncode == 0
-    assert sierra(folder, "sql", "SELECT count(*) n FROM out", "-f", "csv").stdout == "n\n2\n"
+    assert quick(folder, "sql", "SELECT count(*) n FROM out", "-f", "csv").stdout == "n\n2\n"

@@ -101,7 +101,7 @@ def test_run_answers_with_one_json_object(answer: dict[str, Any]) -> None:
 
 
 def test_asking_again_from_a_subfolder_executes_nothing(answered: Path, answer: dict[str, Any]) -> None:
-    ended = sierra(answered / "deep", "run", "population_size.Log2", "noise=0:1:2", "--json", "--no-figures")
+    ended = quick(answered / "deep", "run", "population_size.Log2", "noise=0:1:2", "--json", "--no-figures")
     again = json.loads(ended.stdout)
     assert (again["batch"], again["executed"], again["reused"]) == (answer["batch"], 0, 8)
     assert ended.stderr == ""
@@ -116,7 +116,7 @@ def test_a_dry_run_says_what_would_execute(answered: Path) -> None:
 
 
 def test_explaining_and_answering_in_json_is_one_object(answered: Path) -> None:
-    said = sierra(answered, "run", "--explain", "--json", "--no-figures", "population_size.Log2", "noise=0:1:2")
+    said = quick(answered, "run", "--explain", "--json", "--no-figures", "population_size.Log2", "noise=0:1:2")
     told = json.loads(said.stdout)
     assert (told["reused"], told["reasons"]) == (8, {"reused": 8})
 
@@ -127,8 +127,8 @@ def test_braces_that_are_no_placeholder_are_written_twice(tmp_path: Path) -> Non
     )
     words = '["python3", "sim.py", "{input}", "{{output}}", "{\\"a\\":{\\"b\\":1}}"]'
     (folder / "sierra.toml").write_text(CONFIG.replace('"python3 sim.py {input}"', words))
-    assert sierra(folder, "run", "noise=1", "--runs", "1", "--no-figures").returncode == 0
-    [said] = json.loads(sierra(folder, "sql", "SELECT words FROM said", "--json").stdout)
+    assert quick(folder, "run", "noise=1", "--runs", "1", "--no-figures").returncode == 0
+    [said] = json.loads(quick(folder, "sql", "SELECT words FROM said", "--json").stdout)
     assert said["words"] == '{output} {"a":{"b":1}}'
 
 
@@ -140,9 +140,9 @@ def test_named_queries_controllers_and_scenarios(tmp_path: Path) -> None:
         " % (arena.get('size'), arena.find('swarm').get('controller')))\n"
     )
     folder = make(tmp_path / "p", CONFIG + RICH, simulator=simulator)
-    assert sierra(folder, "run", "scalability", "--no-figures").returncode == 0
+    assert quick(folder, "run", "scalability", "--no-figures").returncode == 0
     rows = json.loads(
-        sierra(folder, "sql", "SELECT population_size, scenario, arena, controller FROM seen ORDER BY ALL", "--json").stdout
+        quick(folder, "sql", "SELECT population_size, scenario, arena, controller FROM seen ORDER BY ALL", "--json").stdout
     )
     assert [tuple(row.values()) for row in rows] == [
         (1, "narrow", 1, "fast"),
@@ -150,12 +150,12 @@ def test_named_queries_controllers_and_scenarios(tmp_path: Path) -> None:
         (2, "narrow", 1, "fast"),
         (2, "wide", 20, "fast"),
     ]
-    more = json.loads(sierra(folder, "run", "scalability", "noise=1,2", "-n", "--json").stdout)
+    more = json.loads(quick(folder, "run", "scalability", "noise=1,2", "-n", "--json").stdout)
     assert (more["query"], more["experiments"]) == ("population_size.Log2 scenario=wide,narrow noise=1,2", 8)
-    refused = sierra(folder, "run", "scalability", "--scenario", "wide")
+    refused = quick(folder, "run", "scalability", "--scenario", "wide")
     assert (refused.returncode, refused.stdout) == (2, "")
     assert "leave out --scenario wide" in refused.stderr
-    refused = sierra(folder, "run", "controller=fast,quick")
+    refused = quick(folder, "run", "controller=fast,quick")
     assert "unknown controller 'quick'; known are fast, slow" in refused.stderr
 
 
@@ -179,9 +179,9 @@ def test_the_project_may_live_in_pyproject_toml(tmp_path: Path) -> None:
     (folder / "sierra.toml").unlink()
     text = CONFIG.replace("[variables]", "[tool.sierra.variables]")
     (folder / "pyproject.toml").write_text("[tool.sierra]\n" + text)
-    assert json.loads(sierra(folder, "run", "-n", "--json", "montecarlo.C3").stdout)["runs"] == 6
+    assert json.loads(quick(folder, "run", "-n", "--json", "montecarlo.C3").stdout)["runs"] == 6
     (folder / "pyproject.toml").write_text("[tool.sierra]\nrnus = 3\n" + text)
-    refused = sierra(folder, "run", "-n", "montecarlo.C3")
+    refused = quick(folder, "run", "-n", "montecarlo.C3")
     assert "pyproject.toml [tool.sierra]: unknown key 'rnus'; did you mean 'runs'?" in refused.stderr
 
 
@@ -312,9 +312,9 @@ def test_a_users_own_settings_hold_in_all_projects(tmp_path: Path, monkeypatch: 
     folder = make(tmp_path / "p")
 
     def slots(noise: int, *words: str) -> int:
-        said = json.loads(sierra(folder, "run", f"noise={noise}", "--runs", "1", "--json", *words).stdout)
+        said = json.loads(quick(folder, "run", f"noise={noise}", "--runs", "1", "--json", *words).stdout)
         assert said["figures"] == []
-        rows = sierra(folder, "sql", f"SELECT slots FROM sessions WHERE query = 'noise={noise}'", "--json").stdout
+        rows = quick(folder, "sql", f"SELECT slots FROM sessions WHERE query = 'noise={noise}'", "--json").stdout
         return int(json.loads(rows)[0]["slots"])
 
     assert slots(1) == 1
@@ -322,11 +322,11 @@ def test_a_users_own_settings_hold_in_all_projects(tmp_path: Path, monkeypatch: 
     assert slots(2) == 3
     assert slots(3, "-j", "2") == 2
     monkeypatch.setenv("SIERRA_JOBS", "several")
-    refused = sierra(folder, "run", "noise=4")
+    refused = quick(folder, "run", "noise=4")
     assert (refused.returncode, refused.stderr.count("\n")) == (2, 1)
     assert "SIERRA_JOBS='several': should be a valid integer" in refused.stderr
     file.write_text("job = 1\n")
-    assert "unknown key 'job'; did you mean 'jobs'?" in sierra(folder, "run", "noise=4").stderr
+    assert "unknown key 'job'; did you mean 'jobs'?" in quick(folder, "run", "noise=4").stderr
 
 
 def test_doctor_answers_everywhere(tmp_path: Path) -> None:

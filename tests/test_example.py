@@ -25,6 +25,12 @@ def sierra_(*arguments: str, cwd: Path) -> str:
     return done.stdout
 
 
+def quick_(*arguments: str, cwd: Path) -> str:
+    done = projects.quick(cwd, *arguments)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
 @pytest.fixture(scope="module")
 def demo(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
     """The example, copied out, with one query answered."""
@@ -78,26 +84,26 @@ def test_figures_are_drawn_in_three_formats(demo: tuple[Path, dict[str, Any]]) -
 def test_figures_drawn_again_are_the_same_bytes(demo: tuple[Path, dict[str, Any]]) -> None:
     folder, answer = demo
     before = {path: Path(path).read_bytes() for path in answer["figures"]}
-    again = json.loads(sierra_("figures", answer["batch"][:12], "--json", cwd=folder))
+    again = json.loads(quick_("figures", answer["batch"][:12], "--json", cwd=folder))
     assert {path: Path(path).read_bytes() for path in again} == before
 
 
 def test_asking_again_executes_nothing(demo: tuple[Path, dict[str, Any]]) -> None:
     folder, answer = demo
-    again = json.loads(sierra_("run", "population_size=1,4", "--runs", "3", "--json", "--no-figures", cwd=folder))
+    again = json.loads(quick_("run", "population_size=1,4", "--runs", "3", "--json", "--no-figures", cwd=folder))
     assert (again["batch"], again["executed"], again["reused"]) == (answer["batch"], 0, 6)
 
 
 def test_more_runs_execute_only_what_is_new(demo: tuple[Path, dict[str, Any]]) -> None:
     folder, _ = demo
-    more = json.loads(sierra_("run", "population_size=1,4", "--runs", "4", "--json", "--no-figures", cwd=folder))
+    more = json.loads(quick_("run", "population_size=1,4", "--runs", "4", "--json", "--no-figures", cwd=folder))
     assert (more["executed"], more["reused"]) == (2, 6)
 
 
 def test_two_variables_make_all_combinations_and_a_heat_map(demo: tuple[Path, dict[str, Any]]) -> None:
     folder, _ = demo
     asked = ("run", "controller=random_walk,pheromone", "population_size=1,4", "--runs", "1", "--json")
-    answer = json.loads(sierra_(*asked, cwd=folder))
+    answer = json.loads(quick_(*asked, cwd=folder))
     assert (answer["experiments"], answer["runs"]) == (4, 4)
     rows = sierra.open(folder).sql(
         "SELECT controller, population_size, count(DISTINCT run) AS runs FROM swarm WHERE controller IS NOT NULL GROUP BY ALL"
@@ -112,11 +118,11 @@ def test_two_variables_make_all_combinations_and_a_heat_map(demo: tuple[Path, di
 
 def test_twenty_runs_replay_identically_whatever_becomes_of_the_code(tmp_path: Path) -> None:
     folder = tmp_path / "swarm"
-    sierra_("init", "--example", "swarm", str(folder), cwd=tmp_path)
+    quick_("init", "--example", "swarm", str(folder), cwd=tmp_path)
     projects.commit(folder)
     query = ("run", "population_size=1,2", "--runs", "10", "--set", "/mujoco/custom/numeric[@name='duration']/@data=6")
-    first = json.loads(sierra_(*query, "--json", "--no-figures", cwd=folder))["batch"]
-    replayed = json.loads(sierra_("replay", first, "--json", cwd=folder))
+    first = json.loads(quick_(*query, "--json", "--no-figures", cwd=folder))["batch"]
+    replayed = json.loads(quick_("replay", first, "--json", cwd=folder))
     assert (replayed["verdict"], replayed["counts"]) == ("identical", {"identical": 20})
     code = (folder / "swarm.py").read_text()
     batches = {first}
@@ -124,7 +130,7 @@ def test_twenty_runs_replay_identically_whatever_becomes_of_the_code(tmp_path: P
         (folder / "swarm.py").write_text(code.replace("SIGHT = 1.0", f"SIGHT = {sight}"))
         if committed:
             projects.commit(folder, "change a constant")
-        batches.add(json.loads(sierra_(*query, "-n", "--json", cwd=folder))["batch"])
-        again = json.loads(sierra_("replay", first, "--runs", "2", "--json", cwd=folder))
+        batches.add(json.loads(quick_(*query, "-n", "--json", cwd=folder))["batch"])
+        again = json.loads(quick_("replay", first, "--runs", "2", "--json", cwd=folder))
         assert (again["verdict"], again["runs"]) == ("identical", 4)
     assert len(batches) == 3

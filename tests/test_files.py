@@ -15,7 +15,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from sierra.store import Store
-from tests.projects import CONFIG, make, quick, sierra
+from tests.projects import CONFIG, make, quick
 
 SIMULATOR = """\
 import os, pathlib, sys
@@ -48,7 +48,7 @@ INPUT, STDOUT = "input/input.xml", "stdout"
 def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A project with a batch of two experiments of two runs; only looked at."""
     folder = make(tmp_path_factory.mktemp("files") / "project", CONFIG, simulator=SIMULATOR)
-    assert sierra(folder, "run", "noise=0:1:2", "--no-figures").returncode == 0
+    assert quick(folder, "run", "noise=0:1:2", "--no-figures").returncode == 0
     return folder
 
 
@@ -148,7 +148,7 @@ def test_a_table_whose_bytes_differ_has_the_same_values_and_says_so(project: Pat
 def test_a_path_as_it_is_listed_means_that_file_alone(tmp_path: Path) -> None:
     simulator = "open('stdout', 'w').write('mine'); open('a[b]', 'w').write('brackets'); print('log')\n"
     folder = make(tmp_path / "project", simulator=simulator)
-    assert sierra(folder, "run", "population_size=1", "--runs", "1", "--no-figures").returncode == 0
+    assert quick(folder, "run", "population_size=1", "--runs", "1", "--no-figures").returncode == 0
     run = first_run(folder)["run"]
     for path, content in (("stdout", "log\n"), ("output/stdout", "mine"), ("output/a[b]", "brackets"), ("a[b]", "brackets")):
         assert quick(folder, "files", run, path).stdout == content
@@ -190,7 +190,7 @@ def test_several_files_of_one_table_and_a_run_of_two_experiments_are_all_written
     )
     config = CONFIG.replace("python3", "{python}") + '[outputs.parts]\nfile = "part-*.csv"\n[scenarios.a]\n[scenarios.b]\n'
     folder = make(tmp_path / "project", config, simulator=simulator)
-    assert sierra(folder, "run", "scenario=a,b", "--runs", "1", "--no-figures").returncode == 0
+    assert quick(folder, "run", "scenario=a,b", "--runs", "1", "--no-figures").returncode == 0
     assert len(rows(folder, "FROM executions")) == 1
     ended = quick(folder, "files", batch_of(folder), "output/*", "--to", str(tmp_path / "out"))
     assert "8 files of 2 runs" in ended.stdout
@@ -244,7 +244,7 @@ def test_a_link_in_the_folder_is_not_followed(project: Path, tmp_path: Path) -> 
 
 def test_paths_that_a_stranger_recorded_stay_in_the_folder(tmp_path: Path) -> None:
     folder = make(tmp_path / "project")
-    assert sierra(folder, "run", "population_size=1", "--runs", "1", "--no-figures").returncode == 0
+    assert quick(folder, "run", "population_size=1", "--runs", "1", "--no-figures").returncode == 0
     [one] = rows(folder, "SELECT execution, run, batch FROM executions")
     store = Store(folder / ".sierra")
     bad = ("../../../../stolen", str(tmp_path / "stolen"), "..", ".", "", "a/../../../../../stolen", "a\0b", "x" * 300)
@@ -288,7 +288,7 @@ def _damage(folder: Path, digest: str) -> None:
 
 def test_a_damaged_file_is_said_and_all_else_is_written(tmp_path: Path) -> None:
     folder = make(tmp_path / "project", simulator=SIMULATOR)
-    assert sierra(folder, "run", "population_size=1", "--no-figures").returncode == 0
+    assert quick(folder, "run", "population_size=1", "--no-figures").returncode == 0
     run = first_run(folder)["run"]
     digest = next(file["sha256"] for file in listed(folder, run) if file["path"] == STDOUT)
     _damage(folder, digest)
@@ -302,7 +302,7 @@ def test_a_damaged_file_is_said_and_all_else_is_written(tmp_path: Path) -> None:
 
 def test_a_table_that_is_not_what_was_recorded_is_not_written(tmp_path: Path) -> None:
     folder = make(tmp_path / "project", simulator=SIMULATOR)
-    assert sierra(folder, "run", "population_size=1", "--no-figures").returncode == 0
+    assert quick(folder, "run", "population_size=1", "--no-figures").returncode == 0
     for path in folder.glob(".sierra/segments/*/output.swarm.parquet"):
         table = pq.read_table(path)
         changed = [value + (place == 3) for place, value in enumerate(table["run_"].to_pylist())]
@@ -319,7 +319,7 @@ def test_a_table_that_is_not_what_was_recorded_is_not_written(tmp_path: Path) ->
 
 def test_a_store_that_cannot_be_read_is_one_line(tmp_path: Path) -> None:
     folder = make(tmp_path / "project")
-    assert sierra(folder, "run", "population_size=1", "--runs", "1", "--no-figures").returncode == 0
+    assert quick(folder, "run", "population_size=1", "--runs", "1", "--no-figures").returncode == 0
     run = first_run(folder)["run"]
     for path in folder.glob(".sierra/segments/*/output.swarm.parquet"):
         path.write_bytes(b"nothing")
@@ -334,7 +334,7 @@ def test_a_store_that_cannot_be_read_is_one_line(tmp_path: Path) -> None:
 def test_a_failed_run_gives_the_files_of_its_last_execution(tmp_path: Path) -> None:
     folder = make(tmp_path / "project", simulator=SIMULATOR)
     for _ in range(2):
-        assert sierra(folder, "run", "population_size=91", "--runs", "1", "--no-figures").returncode == 1
+        assert quick(folder, "run", "population_size=91", "--runs", "1", "--no-figures").returncode == 1
     run = first_run(folder)["run"]
     [last] = rows(folder, "SELECT arg_max(execution, ended) AS id FROM executions")
     assert {(file["execution"], file["which"]) for file in listed(folder, run)} == {(last["id"], "last")}
@@ -350,7 +350,7 @@ def test_a_failed_run_gives_the_files_of_its_last_execution(tmp_path: Path) -> N
 def test_a_great_file_and_a_cut_log(tmp_path: Path) -> None:
     simulator = SIMULATOR + "print('x' * 3_000_000)\n"
     folder = make(tmp_path / "project", CONFIG + '[environment]\nset = { GREAT = "1" }\n', simulator=simulator)
-    assert sierra(folder, "run", "population_size=1", "--no-figures").returncode == 0
+    assert quick(folder, "run", "population_size=1", "--no-figures").returncode == 0
     ended = quick(folder, "files", batch_of(folder), "great", STDOUT, "--to", str(tmp_path / "out"))
     assert ended.returncode == 0
     assert "2 logs were cut when they were recorded" in ended.stdout
@@ -374,7 +374,7 @@ def test_show_names_a_run_s_files_and_how_to_get_them(project: Path) -> None:
 def test_show_groups_failures_by_their_reason(tmp_path: Path) -> None:
     folder = make(tmp_path / "project", simulator=SIMULATOR)
     ask = ("run", "population_size=1,91,92,96", "--runs", "3", "--no-figures")
-    assert sierra(folder, *ask).returncode == 1
+    assert quick(folder, *ask).returncode == 1
     said = quick(folder, "show", batch_of(folder))
     failing = rows(folder, "SELECT run FROM members WHERE number = 0 ORDER BY ordinal")
     assert f"\n  6 runs: exit status 3, e.g. run {failing[1]['run'][:10]} (population_size=91, number 0)\n" in said.stdout
@@ -386,7 +386,7 @@ def test_show_groups_failures_by_their_reason(tmp_path: Path) -> None:
 def test_show_says_ten_reasons_at_most(tmp_path: Path) -> None:
     simulator = "import os, sys\nsys.exit(1 + int(os.environ['SIERRA_SEED']) % 200)\n"
     folder = make(tmp_path / "project", simulator=simulator)
-    assert sierra(folder, "run", "population_size=1", "--runs", "30", "--no-figures").returncode == 1
+    assert quick(folder, "run", "population_size=1", "--runs", "30", "--no-figures").returncode == 1
     reasons = len(json.loads(quick(folder, "show", batch_of(folder), "--json").stdout)["failures"])
     assert reasons > 10
     said = quick(folder, "show", batch_of(folder)).stdout
@@ -397,7 +397,7 @@ def test_show_says_ten_reasons_at_most(tmp_path: Path) -> None:
 def test_columns_of_axes_stand_in_the_order_of_the_query(tmp_path: Path) -> None:
     folder = make(tmp_path / "project", simulator=SIMULATOR)
     for ask in (("noise=0,1", "population_size=1,2"), ("population_size=1,2", "noise=0,1")):
-        ran = sierra(folder, "run", *ask, "--runs", "1", "--no-figures").stdout
+        ran = quick(folder, "run", *ask, "--runs", "1", "--no-figures").stdout
         names = [criterion.partition("=")[0] for criterion in ask]
         assert [*names, "runs", "good", "failed"] in [line.split() for line in ran.splitlines()]
         shown = quick(folder, "show", batch_of(folder)).stdout

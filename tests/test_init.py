@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from tests.projects import SIERRA, SIMULATOR, TEMPLATE, make, quick, sierra
+from tests.projects import SIERRA, SIMULATOR, TEMPLATE, make, quick
 
 SHELL = '#!/bin/sh\nprintf "t,x\\n0,1\\n1,3\\n" > out.csv\n'
 
@@ -55,7 +55,7 @@ def answering(folder: Path, *answers: str, words: tuple[str, ...] = ("init",)) -
 
 
 def test_one_simulator_and_one_template_are_enough(folder: Path) -> None:
-    ended = sierra(folder, "init")
+    ended = quick(folder, "init")
     assert ended.returncode == 0
     assert written(folder)["command"] == "python3 sim.py {input}"
     assert written(folder)["seed"] == "//random/@seed"
@@ -64,10 +64,10 @@ def test_one_simulator_and_one_template_are_enough(folder: Path) -> None:
 
 
 def test_the_next_command_that_is_said_gives_a_plot_from_any_folder_of_the_project(folder: Path) -> None:
-    said = json.loads(sierra(folder, "init", "--json").stdout)["next"]
+    said = json.loads(quick(folder, "init", "--json").stdout)["next"]
     assert said == "sierra run population_size.Log8 -n"
     (folder / "deep" / "er").mkdir(parents=True)
-    ended = sierra(folder / "deep" / "er", *said.split()[1:-1], "--runs", "2", "--json")
+    ended = quick(folder / "deep" / "er", *said.split()[1:-1], "--runs", "2", "--json")
     assert ended.returncode == 0
     assert any(figure.endswith(".png") for figure in json.loads(ended.stdout)["figures"])
 
@@ -83,7 +83,7 @@ def test_no_heavy_library_is_loaded(folder: Path) -> None:
 
 def test_of_several_scripts_the_one_that_can_be_started_is_the_simulator(folder: Path) -> None:
     (folder / "arms.py").write_text("LENGTH = 3\n")
-    assert sierra(folder, "init").returncode == 0
+    assert quick(folder, "init").returncode == 0
     assert written(folder)["command"] == "python3 sim.py {input}"
 
 
@@ -98,7 +98,7 @@ def test_a_program_is_found_here_and_where_it_is_built(tmp_path: Path, name: str
     (tmp_path / "in.xml").write_text('<swarm count="3" seed="0"/>')
     assert quick(tmp_path, "init", "-y").returncode == 0
     assert written(tmp_path)["command"] == command
-    assert sierra(tmp_path, "run", "population_size.Log2", "--runs", "1", "--no-figures").returncode == 0
+    assert quick(tmp_path, "run", "population_size.Log2", "--runs", "1", "--no-figures").returncode == 0
 
 
 def test_names_may_hold_blanks_and_quotes(tmp_path: Path) -> None:
@@ -108,7 +108,7 @@ def test_names_may_hold_blanks_and_quotes(tmp_path: Path) -> None:
     (folder / 'it\'s "it".xml').write_text(TEMPLATE)
     said = quick(tmp_path, "init", "-y", folder.name).stdout
     assert """cd 'a '"'"'folder'"'"'' && sierra run population_size.Log8 -n""" in said
-    assert sierra(folder, "run", "population_size.Log2", "--runs", "1", "--no-figures").returncode == 0
+    assert quick(folder, "run", "population_size.Log2", "--runs", "1", "--no-figures").returncode == 0
 
 
 def test_a_template_with_namespaces_gets_paths_with_prefixes(folder: Path) -> None:
@@ -240,7 +240,7 @@ def test_what_the_command_names_of_the_project_is_found_from_where_runs_start(fo
     command = f"python3 {folder / 'sim.py'} {{input}} --conf=conf/a.ini ./conf/maps"
     assert quick(folder, "init", "-y", "--command", command).returncode == 0
     assert written(folder)["command"] == "python3 {project}/sim.py {input} --conf={project}/conf/a.ini {project}/conf/maps"
-    assert sierra(folder / "conf", "run", "population_size.Log1", "--runs", "1", "--no-figures").returncode == 0
+    assert quick(folder / "conf", "run", "population_size.Log1", "--runs", "1", "--no-figures").returncode == 0
 
 
 def test_a_module_of_the_project_is_found_from_where_runs_start(folder: Path) -> None:
@@ -248,7 +248,7 @@ def test_a_module_of_the_project_is_found_from_where_runs_start(folder: Path) ->
     (folder / "sim.py").rename(folder / "src" / "swarm" / "__main__.py")
     assert quick(folder, "init", "-y", "--command", "python3 -m swarm {input}").returncode == 0
     assert len(effective(folder)) <= 10
-    assert sierra(folder, "run", "population_size.Log1", "--runs", "1", "--no-figures").returncode == 0
+    assert quick(folder, "run", "population_size.Log1", "--runs", "1", "--no-figures").returncode == 0
 
 
 @pytest.mark.parametrize(

@@ -32,7 +32,7 @@ def test_runs_that_other_code_than_planned_may_have_made_never_count(simulate: C
     assert "code or programs have changed since the runs began: sim.sh" in ended.stdout
     assert project.sql("SELECT DISTINCT status FROM executions WHERE reason LIKE 'code or programs%'") == [{"status": "failed"}]
     (project.folder / "sim.sh").write_text(code)
-    assert project.ask("run", "size=1,2,3,4,5,6,7,8", "--runs", "1", "--no-figures").returncode == 0
+    assert project.quick("run", "size=1,2,3,4,5,6,7,8", "--runs", "1", "--no-figures").returncode == 0
     assert project.sql("SELECT count(*) AS runs, max(v) AS v FROM swarm WHERE t = 2") == [{"runs": 8, "v": 4}]
 
 
@@ -86,7 +86,7 @@ def test_a_replay_says_nothing_of_programs_that_were_replaced_meanwhile(simulate
     project = simulate(str(program))
     toml = project.folder / "sierra.toml"
     toml.write_text(toml.read_text().replace('"sim.sh", "{input}"]', f'"sim.sh", "{{input}}", "{program}"]'))
-    assert project.ask("run", "size=1", "--runs", "3", "--no-figures").returncode == 0
+    assert project.quick("run", "size=1", "--runs", "3", "--no-figures").returncode == 0
     [row] = project.sql("SELECT batch FROM batches")
     replaying = project.start("replay", row["batch"], "-j", "1")
     project.until_executed(4, replaying)

@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 
 from sierra.cli.prompt import is_complete
-from tests.projects import SIERRA, make, sierra
+from tests.projects import SIERRA, make, quick, sierra
 
 PATIENCE_S = 60.0
 
@@ -24,7 +24,7 @@ PATIENCE_S = 60.0
 @pytest.fixture(scope="module")
 def answered(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = make(tmp_path_factory.mktemp("prompt") / "project")
-    assert sierra(folder, "run", "population_size.Log2", "--no-figures").returncode == 0
+    assert quick(folder, "run", "population_size.Log2", "--no-figures").returncode == 0
     return folder
 
 

@@ -441,18 +441,18 @@ for t in 0 1 2 3; do echo "$t.$size,$((t * size))" >> swarm.csv; done
 @pytest.fixture
 def simulated(simulate: Callable[..., Any]) -> Any:
     project = simulate(RUNS)
-    assert project.ask("run", "size=1,2,3", "--runs", "2", "--no-figures").returncode == 0
+    assert project.quick("run", "size=1,2,3", "--runs", "2", "--no-figures").returncode == 0
     return project
 
 
 def test_statistics_are_a_command_whose_table_has_the_values_of_the_axes(simulated: Any) -> None:
-    rows = json.loads(simulated.ask("stats", "swarm", "v", "--json").stdout)
+    rows = json.loads(simulated.quick("stats", "swarm", "v", "--json").stdout)
     assert [(row["size"], row["n"], row["mean"], row["low"]) for row in rows] == [(1, 2, 3, 3), (2, 2, 6, 6), (3, 2, 9, 9)]
-    first = simulated.ask("stats", "swarm", "v").stdout.splitlines()[0].split()
+    first = simulated.quick("stats", "swarm", "v").stdout.splitlines()[0].split()
     assert first[:5] == ["experiment", "size", "missing", "infinite", "never"]
     for kind, begin in (("csv", "experiment,size,"), ("markdown", "| experiment | size |")):
-        assert simulated.ask("stats", "swarm", "v", "--format", kind).stdout.startswith(begin)
-    assert simulated.ask("stats", "swarm", "v", "-f", "parquet", "-o", "table.parquet").returncode == 0
+        assert simulated.quick("stats", "swarm", "v", "--format", kind).stdout.startswith(begin)
+    assert simulated.quick("stats", "swarm", "v", "-f", "parquet", "-o", "table.parquet").returncode == 0
     table = pq.read_table(simulated.folder / "table.parquet")
     assert table["size"].to_pylist() == [1, 2, 3]
     assert b"list_avg" in table.schema.metadata[b"sierra:sql"]
@@ -460,11 +460,11 @@ def test_statistics_are_a_command_whose_table_has_the_values_of_the_axes(simulat
 
 def test_statistics_can_be_reduced_in_each_way_and_have_a_row_for_each_time(simulated: Any) -> None:
     def ask(*options: str) -> list[dict[str, Any]]:
-        rows: list[dict[str, Any]] = json.loads(simulated.ask("stats", "swarm", "v", "--json", *options).stdout)
+        rows: list[dict[str, Any]] = json.loads(simulated.quick("stats", "swarm", "v", "--json", *options).stdout)
         return rows
 
     assert [row["mean"] for row in ask("--measure", "mean")] == [1.5, 3, 4.5]
-    late = simulated.ask("stats", "swarm", "v", "--measure", "time_to", "--threshold", "4", "--json")
+    late = simulated.quick("stats", "swarm", "v", "--measure", "time_to", "--threshold", "4", "--json")
     assert [(row["n"], row["never"], row["mean"]) for row in json.loads(late.stdout)] == [
         (0, 2, None),
         (2, 0, 2.2),
@@ -472,7 +472,7 @@ def test_statistics_can_be_reduced_in_each_way_and_have_a_row_for_each_time(simu
     ]
     assert "threshold 4 never reached in 2 of 6 runs" in late.stderr
     assert [(row["size"], row["t"], row["mean"]) for row in ask("--times", "own")][:2] == [(1, 0.1, 0), (1, 1.1, 1)]
-    linear = simulated.ask("stats", "swarm", "v", "--times", "linear", "--json")
+    linear = simulated.quick("stats", "swarm", "v", "--times", "linear", "--json")
     assert "interpolated linearly to 4 common times" in linear.stderr
     times = [row["t"] for row in json.loads(linear.stdout) if row["size"] == 1]
     assert times == pytest.approx([0.1, 0.1 + 3.2 / 3, 0.1 + 6.4 / 3])
@@ -486,7 +486,7 @@ def test_statistics_that_make_no_sense_are_refused(simulated: Any) -> None:
         ("--times", "own", "--measure", "mean"): choose,
         ("--measure", "time_to", "--threshold", "nan"): "a threshold is a finite number, not nan",
     }.items():
-        asked = simulated.ask("stats", "swarm", "v", *words)
+        asked = simulated.quick("stats", "swarm", "v", *words)
         assert (asked.returncode, asked.stdout) == (2, "")
         assert complaint in asked.stderr
 
@@ -506,6 +506,6 @@ def test_an_axis_that_is_called_like_a_statistic_keeps_its_name(simulate: Callab
     project = simulate()
     config = project.folder / "sierra.toml"
     config.write_text(config.read_text().replace('size = "', 'n = "'))
-    assert project.ask("run", "n=3,5", "--runs", "2", "--no-figures").returncode == 0
-    rows = json.loads(project.ask("stats", "swarm", "v", "--json").stdout)
+    assert project.quick("run", "n=3,5", "--runs", "2", "--no-figures").returncode == 0
+    rows = json.loads(project.quick("stats", "swarm", "v", "--json").stdout)
     assert [(row["n"], row["n_"]) for row in rows] == [(3, 2), (5, 2)]
