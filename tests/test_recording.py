@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
+import io
 import json
 import math
-import subprocess
-import sys
 import textwrap
 from collections.abc import Callable, Sequence
 from decimal import Decimal
@@ -27,6 +26,7 @@ from sierra.pipeline import Summary
 from sierra.record import Recorder
 from sierra.store.frame import Frame
 from sierra.store.reading import Reading, Shape, Written, read
+from tests import projects
 
 TOML = """
 template = "t.xml"
@@ -363,8 +363,7 @@ def test_a_table_that_is_not_required_may_be_absent(make: Make) -> None:
 
 def test_a_mismatch_is_listed_and_ends_the_command_with_1(make: Make) -> None:
     project = make(f"write(good if seed != {seeds(2)[1]} else good[:-5])")
-    command = [str(Path(sys.executable).with_name("sierra")), "run", "n=1", "--no-figures", "--json"]
-    done = subprocess.run(command, cwd=project.root, capture_output=True, text=True, check=False)
+    done = projects.quick(project.root, "run", "n=1", "--no-figures", "--json")
     assert done.returncode == 1, done.stderr
     [failure] = json.loads(done.stdout)["failures"]
     assert failure["status"] == "mismatch"
@@ -496,6 +495,12 @@ write("".join(",".join(row) + "\\n" for row in [names, *([str(t)] * len(names) f
 """
 
 
+def as_parquet(names: Sequence[str]) -> bytes:
+    file = io.BytesIO()
+    pq.write_table(pa.table({name: [0, 1, 2] for name in names}), file)
+    return file.getvalue()
+
+
 BY_N = {
     "csv": COLUMNS_BY_N,
     "jsonl": """
@@ -504,11 +509,8 @@ names = ["tick", "v", *(f"x{robot}" for robot in range(n))]
 write("".join(json.dumps({name: t for name in names}) + "\\n" for t in range(3)), "out.jsonl")
 """,
     "parquet": """
-sys.path += PATHS
-import pyarrow, pyarrow.parquet
-names = ["tick", "v", *(f"x{robot}" for robot in range(n))]
-pyarrow.parquet.write_table(pyarrow.table({name: [0, 1, 2] for name in names}), "out.parquet")
-""".replace("PATHS", repr([path for path in sys.path if path])),
+write(FILES[len(range(n))], "out.parquet")
+""".replace("FILES", repr({n: as_parquet(["tick", "v", *(f"x{robot}" for robot in range(n))]) for n in (1, 2, 3)})),
 }
 """A simulator whose columns depend on `n`, in each format."""
 
