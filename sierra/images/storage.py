@@ -95,7 +95,7 @@ def config(found: Mapping[str, Any]) -> dict[str, Any]:
 
 def save(name: str, path: Path) -> None:
     """Write an image as a docker-archive, of which the same image always gives the same bytes."""
-    done = _call(["save", "--quiet", "--format", "docker-archive", "--output", str(path), name])
+    done = _call(["save", "--quiet", "--format", "docker-archive", "--output", str(path), "--", name])
     if done.returncode:
         path.unlink(missing_ok=True)
         raise Missing(f"podman cannot save {name!r} to {path}: {complaint(done.stderr)}")
@@ -113,7 +113,7 @@ def load(path: Path, identity: str, name: str = "") -> None:
 
 
 def tag(identity: str, name: str) -> None:
-    done = _call(["tag", _bare(identity), name])
+    done = _call(["tag", "--", _bare(identity), name])
     if done.returncode:
         raise Missing(f"podman cannot call {identity} {name!r}: {complaint(done.stderr)}")
 
