@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import signal
 import subprocess
 import tarfile
 import time
@@ -229,6 +230,51 @@ def test_a_recipe_that_fails_is_said_in_a_line_and_leaves_nothing(
     assert (done.returncode, done.stderr.count("\n")) == (3, 1), done.stderr
     assert list((tmp_path / "temporary").iterdir()) == []
     listed = subprocess.run(["podman", "images", "--all", "--quiet"], check=True, capture_output=True, text=True)
+    assert listed.stdout == ""
+
+
+def running(word: str) -> bool:
+    """Whether a process with this word among its arguments is there."""
+    commands = (path.read_bytes() for path in Path("/proc").glob("[0-9]*/cmdline") if path.exists())
+    return any(word.encode() in command.split(b"\0") for command in commands)
+
+
+def until(there: Callable[[], bool]) -> None:
+    give_up = time.monotonic() + 60
+    while not there():
+        assert time.monotonic() < give_up, "waited in vain"
+        time.sleep(0.05)
+
+
+@pytest.mark.parametrize(
+    ("rootfs", "containerfile"),
+    [("setsid sleep 8641 & sleep 8642", "FROM scratch\n"), ("", "FROM localhost/sierra/busybox\nRUN sleep 8641\n")],
+    ids=["rootfs", "RUN"],
+)
+def test_an_interrupted_build_leaves_nothing(
+    busybox: Project, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, rootfs: str, containerfile: str
+) -> None:
+    (tmp_path / "temporary").mkdir()
+    monkeypatch.setenv("TMPDIR", str(tmp_path / "temporary"))
+    folder = busybox.root / "containers" / "sim"
+    folder.mkdir()
+    (folder / "Containerfile").write_text(containerfile)
+    if rootfs:
+        (folder / "rootfs").write_text(f"#!/bin/sh\n{rootfs}\n")
+        (folder / "rootfs").chmod(0o755)
+    else:
+        busybox.build_image(BUSYBOX)
+    process = subprocess.Popen(
+        [projects.SIERRA, "image", "build", "containers/sim"], cwd=busybox.root, stderr=subprocess.PIPE, text=True
+    )
+    until(lambda: running("8641") or process.poll() is not None)
+    process.send_signal(signal.SIGINT)
+    assert "Traceback" not in process.communicate(timeout=60)[1]
+    assert process.returncode == 130
+    assert not running("8641")
+    assert not running("8642")
+    assert [path for path in (tmp_path / "temporary").iterdir() if path.name.startswith("sierra-")] == []
+    listed = subprocess.run(["podman", "ps", "--all", "--external", "--quiet"], check=True, capture_output=True, text=True)
     assert listed.stdout == ""
 
 
