@@ -83,10 +83,16 @@ def test_files_that_nothing_refers_to_go_and_unfinished_ones(root: Path) -> None
     objects.close()
     store.publish(writer)
     (root / ".sierra" / ".format.4194399").write_text("")
+    image = root / ".sierra" / "images" / f"sha256-{'0' * 64}"
+    image.mkdir(parents=True)
+    (image / ".rootfs.sqfs.4194399").write_text("")
+    (image.parent / ".saved.abc.4194399").mkdir()
+    (image.parent / ".saved.abc.4194399" / "image.tar").write_text("")
     assert projects.quick(root, "gc", "--yes").returncode == 0
     assert store.object(needed)
     assert not store.rows("SELECT 1 FROM objects WHERE sha256 = $d", d=unneeded)
     assert not (root / ".sierra" / ".format.4194399").exists()
+    assert list((root / ".sierra").glob("images/**/.*")) == []
     assert sierra.open(root).fsck().findings == ()
 
 

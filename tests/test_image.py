@@ -92,11 +92,12 @@ def test_an_image_is_the_same_in_every_form(project: Project, require: Callable[
 def test_layers_are_merged_as_engines_do_it(project: Project) -> None:
     low = made.layer(
         ("keep", "1"), ("gone", "1"), ("folder/inner", "1"), ("folder/other", "1"), ("file", "1"), ("was/folder", "1"),
-        ("links/a", "shared"), ("links/b => links/a", ""), made.device("dev/null"),
+        ("links/a", "shared"), ("links/b => links/a", ""), ("links/c => links/b", ""), ("way -> folder", ""),
+        made.device("dev/null"),
     )  # fmt: skip
     middle = made.layer(
         (".wh.gone", ""), ("folder/new", "2"), ("folder/.wh..wh..opq", ""), ("file/", ""), ("file/now", "2"), ("was", "2"),
-        ("links/c => links/b", ""), (".wh.never", ""), ("links/.wh..wh.plnk", ""),
+        (".wh.never", ""), ("links/.wh..wh.plnk", ""), ("way/here", "2"), ("own -> folder", ""), ("own/there", "2"),
     )  # fmt: skip
     top = made.layer(("links/a", "another"), ("./gone", "again"))
     made.docker_archive(project.root / "sim.tar", [low, middle, top])
@@ -104,6 +105,7 @@ def test_layers_are_merged_as_engines_do_it(project: Project) -> None:
     found = project.image("sim.tar")
     assert {path for path, kind in paths(project, "sim.tar").items() if kind == "file"} == {
         "keep", "gone", "folder/new", "file/now", "was", "links/a", "links/b", "links/c",
+        "way/here", "folder/there",
     }  # fmt: skip
     assert found.sha256("/links/a") == made.sha256(b"another")
     assert found.sha256("/links/b") == found.sha256("/links/c") == made.sha256(b"shared")
@@ -223,9 +225,16 @@ def test_a_layer_cannot_lead_out_of_the_image(project: Project) -> None:
     for name in ("../../escape", "a/../../escape", "/../escape"):
         made.docker_archive(project.root / "sim.tar", [BASE, made.layer((name, "x"))])
         assert_refused(project, "sim.tar", "layer 2", "leads out of the image")
-    hard = made.layer(("etc/shadow => ../../../etc/shadow", ""))
-    made.docker_archive(project.root / "sim.tar", [BASE, hard])
-    assert_refused(project, "sim.tar", "leads out of the image")
+    for target, words in (("../../../etc/shadow", "leads out of the image"), ("/etc/passwd", "no file of the same layer")):
+        made.docker_archive(project.root / "sim.tar", [BASE, made.layer((f"etc/shadow => {target}", ""))])
+        assert_refused(project, "sim.tar", words)
+
+
+def test_links_without_end_are_refused(project: Project) -> None:
+    made.docker_archive(project.root / "sim.tar", [made.layer(("a -> b", ""), ("b -> a", ""), ("a/file", "x"))])
+    assert_refused(project, "sim.tar", "more than 40 links")
+    made.docker_archive(project.root / "sim.tar", [made.layer(("a/" * 2000 + "file", "x"))])
+    assert_refused(project, "sim.tar", "256 folders")
 
 
 def test_absolute_names_and_links_stay_within_the_image(project: Project, tmp_path: Path) -> None:

@@ -12,18 +12,18 @@ import os
 import shutil
 import stat
 import subprocess
+import tarfile
 import tempfile
 from pathlib import Path
 
 from sierra.errors import ConfigError, Missing
 from sierra.images import recipe, storage
 from sierra.images.image import Image
-from sierra.images.naming import TAG, named
+from sierra.images.naming import named, tag
 from sierra.images.recipe import CONTAINERFILE, ROOTFS, is_recipe
 
 TAR = "rootfs.tar"
 EPOCH = 1700000000
-SAID = 1 << 16
 
 
 def build(root: Path, name: str, *, network: bool = False) -> Image:
@@ -34,6 +34,7 @@ def build(root: Path, name: str, *, network: bool = False) -> Image:
     folder = (root / name).resolve()
     if not is_recipe(folder):
         raise ConfigError(f"{name} is no recipe: there is no {CONTAINERFILE} in {folder}")
+    called = tag(root, name) or name
     storage.program()
     epoch = _epoch()
     try:
@@ -44,7 +45,7 @@ def build(root: Path, name: str, *, network: bool = False) -> Image:
                 _run_rootfs(name, context, epoch)
             _settle(context, epoch)
             labels = {recipe.LABEL: recipe.identity(folder)}
-            storage.build(context, TAG + folder.name.lower(), epoch=epoch, labels=labels, network=network)
+            storage.build(context, called, epoch=epoch, labels=labels, network=network)
     except (OSError, shutil.Error) as error:
         raise Missing(f"{name} cannot be built: {getattr(error, 'strerror', None) or error}") from error
     return named(root, name)
@@ -53,29 +54,27 @@ def build(root: Path, name: str, *, network: bool = False) -> Image:
 def _run_rootfs(name: str, context: Path, epoch: int) -> None:
     """Let the recipe make the tar of its base. Raises Missing with the last that it said, where it fails."""
     target = context / TAR
-    with tempfile.TemporaryFile("w+", errors="replace") as said:
-        done = storage.run(
-            [str(context / ROOTFS), str(target)],
-            cwd=context,
-            env={**os.environ, "SOURCE_DATE_EPOCH": str(epoch), "LC_ALL": "C.UTF-8", "TZ": "UTC"},
-            stdout=said,
-            stderr=subprocess.STDOUT,
-            umask=0o022,
-        )
-        said.seek(max(0, said.seek(0, os.SEEK_END) - SAID))
-        lines = [line.strip() for line in said.read().splitlines() if line.strip()]
+    done = storage.run(
+        [str(context / ROOTFS), str(target)],
+        cwd=context,
+        env={**os.environ, "SOURCE_DATE_EPOCH": str(epoch), "LC_ALL": "C.UTF-8", "TZ": "UTC"},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        umask=0o022,
+    )
     if done.returncode:
-        raise Missing(f"{name}/{ROOTFS} failed ({_how(done.returncode)}): {_why(lines)}")
-    if not target.is_file():
-        raise Missing(f"{name}/{ROOTFS} ended well, but has not written the tar that it was given, $1")
+        raise Missing(f"{name}/{ROOTFS} failed ({_how(done.returncode)}): {_why(done.stdout)}")
+    if not target.is_file() or not tarfile.is_tarfile(target):
+        raise Missing(f"{name}/{ROOTFS} ended well, but has not written a tar to the path that it was given, $1")
 
 
 def _how(status: int) -> str:
     return f"signal {-status}" if status < 0 else f"exit status {status}"
 
 
-def _why(lines: list[str]) -> str:
+def _why(said: str) -> str:
     """The last line that tells why: one about room on the disk before all others."""
+    lines = [line.strip() for line in said.splitlines() if line.strip()]
     full = [line for line in lines if "No space left on device" in line]
     errors = [line for line in lines if line.startswith(("E: ", "ERROR", "error"))]
     return (full or errors or lines or ["it said nothing"])[-1]

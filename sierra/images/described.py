@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
+import re
 import shutil
 import tempfile
 from collections.abc import Iterator, Mapping
@@ -27,6 +29,7 @@ from sierra.paths import ImagePaths, StorePaths, write_whole
 from sierra.provenance.digests import Digests
 
 FORMAT = 1
+UNFINISHED = re.compile(r"\..+\.\d+")
 DEFAULT_PATH = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin"
 """Where engines look for programs of an image that does not say."""
 EXECUTABLE = 0o111
@@ -167,6 +170,13 @@ def _read(said: Mapping[str, Any], listing: bytes, image: Image) -> Contents:
     return Contents(known, packages=packaged, listing=listing, **{name: said[name] for name in plain})
 
 
+def unfinished(store: StorePaths) -> Iterator[Path]:
+    """What is not in its place yet, or was saved to be read; each name ends with the id of the process whose it is."""
+    for path in (*store.images.glob(".*"), *store.images.glob("*/.*")):
+        if UNFINISHED.fullmatch(path.name):
+            yield path
+
+
 def known(store: StorePaths) -> Iterator[Contents]:
     """All images that are described in this store; their names are those by which they were first seen."""
     for folder in sorted(store.images.glob("*-*")) if store.images.is_dir() else ():
@@ -234,7 +244,9 @@ def opened(root: Path, store: StorePaths, image: Image) -> Iterator[Archive]:
         path = root / image.file
         if not image.file:
             store.images.mkdir(parents=True, exist_ok=True)
-            folder = stack.enter_context(tempfile.TemporaryDirectory(prefix=".saved.", dir=store.images))
+            folder = stack.enter_context(
+                tempfile.TemporaryDirectory(prefix=".saved.", suffix=f".{os.getpid()}", dir=store.images)
+            )
             path = Path(folder) / "image.tar"
             storage.save(image.id.removeprefix("sha256:"), path)
         read = archive.read(path)

@@ -1,12 +1,14 @@
 """An image's files, all layers together: who of them wins, as one tar and as a list.
 
 Each layer is a tar of what it changes: files, links and folders replace those of the layers below; `.wh.NAME` takes NAME of
-the layers below away, and `.wh..wh..opq` all that they have in its folder (image-spec, layer.md). Hard links keep the file
-that they were made of, also where a higher layer replaces the name. Devices and pipes are left out: an engine brings its own.
+the layers below away, and `.wh..wh..opq` all that they have in its folder (image-spec, layer.md). Where that leaves a choice,
+it is as in an overlay file system, which is how podman and docker have layers: each is unpacked by itself, so that links are
+followed, and hard links made, within one layer only; and a folder on the way to a file takes the place of a link that a lower
+layer has there. Devices and pipes are left out: an engine brings its own.
 
-The tree is only in memory, so no name in a layer ever is a path of this machine: absolute names are from the image's root,
-links are followed within it, and what leads out of it is refused. Two passes over the layers: `merge` reads and hashes all
-files and knows the winners; `Rootfs.write` streams them, folders first, in an order that follows from the image alone.
+The tree is only in memory, so no name in a layer ever is a path of this machine: absolute names are from the image's root, and
+what leads out of it is refused. Two passes over the layers: `merge` reads and hashes all files and knows the winners;
+`Rootfs.write` streams them, folders first, in an order that follows from the image alone.
 """
 
 from __future__ import annotations
@@ -16,6 +18,7 @@ import posixpath
 import tarfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
+from operator import itemgetter
 from typing import BinaryIO, Literal, cast
 
 from sierra.errors import Damaged
@@ -29,7 +32,7 @@ DEPTH = 256
 LINKS = 40
 """Links followed one after the other, as the kernel has it."""
 
-Type = Literal["file", "link", "folder"]
+Type = Literal["file", "link", "folder", "device"]
 Wanted = Callable[[str], int]
 """How many bytes of the file of a path are to be kept, from its beginning."""
 
@@ -112,10 +115,7 @@ def merge(archive: Archive, wanted: Wanted = lambda path: 0) -> Rootfs:
                 count += 1
                 if count > MOST_FILES:
                     raise Damaged(f"{archive.path} has more than {MOST_FILES} files")
-    try:
-        nodes = dict(sorted(_walk(root, "")))
-    except RecursionError as error:
-        raise Damaged(f"{archive.path} has folders deeper than any engine takes them") from error
+    nodes = {path: node for path, node in sorted(_walk(root, ""), key=itemgetter(0)) if node.type != "device"}
     sources: dict[tuple[int, int], list[str]] = {}
     for path, node in nodes.items():
         if node.type == "file":
@@ -131,19 +131,16 @@ def merge(archive: Archive, wanted: Wanted = lambda path: 0) -> Rootfs:
 def _apply(
     root: _Node, member: tarfile.TarInfo, tar: tarfile.TarFile, source: tuple[int, int], wanted: Wanted, what: str
 ) -> None:
-    layer = source[0]
-    path = _inside(member.name, what)
+    path, layer = _inside(member.name, what), source[0]
     if not path:
         root.mode = member.mode & 0o7777
         return
     folder, name = posixpath.split(path)
+    parent = _folder(root, folder, layer, what)
     if name.startswith(WHITEOUT):
-        _take_away(root, folder, name, layer)
+        _take_away(parent, name, layer)
         return
-    parent = _make(root, folder, layer, what)
     node = _node(root, member, tar, source, wanted, what)
-    if node is None:
-        return
     before = parent.children.get(name)
     if before is not None and before.type == node.type == "folder":
         node.children = before.children
@@ -152,8 +149,8 @@ def _apply(
 
 def _node(
     root: _Node, member: tarfile.TarInfo, tar: tarfile.TarFile, source: tuple[int, int], wanted: Wanted, what: str
-) -> _Node | None:
-    """What a member puts into the tree; None for what is left out."""
+) -> _Node:
+    """What a member puts into the tree."""
     mode, layer = member.mode & 0o7777, source[0]
     if member.isdir():
         return _Node("folder", mode, layer)
@@ -162,7 +159,7 @@ def _node(
     if member.islnk():
         return _linked(root, member, layer, what)
     if not member.isreg():
-        return None
+        return _Node("device", mode, layer)
     digest, size, most = hashlib.sha256(), 0, wanted(_inside(member.name, what))
     kept = bytearray()
     for piece in content(tar, member, what):
@@ -172,30 +169,23 @@ def _node(
     return _Node("file", mode, layer, source, size, digest.hexdigest(), kept=bytes(kept))
 
 
-def _linked(root: _Node, member: tarfile.TarInfo, layer: int, what: str) -> _Node | None:
-    """A hard link: the file that its target is now. None for one to a device that was left out."""
+def _linked(root: _Node, member: tarfile.TarInfo, layer: int, what: str) -> _Node:
+    """A hard link: the file that its target is."""
     folder, name = posixpath.split(_inside(member.linkname, what))
-    parent = _find(root, folder)
-    target = parent.children.get(name) if parent is not None else None
-    if target is None:
-        return None
-    if target.type == "folder":
-        raise Damaged(f"{what}: {member.name!r} is a hard link to a folder")
-    return replace(target, layer=layer)
+    target = _folder(root, folder, layer, what).children.get(name)
+    if target is None or target.layer != layer or target.type == "folder":
+        raise Damaged(f"{what}: {member.name!r} is a hard link to {member.linkname!r}, which is no file of the same layer")
+    return replace(target)
 
 
-def _take_away(root: _Node, folder: str, name: str, layer: int) -> None:
+def _take_away(parent: _Node, name: str, layer: int) -> None:
     """What a whiteout says; it concerns the layers below alone."""
-    parent = _find(root, folder)
-    if parent is None or (name.startswith(AUFS) and name != OPAQUE):
-        return
     if name == OPAQUE:
         parent.children = _newer(parent.children, layer)
-        return
-    gone = name.removeprefix(WHITEOUT)
-    if gone in parent.children:
-        kept = _newer({gone: parent.children.pop(gone)}, layer)
-        parent.children |= kept
+    elif not name.startswith(AUFS):
+        gone = name.removeprefix(WHITEOUT)
+        if gone in parent.children:
+            parent.children |= _newer({gone: parent.children.pop(gone)}, layer)
 
 
 def _newer(children: dict[str, _Node], layer: int) -> dict[str, _Node]:
@@ -217,37 +207,30 @@ def _inside(name: str, what: str) -> str:
     path = posixpath.normpath("./" + name)
     if path == ".." or path.startswith("../"):
         raise Damaged(f"{what}: {name!r} leads out of the image")
-    if path.count("/") >= DEPTH:
-        raise Damaged(f"{what}: {name[:40]!r}… lies more than {DEPTH} folders deep")
     return "" if path == "." else path
 
 
-def _find(root: _Node, path: str) -> _Node | None:
-    """The folder of a path, links followed within the image."""
-    found = resolve(path, lambda at: _at(root, at))
-    node = None if found is None else _at(root, found)
-    return node if node is not None and node.type == "folder" else None
-
-
-def _make(root: _Node, path: str, layer: int, what: str) -> _Node:
-    """The folder of a path, made where it is not there; a file or a link to nothing that is in the way gives way."""
-    found = _find(root, path)
-    if found is not None:
-        return found
-    folder, name = posixpath.split(path)
-    parent = _make(root, folder, layer, what)
-    made = parent.children[name] = _Node("folder", 0o755, layer)
-    return made
-
-
-def _at(root: _Node, path: str) -> _Node | None:
-    node = root
-    for part in path.split("/") if path else ():
-        inner = node.children.get(part)
-        if inner is None:
-            return None
-        node = inner
-    return node
+def _folder(root: _Node, path: str, layer: int, what: str) -> _Node:
+    """The folder of a path, made where there is none; links of this layer are followed, what else is in the way gives way."""
+    way, links = [root], 0
+    parts = path.split("/")[::-1] if path else []
+    while parts:
+        part = parts.pop()
+        if part in ("", ".", ".."):
+            way = way[:-1] if part == ".." and len(way) > 1 else way
+            continue
+        node = way[-1].children.get(part)
+        if node is not None and node.type == "link" and node.layer == layer:
+            links += 1
+            way = [root] if node.target.startswith("/") else way
+            parts += node.target.split("/")[::-1]
+        else:
+            if node is None or node.type != "folder":
+                node = way[-1].children[part] = _Node("folder", 0o755, layer)
+            way.append(node)
+        if links > LINKS or len(way) > DEPTH:
+            raise Damaged(f"{what}: {path[:40]!r} leads through more than {LINKS} links or {DEPTH} folders")
+    return way[-1]
 
 
 class _Known:

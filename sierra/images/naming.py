@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
-from sierra.errors import Damaged, Missing
+from sierra.errors import ConfigError, Damaged, Missing
 from sierra.images import archive, described, sif, squashfs, storage
 from sierra.images.image import Image, Kind, machine, short
 from sierra.images.recipe import CONTAINERFILE, is_recipe
@@ -13,6 +14,7 @@ from sierra.paths import ProjectPaths, StorePaths
 from sierra.provenance.digests import Digests
 
 TAG = "localhost/sierra/"
+FOLDER = re.compile(r"[a-z0-9]+(?:[._-]+[a-z0-9]+)*")
 SUFFIXES = (".tar", ".sif", ".sqfs", ".squashfs", ".img", ".gz", ".tgz", ".zst")
 
 
@@ -32,7 +34,12 @@ def tag(root: Path, name: str) -> str | None:
     path = place(root, name)
     if path is None:
         return name
-    return TAG + path.resolve().name.lower() if is_recipe(path) else None
+    if not is_recipe(path):
+        return None
+    folder = path.resolve().name.lower()
+    if not FOLDER.fullmatch(folder):
+        raise ConfigError(f"the recipe {name} cannot be a tag: call its folder by letters, digits, and . _ - between them")
+    return TAG + folder
 
 
 def named(root: Path, name: str) -> Image:

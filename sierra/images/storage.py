@@ -19,6 +19,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from sierra import worker
 from sierra.errors import Damaged, Missing
 from sierra.images import archive
 from sierra.images.archive import image_of
@@ -27,6 +28,8 @@ from sierra.paths import StorePaths, user_images
 from sierra.provenance.remembered import Remembered
 
 MOST = 512
+PATIENCE = 20.0
+"""Seconds in which a program that was told to end may tidy up."""
 RACY_NS = 2 * 10**9
 CONFIGURATION = ("storage.conf", "containers.conf")
 FOLDERS = ("/usr/share/containers", "/etc/containers")
@@ -95,7 +98,7 @@ def config(found: Mapping[str, Any]) -> dict[str, Any]:
 
 def save(name: str, path: Path) -> None:
     """Write an image as a docker-archive, of which the same image always gives the same bytes."""
-    done = _call(["save", "--quiet", "--format", "docker-archive", "--output", str(path), name])
+    done = _call(["save", "--quiet", "--format", "docker-archive", "--output", str(path), "--", name])
     if done.returncode:
         path.unlink(missing_ok=True)
         raise Missing(f"podman cannot save {name!r} to {path}: {complaint(done.stderr)}")
@@ -113,7 +116,7 @@ def load(path: Path, identity: str, name: str = "") -> None:
 
 
 def tag(identity: str, name: str) -> None:
-    done = _call(["tag", _bare(identity), name])
+    done = _call(["tag", "--", _bare(identity), name])
     if done.returncode:
         raise Missing(f"podman cannot call {identity} {name!r}: {complaint(done.stderr)}")
 
@@ -160,7 +163,7 @@ def build(context: Path, name: str, *, epoch: int, labels: Mapping[str, str], ne
         *("--iidfile", str(identity), "--tag", name, "--file", str(context / "Containerfile"), str(context)),
     ]
     try:
-        done = _call(words)
+        done = run([program(), *words], builds=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
         if done.returncode:
             raise Missing(f"podman cannot build {name}: {complaint(done.stderr)}")
         return "sha256:" + identity.read_text().strip().removeprefix("sha256:")
@@ -176,21 +179,55 @@ def complaint(said: str) -> str:
     return f"{why} ({lines[-2]})" if why.endswith(("exit status 1", "exit status 2")) and len(lines) > 1 else why
 
 
-def run(command: Sequence[str], **more: Any) -> subprocess.CompletedProcess[str]:
-    """Run a program in a process group of its own, all of which is ended where this process is interrupted."""
+def run(command: Sequence[str], *, builds: bool = False, **more: Any) -> subprocess.CompletedProcess[str]:
+    """Run a program in a process group of its own; all that it has started is ended where this process is interrupted.
+
+    `builds`: it is podman, which would leave running what it builds with. Where that ends first, podman tidies up itself.
+    """
     process = subprocess.Popen(command, stdin=subprocess.DEVNULL, text=True, errors="replace", start_new_session=True, **more)
     try:
         out, err = process.communicate()
     except BaseException:
-        with contextlib.suppress(ProcessLookupError):
-            os.killpg(process.pid, signal.SIGTERM)
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            process.wait(10)
-        with contextlib.suppress(ProcessLookupError):
-            os.killpg(process.pid, signal.SIGKILL)
+        started = {pid: worker.birth(pid) for pid in _below(process.pid)}
+        if builds and _end(started, process.pid):
+            _wait(process)
+        _signal(process.pid, signal.SIGTERM)
+        _wait(process)
+        _signal(process.pid, signal.SIGKILL)
+        _end(started, process.pid)
         process.wait()
         raise
     return subprocess.CompletedProcess(command, process.returncode, out, err)
+
+
+def _wait(process: subprocess.Popen[str]) -> None:
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        process.wait(PATIENCE)
+
+
+def _signal(group: int, number: signal.Signals) -> None:
+    with contextlib.suppress(ProcessLookupError):
+        os.killpg(group, number)
+
+
+def _end(started: Mapping[int, float | None], group: int) -> bool:
+    """Kill those of these processes that are not of the group; whether there were any."""
+    others = [
+        pid for pid, born in started.items() if born is not None and worker.birth(pid) == born and os.getpgid(pid) != group
+    ]
+    for pid in others:
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(pid, signal.SIGKILL)
+    return bool(others)
+
+
+def _below(pid: int) -> Iterator[int]:
+    """All processes that a process has started, where the kernel tells."""
+    for path in Path(f"/proc/{pid}/task").glob("*/children"):
+        with contextlib.suppress(OSError):
+            for child in map(int, path.read_text().split()):
+                yield child
+                yield from _below(child)
 
 
 def _call(words: Sequence[str]) -> subprocess.CompletedProcess[str]:

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from sierra import recovery, sessions, worker
+from sierra.images.described import unfinished
 from sierra.keeping.changing import changing, publish, undisturbed
 from sierra.keeping.contents import UNFINISHED
 from sierra.paths import StorePaths
@@ -106,7 +107,7 @@ def collect(
     paths = store.paths
     recovered = recovery.finish_dead(store)
     for path in list(_unfinished(paths)):
-        path.unlink(missing_ok=True)
+        worker.remove(str(path)) if path.is_dir() else path.unlink(missing_ok=True)
     if damaged:
         worker.remove(str(paths.damaged))
     left = 0
@@ -130,9 +131,10 @@ def collect(
 
 
 def _unfinished(paths: StorePaths) -> Iterator[Path]:
-    """Files that were written beside their targets by processes that are gone."""
-    for path in paths.root.iterdir():
-        if UNFINISHED.fullmatch(path.name) and worker.birth(int(path.name.rpartition(".")[2])) is None:
+    """Files that were written beside their targets, and images that were being read, by processes that are gone."""
+    own = (path for path in paths.root.iterdir() if UNFINISHED.fullmatch(path.name))
+    for path in (*own, *unfinished(paths)):
+        if worker.birth(int(path.name.rpartition(".")[2])) is None:
             yield path
 
 
