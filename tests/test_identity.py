@@ -192,3 +192,17 @@ def test_the_code_and_the_template_are_part_of_a_run(tmp_path: Path) -> None:
 def test_a_recipe_says_all_that_runs_have_in_common() -> None:
     recipe = Recipe("command", ("a",), {"B": "c"}, "swh:1:dir:0", None)
     assert set(recipe.preimage()) == {"platform", "command", "environment", "source", "image"}
+
+
+CONTAINED = [
+    "b5d2f5a75e3684cf333182755ff08a4587b7841a1a46ff9c1e3d8ffe21fbfeec",
+    "c828f09234ce24a94094541f6546b435bc643b254d42a609c65aea9502bc7d6b",
+]
+
+
+def test_a_recipe_in_an_image_has_its_content_and_what_runs_reach_beyond_it() -> None:
+    plain = Recipe("command", ("a",), {"B": "c"}, "swh:1:dir:0", "sha256:" + "0" * 64)
+    reaching = replace(plain, reach=("device /dev/dri", "network"))
+    assert plain.preimage()["image"] == {"id": "sha256:" + "0" * 64, "reach": []}
+    assert [digest("recipe", one.preimage()) for one in (plain, reaching)] == CONTAINED
+    assert replace(plain, image=None, reach=("network",)).preimage()["image"] is None
