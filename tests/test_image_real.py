@@ -164,6 +164,24 @@ def test_a_tag_that_is_gone_can_still_be_run_by_its_id(project: Project, storage
         storage.prepare(pinned, project.root, StorePaths(project.root / ".sierra"))
 
 
+def test_a_podman_that_does_not_work_is_no_harm_to_what_does_not_need_it(
+    project: Project, storages: Storages, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, require: Callable[..., str]
+) -> None:
+    require("mksquashfs")
+    tag, store = "localhost/images-there:1", StorePaths(project.root / ".sierra")
+    project.import_image(made.docker_archive(project.root / "sim.tar", LAYERS), tag)
+    image = project.pin(tag).image
+    system = images.rootfs(project.root, store, image)
+    (tmp_path / "broken.conf").write_text("[storage]\ndriver = 1\n")
+    monkeypatch.setenv("CONTAINERS_STORAGE_CONF", str(tmp_path / "broken.conf"))
+    images.verify(project.root, image)
+    assert images.rootfs(project.root, store, image) == system
+    [known] = project.images()
+    assert (known.state, known.podman, known.squashfs) == ("gone", False, True)
+    assert "podman" in known.why
+    assert "\n" not in known.why
+
+
 def test_an_archive_is_loaded_for_podman_by_its_content(project: Project, storages: Storages) -> None:
     made.oci_archive(project.root / "sim.tar", LAYERS)
     image, store = project.pin("sim.tar").image, StorePaths(project.root / ".sierra")
