@@ -8,6 +8,7 @@ import shutil
 import signal
 import subprocess
 import tarfile
+import tempfile
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -42,8 +43,9 @@ LAYERS = [
 class Storages:
     """Storages of podman's that nobody else uses; one of them is chosen at a time."""
 
-    def __init__(self, folder: Path, patch: pytest.MonkeyPatch) -> None:
-        self._folder, self._patch = folder, patch
+    def __init__(self, patch: pytest.MonkeyPatch) -> None:
+        self._patch = patch
+        self._folder = Path(tempfile.mkdtemp(dir="/tmp"))  # podman's sockets need short paths
 
     def choose(self, name: str) -> None:
         folder = self._folder / name
@@ -56,13 +58,14 @@ class Storages:
     def close(self) -> None:
         for graph in self._folder.glob("*/graph/overlay"):
             subprocess.run(["umount", "--lazy", graph], check=False, capture_output=True)
+        shutil.rmtree(self._folder, ignore_errors=True)
 
 
 @pytest.fixture
-def storages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, require: Callable[..., str]) -> Iterator[Storages]:
+def storages(monkeypatch: pytest.MonkeyPatch, require: Callable[..., str]) -> Iterator[Storages]:
     """Begins with a storage of its own, which is empty."""
     require("podman")
-    found = Storages(tmp_path, monkeypatch)
+    found = Storages(monkeypatch)
     found.choose("here")
     works = subprocess.run(["podman", "info"], check=False, capture_output=True).returncode == 0
     require("a podman that works", there=works)
@@ -161,6 +164,24 @@ def test_a_tag_that_is_gone_can_still_be_run_by_its_id(project: Project, storage
         storage.prepare(pinned, project.root, StorePaths(project.root / ".sierra"))
 
 
+def test_a_podman_that_does_not_work_is_no_harm_to_what_does_not_need_it(
+    project: Project, storages: Storages, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, require: Callable[..., str]
+) -> None:
+    require("mksquashfs")
+    tag, store = "localhost/images-there:1", StorePaths(project.root / ".sierra")
+    project.import_image(made.docker_archive(project.root / "sim.tar", LAYERS), tag)
+    image = project.pin(tag).image
+    system = images.rootfs(project.root, store, image)
+    (tmp_path / "broken.conf").write_text("[storage]\ndriver = 1\n")
+    monkeypatch.setenv("CONTAINERS_STORAGE_CONF", str(tmp_path / "broken.conf"))
+    images.verify(project.root, image)
+    assert images.rootfs(project.root, store, image) == system
+    [known] = project.images()
+    assert (known.state, known.podman, known.squashfs) == ("gone", False, True)
+    assert "podman" in known.why
+    assert "\n" not in known.why
+
+
 def test_an_archive_is_loaded_for_podman_by_its_content(project: Project, storages: Storages) -> None:
     made.oci_archive(project.root / "sim.tar", LAYERS)
     image, store = project.pin("sim.tar").image, StorePaths(project.root / ".sierra")
@@ -231,6 +252,26 @@ def test_a_recipe_that_fails_is_said_in_a_line_and_leaves_nothing(
     assert list((tmp_path / "temporary").iterdir()) == []
     listed = subprocess.run(["podman", "images", "--all", "--quiet"], check=True, capture_output=True, text=True)
     assert listed.stdout == ""
+
+
+def test_what_is_recorded_of_an_image_goes_with_the_last_run_in_it(busybox: Project) -> None:
+    (busybox.root / "sim.sh").write_text('printf "t,v\\n1,2\\n" > "$1/swarm.csv"\n')
+    config = projects.CONFIG.replace("python3 sim.py {input}", "sh {project}/sim.sh {output}")
+    (busybox.root / "sierra.toml").write_text(f'{config}\n[container]\nimage = "{BUSYBOX}"\n')
+    project = sierra.open(busybox.root)
+    project.build_image()
+    found = project.pin()
+    batches = [project.run(f"population_size={size}", runs=1, figures=False) for size in (1, 2)]
+    assert [one.failed for one in batches] == [0, 0]
+    rows = project.sql("SELECT image, octet_length(content) AS size FROM images JOIN objects o ON files = o.sha256")
+    assert [row["image"] for row in rows.to_pylist()] == [found.image.id]
+    assert rows.to_pylist()[0]["size"] == len(found.listing)
+    project.collect()
+    project.remove(batches[0].batch)
+    assert project.sql("SELECT count(*) AS n FROM images JOIN objects o ON files = o.sha256").to_pylist() == [{"n": 1}]
+    project.remove(batches[1].batch)
+    assert project.sql("SELECT count(*) AS n FROM images").to_pylist() == [{"n": 0}]
+    assert project.sql("SELECT count(*) AS n FROM objects").to_pylist() == [{"n": 0}]
 
 
 def running(word: str) -> bool:

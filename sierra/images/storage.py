@@ -150,6 +150,14 @@ def prepare(image: Image, root: Path, store: StorePaths) -> str:
     return image.id
 
 
+def holds(identity: str) -> bool:
+    """Whether podman is here, works, and has the image of that id."""
+    try:
+        return installed() and present(identity)
+    except Missing:
+        return False
+
+
 def build(context: Path, name: str, *, epoch: int, labels: Mapping[str, str], network: bool = False) -> str:
     """Build a Containerfile, whose folder is the context; the image's id. Nothing is left of a build that fails.
 

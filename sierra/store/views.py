@@ -27,6 +27,7 @@ ONCE = {
     "programs": ("programs", "name", "path"),
     "objects": ("sha256", "part"),
     "blobs": ("blob",),
+    "images": ("image",),
     "readings": ("reading",),
     "findings": ("execution",),
 }
