@@ -1,7 +1,8 @@
 """Every file name that SIERRA gives, in one place; and how a file appears whole.
 
 $XDG_CONFIG_HOME/sierra/config.toml a user's own defaults
-$XDG_CACHE_HOME/sierra/             what can be found out again: digests.json, versions.json, images.json
+$XDG_CACHE_HOME/sierra/             what can be found out again: digests.json, versions.json, images.json,
+                                    engines.json, apptainer/
 $XDG_STATE_HOME/sierra/             reports of faults; what was asked at the SQL prompt
 PROJECT/sierra.toml
 PROJECT/sierra.lock                 what the names of images stand for; committed with the project
@@ -13,7 +14,7 @@ PROJECT/.sierra/work/<session>/     what executes now; gone once it is recorded
     lock  owner.0  claims.json  context.json  journal.jsonl  segment/
     <number>/                       one run: input files, stdout, stderr, home/ tmp/ output/
 PROJECT/.sierra/images/<id>/        what is in an image, and its files as apptainer runs them; made again from the image
-    image.json  files.jsonl  rootfs.sqfs
+    image.json  files.jsonl  rootfs.sqfs  rootfs.<user>/
 PROJECT/.sierra/damaged/<segment>/  segments that `sierra fsck --repair` put aside
 PROJECT/.sierra/kept/<replay>/      what `sierra replay --keep` leaves: source/, and the folder of each run by its id
 """
@@ -144,6 +145,10 @@ class ImagePaths:
         """The image's files as a squashfs."""
         return self.root / "rootfs.sqfs"
 
+    def sandbox(self, user: int) -> Path:
+        """The image's files in a folder, for a user who can't mount a squashfs."""
+        return self.root / f"rootfs.{user}"
+
 
 @dataclass(frozen=True, slots=True)
 class SessionPaths:
@@ -203,6 +208,16 @@ def user_versions() -> Path:
 def user_images() -> Path:
     """The file of what podman said of images; it need not be there."""
     return _user("XDG_CACHE_HOME", ".cache") / "images.json"
+
+
+def user_engines() -> Path:
+    """The file of what engines can do here; it need not be there."""
+    return _user("XDG_CACHE_HOME", ".cache") / "engines.json"
+
+
+def user_apptainer() -> Path:
+    """The folder of how apptainer is configured for runs; it need not be there."""
+    return _user("XDG_CACHE_HOME", ".cache") / "apptainer"
 
 
 def _user(variable: str, fallback: str) -> Path:

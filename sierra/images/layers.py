@@ -32,6 +32,17 @@ DEPTH = 256
 LINKS = 40
 """Links followed one after the other, as the kernel has it."""
 
+MOUNTED_ON = {
+    "dev": 0o755,
+    "etc": 0o755,
+    "proc": 0o755,
+    "run": 0o755,
+    "sys": 0o755,
+    "tmp": 0o1777,
+    "var": 0o755,
+    "var/tmp": 0o1777,
+}
+
 Type = Literal["file", "link", "folder", "device"]
 Wanted = Callable[[str], int]
 """How many bytes of the file of a path are to be kept, from its beginning."""
@@ -84,11 +95,19 @@ class Rootfs:
     def write(self, out: BinaryIO) -> None:
         """All as one tar: the same bytes for the same image, in whatever form it is kept. Times are 0, all belongs to root."""
         with tarfile.open(fileobj=out, mode="w|", format=tarfile.GNU_FORMAT, encoding="utf-8", errors="surrogateescape") as tar:
-            for entry in (*_of("folder", self.entries), *_of("link", self.entries)):
+            for entry in (*_of("folder", self.entries), *_of("link", self.entries), *self._mounted_on()):
                 tar.addfile(_header(entry))
             by_path = {entry.path: entry for entry in _of("file", self.entries)}
             for place in range(len(self.archive.blobs)):
                 self._write_layer(tar, place, by_path)
+
+    def _mounted_on(self) -> Iterator[Entry]:
+        """The folders that an image lacks and an engine mounts on: podman makes them, apptainer can't."""
+        there = {entry.path for entry in self.entries}
+        links = {entry.path for entry in _of("link", self.entries)}
+        for path, mode in MOUNTED_ON.items():
+            if path not in there and posixpath.dirname(path) not in links:
+                yield Entry(path, "folder", mode)
 
     def _write_layer(self, tar: tarfile.TarFile, place: int, by_path: dict[str, Entry]) -> None:
         with self.archive.layer(place) as stream:
