@@ -93,12 +93,8 @@ def _options(box: Box, process: Process) -> Iterator[str]:
     if box.gpu:
         yield "--nv"
     able = starting.apptainer().enforced
-    if box.memory is not None and "memory" in able:
-        yield from (f"--memory={box.memory}", f"--memory-swap={box.memory}")
-    if box.cpus is not None and "cpus" in able:
-        yield f"--cpus={box.cpus}"
-    if box.pids is not None and "pids" in able:
-        yield f"--pids-limit={box.pids}"
+    if limits := {name: limit for name, limit in box.limits.items() if name in able}:
+        yield f"--apply-cgroups={starting.limited(tuple(sorted(limits.items())))}"
     yield f"--pwd={process.folder}"
 
 

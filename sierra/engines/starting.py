@@ -172,6 +172,27 @@ def _helpers(one: Way, *, squashfs: bool) -> Iterator[str]:
 
 
 @cache
+def limited(limits: tuple[tuple[str, float], ...]) -> str:
+    """The file of a control group with these limits (what flags can't say: https://apptainer.org/docs, "cgroups").
+
+    Out of memory, the kernel kills one process, of which a script may take no notice: all must end instead, or (version 1) none
+    may go on until the worker has seen it and ends them.
+    """
+    unified = Path("/sys/fs/cgroup/cgroup.controllers").exists()
+    lines = []
+    for name, limit in limits:
+        match name:
+            case "memory":
+                lines += ["[memory]", f"limit = {limit:.0f}", f"swap = {limit:.0f}"]
+                lines += ["[unified]", '"memory.oom.group" = "1"'] if unified else ["disableOOMKiller = true"]
+            case "cpus":
+                lines += ["[cpu]", "period = 100000", f"quota = {limit * 100000:.0f}"]
+            case _:
+                lines += ["[pids]", f"limit = {limit:.0f}"]
+    return _kept("\n".join([*lines, ""]), "toml")
+
+
+@cache
 def _configured(configuration: str, network: bool) -> str:
     """The file of the administrator's configuration with our changes."""
     theirs = Path(configuration).read_text(errors="surrogateescape").splitlines()
@@ -179,8 +200,13 @@ def _configured(configuration: str, network: bool) -> str:
     ours = {"config passwd": False, "config group": False, "config resolv_conf": network, "systemd cgroups": systemd}
     lines = [line for line in theirs if not SETTLED.match(line)]
     text = "\n".join([*lines, *(f"{name} = {'yes' if value else 'no'}" for name, value in ours.items()), ""])
+    return _kept(text, "conf")
+
+
+def _kept(text: str, kind: str) -> str:
+    """A file that has this text, named by it."""
     data = text.encode(errors="surrogateescape")
-    file = user_apptainer() / f"{sha256(data)[:16]}.conf"
+    file = user_apptainer() / f"{sha256(data)[:16]}.{kind}"
     if not file.is_file() or file.read_bytes() != data:
         file.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
         write_whole(file, data)
