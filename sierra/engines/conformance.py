@@ -5,8 +5,8 @@
     def test_it_is_an_engine(tmp_path):
         conformance.check(MyEngine(), image, project, tmp_path)
 
-`image` is a pinned `sierra.images.Image` of the project at `project` (a path) that has `sh`, `cat`, `sleep`, `tail` and
-`touch`, as every busybox has; None stands for no image, where an engine contains nothing. It is the real program that is
+`image` is a pinned `sierra.images.Image` of the project at `project` (a path) that has `sh`, `cat` and `sleep`, as
+every busybox has; None stands for no image, where an engine contains nothing. It is the real program that is
 held to it: containers are started, asked to end, and killed. Each claim is one function of a `Trial`, and can be called
 alone. What does not hold raises AssertionError with one line, whether Python runs with `-O` or not.
 """
@@ -49,6 +49,8 @@ ODD = ("a b", "c,d", "e:f", "it's", "g$h", "i\\j", "k=l", "ü")
 """Names of folders in which a run may be."""
 ODDER = ('m"n', "o\np")
 """Names that an engine may refuse, if it says so."""
+FILL = "sh -c 'x=0123456789abcdef; i=0; while test $i -lt 24; do x=$x$x; i=$((i + 1)); done'; echo all"
+"""A script whose part needs 256 MiB, and that takes no notice of what becomes of it."""
 LOOK = """
 echo "user $(cat /proc/self/uid_map)"
 echo "host $(cat /proc/sys/kernel/hostname)"
@@ -437,13 +439,28 @@ def enforces_what_it_says(trial: Trial) -> None:
     ended = trial.script("exit 3", box=box)
     _holds(ended.result.exit_code == 3, f"with limits, status 3 became {ended.result.error or ended.result}")
     if "memory" in enforced:
-        result = trial.script("exec tail -c 200m /dev/zero", box=box).result
-        _holds(result.stopped == "memory", f"a program over its memory became {result}")
+        _is_held_to_its_memory(trial, box)
     if "pids" in enforced:
         ended = trial.script(
             "for i in 0 1 2 3 4 5; do for j in 0 1 2 3 4 5 6 7 8 9; do sleep 2 & done; done; echo all", box=box
         )
         _holds(b"all" not in ended.out or b"fork" in ended.err, "60 processes began where 50 are allowed")
+
+
+def _is_held_to_its_memory(trial: Trial, box: Box) -> None:
+    """It is killed for it, with all that belongs to it, or it can't go on; and nobody takes that for its own doing."""
+    started = trial.start("sh", "-c", FILL, box=box)
+    try:
+        status = started.process.wait(SOON_S)
+    except subprocess.TimeoutExpired:
+        started.signal(signal.SIGKILL)
+        status = started.process.wait()
+        started.stop()
+    _holds("all" not in started.said(), "a script goes on where its memory was not enough")
+    if status in (-signal.SIGKILL, 128 + signal.SIGKILL):
+        result = trial.end(started).result
+        _holds(result.stopped == "memory" or status < 0, f"a program over its memory became {result}")
+    _nothing_is_left(started)
 
 
 def runs_in_odd_folders(trial: Trial) -> None:
