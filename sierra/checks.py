@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Literal
 
 from sierra import settings
+from sierra.engines import Abilities
 from sierra.errors import SierraError
 from sierra.paths import user_settings
 from sierra.provenance.environment import usable_cores
@@ -33,7 +34,7 @@ LIBRARIES = ("duckdb", "pyarrow", "lxml", "pydantic", "matplotlib", "typer", "ri
 
 def all_checks() -> list[Check]:
     """Everything, the machine first."""
-    return [check for part in (_machine, _settings, _libraries, _programs, _project) for check in part()]
+    return [check for part in (_machine, _settings, _libraries, _programs, _engines, _project) for check in part()]
 
 
 def _machine() -> Iterator[Check]:
@@ -77,6 +78,32 @@ def _programs() -> Iterator[Check]:
     path = shutil.which("git")
     remedy = "" if path else "projects in git need it: install git"
     yield Check("git", "ok" if path else "absent", path or "not installed", remedy)
+
+
+def _engines() -> Iterator[Check]:
+    """What can contain runs here, as it showed when something was started with it. None is needed but by who asks for it."""
+    from sierra import engines
+
+    for name in engines.names():
+        if name == "none":
+            continue
+        able = engines.find(name).probe()
+        if able.trouble:
+            found, _, remedy = able.trouble.partition("; ")
+            yield Check(name, "absent", found, remedy)
+        else:
+            yield Check(name, "ok", ", ".join([able.version, *_said(able)]))
+
+
+def _said(able: Abilities) -> Iterator[str]:
+    """What holds in an engine's containers, and what does not."""
+    yield f"{'rootless' if able.rootless else 'as root'}, outputs are {able.user}'s"
+    ignored = {"memory", "cpus", "pids"} - able.enforced
+    yield f"enforces {', '.join(sorted(able.enforced)) or 'no limits'}"
+    if ignored and able.enforced:
+        yield f"ignores {', '.join(sorted(ignored))}"
+    if not able.isolated:
+        yield "NOT ISOLATED from the network"
 
 
 def _project() -> Iterator[Check]:
