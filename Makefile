@@ -72,14 +72,17 @@ lock: ## write requirements.lock from pyproject.toml
 		--output-file requirements.lock pyproject.toml
 	rm -rf .venv-lock
 
-system: ## install what SIERRA calls (git), and what tests build programs with (gcc)
-	@if command -v git >/dev/null && command -v gcc >/dev/null && command -v unshare >/dev/null; then \
-		echo "git, gcc and unshare are there; nothing else is needed"; \
+# What tests need besides comes as packages of Debian; apptainer, which it has no package of, by tests/system/apptainer.sh.
+CALLED = git gcc unshare podman runc newuidmap catatonit mksquashfs squashfuse mmdebstrap busybox
+PACKAGES = git gcc libc6-dev util-linux podman runc uidmap catatonit squashfs-tools squashfuse mmdebstrap busybox-static
+
+system: ## install what SIERRA calls (git, podman), and what tests need (gcc, squashfs-tools, ...); as root, on Debian
+	@missing=; for program in $(CALLED); do \
+		PATH="$$PATH:/usr/sbin:/sbin" command -v "$$program" >/dev/null || missing="$$missing $$program"; done; \
+	if test -z "$$missing"; then echo "$(CALLED) are there; nothing else is needed"; \
 	elif test "$$(id -u)" -eq 0 && command -v apt-get >/dev/null; then \
-		apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -qq --no-install-recommends \
-			git gcc libc6-dev util-linux; \
-	else echo "git is needed, and gcc and unshare for the tests: install them, or run make system as root on Debian" >&2; \
-		exit 3; fi
+		apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -qq --no-install-recommends $(PACKAGES); \
+	else echo "these are missing:$$missing; install them, or run make system as root on Debian" >&2; exit 3; fi
 
 dist: install ## build the sdist and the wheel into dist/
 	$(BIN)/python -m build --no-isolation
