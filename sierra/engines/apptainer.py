@@ -92,9 +92,8 @@ def _options(box: Box, process: Process) -> Iterator[str]:
     yield from (_mounted(Mount(device, device, writable=True)) for device in box.devices)
     if box.gpu:
         yield "--nv"
-    able = starting.apptainer().enforced
-    if limits := {name: limit for name, limit in box.limits.items() if name in able}:
-        yield f"--apply-cgroups={starting.limited(tuple(sorted(limits.items())))}"
+    if limits := {name: limit for name, limit in box.limits.items() if name in starting.enforced()}:
+        yield f"--apply-cgroups={starting.limited(limits)}"
     yield f"--pwd={process.folder}"
 
 

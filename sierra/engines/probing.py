@@ -29,6 +29,8 @@ from sierra.paths import user_engines
 from sierra.provenance.remembered import Remembered
 
 MOST = 64
+DECIDING = ("PATH", "HOME", "CONTAINERS_CONF", "XDG_CONFIG_HOME", "XDG_CACHE_HOME")
+"""Variables whose change, within a process, makes another surrounding."""
 PATIENCE_S = 20.0
 SHARED = ("usr", "bin", "sbin", "lib", "lib32", "lib64")
 """What of the host makes its shell run in a container."""
@@ -84,12 +86,22 @@ def podman() -> Abilities:
 
 def podman_options() -> tuple[str, ...]:
     """Podman's own options, before any command, with which it works here."""
-    return known("podman", _podman, _around_podman()).options
+    return settled("podman", _podman, _around_podman).options
 
 
 def known(name: str, ask: Callable[[], Found], around: Sequence[str]) -> Found:
     """What is remembered of an engine that is the same as then, in the same surroundings; else what it says now."""
     return _known(name, ask, json.dumps([_boot(), os.geteuid(), *(_state(path) for path in around), *_variables()]))
+
+
+def settled(name: str, ask: Callable[[], Found], around: Callable[[], Sequence[str]]) -> Found:
+    """The same for as long as this process runs, in the same environment: for what is asked with each run."""
+    return _settled(name, ask, around, (os.geteuid(), *map(os.environ.get, DECIDING)))
+
+
+@cache
+def _settled(name: str, ask: Callable[[], Found], around: Callable[[], Sequence[str]], _: tuple[Any, ...]) -> Found:
+    return known(name, ask, around())
 
 
 @cache

@@ -55,7 +55,7 @@ class Way:
             yield from ("unshare", "--map-root-user", "--")
         yield from (self.program, "--silent")
         if self.configuration:
-            yield f"--config={_configured(self.configuration, network)}"
+            yield f"--config={_configured(user_apptainer(), self.configuration, network)}"
         yield from ("exec", *ISOLATED, f"--hostname={HOSTNAME}", *(() if network else ALONE))
 
     @property
@@ -66,12 +66,17 @@ class Way:
 
 def apptainer() -> Abilities:
     """What apptainer, or singularity-ce, can do here."""
-    return _found().abilities
+    return probing.known("apptainer", _ask, _around()).abilities
+
+
+def enforced() -> frozenset[str]:
+    """The limits that hold."""
+    return probing.settled("apptainer", _ask, _around).abilities.enforced
 
 
 def way() -> Way:
     """How it is started here; the plainest way where it can't be."""
-    found = _found()
+    found = probing.settled("apptainer", _ask, _around)
     if not found.options:
         return Way(NAMES[0], "", mapped=False, squashfs=True)
     program, configuration, *flags = found.options
@@ -90,10 +95,11 @@ def mounted(source: str, target: str, *, writable: bool) -> str:
     return f'--mount=type=bind,"source={source}","destination={target}"{"" if writable else ",ro"}'
 
 
-def _found() -> Found:
+def _around() -> Sequence[str]:
+    """What is to be the same for all to be as it was found."""
     programs = [*NAMES, "unshare", "squashfuse", "squashfuse_ll", "fusermount", "fusermount3", "mksquashfs"]
     configuration = [f"{top}/{name}/{name}.conf" for top in ("/etc", "/usr/local/etc") for name in NAMES]
-    return probing.known("apptainer", _ask, [*map(probing.found_at, programs), *configuration, "/dev/fuse", "/etc/subuid"])
+    return [*map(probing.found_at, programs), *configuration, "/dev/fuse", "/etc/subuid"]
 
 
 def _ask() -> Found:
@@ -171,13 +177,17 @@ def _helpers(one: Way, *, squashfs: bool) -> Iterator[str]:
         yield "root in a namespace"
 
 
-@cache
-def limited(limits: tuple[tuple[str, float], ...]) -> str:
-    """The file of a control group with these limits (what flags can't say: https://apptainer.org/docs, "cgroups").
+def limited(limits: Mapping[str, float]) -> str:
+    """The file of a control group with these limits: it can say what flags can't.
 
     Out of memory, the kernel kills one process, of which a script may take no notice: all must end instead, or (version 1) none
     may go on until the worker has seen it and ends them.
     """
+    return _limited(user_apptainer(), tuple(sorted(limits.items())))
+
+
+@cache
+def _limited(folder: Path, limits: tuple[tuple[str, float], ...]) -> str:
     unified = Path("/sys/fs/cgroup/cgroup.controllers").exists()
     lines = []
     for name, limit in limits:
@@ -189,24 +199,24 @@ def limited(limits: tuple[tuple[str, float], ...]) -> str:
                 lines += ["[cpu]", "period = 100000", f"quota = {limit * 100000:.0f}"]
             case _:
                 lines += ["[pids]", f"limit = {limit:.0f}"]
-    return _kept("\n".join([*lines, ""]), "toml")
+    return _kept(folder, "\n".join([*lines, ""]), "toml")
 
 
 @cache
-def _configured(configuration: str, network: bool) -> str:
+def _configured(folder: Path, configuration: str, network: bool) -> str:
     """The file of the administrator's configuration with our changes."""
     theirs = Path(configuration).read_text(errors="surrogateescape").splitlines()
     systemd = Path("/run/systemd/system").exists()
     ours = {"config passwd": False, "config group": False, "config resolv_conf": network, "systemd cgroups": systemd}
     lines = [line for line in theirs if not SETTLED.match(line)]
     text = "\n".join([*lines, *(f"{name} = {'yes' if value else 'no'}" for name, value in ours.items()), ""])
-    return _kept(text, "conf")
+    return _kept(folder, text, "conf")
 
 
-def _kept(text: str, kind: str) -> str:
+def _kept(folder: Path, text: str, kind: str) -> str:
     """A file that has this text, named by it."""
     data = text.encode(errors="surrogateescape")
-    file = user_apptainer() / f"{sha256(data)[:16]}.{kind}"
+    file = folder / f"{sha256(data)[:16]}.{kind}"
     if not file.is_file() or file.read_bytes() != data:
         file.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
         write_whole(file, data)
