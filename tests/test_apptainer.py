@@ -1,0 +1,181 @@
+"""Runs in apptainer: the same as in podman, from the same image, however they end."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from tests import containers
+from tests.projects import SIERRA
+from tests.test_containers import ENDS, RUN, TOLD, rows, says
+
+pytestmark = pytest.mark.real
+ENGINE = 'engine = "apptainer"'
+
+
+@pytest.fixture(autouse=True)
+def apptainer(require: Callable[..., str]) -> str:
+    require("busybox-static, as /bin/busybox", there=containers.BUSYBOX.exists())
+    require("mksquashfs")
+    return require("apptainer")
+
+
+@pytest.fixture(scope="session")
+def busybox(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return containers.busybox(tmp_path_factory.mktemp("busybox"))
+
+
+@pytest.fixture(scope="session")
+def python(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return containers.python(tmp_path_factory.mktemp("python"))
+
+
+def test_a_batch_of_podmans_is_the_same_in_apptainer(tmp_path: Path, busybox: Path, require: Callable[..., str]) -> None:
+    require("podman")
+    folder = containers.make(tmp_path / "a project, with 'blanks' and: colons", busybox)
+    assert "4 executed" in says(folder, *RUN)
+    assert "0 executed, 4 reused" in says(folder, *RUN, "--engine", "apptainer")
+    [batch] = rows(folder, "SELECT batch FROM batches")
+    assert "identical" in says(folder, "replay", batch["batch"], "--engine", "apptainer")
+    engines = rows(folder, "SELECT DISTINCT engine, network FROM isolations ORDER BY engine")
+    assert engines == [{"engine": "apptainer", "network": "none"}, {"engine": "podman", "network": "none"}]
+
+
+@pytest.mark.parametrize("isolation", ["run", "worker"])
+def test_runs_are_isolated_as_in_podman(tmp_path: Path, python: Path, isolation: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SECRET", "s3cret")
+    monkeypatch.setenv("APPTAINERENV_SECRET", "s3cret")
+    monkeypatch.setenv("APPTAINER_BIND", "/home")
+    folder = containers.make(tmp_path / "project", python, ENGINE, f'isolation = "{isolation}"', simulator=TOLD)
+    with (folder / "sierra.toml").open("a") as file:
+        file.write('[environment.set]\nPROJECT = "{project}"\nVALUE = \'a=b "c" $HOME\'\n[outputs.told]\nfile = "told.csv"\n')
+    assert "2 executed" in says(folder, "run", "population_size=1", "--no-figures", "-j1")
+    told = {row["what"]: row["said"] for row in rows(folder, "SELECT DISTINCT what, said FROM told")}
+    assert told.pop("folders") in ("2", "3")
+    assert told == {
+        "interfaces": "1",
+        "host": "run",
+        "capabilities": "0000000000000000",
+        "privileges": "1",
+        "zone": "UTC",
+        "root": "kept",
+        "inputs": "kept" if isolation == "run" else "writable",
+        "input": "kept" if isolation == "run" else "writable",
+        "project": "kept",
+        "own": "writable",
+        "threads": "1",
+        "secret": None,
+        "value": 'a=b "c" $HOME',
+        "home": "1",
+    }
+
+
+@pytest.mark.parametrize("isolation", ["run", "worker"])
+def test_each_way_to_end_is_told_apart(tmp_path: Path, python: Path, isolation: str) -> None:
+    folder = containers.make(tmp_path / "project", python, ENGINE, f'isolation = "{isolation}"', simulator=ENDS)
+    with (folder / "sierra.toml").open("a") as file:
+        file.write('[limits]\nwall = 3.0\ngrace = 1.0\nmemory = "120 MB"\n')
+    says(folder, "run", "population_size=1,2,3,4,5,6,7,8,9", "--runs", "1", "--no-figures", code=1)
+    ended = rows(
+        folder, 'SELECT population_size AS n, status, exit_code, "signal" FROM executions JOIN points USING (run) ORDER BY n'
+    )
+    found = {row["n"]: (row["status"], row["exit_code"], row["signal"]) for row in ended}
+    assert found.pop(8)[0] == "memory"
+    assert found == {
+        1: ("failed", 7, None),
+        2: ("failed", None, 11),
+        3: ("failed", 125, None),
+        4: ("failed", 255, None),
+        5: ("failed", 127, None),
+        6: ("timeout", None, 15),
+        7: ("timeout", None, 9),
+        9: ("ok", 0, None),
+    }
+    assert list(containers.sleepers("61.5")) == []
+
+
+@pytest.fixture
+def sleeping(tmp_path: Path, busybox: Path) -> Iterator[tuple[Path, subprocess.Popen[str], str]]:
+    """A batch whose two runs sleep in containers, and what marks their processes."""
+    mark = f"63.{os.getpid()}"
+    folder = containers.make(tmp_path / "project", busybox, ENGINE, simulator=f"{containers.SIMULATOR}sleep {mark}\n")
+    words = [str(SIERRA), "run", "population_size=1", "--no-figures", "-j2"]
+    asking = subprocess.Popen(words, cwd=folder, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
+    give_up = time.monotonic() + 60
+    while len(list(containers.sleepers(mark))) < 2:
+        assert time.monotonic() < give_up, asking.poll()
+        time.sleep(0.05)
+    yield folder, asking, mark
+    asking.kill()
+    asking.communicate()
+
+
+def of(folder: Path, what: str) -> list[int]:
+    """The processes of a batch on the host: its worker, or the parents of its containers."""
+    found = []
+    for process in Path("/proc").glob("[0-9]*"):
+        try:
+            name, around = (process / "cmdline").read_bytes(), (process / "environ").read_bytes()
+        except OSError:
+            continue
+        parent = name.startswith(b"Apptainer runtime parent") and os.fsencode(folder) in around
+        worker = b"worker.py" in name and os.fsencode(folder) in name
+        if parent if what == "clients" else worker:
+            found.append(int(process.name))
+    return found
+
+
+@pytest.mark.parametrize("killed", ["sierra", "worker", "clients", "interrupted"])
+def test_whatever_is_killed_no_container_is_left(sleeping: tuple[Path, subprocess.Popen[str], str], killed: str) -> None:
+    folder, asking, mark = sleeping
+    if killed in ("sierra", "interrupted"):
+        asking.send_signal(signal.SIGKILL if killed == "sierra" else signal.SIGINT)
+    else:
+        assert of(folder, killed)
+        for pid in of(folder, killed):
+            os.kill(pid, signal.SIGKILL)
+    said, _ = asking.communicate(timeout=60)
+    assert asking.returncode == {"sierra": -9, "worker": 3, "clients": 1, "interrupted": 130}[killed], said
+    give_up = time.monotonic() + 20
+    while found := list(containers.sleepers(mark)):
+        assert time.monotonic() < give_up, found
+        time.sleep(0.1)
+    (folder / "sim.sh").write_text(containers.SIMULATOR)
+    assert "2 executed" in says(folder, "run", "population_size=1", "--no-figures")
+
+
+def test_what_all_have_lost_is_ended_by_the_next_asking(sleeping: tuple[Path, subprocess.Popen[str], str]) -> None:
+    folder, asking, mark = sleeping
+    for pid in (asking.pid, *of(folder, "worker")):
+        os.kill(pid, signal.SIGKILL)
+    asking.wait()
+    assert len(list(containers.sleepers(mark))) >= 2
+    (folder / "sim.sh").write_text(containers.SIMULATOR)
+    assert "2 executed" in says(folder, "run", "population_size=1", "--no-figures")
+    assert list(containers.sleepers(mark)) == []
+
+
+def test_a_squashfs_that_was_changed_is_never_run(tmp_path: Path, busybox: Path) -> None:
+    folder = containers.make(tmp_path / "project", busybox, ENGINE)
+    assert "4 executed" in says(folder, *RUN)
+    [made] = folder.glob(".sierra/images/*/rootfs.sqfs")
+    good = made.read_bytes()
+    made.write_bytes(good[:200] + bytes(reversed(good[200:300])) + good[300:])
+    (folder / "sim.sh").write_text(containers.SIMULATOR + "true\n")
+    assert "4 executed" in says(folder, *RUN)
+    assert made.read_bytes() == good
+
+
+def test_limits_that_hold_and_those_that_were_asked_for_are_recorded(tmp_path: Path, busybox: Path) -> None:
+    folder = containers.make(tmp_path / "project", busybox, ENGINE, "cpus = 1.0", "pids = 60")
+    said = says(folder, *RUN)
+    [row] = rows(folder, "SELECT limits_asked, limits_enforced, rootless FROM isolations")
+    assert row["limits_asked"] == '{"cpus": 1.0, "pids": 60}'
+    assert ("LIMIT IGNORED" in said) == (row["limits_enforced"] != row["limits_asked"])
+    assert row["rootless"] == (os.geteuid() != 0)
