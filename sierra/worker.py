@@ -179,7 +179,6 @@ class Meter:
     def __init__(self, running: Running) -> None:
         self._running = running
         self._roots: list[tuple[int, int | None]] = []
-        self._group: str | None = None
         self.seen = False
         self.user_s = self.system_s = 0.0
         self.max_rss = 0
@@ -206,12 +205,6 @@ class Meter:
             marked = [pid for pid in started if mark in environment_of(pid)]
             self._roots = [(pid, birth(pid)) for pid in marked[:1]]
         return [pid for root, _ in self._roots for pid in descendants(root)]
-
-    def starved(self) -> bool:
-        """Whether the kernel holds the run back, or has killed a part of it, because its control group is out of memory."""
-        if self._group is None and self._roots:
-            self._group = memory_group(self._roots[0][0])
-        return self._group is not None and out_of_memory(self._group)
 
     def report(self) -> dict[str, Any]:
         if not self.seen:
@@ -715,8 +708,7 @@ def exceeded(running: Running) -> str | None:
             roots = [running.pid] + [pid for pid in orphans() if belongs(pid, running.execution, running.pid)]
             pids = [pid for root in roots for pid in descendants(root)]
         memory, cpu = usage_of(pids)
-        starved = running.meter is not None and running.meter.starved()
-        if limits.get("memory_bytes") is not None and (starved or memory > limits["memory_bytes"]):
+        if limits.get("memory_bytes") is not None and memory > limits["memory_bytes"]:
             return "memory"
         if limits.get("cpu_s") is not None and cpu > limits["cpu_s"]:
             return "cpu"
@@ -786,32 +778,6 @@ def peak_of(pid: int) -> int:
     except OSError:
         return 0
     return int(lines[0][1]) * 1024 if lines else 0
-
-
-def memory_group(pid: int) -> str | None:
-    """The folder of the control group that bounds a process's memory; None where that can't be told."""
-    try:
-        with open("/proc/%d/cgroup" % pid) as file:
-            lines = [line.rstrip("\n").split(":", 2) for line in file]
-    except OSError:
-        return None
-    for _, controllers, path in lines:
-        folder = "/sys/fs/cgroup/memory" if "memory" in controllers.split(",") else "/sys/fs/cgroup"
-        if (controllers == "" or folder.endswith("memory")) and os.path.isdir(folder + path):
-            return folder + path
-    return None
-
-
-def out_of_memory(group: str) -> bool:
-    """Whether a control group is, or was, out of memory: by version 1 or 2 of control groups."""
-    for name, events in (("memory.oom_control", ("under_oom", "oom_kill")), ("memory.events", ("oom_kill",))):
-        try:
-            with open(os.path.join(group, name)) as file:
-                said = dict(line.split() for line in file)
-        except (OSError, ValueError):
-            continue
-        return any(said.get(event, "0") != "0" for event in events)
-    return False
 
 
 def environment_of(pid: int) -> list[bytes]:

@@ -91,7 +91,11 @@ class Abilities:
     """The engine, and what it uses to start containers, each with its version."""
     rootless: bool = False
     enforced: frozenset[str] = frozenset()
-    """Of `memory`, `cpus` and `pids`: the limits that hold; others would be ignored."""
+    """Of `memory`, `cpus` and `pids`: the limits that hold; others are not given to it.
+
+    Of memory: a container that has more ends as a whole. (Where the kernel kills one process of it, as control groups of
+    version 1 do, a script may take no notice. The worker's own watch ends all then.)
+    """
     isolated: bool = True
     """Whether a container without network has none."""
     user: str = ""

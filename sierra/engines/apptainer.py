@@ -92,8 +92,11 @@ def _options(box: Box, process: Process) -> Iterator[str]:
     yield from (_mounted(Mount(device, device, writable=True)) for device in box.devices)
     if box.gpu:
         yield "--nv"
-    if limits := {name: limit for name, limit in box.limits.items() if name in starting.enforced()}:
-        yield f"--apply-cgroups={starting.limited(limits)}"
+    able = starting.apptainer().enforced
+    if box.cpus is not None and "cpus" in able:
+        yield f"--cpus={box.cpus}"
+    if box.pids is not None and "pids" in able:
+        yield f"--pids-limit={box.pids}"
     yield f"--pwd={process.folder}"
 
 

@@ -32,11 +32,6 @@ HANDED_ON = re.compile(
 """What podman itself needs of the caller's environment."""
 MOST_FILES = 16384
 """Open files, and processes, that a container may have: podman's own default is more than some hosts allow."""
-UNIFIED = Path("/sys/fs/cgroup/cgroup.controllers")
-"""Is there where control groups are of version 2."""
-OUT_OF_MEMORY = {True: "--cgroup-conf=memory.oom.group=1", False: "--oom-kill-disable"}
-"""Out of memory, the kernel kills one process, of which a script may take no notice: all must end instead, or (version 1) none
-may go on until the worker has seen it and ends them."""
 FAILED, NOT_EXECUTABLE, NOT_FOUND = 125, 126, 127
 SIGNALLED = 128
 INIT = re.compile(r"ERROR \(catatonit:\d+\): failed to exec pid1: (.*)")
@@ -63,7 +58,8 @@ class Podman:
         return image.id
 
     def client(self, box: Box, process: Process) -> Client:
-        argv = ("podman", "run", *_options(box, process), box.reference, *process.argv)
+        options = _options(box, process, self.probe().enforced)
+        argv = ("podman", *probing.podman_options(), "run", *options, box.reference, *process.argv)
         return Client(argv, environment(box.session), ("podman", "rm", "--force", "--time=0", "--ignore", f"--cidfile={CID}"))
 
     def sweep(self, sessions: Sequence[str]) -> None:
@@ -97,7 +93,7 @@ def environment(session: str) -> dict[str, str]:
     return {**{name: value for name, value in os.environ.items() if HANDED_ON.fullmatch(name)}, "SIERRA_SESSION": session}
 
 
-def _options(box: Box, process: Process) -> Iterator[str]:
+def _options(box: Box, process: Process, enforced: AbstractSet[str]) -> Iterator[str]:
     yield from ("--rm", "--init", "--pull=never", "--log-driver=none", f"--cidfile={CID}", f"--label={LABEL}={box.session}")
     yield from ("--read-only", "--read-only-tmpfs=false", "--tmpfs=/run:rw,nosuid,nodev,mode=755", "--no-hosts")
     yield from ("--cap-drop=all", "--security-opt=no-new-privileges", "--user=0:0", f"--hostname={HOSTNAME}", "--tz=UTC")
@@ -111,11 +107,11 @@ def _options(box: Box, process: Process) -> Iterator[str]:
     yield from (f"--device={device}" for device in box.devices)
     if box.gpu:
         yield "--device=nvidia.com/gpu=all"
-    if box.memory is not None:
-        yield from (f"--memory={box.memory}", f"--memory-swap={box.memory}", OUT_OF_MEMORY[UNIFIED.exists()])
-    if box.cpus is not None:
+    if box.memory is not None and "memory" in enforced:
+        yield from probing.podman_memory(box.memory)
+    if box.cpus is not None and "cpus" in enforced:
         yield f"--cpus={box.cpus}"
-    if box.pids is not None:
+    if box.pids is not None and "pids" in enforced:
         yield f"--pids-limit={box.pids}"
     if box.wall is not None:
         yield f"--timeout={math.ceil(box.wall)}"

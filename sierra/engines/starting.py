@@ -19,7 +19,7 @@ from functools import cache
 from pathlib import Path
 
 from sierra.engines import HOSTNAME, Abilities, probing
-from sierra.engines.probing import CPUS, MEMORY, PIDS, Found, Told
+from sierra.engines.probing import CPUS, PIDS, Found, Told
 from sierra.errors import Missing
 from sierra.hashing import sha256
 from sierra.paths import user_apptainer, write_whole
@@ -29,7 +29,7 @@ LEAST = {"apptainer": (1, 1), "singularity-ce": (3, 10)}
 MAPPED, CONFIGURED, SQUASHFS = "mapped", "configured", "squashfs"
 ISOLATED = ("--containall", "--no-home", "--cleanenv", "--no-eval", "--no-privs", "--no-umask", "--no-mount=bind-paths")
 ALONE = ("--net", "--network=none")
-LIMITS = (f"--memory={MEMORY}", f"--memory-swap={MEMORY}", f"--cpus={CPUS}", f"--pids-limit={PIDS}")
+LIMITS = (f"--cpus={CPUS}", f"--pids-limit={PIDS}")
 SETTLED = re.compile(r"\s*(bind path|config (passwd|group|resolv_conf)|systemd cgroups)\s*=")
 """What of the administrator's configuration is not taken."""
 HANDED_ON = re.compile(
@@ -175,31 +175,6 @@ def _helpers(one: Way, *, squashfs: bool) -> Iterator[str]:
         yield f"squashfuse {match[1]}" if match else "squashfuse"
     if one.mapped:
         yield "root in a namespace"
-
-
-def limited(limits: Mapping[str, float]) -> str:
-    """The file of a control group with these limits: it can say what flags can't.
-
-    Out of memory, the kernel kills one process, of which a script may take no notice: all must end instead, or (version 1) none
-    may go on until the worker has seen it and ends them.
-    """
-    return _limited(user_apptainer(), tuple(sorted(limits.items())))
-
-
-@cache
-def _limited(folder: Path, limits: tuple[tuple[str, float], ...]) -> str:
-    unified = Path("/sys/fs/cgroup/cgroup.controllers").exists()
-    lines = []
-    for name, limit in limits:
-        match name:
-            case "memory":
-                lines += ["[memory]", f"limit = {limit:.0f}", f"swap = {limit:.0f}"]
-                lines += ["[unified]", '"memory.oom.group" = "1"'] if unified else ["disableOOMKiller = true"]
-            case "cpus":
-                lines += ["[cpu]", "period = 100000", f"quota = {limit * 100000:.0f}"]
-            case _:
-                lines += ["[pids]", f"limit = {limit:.0f}"]
-    return _kept(folder, "\n".join([*lines, ""]), "toml")
 
 
 @cache

@@ -140,7 +140,11 @@ RECORDED = {
             ("devices", LIST, "devices of the host that runs could use; gpu for NVIDIA's"),
             ("mounts", TEXT, "files and folders of the host that runs could read, as JSON: path inside, path outside"),
             ("limits_asked", TEXT, "limits that the engine was to enforce, as JSON: memory in bytes, cpus, pids"),
-            ("limits_enforced", TEXT, "those that it does enforce here; others are ignored"),
+            (
+                "limits_enforced",
+                TEXT,
+                "those that it does enforce here; others are ignored, but for memory: the worker watches over it",
+            ),
             ("argv", LIST, "the command that starts a container, but for what is a run's own"),
         ),
         _table(
