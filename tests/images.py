@@ -61,11 +61,13 @@ def sha256(data: bytes) -> str:
     return hashlib.sha256(data).hexdigest()
 
 
-def docker_archive(path: Path, layers: Sequence[bytes], configuration: bytes | None = None, **changed: bytes | None) -> Path:
+def docker_archive(
+    path: Path, layers: Sequence[bytes], configuration: bytes | None = None, *, tag: str = "", **changed: bytes | None
+) -> Path:
     """A docker-archive; `changed` replaces its files, or leaves them out: `config`, `manifest`, `layer0`, …"""
     configuration = config(layers) if configuration is None else configuration
     names = [f"{sha256(one)}.tar" for one in layers]
-    manifest = [{"Config": f"{sha256(configuration)}.json", "RepoTags": None, "Layers": names}]
+    manifest = [{"Config": f"{sha256(configuration)}.json", "RepoTags": [tag] if tag else None, "Layers": names}]
     files = {
         **{f"layer{place}": (name, one) for place, (name, one) in enumerate(zip(names, layers, strict=True))},
         "config": (f"{sha256(configuration)}.json", configuration),

@@ -119,7 +119,20 @@ def test_the_squashfs_has_what_the_layers_have(project: Project, require: Callab
     image = project.pin("sim.tar").image
     system = images.rootfs(project.root, StorePaths(project.root / ".sierra"), image)
     entries, _ = squashfs.listing(system)
-    assert {entry.path: entry for entry in entries} == project.image("sim.tar").files
+    there, wanted = {entry.path: entry for entry in entries}, project.image("sim.tar").files
+    assert {path: there.get(path) for path in wanted} == wanted
+    beyond = {path: there[path].type for path in there.keys() - wanted.keys()}
+    assert beyond == dict.fromkeys(("dev", "proc", "run", "sys", "tmp", "var", "var/tmp"), "folder"), "what apptainer mounts on"
+
+
+@pytest.mark.parametrize("odd", [("var", "a file"), ("var -> usr", ""), ("tmp -> var/tmp", "")], ids=str)
+def test_what_apptainer_mounts_on_may_be_anything(project: Project, require: Callable[..., str], odd: tuple[str, str]) -> None:
+    require("mksquashfs")
+    made.docker_archive(project.root / "sim.tar", [BASE, made.layer(odd)])
+    image = project.pin("sim.tar").image
+    entries, _ = squashfs.listing(images.rootfs(project.root, StorePaths(project.root / ".sierra"), image))
+    [kept] = [entry for entry in entries if entry.path == odd[0].partition(" ")[0]]
+    assert kept == project.image("sim.tar").files[kept.path]
 
 
 def test_the_squashfs_of_an_image_is_that_image(project: Project, require: Callable[..., str]) -> None:

@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 
 import sierra
-from sierra import images
+from sierra import engines, images
 from sierra.api import Project
 from sierra.errors import Missing
 from sierra.images import archive, layers, recipe, storage
@@ -133,6 +133,27 @@ def test_a_damaged_archive_does_not_get_into_podman(project: Project, storages: 
     assert list((project.root / ".sierra").glob("images/*")) == []
 
 
+def test_an_archive_moves_no_tag(project: Project, storages: Storages) -> None:
+    tag = "localhost/images-mine:1"
+    mine = project.import_image(made.docker_archive(project.root / "mine.tar", LAYERS[:1], tag=tag)).image
+    assert (mine.name, storage.identify(tag)) == (tag, mine.id)
+    other = project.import_image(made.docker_archive(project.root / "other.tar", LAYERS, tag=tag)).image
+    assert storage.identify(tag) == mine.id
+    assert other.name == other.id == storage.identify(other.id)
+    assert project.pin(other.name).image.id == other.id
+
+
+def test_podman_gets_the_image_that_was_checked(project: Project, storages: Storages) -> None:
+    """An archive may hold two images, one by each format's index, and a reader takes the one it knows."""
+    good = made.oci_archive(project.root / "good.tar", LAYERS).read_bytes()
+    evil = made.docker_archive(project.root / "evil.tar", LAYERS[:1]).read_bytes()
+    (project.root / "both.tar").write_bytes(evil[: len(evil.rstrip(b"\0")) // 512 * 512 + 512] + good)
+    image = project.import_image(project.root / "both.tar").image
+    assert image.id == archive.read(project.root / "good.tar").id
+    listed = subprocess.run(["podman", "images", "--all", "--quiet", "--no-trunc"], check=True, capture_output=True, text=True)
+    assert listed.stdout.split() == [image.id]
+
+
 def test_a_tag_that_moved_is_noticed(project: Project, storages: Storages) -> None:
     tag = "localhost/images-moving:1"
     made.docker_archive(project.root / "first.tar", LAYERS[:1])
@@ -158,10 +179,10 @@ def test_a_tag_that_is_gone_can_still_be_run_by_its_id(project: Project, storage
     storage.tag(image.id, "localhost/images-other:1")
     subprocess.run(["podman", "untag", tag, tag], check=True, capture_output=True)
     images.verify(project.root, pinned)
-    assert storage.prepare(pinned, project.root, StorePaths(project.root / ".sierra")) == image.id
+    assert engines.find("podman").prepare(pinned, project.root, StorePaths(project.root / ".sierra")) == image.id
     storages.choose("there")
     with pytest.raises(Missing, match="not in podman's storage"):
-        storage.prepare(pinned, project.root, StorePaths(project.root / ".sierra"))
+        engines.find("podman").prepare(pinned, project.root, StorePaths(project.root / ".sierra"))
 
 
 def test_a_podman_that_does_not_work_is_no_harm_to_what_does_not_need_it(
@@ -185,8 +206,8 @@ def test_a_podman_that_does_not_work_is_no_harm_to_what_does_not_need_it(
 def test_an_archive_is_loaded_for_podman_by_its_content(project: Project, storages: Storages) -> None:
     made.oci_archive(project.root / "sim.tar", LAYERS)
     image, store = project.pin("sim.tar").image, StorePaths(project.root / ".sierra")
-    assert storage.prepare(image, project.root, store) == image.id == storage.identify(image.id)
-    assert storage.prepare(image, project.root, store) == image.id
+    assert engines.find("podman").prepare(image, project.root, store) == image.id == storage.identify(image.id)
+    assert engines.find("podman").prepare(image, project.root, store) == image.id
 
 
 def test_to_identify_an_unchanged_image_starts_no_podman(project: Project, storages: Storages) -> None:

@@ -61,7 +61,9 @@ def build(
 @app.command("import")
 def import_(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="A docker-archive or an oci-archive.")],
-    name: Annotated[str, typer.Option("--name", metavar="TAG", help="The tag that it gets, as in localhost/sim:1.")] = "",
+    name: Annotated[
+        str, typer.Option("--name", metavar="TAG", help="The tag that it gets (default: its own, if that is free here).")
+    ] = "",
     as_json: AsJson = False,
 ) -> None:
     """Take in an image that was exported, or saved by podman or docker.
@@ -79,9 +81,8 @@ def import_(
     if as_json:
         print_json(_contents(found))
         return
-    print(f"{found.image.id}  {name or file}")
-    if name:
-        print(f"next: sierra image pin {name}")
+    print(f"{found.image.id}  {found.image.name}")
+    print(f"next: sierra image pin {found.image.name}")
 
 
 @app.command()

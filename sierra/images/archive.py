@@ -18,6 +18,7 @@ import tarfile
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 from typing import Any, BinaryIO, Protocol, cast
 
@@ -70,7 +71,11 @@ class Archive:
     id: str
     manifest: str
     """The manifest's digest in this form; empty for a docker-archive, which has none."""
+    document: bytes
+    """The configuration, byte for byte."""
     config: Mapping[str, Any]
+    tags: tuple[str, ...]
+    """What it was called where it comes from."""
     diff_ids: tuple[str, ...]
     blobs: tuple[Blob, ...]
     files: Files
@@ -90,11 +95,30 @@ class Archive:
         if f"sha256:{found}" != self.diff_ids[place]:
             raise Damaged(f"{what} is not the image's: its files have SHA-256 {found[:12]}…, not {self.diff_ids[place][7:19]}…")
 
-    def check(self) -> None:
-        """Read all of it. Raises Damaged for what is not as the configuration says."""
+    def check(self) -> list[int]:
+        """Read all of it; the sizes of its layers' tars. Raises Damaged for what is not as the configuration says."""
+        sizes = []
         for place in range(len(self.blobs)):
-            with self.layer(place):
-                pass
+            with self.layer(place) as stream:
+                stream.digest()
+                sizes.append(stream.tell())
+        return sizes
+
+    def write(self, out: BinaryIO) -> None:
+        """The image, and nothing else that is in the archive, as a docker-archive without tags; what is read is checked.
+
+        Its manifest comes last, so that one that is cut short, because something is damaged, is no image.
+        """
+        sizes = self.check()
+        names = [f"{digest[7:]}.tar" for digest in self.diff_ids]
+        manifest = [{"Config": f"{self.id[7:]}.json", "RepoTags": None, "Layers": names}]
+        with tarfile.open(fileobj=out, mode="w|", format=tarfile.USTAR_FORMAT) as tar:
+            for place, name in enumerate(names):
+                if name not in names[:place]:
+                    with self.layer(place) as stream:
+                        tar.addfile(_header(name, sizes[place]), cast("BinaryIO", stream))
+            for name, content in ((f"{self.id[7:]}.json", self.document), (MANIFEST, json.dumps(manifest).encode())):
+                tar.addfile(_header(name, len(content)), BytesIO(content))
 
     def image(self, name: str, *, file: str = "", sha256: str = "") -> Image:
         """This image under a project's name for it."""
@@ -159,7 +183,9 @@ def _docker(path: Path, files: Files) -> Archive:
         raise Damaged(f"{path}: the configuration {name} is not what its name says")
     config = _parsed(path, name, content)
     blobs = tuple(Blob(one, _size(path, files, one, f"layer {place + 1}")) for place, one in enumerate(layers))
-    return _archive(path, "docker-archive", f"sha256:{sha256(content)}", "", config, blobs, files)
+    tags = entry.get("RepoTags")
+    called = tuple(one for one in tags if isinstance(one, str)) if isinstance(tags, list) else ()
+    return _archive(path, "docker-archive", "", content, config, blobs, files, called)
 
 
 def _only(path: Path, listed: Any, called: Any) -> dict[str, Any]:
@@ -179,12 +205,13 @@ def _oci(path: Path, files: Files) -> Archive:
     form = "oci" if path.is_dir() else "oci-archive"
     digest, manifest = _manifest(path, files, _json(path, files, INDEX), DEPTH)
     config_blob = _descriptor(path, files, manifest.get("config"), "the configuration")
-    config = _parsed(path, config_blob.name, _checked(path, files, config_blob, "the configuration"))
+    content = _checked(path, files, config_blob, "the configuration")
+    config = _parsed(path, config_blob.name, content)
     listed = manifest.get("layers")
     if not isinstance(listed, list):
         raise Damaged(f"{path}: its manifest names no layers")
     blobs = tuple(_descriptor(path, files, one, f"layer {place + 1}") for place, one in enumerate(listed))
-    return _archive(path, form, f"sha256:{config_blob.sha256}", digest, config, blobs, files)
+    return _archive(path, form, digest, content, config, blobs, files, ())
 
 
 def _manifest(path: Path, files: Files, index: Any, depth: int) -> tuple[str, dict[str, Any]]:
@@ -217,7 +244,14 @@ def _descriptor(path: Path, files: Files, said: Any, what: str) -> Blob:
 
 
 def _archive(
-    path: Path, form: str, identity: str, manifest: str, config: dict[str, Any], blobs: Sequence[Blob], files: Files
+    path: Path,
+    form: str,
+    manifest: str,
+    content: bytes,
+    config: dict[str, Any],
+    blobs: Sequence[Blob],
+    files: Files,
+    tags: tuple[str, ...],
 ) -> Archive:
     """Checks that a configuration and a list of layers fit together."""
     _check_config(path, config)
@@ -226,7 +260,13 @@ def _archive(
         raise Damaged(f"{path}: the configuration names {len(found)} layers, the manifest {len(blobs)}")
     if len(blobs) > MOST_LAYERS:
         raise Damaged(f"{path} has {len(blobs)} layers; at most {MOST_LAYERS} are read")
-    return Archive(path, form, identity, manifest, config, found, tuple(blobs), files)
+    return Archive(path, form, f"sha256:{sha256(content)}", manifest, content, config, tags, found, tuple(blobs), files)
+
+
+def _header(name: str, size: int) -> tarfile.TarInfo:
+    header = tarfile.TarInfo(name)
+    header.size = size
+    return header
 
 
 def _check_config(path: Path, config: Mapping[str, Any]) -> None:

@@ -104,9 +104,9 @@ class Rootfs:
     def _mounted_on(self) -> Iterator[Entry]:
         """The folders that an image lacks and an engine mounts on: podman makes them, apptainer can't."""
         there = {entry.path for entry in self.entries}
-        links = {entry.path for entry in _of("link", self.entries)}
+        others = {entry.path for entry in self.entries if entry.type != "folder"}
         for path, mode in MOUNTED_ON.items():
-            if path not in there and posixpath.dirname(path) not in links:
+            if path not in there and posixpath.dirname(path) not in others:
                 yield Entry(path, "folder", mode)
 
     def _write_layer(self, tar: tarfile.TarFile, place: int, by_path: dict[str, Entry]) -> None:

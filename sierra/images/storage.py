@@ -13,18 +13,19 @@ import resource
 import shutil
 import signal
 import subprocess
+import tempfile
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO, cast
 
 from sierra import worker
 from sierra.errors import Damaged, Missing
 from sierra.images import archive
 from sierra.images.archive import image_of
 from sierra.images.image import Image, Kind, short
-from sierra.paths import StorePaths, user_images
+from sierra.paths import user_images
 from sierra.provenance.remembered import Remembered
 
 MOST = 512
@@ -104,15 +105,31 @@ def save(name: str, path: Path) -> None:
         raise Missing(f"podman cannot save {name!r} to {path}: {complaint(done.stderr)}")
 
 
-def load(path: Path, identity: str, name: str = "") -> None:
-    """Take an archive in, and see that it is the image of that id there; `name` is a further tag for it."""
-    done = _call(["load", "--quiet", "--input", str(path)])
-    if done.returncode:
-        raise Missing(f"podman cannot load {path}: {complaint(done.stderr)}")
+def load(path: Path, identity: str) -> None:
+    """Take in the image of that id, of which an archive or an OCI layout is at `path`. Raises Missing, Damaged.
+
+    Podman does not see the archive: it gets what was checked, and no tags, of which it would move those that it has.
+    """
+    if not path.exists() or not archive.is_archive(path):
+        raise Missing(f"{path} is no archive that podman could load as {short(identity)}; is it for the engine apptainer?")
+    read = archive.read(path)
+    if read.id != identity:
+        raise Damaged(f"{path} is the image {short(read.id)}, not {short(identity)}")
+    with tempfile.TemporaryFile("w+") as said:
+        process = subprocess.Popen([program(), "load", "--quiet"], stdin=subprocess.PIPE, stdout=said, stderr=said)
+        try:
+            assert process.stdin is not None  # noqa: S101 - it was asked for
+            with contextlib.suppress(BrokenPipeError), process.stdin as pipe:
+                read.write(cast("BinaryIO", pipe))
+            status = process.wait()
+        finally:
+            process.kill()
+            process.wait()
+        said.seek(0)
+        if status:
+            raise Missing(f"podman cannot load {path}: {complaint(said.read())}")
     if not present(identity):
-        raise Damaged(f"{path} is {identity}, but podman made another image of it")
-    if name:
-        tag(identity, name)
+        raise Damaged(f"{path} is {short(identity)}, but podman made another image of it")
 
 
 def tag(identity: str, name: str) -> None:
@@ -124,30 +141,6 @@ def tag(identity: str, name: str) -> None:
 def present(identity: str) -> bool:
     """Whether podman has the image of that id."""
     return identify(identity) is not None
-
-
-def prepare(image: Image, root: Path, store: StorePaths) -> str:
-    """Have an image in podman's storage, and say what to call it there: its id, which no tag can take from it.
-
-    One that is a file is checked, and loaded, where it is not there yet. Raises Missing, Damaged.
-    """
-    if image.kind == Kind.SQUASHFS:
-        raise Missing(f"the image {image.name} is a squashfs, which podman does not run; use the engine apptainer")
-    if present(image.id):
-        return image.id
-    if not image.file:
-        raise Missing(
-            f"the image {image.name} ({short(image.id)}) is not in podman's storage; build or import it (sierra image)"
-        )
-    path = root / image.file
-    if not path.exists() or not archive.is_archive(path):
-        raise Missing(f"{path} is no archive that podman could load as {short(image.id)}; use the engine apptainer")
-    read = archive.read(path)
-    if read.id != image.id:
-        raise Damaged(f"{path} is the image {short(read.id)}, not {short(image.id)}")
-    read.check()
-    load(path, image.id)
-    return image.id
 
 
 def holds(identity: str) -> bool:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from sierra.errors import Damaged, Missing, UsageError
 from sierra.images import archive, described, sif, storage
+from sierra.images.archive import Archive
 from sierra.images.described import Contents
 from sierra.images.image import Image, Kind, short
 from sierra.images.naming import named, tag
@@ -19,7 +20,8 @@ from sierra.paths import StorePaths
 def take_in(root: Path, store: StorePaths, file: Path, name: str = "") -> Contents:
     """Take an archive in: checked, into podman's storage where podman is, and described, with its squashfs where it is not.
 
-    `name` is the tag that it gets. Raises Missing, Damaged; nothing was taken in then.
+    `name` is the tag that it gets; else it gets the first of those that it had where it comes from, unless another image has
+    that here. Raises Missing, Damaged; nothing was taken in then.
     """
     if not file.exists():
         raise Missing(f"there is no image file {file}")
@@ -29,11 +31,18 @@ def take_in(root: Path, store: StorePaths, file: Path, name: str = "") -> Conten
     read = archive.read(file)
     image = read.image(name or str(file), file=str(file.resolve()))
     found = described.examine_again(root, store, image)
-    if storage.installed():
-        storage.load(file, image.id, name)
-    else:
+    if not storage.installed():
         described.rootfs(root, store, image)
-    return replace(found, image=replace(found.image, file="" if name else image.file))
+        return found
+    storage.load(file, image.id)
+    called = name or _free(read)
+    if called:
+        storage.tag(image.id, called)
+    return replace(found, image=replace(found.image, name=called or image.id, file=""))
+
+
+def _free(read: Archive) -> str:
+    return next((tag for tag in read.tags[:1] if storage.identify(tag) in (None, read.id)), "")
 
 
 def export(root: Path, name: str, file: Path) -> Image:
