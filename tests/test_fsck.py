@@ -267,6 +267,15 @@ def test_nothing_that_stands_in_files_makes_it_fail(recorded: Path, root: Path) 
     assert fsck(root).sound
 
 
+def test_a_list_of_sources_that_cannot_be_read_is_said(root: Path) -> None:
+    for path in root.glob(".sierra/segments/*/sources.parquet"):
+        data = path.read_bytes()
+        footer = len(data) - 8 - int.from_bytes(data[-8:-4], "little")
+        path.write_bytes(data[:4] + b"\xff" * (footer - 4) + data[footer:])
+        seal(path.parent)
+    assert (Kind.INCONSISTENT, "sources") in wrong(root)
+
+
 def test_a_source_that_git_lost_is_named_apart(tmp_path: Path) -> None:
     root = projects.commit(projects.make(tmp_path / "project"))
     sierra.open(root).run("population_size=1", runs=1, figures=False)

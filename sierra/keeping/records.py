@@ -84,11 +84,16 @@ Check = Callable[[Records], Iterator[Finding]]
 def check(records: Records, root: Path) -> Iterator[Finding]:
     """All that is wrong with the records; `root` is the project's, in whose git the sources are."""
     for one in CHECKS:
-        try:
-            yield from one(records)
-        except (SierraError, ValueError, TypeError, KeyError, MemoryError, RecursionError) as error:
-            yield Finding(Kind.INCONSISTENT, one.__name__.strip("_"), f"cannot be checked: {first_line(error) or error!r}")
-    yield from _gone(records, root)
+        yield from _tried(one.__name__.strip("_"), one(records))
+    yield from _tried("sources", _gone(records, root))
+
+
+def _tried(what: str, found: Iterator[Finding]) -> Iterator[Finding]:
+    """What a check finds, and that it could not go on, where records cannot even be read."""
+    try:
+        yield from found
+    except (SierraError, ValueError, TypeError, KeyError, MemoryError, RecursionError) as error:
+        yield Finding(Kind.INCONSISTENT, what, f"cannot be checked: {first_line(error) or error!r}")
 
 
 # ---------------------------------------------------------------- ids
