@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+
 from sierra import engines, sessions
 from sierra.model import Result, Status
 from sierra.paths import SessionPaths
@@ -25,7 +27,7 @@ def finish_dead(store: Store) -> int:
 
 def _sweep(paths: SessionPaths) -> None:
     """Remove the containers that a session has left."""
-    if paths.context.exists():
+    with contextlib.suppress(OSError, ValueError, KeyError, TypeError):  # it died before anything was started
         context = Context.load(paths.context)
         engines.find(context.engine).sweep([context.session])
 

@@ -382,3 +382,9 @@ def test_two_at_once_share_the_work(tmp_path: Path, busybox: Path) -> None:
     assert sum(executed) == 8
     assert rows(folder, "SELECT count(*) AS n FROM executions WHERE status = 'ok'") == [{"n": 8}]
     assert containers.left(folder) == []
+
+
+def test_a_batch_in_an_image_is_sound(tmp_path: Path, busybox: Path) -> None:
+    folder = containers.make(tmp_path / "project", busybox)
+    says(folder, *RUN)
+    assert says(folder, "fsck").startswith("sound")

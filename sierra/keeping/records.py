@@ -300,8 +300,8 @@ def _references(records: Records) -> Iterator[Finding]:
     for (replay,) in records.each(orphans):
         yield Finding(Kind.LOST, "replays", f"replay {short(replay)} is not recorded, but verdicts of it are")
     for table, key in (("environments", "environment"), ("programs", "programs")):
-        statement = f"SELECT execution FROM executions ANTI JOIN {table} USING ({key})"
-        if named := [row[0] for row in records.each(statement)]:
+        statement = f"SELECT execution FROM executions ANTI JOIN {table} USING ({key}) WHERE {key} <> $nothing"
+        if named := [row[0] for row in records.each(statement, nothing=fingerprint(()))]:
             yield Finding(
                 Kind.UNKNOWN,
                 table,
