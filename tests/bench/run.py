@@ -369,6 +369,11 @@ def figures(folder: Path) -> None:
     subprocess.run([sys.executable, str(HERE / "bench_figures.py")], check=True)
 
 
+def containers(folder: Path) -> None:
+    """Runs in containers against the bare engine, and shared containers against none; in a process of their own."""
+    subprocess.run([sys.executable, str(HERE / "bench_containers.py")], check=True)
+
+
 def schema_of(table: str) -> tuple[list[str], list[object]]:
     """A recorded table's columns and their types."""
     from sierra.store.tables import arrow_schema
@@ -387,6 +392,7 @@ BENCHES: dict[str, Callable[[Path], None]] = {
     "snapshot": snapshot,
     "fsck": fsck,
     "figures": figures,
+    "containers": containers,
     "many": many,
 }
 
