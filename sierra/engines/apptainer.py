@@ -92,7 +92,7 @@ def _options(box: Box, process: Process) -> Iterator[str]:
     yield from (_mounted(Mount(device, device, writable=True)) for device in box.devices)
     if box.gpu:
         yield "--nv"
-    able = starting.apptainer().enforced
+    able = starting.enforced()
     if box.cpus is not None and "cpus" in able:
         yield f"--cpus={box.cpus}"
     if box.pids is not None and "pids" in able:

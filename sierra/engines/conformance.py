@@ -90,6 +90,7 @@ class Started:
 
     def until_it_says(self, word: str) -> None:
         _wait(lambda: word in self.said() or self.process.poll() is not None, f"it never said {word!r}")
+        time.sleep(GRACE_S)  # a client may pass signals on only a moment after its container has begun, as podman's does
         _holds(word in self.said(), f"it ended before it said {word!r}: {(self.folder / 'stderr').read_text(errors='replace')}")
 
     def signal(self, number: int) -> None:
