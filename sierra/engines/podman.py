@@ -58,7 +58,7 @@ class Podman:
         return image.id
 
     def client(self, box: Box, process: Process) -> Client:
-        options = _options(box, process, self.probe().enforced)
+        options = _options(box, process, probing.podman_enforced())
         argv = ("podman", *probing.podman_options(), "run", *options, box.reference, *process.argv)
         return Client(argv, environment(box.session), ("podman", "rm", "--force", "--time=0", "--ignore", f"--cidfile={CID}"))
 

@@ -90,6 +90,11 @@ def podman_options() -> tuple[str, ...]:
     return settled("podman", _podman, _around_podman).options
 
 
+def podman_enforced() -> frozenset[str]:
+    """The limits that hold in podman's containers."""
+    return settled("podman", _podman, _around_podman).abilities.enforced
+
+
 def known(name: str, ask: Callable[[], Found], around: Sequence[str]) -> Found:
     """What is remembered of an engine that is the same as then, in the same surroundings; else what it says now."""
     return _known(name, ask, json.dumps([_boot(), os.geteuid(), *(_state(path) for path in around), *_variables()]))
