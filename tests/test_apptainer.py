@@ -172,6 +172,24 @@ def test_a_squashfs_that_was_changed_is_never_run(tmp_path: Path, busybox: Path)
     assert made.read_bytes() == good
 
 
+def test_a_sif_executes_as_it_is_and_not_when_it_was_changed(tmp_path: Path, busybox: Path) -> None:
+    folder = tmp_path / "project"
+    folder.mkdir()
+    built = ["apptainer", "--silent", "build", str(folder / "sim.sif"), f"docker-archive:{busybox}"]
+    done = subprocess.run(built, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    containers.make(folder, "sim.sif", ENGINE)
+    assert "4 executed" in says(folder, *RUN)
+    [row] = rows(
+        folder, "SELECT DISTINCT i.image LIKE 'squashfs:%' AS own, m.kind FROM isolations i JOIN images m USING (image)"
+    )
+    assert row == {"own": True, "kind": "squashfs"}
+    content = bytearray((folder / "sim.sif").read_bytes())
+    content[-5000] ^= 1
+    (folder / "sim.sif").write_bytes(content)
+    assert "sim.sif is not the pinned one" in says(folder, "run", "population_size=3", "--no-figures", code=3)
+
+
 def test_limits_that_hold_and_those_that_were_asked_for_are_recorded(tmp_path: Path, busybox: Path) -> None:
     folder = containers.make(tmp_path / "project", busybox, ENGINE, "cpus = 1.0", "pids = 60")
     said = says(folder, *RUN)
