@@ -12,7 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from sierra.engines import Abilities, find, sandboxes
+from sierra.engines import Abilities, Box, Process, find, sandboxes
+from sierra.images import Image, Kind
 from sierra.model import Result
 from tests.projects import quick
 
@@ -153,6 +154,35 @@ def test_trouble_is_not_remembered_by_the_next_process(pretended: Pretended, tmp
     pretended.program("podman", podman("echo 'Error: not now' >&2; exit 125"))
     assert find("podman").probe().trouble
     assert not (tmp_path / "cache" / "sierra" / "engines.json").exists()
+
+
+def test_singularity_ce_is_spoken_to_by_its_own_names(pretended: Pretended) -> None:
+    says = 'case "$1" in --version) echo singularity-ce version 4.1.2 ;; buildcfg) ;; *) ' + STARTS + " ;; esac"
+    pretended.program("singularity", says)
+    assert find("apptainer").probe().version.startswith("singularity-ce 4.1.2")
+    box = Box(Image("x", "sha256:0", Kind.OCI, "", (), {}), "/image", "session")
+    client = find("apptainer").client(box, Process(("true",), {"VALUE": "1,2"}, (), "/"))
+    assert client.argv[0] == "singularity"
+    assert client.environment["SINGULARITYENV_SIERRA__VALUE"] == "1,2"
+    assert not any(name.startswith("APPTAINER") for name in client.environment)
+
+
+@pytest.mark.parametrize(
+    ("complaint", "remedy"),
+    [
+        ("ERROR  : Could not write info to setgroups: user namespace not permitted", "installs apptainer with setuid"),
+        ("ERROR  : Requesting capability set 0x1ffffffffff while permitted capability set is 0x0", "default capabilities"),
+        ("FATAL:   while starting: it rains", "it rains"),
+    ],
+)
+def test_what_apptainer_fails_at_is_one_line(complaint: str, remedy: str, pretended: Pretended) -> None:
+    fails = (
+        f"case \"$1\" in --version) echo apptainer version 1.4.5 ;; buildcfg) ;; *) echo '{complaint}' >&2; exit 255 ;; esac"
+    )
+    pretended.program("apptainer", fails)
+    trouble = find("apptainer").probe().trouble
+    assert remedy in trouble
+    assert "\n" not in trouble
 
 
 class TestApptainersEndings:
