@@ -6,6 +6,7 @@ import json
 import os
 import shutil
 import subprocess
+import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -150,10 +151,13 @@ def test_what_was_found_is_remembered_until_something_changes(pretended: Pretend
     assert pretended.asked() == 1
 
 
-def test_trouble_is_not_remembered_by_the_next_process(pretended: Pretended, tmp_path: Path) -> None:
-    pretended.program("podman", podman("echo 'Error: not now' >&2; exit 125"))
-    assert find("podman").probe().trouble
-    assert not (tmp_path / "cache" / "sierra" / "engines.json").exists()
+def test_trouble_is_not_remembered(pretended: Pretended, tmp_path: Path) -> None:
+    broken = tmp_path / "broken"
+    broken.touch()
+    pretended.program("podman", podman(f"test -e {broken} && {{ echo 'Error: not now' >&2; exit 125; }}; {STARTS}"))
+    assert "not now" in find("podman").probe().trouble
+    broken.unlink()
+    assert find("podman").probe().trouble == ""
 
 
 def test_singularity_ce_is_spoken_to_by_its_own_names(pretended: Pretended) -> None:
@@ -183,6 +187,23 @@ def test_what_apptainer_fails_at_is_one_line(complaint: str, remedy: str, preten
     trouble = find("apptainer").probe().trouble
     assert remedy in trouble
     assert "\n" not in trouble
+
+
+def test_apptainer_works_where_nothing_can_be_remembered(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, require: Callable[..., str]
+) -> None:
+    require("apptainer")
+    (tmp_path / "cache").write_text("no folder")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    assert find("apptainer").probe().trouble == ""
+
+
+def test_no_room_for_trying_is_said(pretended: Pretended, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pretended.program("podman", podman(STARTS))
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "nowhere"))
+    trouble = find("podman").probe().trouble
+    assert "No such file or directory" in trouble
+    assert str(tmp_path / "nowhere") in trouble
 
 
 class TestApptainersEndings:

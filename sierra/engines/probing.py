@@ -97,7 +97,11 @@ def podman_enforced() -> frozenset[str]:
 
 def known(name: str, ask: Callable[[], Found], around: Sequence[str]) -> Found:
     """What is remembered of an engine that is the same as then, in the same surroundings; else what it says now."""
-    return _known(name, ask, json.dumps([_boot(), os.geteuid(), *(_state(path) for path in around), *_variables()]))
+    key = json.dumps([name, _boot(), os.geteuid(), *(_state(path) for path in around), *_variables()])
+    found = _WORKS.get(key) or _known(name, ask, key)
+    if not found.abilities.trouble:
+        _WORKS[key] = found
+    return found
 
 
 def settled(name: str, ask: Callable[[], Found], around: Callable[[], Sequence[str]]) -> Found:
@@ -110,16 +114,24 @@ def _settled(name: str, ask: Callable[[], Found], around: Callable[[], Sequence[
     return known(name, ask, around())
 
 
-@cache
+_WORKS: dict[str, Found] = {}
+"""What this process has found to work, also where nothing can be remembered."""
+
+
 def _known(name: str, ask: Callable[[], Found], key: str) -> Found:
     remembered = Remembered(user_engines(), MOST)
-    fact = remembered.get(f"{name} {key}")
+    fact = remembered.get(key)
     if fact is not None:
         with contextlib.suppress(TypeError, KeyError):
             return _unpacked(fact)
-    found = ask()
+    try:
+        found = ask()
+    except OSError as error:
+        return Found(
+            Abilities(name, trouble=f"{name} can't be tried: {error.filename or tempfile.gettempdir()}: {error.strerror}")
+        )
     if not found.abilities.trouble:
-        remembered.put(f"{name} {key}", _packed(found))
+        remembered.put(key, _packed(found))
         remembered.save()
     return found
 

@@ -136,12 +136,20 @@ def _ways(program: str) -> Iterator[Way]:
     """From the one that isolates best."""
     said = probing.run((program, "buildcfg")).stdout
     match = re.search(r"^(?:APPTAINER|SINGULARITY)_CONF_FILE=(.+)$", said, re.MULTILINE)
-    configuration = match[1] if match and os.access(match[1], os.R_OK) else ""
+    configuration = match[1] if match and _can_be_changed(match[1]) else ""
     if os.geteuid() != 0 and shutil.which("unshare"):
         yield Way(program, configuration, mapped=True, squashfs=True)
     if configuration:
         yield Way(program, configuration, mapped=False, squashfs=True)
     yield Way(program, "", mapped=False, squashfs=True)
+
+
+def _can_be_changed(configuration: str) -> bool:
+    """Whether it can be read, and another one be written."""
+    try:
+        return bool(_configured(user_apptainer(), configuration, False))
+    except OSError:
+        return False
 
 
 def _start(one: Way, limits: Sequence[str], squashfs: Path | None = None) -> Told:
