@@ -152,8 +152,10 @@ def test_whatever_is_killed_no_container_is_left(sleeping: tuple[Path, subproces
 
 def test_what_all_have_lost_is_ended_by_the_next_asking(sleeping: tuple[Path, subprocess.Popen[str], str]) -> None:
     folder, asking, mark = sleeping
-    for pid in (asking.pid, *of(folder, "worker")):
-        os.kill(pid, signal.SIGKILL)
+    lost = (asking.pid, *of(folder, "worker"))
+    for number in (signal.SIGSTOP, signal.SIGKILL):  # so that neither sees the other's end
+        for pid in lost:
+            os.kill(pid, number)
     asking.wait()
     assert len(list(containers.sleepers(mark))) >= 2
     (folder / "sim.sh").write_text(containers.SIMULATOR)
