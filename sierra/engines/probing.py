@@ -54,9 +54,9 @@ while IFS=: read -r _ kinds path; do
     done
 done < /proc/self/cgroup
 echo told
-head -c 192m /dev/zero 2>/dev/null | tail -c 192m >/dev/null 2>&1
-echo on
 """
+FILL = "head -c 192m /dev/zero 2>/dev/null | tail -c 192m >/dev/null 2>&1; echo on"
+"""A script of which a part needs more memory than it may have."""
 QUOTAS = {"cpu.max": ("50000 100000", "cpus"), "cpu.cfs_quota_us": ("50000", "cpus"), "pids.max": (f"{PIDS}", "pids")}
 
 
@@ -146,12 +146,20 @@ def _unpacked(fact: Mapping[str, Any]) -> Found:
     return Found(Abilities(**{**fields, "enforced": frozenset(fields["enforced"])}), tuple(fact["options"]))
 
 
-def start(words: Callable[[Path, Mapping[str, str]], Sequence[str]], environment: Mapping[str, str] | None = None) -> Told:
-    """Start a container; `words` makes the command from the folder that is its root and from what is mounted there."""
+def start(
+    words: Callable[[Path, Mapping[str, str]], Sequence[str]],
+    environment: Mapping[str, str] | None = None,
+    *,
+    fill: bool = False,
+) -> Told:
+    """Start a container; `words` makes the command from the folder that is its root and from what is mounted there.
+
+    `fill` is to use more memory than it may have, where that is limited.
+    """
     with tempfile.TemporaryDirectory(prefix="sierra-probe-") as made:
         root = Path(made)
         mounts = furnish(root)
-        command = (*words(root, mounts), "/bin/sh", "-c", TELL)
+        command = (*words(root, mounts), "/bin/sh", "-c", TELL + (FILL if fill else "echo on"))
         said = run(command, environment)
     return _told(said)
 
@@ -260,7 +268,8 @@ def _podman() -> Found:
         if options and "--runtime=runc" in options and shutil.which("runc") is None:
             continue
         for given in ((*podman_memory(MEMORY), *limits), limits, ()):
-            told = start(lambda root, mounts, o=options, g=given: _podman_words(o, g, root, mounts))  # type: ignore[misc]
+            fill = any(option.startswith("--memory") for option in given)
+            told = start(lambda root, mounts, o=options, g=given: _podman_words(o, g, root, mounts), fill=fill)  # type: ignore[misc]
             if not told.trouble:
                 named = _podman_version(options, version)
                 return Found(Abilities(named, told.rootless, told.enforced, told.isolated, told.user), options)
