@@ -62,13 +62,10 @@ class Containment:
     notes: tuple[str, ...] = ()
 
     @property
-    def id(self) -> str | None:
-        """The hash of what is recorded; None where nothing contains the runs."""
-        return digest("isolation", self._fields()) if self.box else None
-
-    def rows(self) -> list[dict[str, Any]]:
-        """The row of `isolations`, if there is one."""
-        return [{"isolation": self.id, **self._fields()}] if self.box else []
+    def row(self) -> dict[str, Any] | None:
+        """The row of `isolations`, whose id is the hash of all else in it; None where nothing contains the runs."""
+        fields = self._fields()
+        return {"isolation": digest("isolation", fields), **fields} if fields else None
 
     @property
     def context(self) -> dict[str, Any]:
@@ -76,7 +73,7 @@ class Containment:
         if self.box is None:
             return {"engine": self.engine.name}
         enforced = tuple(sorted(self.enforced))
-        return {"engine": self.engine.name, "isolation": self.id, "shared": self.box.shared, "enforced": enforced}
+        return {"engine": self.engine.name, "isolation": self.row, "shared": self.box.shared, "enforced": enforced}
 
     def close(self) -> None:
         """Remove all containers that are left."""

@@ -1,0 +1,181 @@
+"""What is recorded of containers is shown, compared, and kept: images by what is in them, and how executions were isolated."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import sierra
+from sierra.engines import Abilities, probing
+from sierra.keeping.findings import Kind
+from tests import containers, images, projects, stores
+from tests.test_fsck import forge
+
+pytestmark = pytest.mark.real
+VERSIONS = {"old": {"libc6": "2.36-9", "tzdata": "1"}, "new": {"libc6": "2.36-10", "zlib": "3"}}
+ENFORCED = Abilities("podman 1, runc 1", enforced=frozenset({"cpus", "pids"}), user="root")
+IGNORED = Abilities("podman 2, runc 1", enforced=frozenset({"pids"}), user="root")
+
+
+def image(folder: Path, name: str) -> Path:
+    """A shell, and packages as Debian writes them down."""
+    links = [(f"bin/{applet} -> busybox", "") for applet in ("sh", "sed", "cat")]
+    shell = images.layer(*((one, "") for one in containers.FOLDERS), ("bin/busybox", containers.BUSYBOX.read_bytes()), *links)
+    status = "".join(
+        f"Package: {package}\nStatus: install ok installed\nVersion: {version}\n\n"
+        for package, version in VERSIONS[name].items()
+    )
+    more = images.layer(("var/lib/dpkg/status", status), ("usr/lib/libm.so", name))
+    made = images.config([shell, more], config={"Env": [f"MODEL={name}"]}, history=[{"created_by": f"COPY {name}"}])
+    return images.docker_archive(folder / f"{name}.tar", [shell, more], made)
+
+
+def configure(root: Path, name: str, *more: str) -> None:
+    """Let the project's runs execute in this image; `more` are lines of [container]."""
+    before = (root / "sierra.toml").read_text().partition("[container]")[0]
+    container = "\n".join(("[container]", f'image = "../{name}.tar"', *more))
+    (root / "sierra.toml").write_text(f"{before}{container}\n")
+
+
+def succeed(root: Path, *words: str) -> str:
+    done = projects.quick(root, *words)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+def ask(root: Path, *words: str) -> str:
+    succeed(root, "run", *words, "--runs", "1", "--no-figures")
+    return str(sierra.open(root).batches[-1]["batch"])
+
+
+def make(folder: Path) -> Path:
+    """A project with the batches `old`, `new` in another image, and `reaching` in that one with more that it reaches."""
+    for name in VERSIONS:
+        image(folder, name)
+    root = projects.make(folder / "project", projects.CONFIG.replace("python3 sim.py {input}", "sh sim.sh {input}"))
+    (root / "sim.py").unlink()
+    (root / "sim.sh").write_text(containers.SIMULATOR)
+    for name in ("a", "b"):
+        (folder / "maps" / name).mkdir(parents=True)
+        (folder / "maps" / name / "town").write_text(name)
+    (folder / "maps" / "town").write_text("1")
+    batches = {}
+    with pytest.MonkeyPatch.context() as patch:
+        for called, able, name, more in (
+            ("old", ENFORCED, "old", ("cpus = 1.0", "pids = 50")),
+            ("new", IGNORED, "new", ("cpus = 1.0", "pids = 50")),
+            ("reaching", ENFORCED, "new", ("network = true", 'mounts = { "/maps" = "../maps" }')),
+        ):
+            patch.setattr(probing, "podman", lambda able=able: able)
+            configure(root, name, *more)
+            succeed(root, "image", "pin")
+            batches[called] = ask(root, "population_size=1")
+    (folder / "batches.json").write_text(json.dumps(batches))
+    return folder
+
+
+@pytest.fixture(scope="session")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Callable[[], Path]:
+    """Makes that, once: where it is asked for, it is known that all is there that it needs."""
+    folder = tmp_path_factory.mktemp("contained")
+
+    def once() -> Path:
+        return folder if (folder / "batches.json").exists() else make(folder)
+
+    return once
+
+
+@pytest.fixture
+def root(tmp_path: Path, made: Callable[[], Path], require: Callable[..., str]) -> Path:
+    """A copy of it, which a test may change."""
+    require("busybox-static, as /bin/busybox", there=containers.BUSYBOX.exists())
+    require("podman")
+    return stores.copy(made(), tmp_path / "copy") / "project"
+
+
+@pytest.fixture
+def batches(root: Path) -> dict[str, str]:
+    found: dict[str, str] = json.loads((root.parent / "batches.json").read_text())
+    return found
+
+
+def said(root: Path, *words: str) -> dict[str, Any]:
+    answer: dict[str, Any] = json.loads(projects.quick(root, *words, "--json").stdout)
+    return answer
+
+
+def execution(root: Path, batch: str) -> str:
+    [row] = sierra.open(root).sql("SELECT execution FROM executions WHERE batch = $b", b=batch).to_pylist()
+    return str(row["execution"])
+
+
+# ---------------------------------------------------------------- kept
+
+
+def wrong(root: Path) -> set[Kind]:
+    return {finding.kind for finding in sierra.open(root).fsck().findings if not finding.kind.fine}
+
+
+def test_what_is_recorded_of_containers_is_sound(root: Path) -> None:
+    assert "sound: " in succeed(root, "fsck")
+    assert said(root, "fsck")["findings"] == []
+
+
+def test_how_executions_were_contained_is_recorded_with_them(root: Path) -> None:
+    """As after `kill -9`: what an asking records at its end is not there."""
+    for path in root.glob(".sierra/segments/*/sessions.parquet"):
+        shutil.rmtree(path.parent)
+    found = sierra.open(root).fsck()
+    assert found.executions == 3
+    assert all("contained" not in finding.what for finding in found.findings)
+    assert len(sierra.open(root).sql("SELECT DISTINCT isolation FROM isolations JOIN executions USING (isolation)")) == 3
+
+
+FORGED: dict[str, tuple[str, dict[str, Any], Kind]] = {
+    "a network": ("isolations", {"network": "none at all"}, Kind.INCONSISTENT),
+    "an isolation": ("isolations", {"isolation": "0" * 64}, Kind.LOST),
+    "an image": ("images", {"image": "sha256:" + "0" * 64}, Kind.LOST),
+    "a listing": ("images", {"files": "0" * 64}, Kind.LOST),
+}
+
+
+@pytest.mark.parametrize("what", FORGED)
+def test_a_forged_record_of_containers_is_found(root: Path, what: str) -> None:
+    table, change, kind = FORGED[what]
+    forge(root, table, lambda row: row.update(change))
+    assert kind in wrong(root)
+
+
+def rows(root: Path, table: str) -> list[dict[str, Any]]:
+    found: list[dict[str, Any]] = sierra.open(root).sql(f"SELECT * FROM {table}").to_pylist()
+    return found
+
+
+def test_what_only_a_removed_batch_needs_goes_and_what_others_need_stays(root: Path, batches: Mapping[str, str]) -> None:
+    named = {row["name"]: row for row in rows(root, "images")}
+    succeed(root, "rm", batches["reaching"], "--yes")
+    assert {row["name"] for row in rows(root, "images")} == {"../old.tar", "../new.tar"}
+    assert {row["network"] for row in rows(root, "isolations")} == {"none"}
+    succeed(root, "rm", batches["old"], "--yes")
+    assert [row["name"] for row in rows(root, "images")] == ["../new.tar"]
+    assert [row["version"] for row in rows(root, "isolations")] == ["podman 2, runc 1"]
+    kept = {row["sha256"] for row in sierra.open(root).sql("SELECT sha256 FROM objects").to_pylist()}
+    assert named["../new.tar"]["files"] in kept
+    assert named["../old.tar"]["files"] not in kept
+    assert wrong(root) == set()
+    succeed(root, "rm", batches["new"], "--yes")
+    assert rows(root, "images") == rows(root, "isolations") == []
+
+
+def test_merged_segments_keep_what_is_recorded_of_containers(root: Path) -> None:
+    before = {table: sorted(map(str, rows(root, table))) for table in ("images", "isolations")}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("sierra.keeping.collecting.MANY", 2)
+        assert "9 small segments, merged into 3" in succeed(root, "gc", "--yes")
+    assert {table: sorted(map(str, rows(root, table))) for table in before} == before
+    assert wrong(root) == set()
