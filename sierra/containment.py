@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -33,6 +33,11 @@ def reach(container: Container | None) -> tuple[str, ...]:
     flags = [name for name, given in ((NETWORK, container.network), (GPU, container.gpu)) if given]
     listed = [f"{DEVICE}{path}" for path in container.devices] + [f"{MOUNT}{path}" for path in container.mounts]
     return tuple(sorted({*flags, *listed}))
+
+
+def other_reach(was: Sequence[str], now: Sequence[str]) -> list[str]:
+    """What runs reach now that they did not, and the other way round, in words."""
+    return [*(f"{one} is new" for one in now if one not in was), *(f"{one} is gone" for one in was if one not in now)]
 
 
 def data(named: Programs, container: Container, project: Path) -> Programs:

@@ -114,6 +114,58 @@ def execution(root: Path, batch: str) -> str:
     return str(row["execution"])
 
 
+# ---------------------------------------------------------------- compared
+
+
+def differences(root: Path, *words: str) -> dict[tuple[str, str], dict[str, Any]]:
+    return {(one["kind"], one["name"]): one for one in said(root, "diff", *words)["differences"]}
+
+
+def test_images_are_compared_by_what_is_in_them(root: Path, batches: Mapping[str, str]) -> None:
+    found = differences(root, batches["old"], batches["new"])
+    names = [name for kind, name in found if kind == "image"]
+    assert names == ["image", "dpkg", "variables", "files"]
+    assert found["image", "image"]["line"].startswith("image: ../old.tar (sha256:")
+    packages = found["image", "dpkg"]
+    assert packages["line"].endswith("3 differ: libc6 2.36-9 → 2.36-10, tzdata 1 gone, zlib 3 new")
+    assert packages["is"] == {"libc6": "2.36-10", "tzdata": None, "zlib": "3"}
+    assert "MODEL old → new" in found["image", "variables"]["line"]
+    assert found["image", "files"]["line"].endswith("2 differ: usr/lib/libm.so, var/lib/dpkg/status")
+
+
+def test_isolations_are_compared_by_what_was_enforced(root: Path, batches: Mapping[str, str]) -> None:
+    found = differences(root, batches["old"], batches["new"])
+    told = {name: one["line"] for (kind, name), one in found.items() if kind == "isolation"}
+    assert told == {
+        "limits_enforced": "limits enforced: cpus 1 → nothing",
+        "limits_ignored": "limits ignored: cpus nothing → 1",
+        "version": "engine's version: podman 1, runc 1 → podman 2, runc 1",
+    }
+
+
+def test_what_runs_reach_is_compared(root: Path, batches: Mapping[str, str]) -> None:
+    found = differences(root, batches["new"], batches["reaching"])
+    assert [name for kind, name in found if kind == "image"] == ["reach"]
+    assert "mount /maps is new, network is new" in found["image", "reach"]["line"]
+    assert found["isolation", "network"]["line"] == "network of the container: none → host"
+
+
+def test_an_execution_in_a_container_is_compared_with_one_in_none(root: Path, batches: Mapping[str, str]) -> None:
+    (root / "sierra.toml").write_text((root / "sierra.toml").read_text().partition("[container]")[0])
+    plain = ask(root, "population_size=1")
+    found = differences(root, batches["old"], plain)
+    assert found["image", "image"]["line"].endswith(" → none")
+    assert found["isolation", "engine"]["line"] == "contained by: podman 1, runc 1 → none, on the host itself"
+
+
+def test_what_is_in_an_image_is_compared_as_far_as_it_is_recorded(root: Path, batches: Mapping[str, str]) -> None:
+    for path in root.glob(".sierra/segments/*/images.parquet"):
+        path.unlink()
+    found = differences(root, batches["old"], batches["new"])
+    assert [name for kind, name in found if kind == "image"] == ["image"]
+    assert "of which nothing is recorded" in found["image", "image"]["line"]
+
+
 # ---------------------------------------------------------------- kept
 
 
