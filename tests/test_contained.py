@@ -166,6 +166,41 @@ def test_what_is_in_an_image_is_compared_as_far_as_it_is_recorded(root: Path, ba
     assert "of which nothing is recorded" in found["image", "image"]["line"]
 
 
+# ---------------------------------------------------------------- why runs are new
+
+
+def explained(root: Path) -> str:
+    return succeed(root, "run", "population_size=1", "--runs", "1", "--dry-run", "--explain")
+
+
+def test_another_image_makes_runs_new_and_its_packages_are_named(root: Path, batches: Mapping[str, str]) -> None:
+    succeed(root, "rm", batches["old"], batches["reaching"], "--yes")
+    configure(root, "old")
+    text = explained(root)
+    assert "the image was ../new.tar (sha256:" in text
+    assert "other packages in it: libc6 2.36-10 → 2.36-9 (dpkg), tzdata 1 new (dpkg), zlib 3 gone (dpkg)" in text
+    assert sierra.open(root).why(batches["new"]).again[1].startswith("the image was ")
+
+
+def test_why_tells_what_is_other_in_the_image(root: Path, batches: Mapping[str, str]) -> None:
+    text = succeed(root, "why", batches["new"])
+    assert "image: ../old.tar (sha256:" in text
+    assert "libc6 2.36-9 → 2.36-10" in text
+    assert "what runs reach beyond the image: mount /maps is new, network is new" in succeed(root, "why", batches["reaching"])
+
+
+@pytest.mark.parametrize(
+    ("lines", "told"),
+    [
+        (['mounts = { "/maps" = "../maps" }'], "network is gone"),
+        (["network = true", 'devices = ["/dev/null"]'], "device /dev/null is new, mount /maps is gone"),
+    ],
+)
+def test_what_runs_reach_makes_them_new(root: Path, lines: list[str], told: str) -> None:
+    configure(root, "new", *lines)
+    assert f"what runs reach beyond the image has changed: {told}" in explained(root)
+
+
 # ---------------------------------------------------------------- kept
 
 
