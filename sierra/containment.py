@@ -43,14 +43,15 @@ def other_reach(was: Sequence[str], now: Sequence[str]) -> list[str]:
 def data(named: Programs, container: Container, project: Path) -> Programs:
     """The files that count beside image and source: those of the project that a template names, and all that is mounted.
 
-    What a template names elsewhere is the image's.
+    What a template names elsewhere is the image's. Where a file is mounted counts, as no other file's place does: it is the
+    same wherever the project lies.
     """
     digests = Digests()
     mounted = []
     for target, source in container.mounts.items():
         root = _there(project, target, source)
         for path in sorted(below for below in root.rglob("*") if below.is_file()) if root.is_dir() else [root]:
-            name = str(Path(target, path.relative_to(root)))
+            name = f"{{mount}}{Path(target, path.relative_to(root))}"
             mounted.append(Program(name, str(path), digests.of(str(path)), Kind.FILE))
     digests.save()
     own = (one for one in named.all if one.name.startswith("{project}/"))

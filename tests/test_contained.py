@@ -201,6 +201,22 @@ def test_what_runs_reach_makes_them_new(root: Path, lines: list[str], told: str)
     assert f"what runs reach beyond the image has changed: {told}" in explained(root)
 
 
+def test_mounted_files_that_changed_are_named(root: Path, batches: Mapping[str, str]) -> None:
+    assert "1 runs: reused" in explained(root)
+    maps = root.parent / "maps"
+    (maps / "town").write_text("2")
+    assert "{mount}/maps/town: 6b86b273ff recorded" in explained(root)
+    assert "{mount}/maps/town: 6b86b273ff recorded" in succeed(root, "why", batches["reaching"])
+
+
+def test_mounted_files_that_changed_places_count(root: Path) -> None:
+    one, other = (root.parent / "maps" / folder / "town" for folder in ("a", "b"))
+    assert "1 runs: reused" in explained(root)
+    one.write_text("b")
+    other.write_text("a")
+    assert "1 runs: executed with other programs" in explained(root)
+
+
 # ---------------------------------------------------------------- kept
 
 
