@@ -8,13 +8,15 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 import sierra
 from sierra.engines import Abilities, probing
 from sierra.keeping.findings import Kind
 from tests import containers, images, projects, stores
-from tests.test_fsck import forge
+from tests.test_fsck import seal
 
 pytestmark = pytest.mark.real
 VERSIONS = {"old": {"libc6": "2.36-9", "tzdata": "1"}, "new": {"libc6": "2.36-10", "zlib": "3"}}
@@ -112,6 +114,54 @@ def said(root: Path, *words: str) -> dict[str, Any]:
 def execution(root: Path, batch: str) -> str:
     [row] = sierra.open(root).sql("SELECT execution FROM executions WHERE batch = $b", b=batch).to_pylist()
     return str(row["execution"])
+
+
+def forge(root: Path, table: str, change: Mapping[str, Any]) -> None:
+    """Write all rows of a table anew, changed, so that all hashes of files are right."""
+    for path in sorted(root.glob(f".sierra/segments/*/{table}.parquet")):
+        found = pq.read_table(path)
+        pq.write_table(pa.Table.from_pylist([{**row, **change} for row in found.to_pylist()], schema=found.schema), path)
+        seal(path.parent)
+
+
+# ---------------------------------------------------------------- shown
+
+
+@pytest.mark.parametrize("kind", ["batch", "execution"])
+def test_the_image_and_how_it_was_contained_are_shown(root: Path, batches: Mapping[str, str], kind: str) -> None:
+    identity = batches["old"] if kind == "batch" else execution(root, batches["old"])
+    shown = said(root, "show", identity)
+    assert shown["image"]["packages"] == {"dpkg": ["libc6==2.36-9", "tzdata==1"]}
+    assert (shown["image"]["name"], shown["image"]["kind"]) == ("../old.tar", "oci")
+    isolation = shown["isolation"] if kind == "execution" else shown["isolations"][0]
+    assert (isolation["engine"], isolation["version"], isolation["mode"]) == ("podman", "podman 1, runc 1", "run")
+    assert isolation["limits_enforced"] == isolation["limits_asked"] == {"cpus": 1.0, "pids": 50}
+    text = succeed(root, "show", identity)
+    for words in (shown["image"]["image"], "2 of dpkg", "COPY old", "nothing beyond it", "one for each run", "cpus 1, pids 50"):
+        assert words in text
+    assert "IGNORED" not in text
+
+
+def test_a_limit_that_was_only_ignored_stands_out(root: Path, batches: Mapping[str, str]) -> None:
+    text = succeed(root, "show", batches["new"])
+    assert [line.split() for line in text.splitlines() if "IGNORED" in line] == [["LIMITS", "IGNORED", "cpus", "1"]]
+    [isolation] = said(root, "show", batches["new"])["isolations"]
+    assert isolation["limits_ignored"] == {"cpus": 1.0}
+
+
+def test_what_runs_reach_is_shown(root: Path, batches: Mapping[str, str]) -> None:
+    text = succeed(root, "show", execution(root, batches["reaching"]))
+    assert "mount /maps, network" in text
+    assert "/maps from /" in text
+
+
+def test_an_execution_in_no_container_is_shown_as_such(root: Path, batches: Mapping[str, str]) -> None:
+    """As a replay on the host itself leaves it."""
+    one = execution(root, batches["old"])
+    forge(root, "isolations", {"isolation": "0" * 64})
+    assert "engine  not recorded" in succeed(root, "show", one)
+    forge(root, "executions", {"isolation": None})
+    assert "isolation: none; it was executed on the host itself" in succeed(root, "show", one)
 
 
 # ---------------------------------------------------------------- compared
@@ -250,7 +300,7 @@ FORGED: dict[str, tuple[str, dict[str, Any], Kind]] = {
 @pytest.mark.parametrize("what", FORGED)
 def test_a_forged_record_of_containers_is_found(root: Path, what: str) -> None:
     table, change, kind = FORGED[what]
-    forge(root, table, lambda row: row.update(change))
+    forge(root, table, change)
     assert kind in wrong(root)
 
 
