@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -22,6 +22,8 @@ from sierra.provenance.program import Kind, Program, Programs
 NETWORK, GPU, DEVICE, MOUNT = "network", "gpu", "device ", "mount "
 PROJECT = f"{INSIDE}/project"
 PYTHON = "python3"
+WATCHED = frozenset(("memory",))
+"""Limits that the worker watches over where the engine does not enforce them."""
 SPARE_S = 60.0
 """Beyond a run's time limit, until its container ends by itself: whoever watched over it must be gone."""
 
@@ -38,6 +40,18 @@ def reach(container: Container | None) -> tuple[str, ...]:
 def other_reach(was: Sequence[str], now: Sequence[str]) -> list[str]:
     """What runs reach now that they did not, and the other way round, in words."""
     return [*(f"{one} is new" for one in now if one not in was), *(f"{one} is gone" for one in was if one not in now)]
+
+
+def limits(row: Mapping[str, Any]) -> dict[str, dict[str, float]]:
+    """The limits in a row of `isolations`: those asked for, and of these the enforced, the watched, and the ignored."""
+    asked, enforced = (json.loads(row[name]) for name in ("limits_asked", "limits_enforced"))
+    left = {name: limit for name, limit in asked.items() if name not in enforced}
+    return {
+        "limits_asked": asked,
+        "limits_enforced": enforced,
+        "limits_watched": {name: limit for name, limit in left.items() if name in WATCHED},
+        "limits_ignored": {name: limit for name, limit in left.items() if name not in WATCHED},
+    }
 
 
 def data(named: Programs, container: Container, project: Path) -> Programs:
@@ -184,7 +198,7 @@ def _check_command(recipe: Recipe, inside: Contents) -> None:
 
 def _ignored(engine: Engine, able: Abilities, box: Box) -> Iterator[str]:
     """The limits that are asked for, and that nobody enforces: over memory, the worker watches."""
-    for name in sorted(box.limits.keys() - able.enforced - {"memory"}):
+    for name in sorted(box.limits.keys() - able.enforced - WATCHED):
         yield f"LIMIT IGNORED: {engine.name} does not enforce {name} here ({able.version})"
     if not box.network and not able.isolated:
         yield f"NOT ISOLATED: {engine.name} gives containers the network here ({able.version})"

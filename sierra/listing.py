@@ -6,6 +6,7 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+from sierra.containment import limits
 from sierra.paths import STORE, WORK
 from sierra.store import Found, Question, Store
 from sierra.store.files import recorded, take
@@ -248,9 +249,7 @@ def _image(question: Question, identity: str | None) -> dict[str, Any] | None:
 
 def _isolation(row: dict[str, Any]) -> dict[str, Any]:
     """How executions were contained, likewise; with the limits that were asked for and not enforced."""
-    parsed = {name: json.loads(row[name]) for name in ("mounts", "limits_asked", "limits_enforced")}
-    ignored = {name: limit for name, limit in parsed["limits_asked"].items() if name not in parsed["limits_enforced"]}
-    return row | parsed | {"limits_ignored": ignored}
+    return row | {"mounts": json.loads(row["mounts"])} | limits(row)
 
 
 def _programs(question: Question, identity: str | None) -> list[dict[str, Any]]:

@@ -19,6 +19,7 @@ from tests import containers, images, projects, stores
 from tests.test_fsck import seal
 
 pytestmark = pytest.mark.real
+LIMITS = '[limits]\nmemory = "64 MB"\n'
 VERSIONS = {"old": {"libc6": "2.36-9", "tzdata": "1"}, "new": {"libc6": "2.36-10", "zlib": "3"}}
 ENFORCED = Abilities("podman 1, runc 1", enforced=frozenset({"cpus", "pids"}), user="root")
 IGNORED = Abilities("podman 2, runc 1", enforced=frozenset({"pids"}), user="root")
@@ -59,7 +60,7 @@ def make(folder: Path) -> Path:
     """A project with the batches `old`, `new` in another image, and `reaching` in that one with more that it reaches."""
     for name in VERSIONS:
         image(folder, name)
-    root = projects.make(folder / "project", projects.CONFIG.replace("python3 sim.py {input}", "sh sim.sh {input}"))
+    root = projects.make(folder / "project", projects.CONFIG.replace("python3 sim.py {input}", "sh sim.sh {input}") + LIMITS)
     (root / "sim.py").unlink()
     (root / "sim.sh").write_text(containers.SIMULATOR)
     for name in ("a", "b"):
@@ -135,7 +136,8 @@ def test_the_image_and_how_it_was_contained_are_shown(root: Path, batches: Mappi
     assert (shown["image"]["name"], shown["image"]["kind"]) == ("../old.tar", "oci")
     isolation = shown["isolation"] if kind == "execution" else shown["isolations"][0]
     assert (isolation["engine"], isolation["version"], isolation["mode"]) == ("podman", "podman 1, runc 1", "run")
-    assert isolation["limits_enforced"] == isolation["limits_asked"] == {"cpus": 1.0, "pids": 50}
+    assert isolation["limits_enforced"] == {"cpus": 1.0, "pids": 50}
+    assert isolation["limits_asked"] == {"cpus": 1.0, "memory": 64_000_000, "pids": 50}
     text = succeed(root, "show", identity)
     for words in (shown["image"]["image"], "2 of dpkg", "COPY old", "nothing beyond it", "one for each run", "cpus 1, pids 50"):
         assert words in text
@@ -145,8 +147,9 @@ def test_the_image_and_how_it_was_contained_are_shown(root: Path, batches: Mappi
 def test_a_limit_that_was_only_ignored_stands_out(root: Path, batches: Mapping[str, str]) -> None:
     text = succeed(root, "show", batches["new"])
     assert [line.split() for line in text.splitlines() if "IGNORED" in line] == [["LIMITS", "IGNORED", "cpus", "1"]]
+    assert "limits watched   memory 64 MB" in text
     [isolation] = said(root, "show", batches["new"])["isolations"]
-    assert isolation["limits_ignored"] == {"cpus": 1.0}
+    assert (isolation["limits_watched"], isolation["limits_ignored"]) == ({"memory": 64_000_000}, {"cpus": 1.0})
 
 
 def test_what_runs_reach_is_shown(root: Path, batches: Mapping[str, str]) -> None:

@@ -88,6 +88,7 @@ def _isolation(isolation: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     yield "devices", ", ".join(isolation["devices"])
     yield "mounts", ", ".join(f"{target} from {source}" for target, source in isolation["mounts"].items())
     yield "limits enforced", _limits(isolation["limits_enforced"]) or "none"
+    yield "limits watched", _limits(isolation["limits_watched"])
     yield "LIMITS IGNORED", _limits(isolation["limits_ignored"])
 
 

@@ -10,6 +10,7 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+from sierra import containment
 from sierra.difference.kinds import ARROW, Difference, changed, shown
 from sierra.difference.sides import Side
 from sierra.hashing import short
@@ -111,6 +112,7 @@ ISOLATION = {
     "user": "user outside of the container",
     "network": "network of the container",
     "limits_enforced": "limits enforced",
+    "limits_watched": "limits that SIERRA watched over",
     "limits_ignored": "limits ignored",
 }
 """What is compared of how executions were contained, and what it is called. Devices and mounts belong to what runs reach."""
@@ -132,9 +134,7 @@ def isolations(question: Question, before: Side, after: Side) -> Iterator[Differ
 
 
 def _isolation(row: Mapping[str, Any]) -> dict[str, Any]:
-    asked, enforced = (json.loads(row[name]) for name in ("limits_asked", "limits_enforced"))
-    ignored = {name: limit for name, limit in asked.items() if name not in enforced}
-    facts = {**row, "limits_enforced": json.dumps(enforced), "limits_ignored": json.dumps(ignored)}
+    facts = {**row, **{name: json.dumps(limits) for name, limits in containment.limits(row).items()}}
     return {name: facts[name] for name in ISOLATION}
 
 
