@@ -87,7 +87,7 @@ CREATE TABLE isolations (
     "devices" VARCHAR[],  -- devices of the host that runs could use; gpu for NVIDIA's
     "mounts" VARCHAR,  -- files and folders of the host that runs could read, as JSON: path inside, path outside
     "limits_asked" VARCHAR,  -- limits that the engine was to enforce, as JSON: memory in bytes, cpus, pids
-    "limits_enforced" VARCHAR,  -- those that it does enforce here; others are ignored
+    "limits_enforced" VARCHAR,  -- those that it does enforce here; others are ignored, but for memory: the worker watches over it
     "argv" VARCHAR[]  -- the command that starts a container, but for what is a run's own
 );
 
@@ -248,7 +248,7 @@ CREATE TABLE readings (
 -- What executions depend on outside source and image: programs, libraries, Python distributions, files.
 CREATE TABLE programs (
     "programs" VARCHAR,  -- hash of the set that was used together
-    "name" VARCHAR,  -- as the command calls it; of a library, as the loader does; of what lies in the project, {project}/…
+    "name" VARCHAR,  -- as the command calls it; of a library, as the loader does; of what lies in the project or is mounted, {project}/… or {mount}/…
     "kind" VARCHAR,  -- program, library, distributions (what a Python has installed) or file
     "version" VARCHAR,  -- of a program, the first line that it says of itself; of distributions, a line name==version each; else NULL
     "path" VARCHAR,  -- where it was found; of several folders, with : between them

@@ -8,7 +8,6 @@ from datetime import UTC, datetime
 from typing import Any
 
 from sierra import images, sessions
-from sierra.containment import Containment
 from sierra.hashing import sha256
 from sierra.model import Batch
 from sierra.paths import SessionPaths
@@ -86,7 +85,6 @@ def close(
     started: datetime,
     runner: str,
     slots: int,
-    contained: Containment | None,
 ) -> None:
     """Record how an asking went, with what was around it."""
     now = context(plan)
@@ -112,8 +110,6 @@ def close(
     if counts["executed"]:
         writer.rows("environments", [plan.environment])
         writer.rows("programs", plan.programs.rows())
-    if contained is not None:
-        writer.rows("isolations", contained.rows())
     store.publish(writer)
 
 

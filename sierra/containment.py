@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -22,6 +22,8 @@ from sierra.provenance.program import Kind, Program, Programs
 NETWORK, GPU, DEVICE, MOUNT = "network", "gpu", "device ", "mount "
 PROJECT = f"{INSIDE}/project"
 PYTHON = "python3"
+WATCHED = frozenset(("memory",))
+"""Limits that the worker watches over where the engine does not enforce them."""
 SPARE_S = 60.0
 """Beyond a run's time limit, until its container ends by itself: whoever watched over it must be gone."""
 
@@ -35,17 +37,35 @@ def reach(container: Container | None) -> tuple[str, ...]:
     return tuple(sorted({*flags, *listed}))
 
 
+def other_reach(was: Sequence[str], now: Sequence[str]) -> list[str]:
+    """What runs reach now that they did not, and the other way round, in words."""
+    return [*(f"{one} is new" for one in now if one not in was), *(f"{one} is gone" for one in was if one not in now)]
+
+
+def limits(row: Mapping[str, Any]) -> dict[str, dict[str, float]]:
+    """The limits in a row of `isolations`: those asked for, and of these the enforced, the watched, and the ignored."""
+    asked, enforced = (json.loads(row[name]) for name in ("limits_asked", "limits_enforced"))
+    left = {name: limit for name, limit in asked.items() if name not in enforced}
+    return {
+        "limits_asked": asked,
+        "limits_enforced": enforced,
+        "limits_watched": {name: limit for name, limit in left.items() if name in WATCHED},
+        "limits_ignored": {name: limit for name, limit in left.items() if name not in WATCHED},
+    }
+
+
 def data(named: Programs, container: Container, project: Path) -> Programs:
     """The files that count beside image and source: those of the project that a template names, and all that is mounted.
 
-    What a template names elsewhere is the image's.
+    What a template names elsewhere is the image's. Where a file is mounted counts, as no other file's place does: it is the
+    same wherever the project lies.
     """
     digests = Digests()
     mounted = []
     for target, source in container.mounts.items():
         root = _there(project, target, source)
         for path in sorted(below for below in root.rglob("*") if below.is_file()) if root.is_dir() else [root]:
-            name = str(Path(target, path.relative_to(root)))
+            name = f"{{mount}}{Path(target, path.relative_to(root))}"
             mounted.append(Program(name, str(path), digests.of(str(path)), Kind.FILE))
     digests.save()
     own = (one for one in named.all if one.name.startswith("{project}/"))
@@ -62,13 +82,10 @@ class Containment:
     notes: tuple[str, ...] = ()
 
     @property
-    def id(self) -> str | None:
-        """The hash of what is recorded; None where nothing contains the runs."""
-        return digest("isolation", self._fields()) if self.box else None
-
-    def rows(self) -> list[dict[str, Any]]:
-        """The row of `isolations`, if there is one."""
-        return [{"isolation": self.id, **self._fields()}] if self.box else []
+    def row(self) -> dict[str, Any] | None:
+        """The row of `isolations`, whose id is the hash of all else in it; None where nothing contains the runs."""
+        fields = self._fields()
+        return {"isolation": digest("isolation", fields), **fields} if fields else None
 
     @property
     def context(self) -> dict[str, Any]:
@@ -76,7 +93,7 @@ class Containment:
         if self.box is None:
             return {"engine": self.engine.name}
         enforced = tuple(sorted(self.enforced))
-        return {"engine": self.engine.name, "isolation": self.id, "shared": self.box.shared, "enforced": enforced}
+        return {"engine": self.engine.name, "isolation": self.row, "shared": self.box.shared, "enforced": enforced}
 
     def close(self) -> None:
         """Remove all containers that are left."""
@@ -181,7 +198,7 @@ def _check_command(recipe: Recipe, inside: Contents) -> None:
 
 def _ignored(engine: Engine, able: Abilities, box: Box) -> Iterator[str]:
     """The limits that are asked for, and that nobody enforces: over memory, the worker watches."""
-    for name in sorted(box.limits.keys() - able.enforced - {"memory"}):
+    for name in sorted(box.limits.keys() - able.enforced - WATCHED):
         yield f"LIMIT IGNORED: {engine.name} does not enforce {name} here ({able.version})"
     if not box.network and not able.isolated:
         yield f"NOT ISOLATED: {engine.name} gives containers the network here ({able.version})"

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 from collections.abc import Iterator
 from typing import Any
 
+from sierra import images, recalled
 from sierra.asked import batch_row, is_kept
+from sierra.containment import other_reach
+from sierra.errors import Damaged, Missing, NotFound
 from sierra.hashing import short
+from sierra.images import Contents
+from sierra.images.differing import files, packages
 from sierra.plans import Plan
 from sierra.provenance import programs
 from sierra.provenance.source import changed
@@ -15,7 +21,7 @@ from sierra.store import Store
 from sierra.wording import few
 
 LIKE = """
-SELECT b.*, r.command, r.variables, r.source, r.image
+SELECT b.*, r.command, r.variables, r.source, r.image, r.reach
 FROM batches b JOIN recipes r USING (recipe) LEFT JOIN (SELECT batch, max(ended) AS answered FROM sessions GROUP BY batch) s
 USING (batch)
 WHERE b.axes = $axes AND b.batch <> $batch
@@ -68,6 +74,7 @@ def why_again(plan: Plan, store: Store | None) -> list[str]:
 def _made_from(plan: Plan, store: Store, before: dict[str, Any]) -> Iterator[str]:
     """What runs are made from now that they were not then."""
     yield from _recipe(plan, before)
+    yield from _image(plan, store, before)
     if before["source"] != plan.batch.recipe.source:
         yield from _source(plan, store, before["source"])
     if before["template_sha256"] != plan.template_sha256:
@@ -99,17 +106,55 @@ def _recipe(plan: Plan, before: dict[str, Any]) -> list[str]:
             lines.append(f"the variable {name} was {variables.get(name)!r} and is {recipe.environment.get(name)!r}")
     if before["platform"] != recipe.platform:
         lines.append(f"the platform was {before['platform']} and is {recipe.platform}")
-    if before["image"] != recipe.image:
-        lines.append(f"the image was {before['image']} and is {recipe.image}")
     return lines
+
+
+def _image(plan: Plan, store: Store, before: dict[str, Any]) -> Iterator[str]:
+    """Another image, what is other in it, and what runs reach beyond it."""
+    recipe = plan.batch.recipe
+    if before["image"] != recipe.image:
+        was, now = _recorded(store, before["image"]), _known(plan, store)
+        called = [one.image.name if one else "" for one in (was, now)]
+        ids = [images.short(identity) if identity else "none" for identity in (before["image"], recipe.image)]
+        told = [f"{name} ({identity})" if name else identity for name, identity in zip(called, ids, strict=True)]
+        yield f"the image was {told[0]} and is {told[1]}"
+        if was and now:
+            yield _inside(was, now)
+    if reach := other_reach(before["reach"] or (), recipe.reach):
+        yield f"what runs reach beyond the image has changed: {', '.join(reach)}"
+
+
+def _recorded(store: Store, identity: str | None) -> Contents | None:
+    """What is recorded of an image; None where it can't be read, which is for fsck to say."""
+    with contextlib.suppress(Missing, NotFound, Damaged):
+        return recalled.inside(store, identity) if identity else None
+    return None
+
+
+def _known(plan: Plan, store: Store) -> Contents | None:
+    """What is known of a plan's image without reading all of it."""
+    if plan.image is None:
+        return None
+    return images.contents(store.paths, plan.image) or _recorded(store, plan.image.id)
+
+
+def _inside(was: Contents, now: Contents) -> str:
+    """The packages that differ, else the files."""
+    changes = [
+        f"{change.text} ({manager})" for manager, those in packages(was.packages, now.packages).items() for change in those
+    ]
+    if changes:
+        return f"other packages in it: {few(changes, SHOWN)}"
+    texts = [change.text for change in files(was.listing, now.listing)]
+    return f"other files in it: {few(texts, SHOWN)}" if texts else "it has the same packages and files"
 
 
 def _source(plan: Plan, store: Store, tree: str) -> list[str]:
     rows = store.rows("SELECT files FROM sources WHERE tree = $t LIMIT 1", t=tree)
     if not rows or plan.source is None:
         return ["the source has changed"]
-    files = changed(store.object(rows[0]["files"]), plan.source.manifest)
-    return [f"the source has changed: {few(files, SHOWN)}"]
+    paths = changed(store.object(rows[0]["files"]), plan.source.manifest)
+    return [f"the source has changed: {few(paths, SHOWN)}"]
 
 
 def _asked(plan: Plan, before: dict[str, Any]) -> list[str]:

@@ -6,6 +6,7 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+from sierra.containment import limits
 from sierra.paths import STORE, WORK
 from sierra.store import Found, Question, Store
 from sierra.store.files import recorded, take
@@ -80,6 +81,8 @@ def _batch(question: Question, found: Found) -> dict[str, Any]:
     [row] = question.sql("SELECT * FROM batches WHERE batch = $b", b=found.id).to_pylist()
     [recipe] = question.sql("SELECT * FROM recipes WHERE recipe = $r", r=row["recipe"]).to_pylist()
     row["recipe"] = recipe
+    row["image"] = _image(question, recipe["image"])
+    row["isolations"] = [_isolation(one) for one in question.sql(ISOLATIONS, b=found.id).to_pylist()]
     row["source"] = _source(question, found.id, recipe["source"])
     last = question.sql(LAST_AROUND, b=found.id).to_pylist()[0]
     row["programs"] = _programs(question, last["programs"])
@@ -215,9 +218,38 @@ def _execution(question: Question, found: Found) -> dict[str, Any]:
     row["artifacts"] = question.sql(
         "SELECT * EXCLUDE (execution, run) FROM artifacts WHERE execution = $e ORDER BY path", e=found.id
     ).to_pylist()
+    [recipe] = question.sql(RECIPE, r=row["run"]).to_pylist()
+    row["image"] = _image(question, recipe["image"])
+    row["reach"] = recipe["reach"] or []
+    if (isolation := row.get("isolation")) is not None:
+        rows = question.sql("SELECT * FROM isolations WHERE isolation = $i", i=isolation).to_pylist()
+        row["isolation"] = _isolation(rows[0]) if rows else {"isolation": isolation}
     row["programs"] = _programs(question, row.get("programs"))
     row["environment"] = _environment(question, row.get("environment"))
     return row
+
+
+RECIPE = "SELECT r.image, r.reach FROM members m JOIN recipes r USING (recipe) WHERE m.run = $r LIMIT 1"
+ISOLATIONS = """
+SELECT i.*, count(*) AS executions
+FROM executions e SEMI JOIN (SELECT run FROM members WHERE batch = $b) USING (run) JOIN isolations i USING (isolation)
+WHERE e.purpose = 'run' GROUP BY ALL ORDER BY max(e.ended) DESC
+"""
+"""How executions of a batch's runs were contained, the last way first."""
+
+
+def _image(question: Question, identity: str | None) -> dict[str, Any] | None:
+    """What is recorded of an image, with its texts of several facts taken apart."""
+    rows = question.sql("SELECT * FROM images WHERE image = $i", i=identity).to_pylist()
+    if not rows:
+        return {"image": identity} if identity else None
+    image: dict[str, Any] = rows[0]
+    return image | {name: json.loads(image[name]) for name in ("manifests", "labels", "variables", "packages")}
+
+
+def _isolation(row: dict[str, Any]) -> dict[str, Any]:
+    """How executions were contained, likewise; with the limits that were asked for and not enforced."""
+    return row | {"mounts": json.loads(row["mounts"])} | limits(row)
 
 
 def _programs(question: Question, identity: str | None) -> list[dict[str, Any]]:

@@ -101,8 +101,7 @@ def run(
         asking = Asking(plan, store, session, partial(runners.find(runner), slots), fail_fast, watch, only)
         asking.answer()
         summary = _sum_up(asking)
-        contained = asking.containment
-        asked.close(plan, store, session, asdict(summary), started=began, runner=runner, slots=slots, contained=contained)
+        asked.close(plan, store, session, asdict(summary), started=began, runner=runner, slots=slots)
         return summary
     finally:
         session.close()

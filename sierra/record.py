@@ -90,8 +90,8 @@ class Context:
     outputs: Mapping[str, Output]
     success: Success
     engine: str = "none"
-    isolation: str | None = None
-    """What contained the runs, each in a container of its own or not; None where nothing did."""
+    isolation: Mapping[str, Any] | None = None
+    """How the runs were contained, as a row of `isolations`; None where they were not."""
     shared: bool = False
     enforced: tuple[str, ...] = ()
     """The limits that the engine enforces."""
@@ -358,6 +358,7 @@ class Recorder:
         writer.rows("artifacts", artifacts)
         writer.rows("executions", (self._execution(one) for one in judged))
         writer.rows("readings", [{"reading": self._reading, "declared": self._context.declared}])
+        writer.rows("isolations", [self._context.isolation] if self._context.isolation else [])
         return judged
 
     # ------------------------------------------------------------ tables
@@ -529,7 +530,7 @@ class Recorder:
             "programs": context.programs,
             "reading": self._reading,
             "purpose": context.purpose,
-            "isolation": context.isolation,
+            "isolation": context.isolation and context.isolation["isolation"],
         }
 
 

@@ -388,5 +388,4 @@ def _keep(
     writer.rows("equivalences", (row for one in answer.experiments for row in metric_rows(answer.id, one)))
     writer.rows("environments", [around])
     writer.rows("programs", now.rows())
-    writer.rows("isolations", contained.rows())
     store.publish(writer)

@@ -11,7 +11,10 @@ import pytest
 
 import sierra
 from sierra.config import Output, Success
+from sierra.containment import Containment
+from sierra.engines import Abilities, Box, Client, Mount, Process, Uncontained
 from sierra.hashing import digest, merkle
+from sierra.images import Image, Kind
 from sierra.model import OutputFile, Recipe
 from sierra.plans import Plan
 from sierra.provenance.program import fingerprint
@@ -206,3 +209,26 @@ def test_a_recipe_in_an_image_has_its_content_and_what_runs_reach_beyond_it() ->
     assert plain.preimage()["image"] == {"id": "sha256:" + "0" * 64, "reach": []}
     assert [digest("recipe", one.preimage()) for one in (plain, reaching)] == CONTAINED
     assert replace(plain, image=None, reach=("network",)).preimage()["image"] is None
+
+
+ISOLATION = "11e9dfbdf069f2c3b1f2fd51d57ba5a6bd46776031bbae116224720f86e2e310"
+
+
+class Engine(Uncontained):
+    """Says what it would start of a container that it is asked for."""
+
+    name = "fake"
+
+    def client(self, box: Box, process: Process) -> Client:
+        return Client(("fake", "--cid=\0/id", f"--session={box.session}", box.reference), {})
+
+
+def test_an_isolation_is_what_it_has_always_been_in_any_session() -> None:
+    image = Image("sim", "sha256:" + "0" * 64, Kind.OCI, "amd64", (), {})
+    box = Box(image, "sim", "s", (Mount("/code", "/run/sierra/project"),), True, ("/dev/dri",), True, 1 << 30, 1.5, 9)
+    able = Abilities("fake 1", rootless=True, enforced=frozenset({"memory"}), user="somebody")
+    row = Containment(Engine(), able, box).row
+    assert row is not None
+    assert (row["isolation"], row["argv"]) == (ISOLATION, ["fake", "--cid={run}/id", "--session=", "sim"])
+    assert Containment(Engine(), able, replace(box, session="t")).row == row
+    assert Containment(Engine(), able).row is None

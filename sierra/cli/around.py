@@ -1,4 +1,4 @@
-"""How programs and environments are printed for people: what they are at a glance; --json has all of it."""
+"""How images, isolation, programs and environments are printed for people: at a glance; --json has all of it."""
 
 from __future__ import annotations
 
@@ -31,6 +31,71 @@ def _version(row: Mapping[str, Any]) -> str:
 
     lines = (row["version"] or "").splitlines()
     return f"{len(lines)} distributions" if lines[1:] else readable("".join(lines))[:LONGEST]
+
+
+def print_image(image: Mapping[str, Any], reach: Sequence[str]) -> None:
+    """What runs executed in, and what they reach beyond it."""
+    from sierra.cli.output import fields, readable
+
+    print("\nimage:")
+    fields({name: readable(str(value)) for name, value in _image(image, reach) if value not in (None, "")}, "  ")
+    lines = (image.get("recipe") or "").splitlines()
+    for line in lines[:SHOWN]:
+        print(f"    {_cut(readable(line.expandtabs()))}")
+    if len(lines) > SHOWN:
+        print(f"    … {len(lines) - SHOWN} more lines (--json has them all)")
+
+
+def _image(image: Mapping[str, Any], reach: Sequence[str]) -> Iterator[tuple[str, Any]]:
+    from sierra.cli.keep import size
+
+    yield "name", image.get("name", "not recorded")
+    yield "id", image["image"]
+    yield "reach", ", ".join(reach) or "nothing beyond it"
+    if "packages" in image:
+        counts = [f"{len(lines)} of {manager}" for manager, lines in image["packages"].items()]
+        yield "kind", image["kind"]
+        yield "architecture", image["architecture"]
+        yield "packages", ", ".join(counts) or "none that a package manager tells of"
+        yield "created", image["created"]
+        yield "size", size(image["size"])
+        yield "recipe", "" if not image["recipe"] else f"{len(image['recipe'].splitlines())} lines"
+
+
+MODES = {"run": "one for each run", "worker": "one for all runs of a slot, which is weaker"}
+
+
+def print_isolation(isolation: Mapping[str, Any]) -> None:
+    """How executions were contained; what was asked for and not had stands out."""
+    from sierra.cli.output import fields, readable
+
+    count = isolation.get("executions")
+    executions = f" of {count} execution{'s' * (count != 1)}" if count else ""
+    print(f"\nisolation {isolation['isolation'][:10]}{executions}:")
+    fields({name: readable(str(value)) for name, value in _isolation(isolation) if value}, "  ")
+
+
+def _isolation(isolation: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    if "engine" not in isolation:
+        yield "engine", "not recorded"
+        return
+    yield "engine", isolation["engine"]
+    yield "version", isolation["version"]
+    yield "containers", MODES.get(isolation["mode"], isolation["mode"])
+    yield "rootless", "yes" if isolation["rootless"] else "no"
+    yield "user outside", isolation["user"]
+    yield "network", isolation["network"].upper() if isolation["network"] == "not isolated" else isolation["network"]
+    yield "devices", ", ".join(isolation["devices"])
+    yield "mounts", ", ".join(f"{target} from {source}" for target, source in isolation["mounts"].items())
+    yield "limits enforced", _limits(isolation["limits_enforced"]) or "none"
+    yield "limits watched", _limits(isolation["limits_watched"])
+    yield "LIMITS IGNORED", _limits(isolation["limits_ignored"])
+
+
+def _limits(limits: Mapping[str, float]) -> str:
+    from sierra.cli.keep import size
+
+    return ", ".join(f"{name} {size(int(value)) if name == 'memory' else f'{value:g}'}" for name, value in limits.items())
 
 
 def print_environment(around: Mapping[str, Any]) -> None:

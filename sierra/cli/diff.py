@@ -31,8 +31,8 @@ def diff(
     """Say what differs between two recorded things.
 
     What is likely to matter for results stands first: what was asked, platform, command, image, programs, source,
-    variables, inputs, rules, seeds, the machine; and, last, what came out. Nothing is executed, all is told from the
-    record. A run stands for its execution that counts.
+    variables, inputs, rules, seeds, containers, the machine; and, last, what came out. Nothing is executed, all is told
+    from the record. A run stands for its execution that counts.
 
     The exit code is 0 if nothing differs, and 1 if something does.
 

@@ -59,7 +59,7 @@ def show(
     Example:
       sierra show 3f9a1c
     """
-    from sierra.cli.around import print_environment, print_programs
+    from sierra.cli.around import print_environment, print_image, print_isolation, print_programs
     from sierra.cli.opened import project
     from sierra.cli.output import print_json
 
@@ -68,7 +68,14 @@ def show(
         print_json(shown)
         return
     failures, used, around = shown.pop("failures", []), shown.pop("programs", []), shown.pop("environment", None)
+    image, reach, isolations = _contained(shown)
     _print(shown)
+    if image:
+        print_image(image, reach)
+        for one in isolations:
+            print_isolation(one)
+        if not isolations and shown["kind"] == "execution":
+            print("\nisolation: none; it was executed on the host itself")
     if used:
         print_programs(used)
     if around:
@@ -76,6 +83,18 @@ def show(
     _print_failures(failures)
     if shown["kind"] in ("run", "execution"):
         print(f"\nsierra files {shown[shown['kind']][:10]} PATH writes a file out again, and --to FOLDER all of them")
+
+
+def _contained(shown: dict[str, Any]) -> tuple[dict[str, Any] | None, list[str], list[dict[str, Any]]]:
+    """The image, what runs reach beyond it, and how they were contained, taken out of a batch or an execution."""
+    if shown["kind"] == "batch":
+        recipe, isolations = shown["recipe"], shown.pop("isolations")
+        del recipe["image"]
+        return shown.pop("image"), recipe.pop("reach") or [], isolations
+    if shown["kind"] == "execution":
+        isolation = shown.pop("isolation", None)
+        return shown.pop("image"), shown.pop("reach"), [isolation] if isolation else []
+    return None, [], []
 
 
 def _print_failures(failures: Sequence[Mapping[str, Any]]) -> None:

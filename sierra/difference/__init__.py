@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 from sierra.config import LoadedProject
-from sierra.difference import around, asked, code, files, results
+from sierra.difference import around, asked, code, files, images, results
 from sierra.difference.kinds import KINDS, Difference, Note
 from sierra.difference.sides import AFTER, BEFORE, check, gather, pair
 from sierra.errors import Damaged, NotFound, SqlError
@@ -81,6 +81,7 @@ AROUND = (
     ("rules", "reading", around.rules),
 )
 """Kinds, the columns of `executions` that say which, and what compares them."""
+NOT_EXECUTED = "{kind}: not compared, since nothing was executed"
 
 
 def _parts(
@@ -91,7 +92,8 @@ def _parts(
         before, after = gather(question, old, BEFORE), gather(question, new, AFTER)
         pairs = pair(question, before, after)
         yield ("query",), asked.query(before, after, pairs)
-        yield ("platform", "command", "image", "variables"), asked.recipe(before, after)
+        yield ("platform", "command", "variables"), asked.recipe(before, after)
+        yield ("image",), images.image(question, store, before, after)
         yield ("source",), code.source(store, project.root, before, after)
         if code.has_commits(before, after):
             yield ("commit",), code.commit(project.root, before, after)
@@ -99,7 +101,12 @@ def _parts(
             if all(around.known(question, side, what) for side in (before, after)):
                 yield (kind,), compared(question, before, after)
             else:
-                notes.append(Note(f"{kind}: not compared, since nothing was executed", kind))
+                notes.append(Note(NOT_EXECUTED.format(kind=kind), kind))
+        if any(side.recipe["image"] for side in (before, after)):
+            if all(around.executed(question, side) for side in (before, after)):
+                yield ("isolation",), around.isolations(question, before, after)
+            else:
+                notes.append(Note(NOT_EXECUTED.format(kind="isolation"), "isolation"))
         if pairs:
             yield ("seed",), asked.seeds(question, before, after)
             yield ("inputs",), files.inputs(question, before, after, notes)

@@ -6,9 +6,11 @@ with whatever columns there are.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+from sierra import containment
 from sierra.difference.kinds import ARROW, Difference, changed, shown
 from sierra.difference.sides import Side
 from sierra.hashing import short
@@ -69,8 +71,7 @@ def _versions(was: Rows, now: Rows) -> Iterator[str]:
 
 
 def environments(question: Question, before: Side, after: Side) -> Iterator[Difference]:
-    """Facts of the machines, column by column; and the runner and the engine, unless they are not known: of an asking that
-    was killed."""
+    """Facts of the machines, column by column; and the runner, unless it is not known: of an asking that was killed."""
     old, new = (
         _facts(_rows(question, _used(question, side, "environment"), "environment"), _runners(question, side))
         for side in (before, after)
@@ -96,11 +97,50 @@ def _hashable(value: Any) -> Any:
 def _runners(question: Question, side: Side) -> Rows:
     statement = (
         f"WITH used AS (SELECT DISTINCT e.session FROM {side.table} t JOIN executions e ON e.execution = t.execution) "  # noqa: S608
-        "SELECT DISTINCT s.runner, s.engine FROM sessions s JOIN used USING (session) UNION "
-        "SELECT DISTINCT r.runner, r.engine FROM replays r JOIN used ON used.session = r.replay"
+        "SELECT DISTINCT s.runner FROM sessions s JOIN used USING (session) UNION "
+        "SELECT DISTINCT r.runner FROM replays r JOIN used ON used.session = r.replay"
     )
     rows: list[dict[str, Any]] = question.sql(statement).to_pylist()
     return rows
+
+
+ISOLATION = {
+    "engine": "engine",
+    "version": "engine's version",
+    "mode": "one container for each",
+    "rootless": "engine without root",
+    "user": "user outside of the container",
+    "network": "network of the container",
+    "limits_enforced": "limits enforced",
+    "limits_watched": "limits that SIERRA watched over",
+    "limits_ignored": "limits ignored",
+}
+"""What is compared of how executions were contained, and what it is called. Devices and mounts belong to what runs reach."""
+NOT_CONTAINED = "none, on the host itself"
+
+
+def isolations(question: Question, before: Side, after: Side) -> Iterator[Difference]:
+    """How executions were contained. An execution in no container is one of the engine `none`."""
+    old, new = (
+        _facts([_isolation(row) for row in _rows(question, _used(question, side, "isolation"), "isolation")], ())
+        for side in (before, after)
+    )
+    if bool(old) != bool(new):
+        was, now = (facts.get("version", NOT_CONTAINED) for facts in (old, new))
+        yield from changed("isolation", "engine", was, now, called="contained by")
+        return
+    for name, words in ISOLATION.items():
+        yield from changed("isolation", name, old.get(name), new.get(name), called=words)
+
+
+def _isolation(row: Mapping[str, Any]) -> dict[str, Any]:
+    facts = {**row, **{name: json.dumps(limits) for name, limits in containment.limits(row).items()}}
+    return {name: facts[name] for name in ISOLATION}
+
+
+def executed(question: Question, side: Side) -> bool:
+    """Whether any of a side's runs was executed."""
+    return bool(question.run(f"SELECT 1 FROM {side.table} WHERE execution IS NOT NULL LIMIT 1"))  # noqa: S608 - our own names
 
 
 def rules(question: Question, before: Side, after: Side) -> Iterator[Difference]:
@@ -137,7 +177,7 @@ def _used(question: Question, side: Side, what: str) -> list[str]:
 
 
 def _rows(question: Question, ids: Sequence[str], what: str) -> list[dict[str, Any]]:
-    table = {"environment": "environments"}.get(what, what)
+    table = {"environment": "environments", "isolation": "isolations"}.get(what, what)
     statement = f"SELECT * FROM {table} WHERE list_contains($i, {what})"  # noqa: S608 - our own names
     rows: list[dict[str, Any]] = question.sql(statement, i=list(ids)).to_pylist()
     return rows

@@ -74,11 +74,10 @@ def _called(side: Side, ordinal: int) -> str:
 
 
 def recipe(before: Side, after: Side) -> Iterator[Difference]:
-    """What all runs of a side have in common, without the source."""
+    """What all runs of a side have in common, without source and image."""
     old, new = before.recipe, after.recipe
     yield from changed("platform", "platform", old["platform"], new["platform"])
     yield from changed("command", "command", " ".join(old["command"]), " ".join(new["command"]))
-    yield from changed("image", "image", old["image"], new["image"])
     for name in sorted(old["variables"].keys() | new["variables"].keys()):
         yield from changed("variables", name, old["variables"].get(name), new["variables"].get(name))
     if before.found.kind == "batch":

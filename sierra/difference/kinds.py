@@ -21,6 +21,10 @@ ORDER = (
     "rules",
     "seed",
     "inputs.the seed",
+    "isolation.network",
+    "isolation.engine",
+    "isolation.limits_enforced",
+    "isolation",
     "environment.container",
     "environment.variables",
     "environment.libc",
@@ -32,7 +36,6 @@ ORDER = (
     "environment.modules",
     "environment.locale",
     "environment.limits",
-    "environment.engine",
     "environment.runner",
     "environment.sierra",
     "environment.python",
@@ -125,7 +128,7 @@ def _parts(was: Any, now: Any) -> Iterator[str]:
 
 def flat(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
     """An object's values by the paths to them, `outputs.swarm.file`."""
-    if isinstance(value, Mapping) and value:
+    if isinstance(value, Mapping) and (value or not path):
         for key, inner in value.items():
             yield from flat(inner, f"{path}.{key}" if path else str(key))
     else:

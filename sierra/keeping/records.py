@@ -138,6 +138,11 @@ def _readings(records: Records) -> Iterator[Finding]:
     yield from _own(records, "readings", "reading", reading)
 
 
+def _isolations(records: Records) -> Iterator[Finding]:
+    facts = [column.name for column in RECORDED["isolations"].columns if column.name != "isolation"]
+    yield from _own(records, "isolations", "isolation", lambda row: digest("isolation", {n: row[n] for n in facts}))
+
+
 def _own(records: Records, table: str, key: str, identity: Callable[[Mapping[str, Any]], str]) -> Iterator[Finding]:
     """Records whose id does not follow from their columns."""
     for row in records.rows(table):
@@ -151,6 +156,7 @@ USING = {
     "recipe": "SELECT DISTINCT batch FROM members WHERE recipe = $id",
     "environment": "SELECT DISTINCT batch FROM executions WHERE environment = $id",
     "reading": "SELECT DISTINCT batch FROM executions WHERE reading = $id",
+    "isolation": "SELECT DISTINCT batch FROM executions WHERE isolation = $id",
     "programs": "SELECT DISTINCT batch FROM executions WHERE programs = $id",
     "source": "SELECT DISTINCT batch FROM sessions WHERE source = $id",
 }
@@ -278,6 +284,8 @@ LOST_BY_EXECUTION = {
         SELECT DISTINCT execution FROM executions ANTI JOIN members USING (run)""",
     "what the project declared for executions is not recorded": """
         SELECT DISTINCT execution FROM executions ANTI JOIN readings USING (reading)""",
+    "how executions were contained is not recorded": """
+        SELECT DISTINCT execution FROM executions ANTI JOIN isolations USING (isolation) WHERE isolation IS NOT NULL""",
     "there are artifacts of executions that are not recorded": """
         SELECT DISTINCT execution FROM artifacts ANTI JOIN executions USING (execution)""",
     "there are findings about executions that are not recorded": """
@@ -373,6 +381,29 @@ def _manifests(records: Records) -> Iterator[Finding]:
             yield Finding(Kind.LOST, "sources", f"the source {tree} is not recorded", _of_tree(records, tree))
 
 
+def _images(records: Records) -> Iterator[Finding]:
+    """The images of recipes, and the lists of what is in them."""
+    for identity, files in records.each(IMAGES):
+        if files is None:
+            what = f"the image {identity} is not recorded"
+        elif files not in records.objects.whole:
+            what = f"the list of the files of image {identity} is not in the store"
+        else:
+            continue
+        yield Finding(Kind.LOST, "images", what, _of_image(records, identity))
+
+
+IMAGES = """
+SELECT DISTINCT coalesce(r.image, i.image), i.files FROM (SELECT image FROM recipes WHERE image IS NOT NULL) r
+FULL JOIN images i USING (image)
+"""
+
+
+def _of_image(records: Records, identity: str) -> Affected:
+    statement = "SELECT DISTINCT batch FROM members SEMI JOIN (SELECT recipe FROM recipes WHERE image = $i) USING (recipe)"
+    return of(records.question, batches=[row[0] for row in records.each(statement, i=identity)])
+
+
 def _object(records: Records, digest: str) -> bytes:
     statement = f"SELECT DISTINCT ON (part) content FROM {records.raw('objects')} WHERE sha256 = $d ORDER BY part"
     return b"".join(row[0] for row in records.each(statement, d=digest))
@@ -409,6 +440,7 @@ CHECKS: Sequence[Check] = (
     _environments,
     _sources,
     _readings,
+    _isolations,
     _programs,
     _runs,
     _batches,
@@ -417,4 +449,5 @@ CHECKS: Sequence[Check] = (
     _inputs,
     _tables,
     _manifests,
+    _images,
 )

@@ -129,7 +129,7 @@ CREATE TEMP TABLE asked_members AS SELECT DISTINCT m.batch, m.ordinal, m.run
     OR x.experiment IN (SELECT id FROM named WHERE kind = 'experiment');
 CREATE TEMP TABLE shared AS SELECT DISTINCT a.run, m.batch FROM (SELECT DISTINCT run FROM asked_members) a
     JOIN (SELECT DISTINCT batch, ordinal, run FROM members EXCEPT SELECT batch, ordinal, run FROM asked_members) m USING (run);
-CREATE TEMP TABLE gone AS SELECT execution, run, environment, programs, reading FROM executions
+CREATE TEMP TABLE gone AS SELECT execution, run, environment, programs, reading, isolation FROM executions
     WHERE execution IN (SELECT id FROM named WHERE kind = 'execution') OR run IN (SELECT id FROM named WHERE kind = 'run')
     OR run IN (SELECT run FROM asked_members EXCEPT SELECT run FROM shared);
 CREATE TEMP TABLE gone_batches AS SELECT id AS batch FROM named WHERE kind = 'batch';
@@ -140,7 +140,7 @@ CREATE TEMP TABLE staying_verdicts AS SELECT DISTINCT replay FROM verdicts
     AND (execution IS NULL OR execution NOT IN (SELECT execution FROM gone));
 CREATE TEMP TABLE gone_replays AS SELECT replay FROM replays WHERE batch IN (SELECT batch FROM gone_batches)
     OR (replay IN (SELECT replay FROM gone_verdicts) AND replay NOT IN (SELECT replay FROM staying_verdicts));
-CREATE TEMP TABLE staying AS SELECT execution, environment, programs, reading FROM executions
+CREATE TEMP TABLE staying AS SELECT execution, environment, programs, reading, isolation FROM executions
     WHERE execution NOT IN (SELECT execution FROM gone);
 CREATE TEMP TABLE gone_members AS SELECT * FROM members WHERE batch IN (SELECT batch FROM gone_batches);
 CREATE TEMP TABLE staying_members AS SELECT * FROM members WHERE batch NOT IN (SELECT batch FROM gone_batches);
@@ -178,6 +178,7 @@ AROUND = {
     ),
     "sources": ("source", "SELECT source FROM gone_sources"),
     "images": ("image", "SELECT image FROM gone_images"),
+    "isolations": ("isolation", "SELECT isolation FROM gone EXCEPT SELECT isolation FROM staying"),
 }
 """By table, its key, and the ids that nothing refers to any more."""
 OBJECTS = """

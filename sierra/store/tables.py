@@ -316,7 +316,8 @@ RECORDED = {
             (
                 "name",
                 TEXT,
-                "as the command calls it; of a library, as the loader does; of what lies in the project, {project}/…",
+                "as the command calls it; of a library, as the loader does; of what lies in the project or is mounted, "
+                "{project}/… or {mount}/…",
             ),
             ("kind", TEXT, "program, library, distributions (what a Python has installed) or file"),
             (

@@ -28,6 +28,7 @@ ONCE = {
     "objects": ("sha256", "part"),
     "blobs": ("blob",),
     "images": ("image",),
+    "isolations": ("isolation",),
     "readings": ("reading",),
     "findings": ("execution",),
 }
