@@ -15,7 +15,7 @@ from typing import Literal
 from sierra import settings
 from sierra.engines import Abilities
 from sierra.errors import SierraError
-from sierra.paths import user_settings
+from sierra.paths import StorePaths, user_settings
 from sierra.provenance.environment import usable_cores
 
 
@@ -98,17 +98,19 @@ def _engines() -> Iterator[Check]:
 def _said(able: Abilities) -> Iterator[str]:
     """What holds in an engine's containers, and what does not."""
     yield f"{'rootless' if able.rootless else 'as root'}, outputs are {able.user}'s"
-    ignored = {"memory", "cpus", "pids"} - able.enforced
+    ignored = {"cpus", "pids"} - able.enforced
     yield f"enforces {', '.join(sorted(able.enforced)) or 'no limits'}"
-    if ignored and able.enforced:
+    if ignored:
         yield f"ignores {', '.join(sorted(ignored))}"
+    if "memory" not in able.enforced:
+        yield "SIERRA watches over memory"
     if not able.isolated:
         yield "NOT ISOLATED from the network"
 
 
 def _project() -> Iterator[Check]:
     import sierra
-    from sierra import inputs, jobs, platforms
+    from sierra import containment, images, inputs, jobs, platforms
     from sierra.provenance import programs
 
     try:
@@ -120,6 +122,11 @@ def _project() -> Iterator[Check]:
 
     def find_program() -> str:
         platform = platforms.find(project.config.platform, project.config)
+        if project.config.container is not None:
+            image = images.pinned(project.root, project.config.container.image)
+            images.verify(project.root, image)
+            inside = images.examine(project.root, StorePaths(project.paths.store), image)
+            return f"{containment.program(platform.command(), None, inside)} in {image.name}"
         words = jobs.fill(jobs.command(platform, project.root), project.root)
         variables = jobs.declared(jobs.environment(platform, project.config), project.root)
         return programs.find(words, variables, project.root).all[0].path
