@@ -73,8 +73,9 @@ lock: ## write requirements.lock from pyproject.toml
 	rm -rf .venv-lock
 
 # What tests need besides comes as packages of Debian; apptainer, which it has no package of, by tests/system/apptainer.sh.
-CALLED = git gcc unshare podman runc newuidmap catatonit mksquashfs squashfuse mmdebstrap busybox
-PACKAGES = git gcc libc6-dev util-linux podman runc uidmap catatonit squashfs-tools squashfuse mmdebstrap busybox-static
+CALLED = git gcc unshare podman runc newuidmap catatonit mksquashfs squashfuse mmdebstrap busybox /usr/bin/python3 mawk
+PACKAGES = git gcc libc6-dev util-linux podman runc uidmap catatonit squashfs-tools squashfuse mmdebstrap busybox-static \
+	python3 mawk
 
 system: ## install what SIERRA calls (git, podman), and what tests need (gcc, squashfs-tools, ...); as root, on Debian
 	@missing=; for program in $(CALLED); do \

@@ -126,7 +126,9 @@ def _project() -> Iterator[Check]:
             image = images.pinned(project.root, project.config.container.image)
             images.verify(project.root, image)
             inside = images.examine(project.root, StorePaths(project.paths.store), image)
-            return f"{containment.program(platform.command(), None, inside)} in {image.name}"
+            command = jobs.command(platform, project.root, contained=True)
+            path = jobs.environment(platform, project.config).get("PATH")
+            return f"{containment.program(command, path, inside)} in {image.name}"
         words = jobs.fill(jobs.command(platform, project.root), project.root)
         variables = jobs.declared(jobs.environment(platform, project.config), project.root)
         return programs.find(words, variables, project.root).all[0].path

@@ -148,7 +148,7 @@ def contain(
     if able.trouble:
         raise Missing(able.trouble)
     inside = images.examine(project, store, image)
-    _check_command(recipe, inside)
+    program(recipe.command, recipe.environment.get("PATH"), inside)
     reference = engine.prepare(image, project, store)
     given = container or Container(image=image.name)
     shared, notes = given.isolation == "worker", []
@@ -189,11 +189,13 @@ def _there(project: Path, target: str, source: str) -> Path:
     return path
 
 
-def _check_command(recipe: Recipe, inside: Contents) -> None:
-    """That the image has the program that runs begin with. Raises Missing."""
-    word = PYTHON if recipe.command[0] == "{python}" else recipe.command[0]
-    if "{" not in word and not inside.program(word, recipe.environment.get("PATH")):
+def program(command: Sequence[str], path: str | None, inside: Contents) -> str:
+    """The program that runs begin with: its path in the image, or the word that names a file of the project. Raises Missing."""
+    word = PYTHON if command[0] == "{python}" else command[0]
+    found = word if "{" in word else inside.program(word, path)
+    if found is None:
         raise Missing(f"the program {word!r} is not in the image {inside.image.name}; sierra image show lists what is")
+    return found
 
 
 def _ignored(engine: Engine, able: Abilities, box: Box) -> Iterator[str]:

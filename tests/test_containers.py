@@ -38,6 +38,7 @@ def python(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(autouse=True)
 def podman(require: Callable[..., str]) -> str:
     require("busybox-static, as /bin/busybox", there=containers.BUSYBOX.exists())
+    require("Debian's python3, as /usr/bin/python3", there=containers.PYTHON.exists())
     return require("podman")
 
 
