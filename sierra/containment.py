@@ -109,7 +109,9 @@ class Containment:
         box, able = self.box, self.abilities
         if box is None:
             return {}
-        said = self.engine.client(replace(box, session=""), Process((), {}, (), "/"))
+        # a replay's code lies in a folder of its own
+        mounts = tuple(replace(one, source="{project}") if one.target == PROJECT else one for one in box.mounts)
+        said = self.engine.client(replace(box, session="", mounts=mounts), Process((), {}, (), "/"))
         return {
             "engine": self.engine.name,
             "version": able.version,
@@ -119,7 +121,7 @@ class Containment:
             "user": able.user,
             "network": "host" if box.network else "none" if able.isolated else "not isolated",
             "devices": [*box.devices, *(["gpu"] if box.gpu else [])],
-            "mounts": json.dumps({mount.target: mount.source for mount in box.mounts}, sort_keys=True),
+            "mounts": json.dumps({mount.target: mount.source for mount in mounts}, sort_keys=True),
             "limits_asked": json.dumps(box.limits, sort_keys=True),
             "limits_enforced": json.dumps({name: box.limits[name] for name in sorted(self.enforced)}),
             "argv": [word.replace("\0", "{run}") for word in said.argv],

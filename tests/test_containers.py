@@ -351,6 +351,7 @@ def test_a_batch_is_replayed_in_its_image_and_on_a_host_with_the_same_programs(t
     assert "identical (4 runs: 4 identical)" in says(folder, "replay", batch["batch"])
     assert "identical (4 runs: 4 identical)" in says(folder, "replay", batch["batch"], "--engine", "none")
     assert rows(folder, "SELECT engine FROM replays ORDER BY ended") == [{"engine": "podman"}, {"engine": "none"}]
+    assert rows(folder, "SELECT count(*) AS n FROM isolations") == [{"n": 1}]
 
 
 def test_a_host_with_other_programs_gives_no_verdict_and_says_which(tmp_path: Path, busybox: Path) -> None:
