@@ -543,6 +543,11 @@ def test_exported_files_are_read_again(project: Project, tmp_path: Path) -> None
     assert not (tmp_path / "again.tar").exists()
 
 
+def test_an_image_is_exported_to_a_folder_that_is_there(project: Project) -> None:
+    done = quick(project.root, "image", "export", "localhost/sim:1", "nowhere/sim.tar")
+    assert (done.returncode, done.stderr) == (2, "sierra: there is no folder nowhere for sim.tar\n")
+
+
 def test_a_project_without_an_image_is_told_where_to_name_one(project: Project) -> None:
     done = quick(project.root, "image", "pin")
     assert (done.returncode, done.stderr.count("\n")) == (2, 1)

@@ -99,7 +99,7 @@ def test_two_builds_give_one_image(busybox: Project, storages: Storages) -> None
     storages.choose("there")
     done = quick(busybox.root, "image", "build", BUSYBOX)
     assert done.returncode == 0, done.stderr
-    assert done.stdout.split()[0] == first
+    assert done.stdout.splitlines()[0] == f"{first}  {BUSYBOX}, tagged localhost/sierra/busybox"
     found = busybox.pin(BUSYBOX)
     assert found.image.id == first
     assert found.program("sh") == "/bin/sh"
@@ -183,6 +183,11 @@ def test_a_tag_that_is_gone_can_still_be_run_by_its_id(project: Project, storage
     storages.choose("there")
     with pytest.raises(Missing, match="not in podman's storage"):
         engines.find("podman").prepare(pinned, project.root, StorePaths(project.root / ".sierra"))
+    with pytest.raises(Missing, match="not in podman's storage; build its recipe, or bring it"):
+        project.export_image(tag, project.root / "copy.tar")
+    shutil.rmtree(project.root / ".sierra")
+    with pytest.raises(Missing, match=f"{tag} .* is not in podman's storage"):
+        images.rootfs(project.root, StorePaths(project.root / ".sierra"), pinned)
 
 
 def test_a_podman_that_does_not_work_is_no_harm_to_what_does_not_need_it(
@@ -257,6 +262,11 @@ def test_a_recipe_that_fails_is_said_in_a_line_and_leaves_nothing(
             "echo working; echo 'E: Unable to locate package nonsense' >&2; echo done; exit 7",
             "Unable to locate package nonsense",
         ),
+        (
+            "echo 'dpkg: error processing package debconf (--install):'; echo ' subprocess returned error exit status 127'; "
+            "echo 'E: setup failed'; echo 'E: mmdebstrap failed to run'; exit 25",
+            "(exit status 25): dpkg: error processing package debconf (--install): subprocess returned error exit status 127",
+        ),
         ("exit 0", "has not written a tar"),
         ("kill -9 $$", "signal 9"),
         ("echo no tar > $1", "has not written a tar"),
@@ -266,6 +276,10 @@ def test_a_recipe_that_fails_is_said_in_a_line_and_leaves_nothing(
         done = quick(project.root, "image", "build", "containers/sim")
         assert (done.returncode, done.stderr.count("\n")) == (3, 1), done.stderr
         assert words in done.stderr
+    program.chmod(0o644)
+    done = quick(project.root, "image", "build", "containers/sim")
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1), done.stderr
+    assert "run: chmod +x containers/sim/rootfs" in done.stderr
     program.unlink()
     (folder / "Containerfile").write_text("FROM localhost/images-nothing:1\n")
     done = quick(project.root, "image", "build", "containers/sim")

@@ -46,13 +46,14 @@ def build(
     """
     from sierra.cli.opened import project
     from sierra.cli.output import print_json
+    from sierra.images.naming import tag
 
     opened, built = project(), []
     for name in recipes or (None,):
         image = opened.build_image(name, network=network)
         built.append(_image(image))
         if not as_json:
-            print(f"{image.id}  {image.name}")
+            print(f"{image.id}  {image.name}, tagged {tag(opened.root, image.name)}")
             print(f"next: sierra image pin {image.name}")
     if as_json:
         print_json(built)

@@ -24,6 +24,8 @@ from sierra.images.recipe import CONTAINERFILE, ROOTFS, is_recipe
 
 TAR = "rootfs.tar"
 EPOCH = 1700000000
+ERRORS = ("E: ", "ERROR", "error", "dpkg: error")
+"""What a line begins with that says what went wrong."""
 
 
 def build(root: Path, name: str, *, network: bool = False) -> Image:
@@ -41,7 +43,7 @@ def build(root: Path, name: str, *, network: bool = False) -> Image:
         with tempfile.TemporaryDirectory(prefix="sierra-image-") as made:
             context = Path(made) / "context"
             shutil.copytree(folder, context, symlinks=True)
-            if os.access(context / ROOTFS, os.X_OK):
+            if (context / ROOTFS).is_file():
                 _run_rootfs(name, context, epoch)
             _settle(context, epoch)
             labels = {recipe.LABEL: recipe.identity(folder)}
@@ -52,7 +54,9 @@ def build(root: Path, name: str, *, network: bool = False) -> Image:
 
 
 def _run_rootfs(name: str, context: Path, epoch: int) -> None:
-    """Let the recipe make the tar of its base. Raises Missing with the last that it said, where it fails."""
+    """Let the recipe make the tar of its base. Raises Missing with what it said of why, where it fails."""
+    if not os.access(context / ROOTFS, os.X_OK):
+        raise ConfigError(f"{name}/{ROOTFS} is no program, so nothing makes the base's files; run: chmod +x {name}/{ROOTFS}")
     target = context / TAR
     done = storage.run(
         [str(context / ROOTFS), str(target)],
@@ -73,11 +77,14 @@ def _how(status: int) -> str:
 
 
 def _why(said: str) -> str:
-    """The last line that tells why: one about room on the disk before all others."""
+    """The line that tells why: one about room on the disk before all others, else the first of an error.
+
+    What comes after it only says what could not be done therefore: mmdebstrap ends with "mmdebstrap failed to run".
+    """
     lines = [line.strip() for line in said.splitlines() if line.strip()]
-    full = [line for line in lines if "No space left on device" in line]
-    errors = [line for line in lines if line.startswith(("E: ", "ERROR", "error"))]
-    return (full or errors or lines or ["it said nothing"])[-1]
+    full = next((line for line in lines if "No space left on device" in line), "")
+    first = next((number for number, line in enumerate(lines) if line.startswith(ERRORS)), len(lines) - 1)
+    return full or " ".join(lines[first : first + (2 if lines[first].endswith(":") else 1)]) if lines else "it said nothing"
 
 
 def _settle(context: Path, epoch: int) -> None:

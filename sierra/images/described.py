@@ -243,6 +243,7 @@ def opened(root: Path, store: StorePaths, image: Image) -> Iterator[Archive]:
     with contextlib.ExitStack() as stack:
         path = root / image.file
         if not image.file:
+            storage.require(image)
             store.images.mkdir(parents=True, exist_ok=True)
             folder = stack.enter_context(
                 tempfile.TemporaryDirectory(prefix=".saved.", suffix=f".{os.getpid()}", dir=store.images)

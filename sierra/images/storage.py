@@ -143,6 +143,15 @@ def present(identity: str) -> bool:
     return identify(identity) is not None
 
 
+def require(image: Image) -> None:
+    """Raises Missing where podman does not have the image, as in a clone on another machine."""
+    if not present(image.id):
+        raise Missing(
+            f"the image {image.name} ({short(image.id)}) is not in podman's storage; "
+            "build its recipe, or bring it from where it is: sierra image export there, import here"
+        )
+
+
 def holds(identity: str) -> bool:
     """Whether podman is here, works, and has the image of that id."""
     try:

@@ -53,6 +53,8 @@ def export(root: Path, name: str, file: Path) -> Image:
     """
     if file.is_dir():
         raise UsageError(f"{file} is a folder; name the file to be written, as in {file / 'image.tar'}")
+    if not file.parent.is_dir():
+        raise UsageError(f"there is no folder {file.parent} for {file.name}")
     image = pins(root).get(name) or named(root, name)
     unfinished = file.with_name(f".{file.name}.{os.getpid()}")
     try:
@@ -70,6 +72,7 @@ def _write(root: Path, image: Image, target: Path) -> None:
     if image.file and (root / image.file).is_file():
         shutil.copyfile(root / image.file, target)
         return
+    storage.require(image)
     called = None if image.file else tag(root, image.name)
     is_that = called is not None and storage.identify(called) == image.id
     storage.save(called if called and is_that else image.id.removeprefix("sha256:"), target)
