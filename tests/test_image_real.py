@@ -121,6 +121,9 @@ def test_an_exported_image_is_the_same_elsewhere(busybox: Project, storages: Sto
     done = quick(busybox.root, "image", "import", str(tmp_path / "one.tar"), "--name", "localhost/images-copy:1")
     assert done.returncode == 0, done.stderr
     assert storage.identify("localhost/images-copy:1") == built.id == storage.identify(built.id)
+    assert done.stdout.splitlines()[1] == "next: sierra image pin localhost/images-copy:1"
+    done = quick(busybox.root, "image", "import", str(tmp_path / "one.tar"))
+    assert done.stdout.splitlines()[1] == f"pinned already: {BUSYBOX}"
     images.verify(busybox.root, images.pinned(busybox.root, BUSYBOX))
 
 
@@ -266,6 +269,10 @@ def test_a_recipe_that_fails_is_said_in_a_line_and_leaves_nothing(
             "echo 'dpkg: error processing package debconf (--install):'; echo ' subprocess returned error exit status 127'; "
             "echo 'E: setup failed'; echo 'E: mmdebstrap failed to run'; exit 25",
             "(exit status 25): dpkg: error processing package debconf (--install): subprocess returned error exit status 127",
+        ),
+        (
+            "echo 'sim.c:20:1: error: stray #'; echo '   20 | # x'; echo '      | ^'; exit 1",
+            "(exit status 1): sim.c:20:1: error: stray #",
         ),
         ("exit 0", "has not written a tar"),
         ("kill -9 $$", "signal 9"),

@@ -9,6 +9,7 @@ one time for all files: that of SOURCE_DATE_EPOCH, else EPOCH. Nor do rights dep
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import stat
 import subprocess
@@ -24,8 +25,8 @@ from sierra.images.recipe import CONTAINERFILE, ROOTFS, is_recipe
 
 TAR = "rootfs.tar"
 EPOCH = 1700000000
-ERRORS = ("E: ", "ERROR", "error", "dpkg: error")
-"""What a line begins with that says what went wrong."""
+ERROR = re.compile(r"(E: |ERROR|error|dpkg: error|.*:\d+: (fatal )?error: )")
+"""How a line begins that says what went wrong: to apt, pip, dpkg, a compiler."""
 
 
 def build(root: Path, name: str, *, network: bool = False) -> Image:
@@ -83,7 +84,7 @@ def _why(said: str) -> str:
     """
     lines = [line.strip() for line in said.splitlines() if line.strip()]
     full = next((line for line in lines if "No space left on device" in line), "")
-    first = next((number for number, line in enumerate(lines) if line.startswith(ERRORS)), len(lines) - 1)
+    first = next((number for number, line in enumerate(lines) if ERROR.match(line)), len(lines) - 1)
     return full or " ".join(lines[first : first + (2 if lines[first].endswith(":") else 1)]) if lines else "it said nothing"
 
 
