@@ -78,12 +78,14 @@ def import_(
     from sierra.cli.opened import project
     from sierra.cli.output import print_json
 
-    found = project().import_image(file, name)
+    opened = project()
+    found = opened.import_image(file, name)
     if as_json:
         print_json(_contents(found))
         return
     print(f"{found.image.id}  {found.image.name}")
-    print(f"next: sierra image pin {found.image.name}")
+    pinned = [one.name for one in opened.images() if one.state == "pinned" and one.id == found.image.id]
+    print(f"pinned already: {', '.join(pinned)}" if pinned else f"next: sierra image pin {found.image.name}")
 
 
 @app.command()
