@@ -24,6 +24,7 @@ PROJECT = f"{INSIDE}/project"
 PYTHON = "python3"
 WATCHED = frozenset(("memory",))
 """Limits that the worker watches over where the engine does not enforce them."""
+NVIDIA = Path("/proc/driver/nvidia")
 SPARE_S = 60.0
 """Beyond a run's time limit, until its container ends by itself: whoever watched over it must be gone."""
 
@@ -157,6 +158,7 @@ def contain(
     if shared and not inside.program(PYTHON):
         shared = False
         notes.append(f'isolation = "worker" needs {PYTHON} in the image, which it lacks: each run has a container of its own')
+    _check_devices(recipe)
     box = Box(
         image=image,
         reference=reference,
@@ -189,6 +191,15 @@ def _there(project: Path, target: str, source: str) -> Path:
     if not path.exists():
         raise Missing(f"[container] mounts: {path} is not there, which runs are to have at {target}")
     return path
+
+
+def _check_devices(recipe: Recipe) -> None:
+    """That what runs are to use of this machine is there. Raises Missing."""
+    for path in (one.removeprefix(DEVICE) for one in recipe.reach if one.startswith(DEVICE)):
+        if not Path(path).exists():
+            raise Missing(f"[container] devices: there is no {path} on this machine")
+    if GPU in recipe.reach and not NVIDIA.exists():
+        raise Missing("[container] gpu: there is no driver of NVIDIA's on this machine")
 
 
 def program(command: Sequence[str], path: str | None, inside: Contents) -> str:

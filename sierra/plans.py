@@ -162,6 +162,7 @@ def plan(project: LoadedProject, asked: Query, *, engine: str | None = None) -> 
         notes=(
             *code.notes,
             *_doubts(designed, command),
+            *_outdated(root, image),
             *_texts(designed, config, template),
             *_same(batch),
             *used.notes,
@@ -181,6 +182,11 @@ def _contained(project: LoadedProject, name: str | None) -> tuple[Engine, Image 
     image = images.pinned(project.root, container.image)
     images.verify(project.root, image)
     return engine, image
+
+
+def _outdated(root: Path, image: Image | None) -> Iterator[str]:
+    if image and images.outdated(root, StorePaths(ProjectPaths(root).store), image):
+        yield f"{image.name} has changed since its image was built: sierra image build {image.name}, then pin it"
 
 
 def _source(project: LoadedProject, own: Sequence[str]) -> source.Source:

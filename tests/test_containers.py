@@ -390,3 +390,14 @@ def test_a_batch_in_an_image_is_sound(tmp_path: Path, busybox: Path) -> None:
     folder = containers.make(tmp_path / "project", busybox)
     says(folder, *RUN)
     assert says(folder, "fsck").startswith("sound")
+
+
+@pytest.mark.parametrize(("asked", "lacking"), [('devices = ["/dev/nothing"]', "/dev/nothing"), ("gpu = true", "NVIDIA")])
+def test_a_device_that_is_not_there_is_said_before_anything_runs(
+    tmp_path: Path, busybox: Path, asked: str, lacking: str
+) -> None:
+    if Path("/proc/driver/nvidia").exists():
+        pytest.skip("needs a machine without NVIDIA's driver")
+    folder = containers.make(tmp_path / "project", busybox, asked)
+    assert lacking in says(folder, *RUN, code=3)
+    assert rows(folder, "SELECT count(*) AS n FROM executions") == [{"n": 0}]

@@ -108,6 +108,18 @@ def test_two_builds_give_one_image(busybox: Project, storages: Storages) -> None
     assert found.recipe.endswith((busybox.root / BUSYBOX / "Containerfile").read_text())
 
 
+def test_a_recipe_that_was_edited_since_is_noticed(busybox: Project) -> None:
+    with (busybox.root / "sierra.toml").open("a") as file:
+        file.write(f'[container]\nimage = "{BUSYBOX}"\n')
+    busybox.build_image(BUSYBOX)
+    busybox.pin(BUSYBOX)
+    asking = (busybox.root, "run", "population_size=1", "-n")
+    assert "has changed since its image was built" not in quick(*asking).stderr
+    with (busybox.root / BUSYBOX / "Containerfile").open("a") as file:
+        file.write("LABEL other=1\n")
+    assert f"{BUSYBOX} has changed since its image was built" in quick(*asking).stderr
+
+
 def test_an_exported_image_is_the_same_elsewhere(busybox: Project, storages: Storages, tmp_path: Path) -> None:
     built = busybox.build_image(BUSYBOX)
     busybox.pin(BUSYBOX)

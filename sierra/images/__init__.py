@@ -7,7 +7,7 @@ is in an image, `rootfs` what apptainer runs of it. Formats are `archive`, `sif`
 
 from __future__ import annotations
 
-from sierra.images.described import Contents, contents, examine, from_row, rootfs
+from sierra.images.described import Contents, contents, examine, from_row, outdated, rootfs
 from sierra.images.image import Image, Kind, machine, short
 from sierra.images.naming import named, verify
 from sierra.images.pins import pin, pinned, pins
@@ -24,6 +24,7 @@ __all__ = [
     "from_row",
     "machine",
     "named",
+    "outdated",
     "pin",
     "pinned",
     "pins",

@@ -177,6 +177,15 @@ def unfinished(store: StorePaths) -> Iterator[Path]:
             yield path
 
 
+def outdated(root: Path, store: StorePaths, image: Image) -> bool:
+    """Whether an image's name is the folder of its recipe, and that is another than the image was built by."""
+    folder = root / image.name
+    if image.file or not recipe.is_recipe(folder):
+        return False
+    found = contents(store, image)
+    return found is not None and found.labels.get(recipe.LABEL) != recipe.identity(folder)
+
+
 def known(store: StorePaths) -> Iterator[Contents]:
     """All images that are described in this store; their names are those by which they were first seen."""
     for folder in sorted(store.images.glob("*-*")) if store.images.is_dir() else ():

@@ -21,7 +21,7 @@ def is_recipe(path: Path | None) -> bool:
 def identity(folder: Path) -> str:
     """The id of a recipe: of its files' names, contents, and whether they are programs."""
     files = (path for path in sorted(folder.rglob("*")) if path.is_symlink() or path.is_file())
-    return digest("recipe", {"files": [list(_file(folder, path)) for path in files]})
+    return digest("image recipe", {"files": [list(_file(folder, path)) for path in files]})
 
 
 def text(folder: Path, label: str) -> str:
