@@ -199,7 +199,7 @@ class Maker:
     def _container(self) -> Client:
         """What starts a container for the runs of a slot, with the worker in it."""
         runs, script = f"{INSIDE}/runs", f"{INSIDE}/worker.py"
-        own = (Mount(HERE, runs, writable=True), Mount(str(Path(worker.__file__)), script))
+        own = (Mount(f"{HERE}/{worker.RUNS}", runs, writable=True), Mount(str(Path(worker.__file__)), script))
         variables = {name: self._environment[name] for name in ("PATH", "SIERRA_SESSION")} | {"HOME": runs, "TMPDIR": "/tmp"}  # noqa: S108
         argv = ("python3", "-I", "-S", script, runs, "1", "-")
         process = Process(argv, variables, own, runs, interactive=True)

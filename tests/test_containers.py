@@ -291,6 +291,47 @@ def test_where_all_that_could_end_it_was_killed_a_container_is_ended_by_the_next
     await_none(folder, mark, 1)
 
 
+# ---------------------------------------------------------------- runs that share a container
+
+MEDDLES = """\
+case $(sed -n 's/.*count="\\([0-9]*\\)".*/\\1/p' "$1") in
+1) (env -i setsid sh -c 'while sleep 0.05; do echo tick,coverage > /run/sierra/runs/2/output/swarm.csv; done' sh {mark} &)
+   busybox readlink /proc/$PPID/fd/0 && exit 8;;
+2) printf 'a line that is cut short' > /proc/1/fd/1
+   echo '{"event":"end","exit_code":0,"outputs":[]}' > /proc/1/fd/1
+   sleep 1
+   [ -e /run/sierra/runs/.cid ] || [ -e /run/sierra/runs/../log ] && exit 9;;
+3) cd /; for file in /run/sierra/runs/*/output/swarm.csv; do [ -f "$file" ] && echo tick,coverage > "$file"; done;;
+4) cd /; mv "$SIERRA_RUN_DIR" /run/sierra/runs/old; ln -s /etc "$SIERRA_RUN_DIR"; exit 0;;
+esac
+cd "$SIERRA_RUN_DIR/output"
+"""
+
+
+def test_runs_that_share_a_container_have_no_say_in_what_is_recorded_of_others(tmp_path: Path, python: Path) -> None:
+    meddles = MEDDLES.replace("{mark}", "of-nobody") + containers.SIMULATOR
+    folder = containers.make(tmp_path / "project", python, 'isolation = "worker"', simulator=meddles)
+    says(folder, "run", "population_size=1,2,3,4", "--runs", "1", "--no-figures", "-j1", code=1)
+    ended = rows(folder, "SELECT population_size AS n, status, reason FROM executions JOIN points USING (run) ORDER BY n")
+    assert [(row["n"], row["status"]) for row in ended] == [(1, "ok"), (2, "ok"), (3, "ok"), (4, "failed")], ended
+    assert "its folder is gone" in ended[3]["reason"]
+    values = rows(folder, "SELECT population_size AS n, count(*) AS rows FROM swarm GROUP BY ALL ORDER BY n")
+    assert values == [{"n": 1, "rows": 3}, {"n": 2, "rows": 3}, {"n": 3, "rows": 3}]
+    assert list(containers.sleepers("of-nobody")) == []
+    assert says(folder, "fsck").startswith("sound")
+
+
+def test_a_run_that_stops_the_worker_in_its_container_is_ended_all_the_same(tmp_path: Path, python: Path) -> None:
+    simulator = 'grep -q \'count="1"\' "$1" && kill -STOP $PPID && sleep 100\n' + containers.SIMULATOR
+    folder = containers.make(tmp_path / "project", python, 'isolation = "worker"', simulator=simulator)
+    with (folder / "sierra.toml").open("a") as file:
+        file.write("[limits]\nwall = 2.0\ngrace = 0.5\n")
+    says(folder, "run", "population_size=1,2", "--runs", "1", "--no-figures", "-j1", code=1)
+    ended = rows(folder, "SELECT population_size AS n, status FROM executions JOIN points USING (run) ORDER BY n")
+    assert ended == [{"n": 1, "status": "timeout"}, {"n": 2, "status": "ok"}]
+    assert containers.left(folder) == []
+
+
 # ---------------------------------------------------------------- identity
 
 
