@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,7 +13,7 @@ from sierra import images
 from sierra.config import Container
 from sierra.engines import INSIDE, Abilities, Box, Engine, Mount, Process
 from sierra.errors import ConfigError, Missing
-from sierra.hashing import digest
+from sierra.hashing import digest, sha256
 from sierra.images import Contents, Image
 from sierra.model import Limits, Recipe
 from sierra.paths import StorePaths
@@ -57,16 +58,21 @@ def limits(row: Mapping[str, Any]) -> dict[str, dict[str, float]]:
 def data(named: Programs, container: Container, project: Path) -> Programs:
     """The files that count beside image and source: those of the project that a template names, and all that is mounted.
 
-    What a template names elsewhere is the image's. Where a file is mounted counts, as no other file's place does: it is the
-    same wherever the project lies.
+    What a template names elsewhere is the image's. What is mounted counts by its whole path (`{mount}/data/map`), as two files
+    may have one name; and a link by where it leads, which is another place in a container.
     """
     digests = Digests()
     mounted = []
     for target, source in container.mounts.items():
         root = _there(project, target, source)
-        for path in sorted(below for below in root.rglob("*") if below.is_file()) if root.is_dir() else [root]:
-            name = f"{{mount}}{Path(target, path.relative_to(root))}"
-            mounted.append(Program(name, str(path), digests.of(str(path)), Kind.FILE))
+        for path in sorted(root.rglob("*")) if root.is_dir() else [root]:
+            if path.is_symlink() and path != root:
+                found = sha256(os.fsencode(path.readlink()))
+            elif path.is_file():
+                found = digests.of(str(path))
+            else:
+                continue
+            mounted.append(Program(f"{{mount}}{Path(target, path.relative_to(root))}", str(path), found, Kind.FILE))
     digests.save()
     own = (one for one in named.all if one.name.startswith("{project}/"))
     return Programs((*own, *mounted), named.notes)

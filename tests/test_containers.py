@@ -373,6 +373,26 @@ def test_a_mount_is_read_only_and_what_is_in_it_counts(tmp_path: Path, busybox: 
     assert "/data" in says(folder, *RUN, "--runs", "3", code=3)
 
 
+def test_of_a_mount_also_the_place_of_a_file_counts_and_where_a_link_leads(tmp_path: Path, busybox: Path) -> None:
+    writes = 'echo tick,coverage > swarm.csv; echo "0,$(cat /data/latest/map)" >> swarm.csv\n'
+    folder = containers.make(tmp_path / "project", busybox, f'mounts = {{ "/data" = "{tmp_path}/maps" }}', simulator=writes)
+    old, new = tmp_path / "maps" / "old", tmp_path / "maps" / "new"
+    for place, text in ((old, "1"), (new, "2")):
+        place.mkdir(parents=True)
+        (place / "map").write_text(text)
+    latest = tmp_path / "maps" / "latest"
+    latest.symlink_to("old")
+    assert "4 executed" in says(folder, *RUN)
+    old.rename(tmp_path / "aside")
+    new.rename(old)
+    (tmp_path / "aside").rename(new)
+    assert "4 executed" in says(folder, *RUN)
+    latest.unlink()
+    latest.symlink_to("new")
+    assert "4 executed" in says(folder, *RUN)
+    assert rows(folder, "SELECT DISTINCT coverage FROM swarm") == [{"coverage": 1}]
+
+
 def test_a_path_out_of_the_project_is_no_path_in_a_container(tmp_path: Path, busybox: Path) -> None:
     folder = containers.make(tmp_path / "project", busybox, command="sh {project}/../sim.sh {input}")
     assert "[container] mounts" in says(folder, *RUN, code=2)
