@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterator, Mapping, Sequence
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,8 @@ PROJECT = f"{INSIDE}/project"
 PYTHON = "python3"
 WATCHED = frozenset(("memory",))
 """Limits that the worker watches over where the engine does not enforce them."""
+MOUNTED = Path("/proc/self/mountinfo")
+ESCAPED = re.compile(rb"\\([0-7]{3})")
 SPARE_S = 60.0
 """Beyond a run's time limit, until its container ends by itself: whoever watched over it must be gone."""
 
@@ -167,7 +170,7 @@ def contain(
         image=image,
         reference=reference,
         session=session,
-        mounts=(Mount(str(code), PROJECT), *_mounts(recipe, given, project)),
+        mounts=tuple(_with_below((Mount(str(code), PROJECT), *_mounts(recipe, given, project)))),
         network=NETWORK in recipe.reach,
         devices=tuple(one.removeprefix(DEVICE) for one in recipe.reach if one.startswith(DEVICE)),
         gpu=GPU in recipe.reach,
@@ -187,6 +190,21 @@ def _mounts(recipe: Recipe, given: Container, project: Path) -> Iterator[Mount]:
         if target not in given.mounts:
             raise ConfigError(f"runs need a mount at {target}; name what is to be there in [container] mounts")
         yield Mount(str(_there(project, target, given.mounts[target])), target)
+
+
+def _with_below(mounts: Iterable[Mount]) -> Iterator[Mount]:
+    """The same, and what the host has mounted below their sources: what is said of a mount does not hold for these."""
+    try:
+        lines = MOUNTED.read_bytes().splitlines()
+    except OSError:
+        lines = []
+    points = sorted({os.fsdecode(ESCAPED.sub(lambda match: bytes([int(match[1], 8)]), line.split()[4])) for line in lines})
+    for mount in mounts:
+        yield mount
+        top = os.path.realpath(mount.source)
+        for point in points:
+            if point.startswith(f"{top}/") and os.access(point, os.F_OK):
+                yield replace(mount, source=point, target=mount.target + point.removeprefix(top))
 
 
 def _there(project: Path, target: str, source: str) -> Path:

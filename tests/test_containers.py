@@ -373,6 +373,23 @@ def test_a_mount_is_read_only_and_what_is_in_it_counts(tmp_path: Path, busybox: 
     assert "/data" in says(folder, *RUN, "--runs", "3", code=3)
 
 
+@pytest.mark.parametrize("engine", ["podman", "apptainer"])
+def test_another_file_system_below_the_project_is_read_only_too(
+    tmp_path: Path, busybox: Path, engine: str, require: Callable[..., str]
+) -> None:
+    require(engine)
+    require("root", there=os.geteuid() == 0)
+    simulator = "touch /run/sierra/project/'other one'/file 2>/dev/null && exit 9\n" + containers.SIMULATOR
+    folder = containers.make(tmp_path / "project", busybox, simulator=simulator)
+    (folder / "other one").mkdir()
+    subprocess.run(["mount", "-t", "tmpfs", "none", folder / "other one"], check=True)
+    try:
+        (folder / "other one" / "map").write_text("1")
+        assert "4 executed" in says(folder, *RUN, "--engine", engine)
+    finally:
+        subprocess.run(["umount", folder / "other one"], check=True)
+
+
 def test_of_a_mount_also_the_place_of_a_file_counts_and_where_a_link_leads(tmp_path: Path, busybox: Path) -> None:
     writes = 'echo tick,coverage > swarm.csv; echo "0,$(cat /data/latest/map)" >> swarm.csv\n'
     folder = containers.make(tmp_path / "project", busybox, f'mounts = {{ "/data" = "{tmp_path}/maps" }}', simulator=writes)
