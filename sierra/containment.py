@@ -15,7 +15,7 @@ from sierra.config import Container
 from sierra.engines import INSIDE, Abilities, Box, Engine, Mount, Process
 from sierra.errors import ConfigError, Missing
 from sierra.hashing import digest, sha256
-from sierra.images import Contents, Image
+from sierra.images import Contents, Image, archive
 from sierra.model import Limits, Recipe
 from sierra.paths import StorePaths
 from sierra.provenance.digests import Digests
@@ -159,6 +159,7 @@ def contain(
     if able.trouble:
         raise Missing(able.trouble)
     inside = images.examine(project, store, image)
+    _check_variables(image, inside)
     program(recipe.command, recipe.environment.get("PATH"), inside)
     reference = engine.prepare(image, project, store)
     given = container or Container(image=image.name)
@@ -213,6 +214,12 @@ def _there(project: Path, target: str, source: str) -> Path:
     if not path.exists():
         raise Missing(f"[container] mounts: {path} is not there, which runs are to have at {target}")
     return path
+
+
+def _check_variables(image: Image, inside: Contents) -> None:
+    """That the pinned variables are the image's: runs get them, and only its id counts. Raises Missing."""
+    if inside.config and dict(image.variables) != archive.variables(inside.config):
+        raise Missing(f"the variables of {image.name} in sierra.lock are not the image's; run: sierra image pin {image.name}")
 
 
 def program(command: Sequence[str], path: str | None, inside: Contents) -> str:

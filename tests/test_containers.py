@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from tests import containers
+from tests import containers, images
 from tests.projects import SIERRA, quick, sierra
 
 pytestmark = pytest.mark.real
@@ -413,6 +413,21 @@ def test_of_a_mount_also_the_place_of_a_file_counts_and_where_a_link_leads(tmp_p
 def test_a_path_out_of_the_project_is_no_path_in_a_container(tmp_path: Path, busybox: Path) -> None:
     folder = containers.make(tmp_path / "project", busybox, command="sh {project}/../sim.sh {input}")
     assert "[container] mounts" in says(folder, *RUN, code=2)
+
+
+def test_the_variables_of_an_image_are_those_that_it_sets_whatever_they_look_like(tmp_path: Path) -> None:
+    shell = [("bin/busybox", containers.BUSYBOX.read_bytes()), ("bin/sh -> busybox", ""), ("bin/env -> busybox", "")]
+    layer = images.layer(*((name, "") for name in containers.FOLDERS), *shell)
+    archive = images.docker_archive(
+        tmp_path / "image.tar", [layer], images.config([layer], config={"Env": ["FORM={{seed}} {python}", "PATH=/bin"]})
+    )
+    writes = 'echo tick,coverage,form > swarm.csv; echo "0,1,$FORM" >> swarm.csv\n'
+    folder = containers.make(tmp_path / "project", archive, simulator=writes)
+    says(folder, *RUN)
+    assert rows(folder, "SELECT DISTINCT form FROM swarm") == [{"form": "{{seed}} {python}"}]
+    lock = folder / "sierra.lock"
+    lock.write_text(lock.read_text().replace("{{seed}} {python}", "other"))
+    assert "the variables of" in says(folder, *RUN, "--runs", "3", code=3)
 
 
 # ---------------------------------------------------------------- replay
