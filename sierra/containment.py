@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+import os
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -12,8 +14,8 @@ from sierra import images
 from sierra.config import Container
 from sierra.engines import INSIDE, Abilities, Box, Engine, Mount, Process
 from sierra.errors import ConfigError, Missing
-from sierra.hashing import digest
-from sierra.images import Contents, Image
+from sierra.hashing import digest, sha256
+from sierra.images import Contents, Image, archive
 from sierra.model import Limits, Recipe
 from sierra.paths import StorePaths
 from sierra.provenance.digests import Digests
@@ -25,6 +27,8 @@ PYTHON = "python3"
 WATCHED = frozenset(("memory",))
 """Limits that the worker watches over where the engine does not enforce them."""
 NVIDIA = Path("/proc/driver/nvidia")
+MOUNTED = Path("/proc/self/mountinfo")
+ESCAPED = re.compile(rb"\\([0-7]{3})")
 SPARE_S = 60.0
 """Beyond a run's time limit, until its container ends by itself: whoever watched over it must be gone."""
 
@@ -58,16 +62,21 @@ def limits(row: Mapping[str, Any]) -> dict[str, dict[str, float]]:
 def data(named: Programs, container: Container, project: Path) -> Programs:
     """The files that count beside image and source: those of the project that a template names, and all that is mounted.
 
-    What a template names elsewhere is the image's. Where a file is mounted counts, as no other file's place does: it is the
-    same wherever the project lies.
+    What a template names elsewhere is the image's. What is mounted counts by its whole path (`{mount}/data/map`), as two files
+    may have one name; and a link by where it leads, which is another place in a container.
     """
     digests = Digests()
     mounted = []
     for target, source in container.mounts.items():
         root = _there(project, target, source)
-        for path in sorted(below for below in root.rglob("*") if below.is_file()) if root.is_dir() else [root]:
-            name = f"{{mount}}{Path(target, path.relative_to(root))}"
-            mounted.append(Program(name, str(path), digests.of(str(path)), Kind.FILE))
+        for path in sorted(root.rglob("*")) if root.is_dir() else [root]:
+            if path.is_symlink() and path != root:
+                found = sha256(os.fsencode(path.readlink()))
+            elif path.is_file():
+                found = digests.of(str(path))
+            else:
+                continue
+            mounted.append(Program(f"{{mount}}{Path(target, path.relative_to(root))}", str(path), found, Kind.FILE))
     digests.save()
     own = (one for one in named.all if one.name.startswith("{project}/"))
     return Programs((*own, *mounted), named.notes)
@@ -151,6 +160,7 @@ def contain(
     if able.trouble:
         raise Missing(able.trouble)
     inside = images.examine(project, store, image)
+    _check_variables(image, inside)
     program(recipe.command, recipe.environment.get("PATH"), inside)
     reference = engine.prepare(image, project, store)
     given = container or Container(image=image.name)
@@ -163,7 +173,7 @@ def contain(
         image=image,
         reference=reference,
         session=session,
-        mounts=(Mount(str(code), PROJECT), *_mounts(recipe, given, project)),
+        mounts=tuple(_with_below((Mount(str(code), PROJECT), *_mounts(recipe, given, project)))),
         network=NETWORK in recipe.reach,
         devices=tuple(one.removeprefix(DEVICE) for one in recipe.reach if one.startswith(DEVICE)),
         gpu=GPU in recipe.reach,
@@ -185,6 +195,21 @@ def _mounts(recipe: Recipe, given: Container, project: Path) -> Iterator[Mount]:
         yield Mount(str(_there(project, target, given.mounts[target])), target)
 
 
+def _with_below(mounts: Iterable[Mount]) -> Iterator[Mount]:
+    """The same, and what the host has mounted below their sources: what is said of a mount does not hold for these."""
+    try:
+        lines = MOUNTED.read_bytes().splitlines()
+    except OSError:
+        lines = []
+    points = sorted({os.fsdecode(ESCAPED.sub(lambda match: bytes([int(match[1], 8)]), line.split()[4])) for line in lines})
+    for mount in mounts:
+        yield mount
+        top = os.path.realpath(mount.source)
+        for point in points:
+            if point.startswith(f"{top}/") and os.access(point, os.F_OK):
+                yield replace(mount, source=point, target=mount.target + point.removeprefix(top))
+
+
 def _there(project: Path, target: str, source: str) -> Path:
     """What is mounted. Raises Missing."""
     path = project / source
@@ -200,6 +225,12 @@ def _check_devices(recipe: Recipe) -> None:
             raise Missing(f"[container] devices: there is no {path} on this machine")
     if GPU in recipe.reach and not NVIDIA.exists():
         raise Missing("[container] gpu: there is no driver of NVIDIA's on this machine")
+
+
+def _check_variables(image: Image, inside: Contents) -> None:
+    """That the pinned variables are the image's: runs get them, and only its id counts. Raises Missing."""
+    if inside.config and dict(image.variables) != archive.variables(inside.config):
+        raise Missing(f"the variables of {image.name} in sierra.lock are not the image's; run: sierra image pin {image.name}")
 
 
 def program(command: Sequence[str], path: str | None, inside: Contents) -> str:

@@ -81,9 +81,11 @@ def environment(platform: Platform, project: Project) -> dict[str, str]:
     return {**FIXED, **platform.environment(), **passed, **project.environment.set}
 
 
-def declared(variables: Mapping[str, str], root: Path, project: Path | None = None) -> dict[str, str]:
-    """The declared variables with the paths of this machine, and the PATH of runs."""
-    filled = {name: fill((value,), root, project=project)[0] for name, value in variables.items()}
+def declared(
+    variables: Mapping[str, str], root: Path, project: Path | None = None, *, image: Image | None = None
+) -> dict[str, str]:
+    """The declared variables with the paths of this machine, and the PATH of runs; with those that an image sets."""
+    filled = within(image, {name: fill((value,), root, project=project)[0] for name, value in variables.items()})
     return {**filled, "PATH": search_path(filled)}
 
 
@@ -94,7 +96,7 @@ def within(image: Image | None, variables: Mapping[str, str]) -> dict[str, str]:
 
 def on_host(recipe: Recipe, image: Image, root: Path) -> tuple[tuple[str, ...], dict[str, str]]:
     """A command that was recorded in an image, and its variables, for this machine."""
-    return fill(recipe.command, root, {"python": PYTHON}), declared(within(image, recipe.environment), root)
+    return fill(recipe.command, root, {"python": PYTHON}), declared(recipe.environment, root, image=image)
 
 
 def search_path(variables: Mapping[str, str]) -> str:
@@ -154,9 +156,8 @@ class Maker:
         self._placed = {"project": f"{INSIDE}/project" if box else str(root)}
         self._placed["python"] = PYTHON if image else sys.executable
         self._project = Path(self._placed["project"]) if box else project
-        variables = within(image, recipe.environment)
         self._environment = {
-            **{name: self._fill((value,))[0] for name, value in variables.items()},
+            **within(image, {name: self._fill((value,))[0] for name, value in recipe.environment.items()}),
             "HOME": f"{self._here}/{RUN_HOME}",
             "TMPDIR": "/tmp" if self._here != HERE else f"{HERE}/{RUN_TMP}",  # noqa: S108 - the container's own
             "SIERRA_RUN_DIR": self._here,
@@ -199,7 +200,7 @@ class Maker:
     def _container(self) -> Client:
         """What starts a container for the runs of a slot, with the worker in it."""
         runs, script = f"{INSIDE}/runs", f"{INSIDE}/worker.py"
-        own = (Mount(HERE, runs, writable=True), Mount(str(Path(worker.__file__)), script))
+        own = (Mount(f"{HERE}/{worker.RUNS}", runs, writable=True), Mount(str(Path(worker.__file__)), script))
         variables = {name: self._environment[name] for name in ("PATH", "SIERRA_SESSION")} | {"HOME": runs, "TMPDIR": "/tmp"}  # noqa: S108
         argv = ("python3", "-I", "-S", script, runs, "1", "-")
         process = Process(argv, variables, own, runs, interactive=True)

@@ -31,7 +31,11 @@ engine starts them. Their use of resources is what was seen of them from outside
 the time that they have run; where they ended before they were seen, it is not known (null). Where the client was
 killed, its `stop` ends the container. A container that is `shared` has all runs of a slot, one after the other: it is
 started with the first of them, with a folder of its own (the NUL in its argv) and in it this worker, which takes
-jobs from its standard input, and with `-` as its last argument writes its journal to its standard output.
+jobs from its standard input, and with `-` as its last argument writes its journal to its standard output. Of that
+folder, runs reach `runs` alone. They may write to the container's standard output too (/proc/1/fd/1), stop the
+worker that is in there with them, or change what earlier runs have left. So each job has a `seal`, a word that its
+run can't know: what does not bear it is not heeded. A run that has ended has nothing left that lives, and its folder
+is taken out of the container before it is looked at; a worker that is late in ending one is ended with the container.
 """
 
 from __future__ import annotations
@@ -57,13 +61,16 @@ from typing import Any, Iterator, TextIO
 
 FOLDERS = ("home", "tmp", "output")
 LOGS = ("stdout", "stderr")
+RUNS = "runs"
 POLL_S = 0.25
 HEAD_BYTES = 4096
 LOG_BYTES = 256 << 20  # of standard output or error, whatever the limits say
 CHUNK = 1 << 20
 SETTLE_S = 2.0
 CLEAN_S = 10.0  # for what an engine has yet to do when its containers have ended
+START_S = 60.0  # for an engine to start a container
 SAMPLE_S = 0.05
+LINE_BYTES = 1 << 16
 
 
 class Journal:
@@ -80,7 +87,7 @@ class Journal:
         line = json.dumps(event, separators=(",", ":")).encode() + b"\n"
         with self._lock:
             if self._piped:
-                write_all(self._file, line)
+                write_all(self._file, b"\n" + line)  # somebody else may have begun a line
                 return
             written = os.write(self._file, line)
             if written != len(line):
@@ -129,6 +136,7 @@ class Running:
 
     def __init__(self, job: dict[str, Any], folder: str, process: subprocess.Popen[bytes]) -> None:
         self.execution = job["execution"]
+        self.seal = job.get("seal")
         self.folder = folder
         self.pid = process.pid
         self.limits = job.get("limits", {})
@@ -216,9 +224,9 @@ class Container:
     """What the runs of a slot share: a client, and at the other end of its pipes this worker, in the container."""
 
     def __init__(self, client: dict[str, Any], folder: str) -> None:
-        os.mkdir(folder)
+        self.runs = os.path.join(folder, RUNS)
+        os.makedirs(self.runs)
         self.client = client_in(client, folder)
-        self.folder = folder
         self.log = os.path.join(folder, "log")
         with open(self.log, "wb") as log:
             self.process = subprocess.Popen(
@@ -231,27 +239,42 @@ class Container:
             )
         self.pid = self.process.pid
         self.kill_at: float | None = None
+        self.deadline: float | None = None
+        self.late = False
         self.lock = threading.Lock()
 
     def execute(self, job: dict[str, Any]) -> Iterator[dict[str, Any]]:
         """What the worker in the container says of a run, until it has ended; cut short where the container has."""
+        seal = base64.b64encode(os.urandom(18)).decode()
         inner = {name: value for name, value in job.items() if name not in ("client", "shared")}
+        self.allow(job["limits"], START_S)
         try:
-            self.send(inner)
+            self.send({**inner, "seal": seal})
         except OSError:
             return
-        for line in self.output():
-            event = json.loads(line)
+        for event in self.events(seal):
+            self.allow(job["limits"], CLEAN_S)
             yield event
             if event["event"] == "end":
+                self.deadline = None
                 return
 
-    def output(self) -> Iterator[bytes]:
-        """The whole lines of what the container says."""
-        if self.process.stdout is not None:
-            for line in self.process.stdout:
-                if line.endswith(b"\n"):
-                    yield line
+    def allow(self, limits: dict[str, Any], spare: float) -> None:
+        """Expect the end of a run after its time limit, with some to spare."""
+        if limits.get("wall_s") is not None:
+            self.deadline = time.monotonic() + limits["wall_s"] + limits.get("grace_s", 5.0) + spare
+
+    def events(self, seal: str) -> Iterator[dict[str, Any]]:
+        """What the worker in the container says; a run, whatever it says, does not know the seal."""
+        said = self.process.stdout
+        for line in iter(lambda: said.readline(LINE_BYTES) if said else b"", b""):
+            try:
+                event = json.loads(line)
+                sealed = event.pop("seal") == seal
+            except (ValueError, AttributeError, LookupError, TypeError, RecursionError):
+                continue
+            if sealed:
+                yield event
 
     def send(self, record: dict[str, Any]) -> None:
         with self.lock:
@@ -264,8 +287,11 @@ class Container:
         """Close the pipe: the worker inside ends what runs, and itself."""
         if self.kill_at is None:
             self.kill_at = time.monotonic() + grace + CLEAN_S
-            with self.lock:
+        if self.lock.acquire(blocking=False):  # else a job is being sent, to one that does not read yet: asked again
+            try:
                 self.shut()
+            finally:
+                self.lock.release()
 
     def shut(self) -> None:
         try:
@@ -279,8 +305,14 @@ class Container:
             self.kill_at = min(self.kill_at, time.monotonic() + SETTLE_S)
 
     def kill(self) -> None:
-        self.kill_at = None
+        self.kill_at = self.deadline = None
         signal_group(self.pid, signal.SIGKILL)
+
+    def expire(self, now: float) -> None:
+        """Kill it where the worker in it should have ended a run long since."""
+        if self.deadline is not None and now >= self.deadline:
+            self.late = True
+            self.kill()
 
     def close(self) -> str:
         """End it, the way it is meant to end if possible; the end of what it said beside."""
@@ -295,7 +327,8 @@ class Container:
         if self.process.stdout is not None:
             self.process.stdout.close()
         with open(self.log, "rb") as log:
-            said = log.read()[-HEAD_BYTES:].decode("utf-8", "replace").strip().splitlines()
+            log.seek(max(0, os.fstat(log.fileno()).st_size - HEAD_BYTES))
+            said = log.read().decode("utf-8", "replace").strip().splitlines()
         return said[-1] if said else "status %s" % self.process.returncode
 
 
@@ -400,18 +433,28 @@ class Worker:
             if event["event"] == "start":
                 event.update(pid=container.pid, born=birth(container.pid))
             else:
-                folder = os.path.join(container.folder, os.path.basename(event["directory"]))
-                event.update(directory=folder, slot=slot, host=self.host)
+                event.update(self.taken_out(job, container, event), slot=slot, host=self.host)
             self.journal.write(event)
             if event["event"] == "end":
                 return
         del self.containers[slot]
         said = container.close()
         wall = time.monotonic() - started
-        folder = os.path.join(container.folder, "lost")
-        stopped = "interrupted" if self.stopping else None
-        trouble = None if self.stopping else "its container ended: " + said
+        folder = os.path.join(container.runs, "lost")
+        stopped = "interrupted" if self.stopping else "timeout" if container.late else None
+        trouble = None if stopped else "its container ended: " + said
         self.journal.write(self.report(job, slot, folder, began, wall, stopped=stopped, error=trouble))
+
+    def taken_out(self, job: dict[str, Any], container: Container, event: dict[str, Any]) -> dict[str, Any]:
+        """What a run has left, in a folder that no other run of its container reaches."""
+        folder = self.next_folder()
+        inside = os.path.join(container.runs, os.path.basename(event["directory"]))
+        if is_folder(inside):
+            os.rename(inside, folder)
+            left = left_behind(folder, job["limits"], event["stopped"])
+        else:
+            left = {"error": "its folder is gone"}
+        return {"directory": folder, **left, "error": event["error"] or left["error"]}
 
     def next_folder(self, prefix: str = "") -> str:
         with self.lock:
@@ -432,9 +475,8 @@ class Worker:
         with self.lock:
             self.running[running.pid] = running
         try:
-            self.journal.write(
-                {"event": "start", "execution": running.execution, "pid": running.pid, "born": birth(running.pid)}
-            )
+            event = {"event": "start", "execution": running.execution, "pid": running.pid, "born": birth(running.pid)}
+            self.journal.write({**event, "seal": running.seal} if running.seal else event)
         except OSError as error:
             self.fail(error)
         if running.limited or self.stopping:
@@ -445,9 +487,11 @@ class Worker:
         with self.lock:
             del self.running[running.pid]
         running.clean(status)
-        end_orphans(running.execution, running.pid)
+        end_orphans(None if running.seal else running.execution, running.pid)  # one with a seal has the container for itself
         if running.stopped is None and self.stopping and os.WIFSIGNALED(status):
             running.stopped = "interrupted"
+        # with a seal, whoever takes its folder out of the container looks at it
+        left = {"stopped": running.stopped} if running.seal else left_behind(folder, running.limits, running.stopped)
         self.journal.write(
             self.report(
                 job,
@@ -458,7 +502,7 @@ class Worker:
                 exit_code=os.WEXITSTATUS(status) if os.WIFEXITED(status) else None,
                 signal=os.WTERMSIG(status) if os.WIFSIGNALED(status) else None,
                 **(running.meter.report() if running.meter else used(usage)),
-                **left_behind(running),
+                **left,
             )
         )
 
@@ -483,6 +527,8 @@ class Worker:
             "error": None,
         }
         report.update(fields)
+        if "seal" in job:
+            report["seal"] = job["seal"]
         return report
 
     def watch(self) -> float:
@@ -500,6 +546,7 @@ class Worker:
                 container.hurry()
             if container.kill_at is not None and now >= container.kill_at:
                 container.kill()
+            container.expire(now)
         for one in running:
             if one.meter:
                 one.meter.read(now)
@@ -608,10 +655,9 @@ def used(usage: Any) -> dict[str, Any]:
     return {"user_s": usage.ru_utime, "system_s": usage.ru_stime, "max_rss_bytes": usage.ru_maxrss * unit}
 
 
-def left_behind(running: Running) -> dict[str, Any]:
-    """Why the run was stopped (as far as its files tell), and its outputs, or why they cannot be read."""
-    folder = running.folder
-    allowed = running.limits.get("output_bytes")
+def left_behind(folder: str, limits: dict[str, Any], stopped: str | None) -> dict[str, Any]:
+    """Why a run was stopped (as far as its files tell), and its outputs, or why they cannot be read."""
+    allowed = limits.get("output_bytes")
     outputs: list[dict[str, Any]] = []
     error = None
     try:
@@ -620,11 +666,11 @@ def left_behind(running: Running) -> dict[str, Any]:
             for name in ("home", "tmp"):
                 remove(os.path.join(folder, name))
             outputs = list(survey(os.path.join(folder, "output")))
-            if running.stopped is None and allowed is not None and size_of(folder) > allowed:
-                running.stopped = "output"
+            if stopped is None and allowed is not None and size_of(folder) > allowed:
+                stopped = "output"
     except (OSError, RecursionError) as trouble:
         error = "its outputs cannot be read: " + explain(trouble)
-    return {"stopped": running.stopped, "outputs": outputs, "error": error}
+    return {"stopped": stopped, "outputs": outputs, "error": error}
 
 
 def survey(root: str) -> Iterator[dict[str, Any]]:
@@ -897,25 +943,31 @@ def explain(error: BaseException) -> str:
     return "%s: %s" % (name, reason) if name else reason
 
 
-def become_subreaper() -> None:
-    """Ask to be told of orphans, and to be ended with the process that started this one (Linux only)."""
+def become_subreaper(*, secretive: bool) -> None:
+    """Ask to be told of orphans, and to be ended with the process that started this one (Linux only).
+
+    What is in the memory and pipes of one that is `secretive` is nobody's business who has no more rights than it.
+    """
     if sys.platform != "linux":
         return
     try:
         import ctypes
 
         libc = ctypes.CDLL(None, use_errno=True)
-        set_child_subreaper, set_parent_death_signal = 36, 1
+        set_child_subreaper, set_parent_death_signal, set_dumpable = 36, 1, 4
         libc.prctl(set_child_subreaper, 1, 0, 0, 0)
         libc.prctl(set_parent_death_signal, signal.SIGHUP, 0, 0, 0)
+        if secretive:
+            libc.prctl(set_dumpable, 0, 0, 0, 0)
     except (ImportError, OSError, AttributeError):
         pass
 
 
 def main(arguments: list[str]) -> int:
     folder, slots = arguments[:2]
-    become_subreaper()
-    worker = Worker(os.path.abspath(folder), int(slots), piped=arguments[2:] == ["-"])
+    piped = arguments[2:] == ["-"]
+    become_subreaper(secretive=piped)
+    worker = Worker(os.path.abspath(folder), int(slots), piped=piped)
 
     for number in (signal.SIGQUIT, signal.SIGUSR1, signal.SIGUSR2, signal.SIGALRM):
         signal.signal(number, signal.SIG_DFL)  # ignored by whoever started this in the background, perhaps

@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from tests import containers
+from tests import containers, images
 from tests.projects import SIERRA, quick, sierra
 
 pytestmark = pytest.mark.real
@@ -291,6 +291,47 @@ def test_where_all_that_could_end_it_was_killed_a_container_is_ended_by_the_next
     await_none(folder, mark, 1)
 
 
+# ---------------------------------------------------------------- runs that share a container
+
+MEDDLES = """\
+case $(sed -n 's/.*count="\\([0-9]*\\)".*/\\1/p' "$1") in
+1) (env -i setsid sh -c 'while sleep 0.05; do echo tick,coverage > /run/sierra/runs/2/output/swarm.csv; done' sh {mark} &)
+   busybox readlink /proc/$PPID/fd/0 && exit 8;;
+2) printf 'a line that is cut short' > /proc/1/fd/1
+   echo '{"event":"end","exit_code":0,"outputs":[]}' > /proc/1/fd/1
+   sleep 1
+   [ -e /run/sierra/runs/.cid ] || [ -e /run/sierra/runs/../log ] && exit 9;;
+3) cd /; for file in /run/sierra/runs/*/output/swarm.csv; do [ -f "$file" ] && echo tick,coverage > "$file"; done;;
+4) cd /; mv "$SIERRA_RUN_DIR" /run/sierra/runs/old; ln -s /etc "$SIERRA_RUN_DIR"; exit 0;;
+esac
+cd "$SIERRA_RUN_DIR/output"
+"""
+
+
+def test_runs_that_share_a_container_have_no_say_in_what_is_recorded_of_others(tmp_path: Path, python: Path) -> None:
+    meddles = MEDDLES.replace("{mark}", "of-nobody") + containers.SIMULATOR
+    folder = containers.make(tmp_path / "project", python, 'isolation = "worker"', simulator=meddles)
+    says(folder, "run", "population_size=1,2,3,4", "--runs", "1", "--no-figures", "-j1", code=1)
+    ended = rows(folder, "SELECT population_size AS n, status, reason FROM executions JOIN points USING (run) ORDER BY n")
+    assert [(row["n"], row["status"]) for row in ended] == [(1, "ok"), (2, "ok"), (3, "ok"), (4, "failed")], ended
+    assert "its folder is gone" in ended[3]["reason"]
+    values = rows(folder, "SELECT population_size AS n, count(*) AS rows FROM swarm GROUP BY ALL ORDER BY n")
+    assert values == [{"n": 1, "rows": 3}, {"n": 2, "rows": 3}, {"n": 3, "rows": 3}]
+    assert list(containers.sleepers("of-nobody")) == []
+    assert says(folder, "fsck").startswith("sound")
+
+
+def test_a_run_that_stops_the_worker_in_its_container_is_ended_all_the_same(tmp_path: Path, python: Path) -> None:
+    simulator = 'grep -q \'count="1"\' "$1" && kill -STOP $PPID && sleep 100\n' + containers.SIMULATOR
+    folder = containers.make(tmp_path / "project", python, 'isolation = "worker"', simulator=simulator)
+    with (folder / "sierra.toml").open("a") as file:
+        file.write("[limits]\nwall = 2.0\ngrace = 0.5\n")
+    says(folder, "run", "population_size=1,2", "--runs", "1", "--no-figures", "-j1", code=1)
+    ended = rows(folder, "SELECT population_size AS n, status FROM executions JOIN points USING (run) ORDER BY n")
+    assert ended == [{"n": 1, "status": "timeout"}, {"n": 2, "status": "ok"}]
+    assert containers.left(folder) == []
+
+
 # ---------------------------------------------------------------- identity
 
 
@@ -332,9 +373,61 @@ def test_a_mount_is_read_only_and_what_is_in_it_counts(tmp_path: Path, busybox: 
     assert "/data" in says(folder, *RUN, "--runs", "3", code=3)
 
 
+@pytest.mark.parametrize("engine", ["podman", "apptainer"])
+def test_another_file_system_below_the_project_is_read_only_too(
+    tmp_path: Path, busybox: Path, engine: str, require: Callable[..., str]
+) -> None:
+    require(engine)
+    require("root", there=os.geteuid() == 0)
+    simulator = "touch /run/sierra/project/'other one'/file 2>/dev/null && exit 9\n" + containers.SIMULATOR
+    folder = containers.make(tmp_path / "project", busybox, simulator=simulator)
+    (folder / "other one").mkdir()
+    subprocess.run(["mount", "-t", "tmpfs", "none", folder / "other one"], check=True)
+    try:
+        (folder / "other one" / "map").write_text("1")
+        assert "4 executed" in says(folder, *RUN, "--engine", engine)
+    finally:
+        subprocess.run(["umount", folder / "other one"], check=True)
+
+
+def test_of_a_mount_also_the_place_of_a_file_counts_and_where_a_link_leads(tmp_path: Path, busybox: Path) -> None:
+    writes = 'echo tick,coverage > swarm.csv; echo "0,$(cat /data/latest/map)" >> swarm.csv\n'
+    folder = containers.make(tmp_path / "project", busybox, f'mounts = {{ "/data" = "{tmp_path}/maps" }}', simulator=writes)
+    old, new = tmp_path / "maps" / "old", tmp_path / "maps" / "new"
+    for place, text in ((old, "1"), (new, "2")):
+        place.mkdir(parents=True)
+        (place / "map").write_text(text)
+    latest = tmp_path / "maps" / "latest"
+    latest.symlink_to("old")
+    assert "4 executed" in says(folder, *RUN)
+    old.rename(tmp_path / "aside")
+    new.rename(old)
+    (tmp_path / "aside").rename(new)
+    assert "4 executed" in says(folder, *RUN)
+    latest.unlink()
+    latest.symlink_to("new")
+    assert "4 executed" in says(folder, *RUN)
+    assert rows(folder, "SELECT DISTINCT coverage FROM swarm") == [{"coverage": 1}]
+
+
 def test_a_path_out_of_the_project_is_no_path_in_a_container(tmp_path: Path, busybox: Path) -> None:
     folder = containers.make(tmp_path / "project", busybox, command="sh {project}/../sim.sh {input}")
     assert "[container] mounts" in says(folder, *RUN, code=2)
+
+
+def test_the_variables_of_an_image_are_those_that_it_sets_whatever_they_look_like(tmp_path: Path) -> None:
+    shell = [("bin/busybox", containers.BUSYBOX.read_bytes()), ("bin/sh -> busybox", ""), ("bin/env -> busybox", "")]
+    layer = images.layer(*((name, "") for name in containers.FOLDERS), *shell)
+    archive = images.docker_archive(
+        tmp_path / "image.tar", [layer], images.config([layer], config={"Env": ["FORM={{seed}} {python}", "PATH=/bin"]})
+    )
+    writes = 'echo tick,coverage,form > swarm.csv; echo "0,1,$FORM" >> swarm.csv\n'
+    folder = containers.make(tmp_path / "project", archive, simulator=writes)
+    says(folder, *RUN)
+    assert rows(folder, "SELECT DISTINCT form FROM swarm") == [{"form": "{{seed}} {python}"}]
+    lock = folder / "sierra.lock"
+    lock.write_text(lock.read_text().replace("{{seed}} {python}", "other"))
+    assert "the variables of" in says(folder, *RUN, "--runs", "3", code=3)
 
 
 # ---------------------------------------------------------------- replay

@@ -76,7 +76,7 @@ class Process:
     environment: Mapping[str, str]
     """All of it: nothing of the host's or the image's is added, but what an engine can't leave out."""
     mounts: tuple[Mount, ...]
-    """The first is the run's folder: NUL."""
+    """The first is the run's folder, NUL, or in it."""
     folder: str
     """Where it begins."""
     interactive: bool = False
