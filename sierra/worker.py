@@ -151,8 +151,11 @@ class Running:
         self.lock = threading.Lock()
 
     def deadline(self) -> float | None:
-        wall = self.limits.get("wall_s")
-        return None if wall is None else self.started + wall
+        wall: float | None = self.limits.get("wall_s")
+        if wall is None or self.meter is None:
+            return None if wall is None else self.started + wall
+        # what an engine takes to start a container is not the run's
+        return wall + (self.started + START_S if self.meter.since is None else self.meter.since)
 
     def stop(self, reason: str) -> None:
         """Ask the whole group to end; `kill` follows after the grace time."""
@@ -187,7 +190,7 @@ class Meter:
     def __init__(self, running: Running) -> None:
         self._running = running
         self._roots: list[tuple[int, int | None]] = []
-        self.seen = False
+        self.since: float | None = None
         self.user_s = self.system_s = 0.0
         self.max_rss = 0
         self.due = 0.0
@@ -199,7 +202,7 @@ class Meter:
         self.due = now + min(POLL_S, max(SAMPLE_S, (now - self._running.started) / 20))
         pids = self.pids()
         if pids:
-            self.seen = True
+            self.since = now if self.since is None else self.since
             user, system = cpu_of(pids)
             self.user_s, self.system_s = max(user, self.user_s), max(system, self.system_s)
             self.max_rss = max(self.max_rss, max(peak_of(pid) for pid in pids))
@@ -215,7 +218,7 @@ class Meter:
         return [pid for root, _ in self._roots for pid in descendants(root)]
 
     def report(self) -> dict[str, Any]:
-        if not self.seen:
+        if self.since is None:
             return {"user_s": None, "system_s": None, "max_rss_bytes": None}
         return {"user_s": self.user_s, "system_s": self.system_s, "max_rss_bytes": self.max_rss}
 
