@@ -12,7 +12,7 @@ from typing import Any
 
 from sierra import images
 from sierra.config import Container
-from sierra.engines import INSIDE, Abilities, Box, Engine, Mount, Process
+from sierra.engines import PROJECT, PYTHON, Abilities, Box, Engine, Mount, Process
 from sierra.errors import ConfigError, Missing
 from sierra.hashing import digest, sha256
 from sierra.images import Contents, Image, archive
@@ -22,8 +22,6 @@ from sierra.provenance.digests import Digests
 from sierra.provenance.program import Kind, Program, Programs
 
 NETWORK, GPU, DEVICE, MOUNT = "network", "gpu", "device ", "mount "
-PROJECT = f"{INSIDE}/project"
-PYTHON = "python3"
 WATCHED = frozenset(("memory",))
 """Limits that the worker watches over where the engine does not enforce them."""
 NVIDIA = Path("/proc/driver/nvidia")

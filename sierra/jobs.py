@@ -17,7 +17,7 @@ from typing import cast
 
 from sierra import worker
 from sierra.config import Project
-from sierra.engines import INSIDE, Box, Engine, Mount, Process
+from sierra.engines import INSIDE, PROJECT, PYTHON, Box, Engine, Mount, Process
 from sierra.errors import ConfigError
 from sierra.hashing import digest
 from sierra.images import Image
@@ -45,8 +45,6 @@ OWN = ("HOME", "TMPDIR")
 HERE = "\0"
 """The run's folder, which only the worker knows."""
 _IN_RUN = f"{INSIDE}/run"
-PYTHON = "python3"
-"""What `{python}` stands for in a container."""
 SEARCHED = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin"
 """The PATH of an image that has none of its own."""
 
@@ -153,7 +151,7 @@ class Maker:
         self._bounds = bounds
         self._box = box
         self._here = _IN_RUN if box and not box.shared else HERE
-        self._placed = {"project": f"{INSIDE}/project" if box else str(root)}
+        self._placed = {"project": PROJECT if box else str(root)}
         self._placed["python"] = PYTHON if image else sys.executable
         self._project = Path(self._placed["project"]) if box else project
         self._environment = {
@@ -179,13 +177,13 @@ class Maker:
         own = {"SIERRA_RUN_ID": run.id, "SIERRA_SEED": str(run.seed), "SIERRA_EXECUTION": execution}
         argv = self._fill(self._recipe.command, values)
         variables = {**self._environment, **own}
-        client = self._shared or self._contained(execution, argv, variables)
+        client = self._shared or self._contained(argv, variables)
         return Job(run.id, execution, argv, variables, files, self._bounds, client, shared=self._shared is not None)
 
     def _fill(self, words: Iterable[str], values: Mapping[str, str] | None = None) -> tuple[str, ...]:
         return fill(words, self._root, {**self._placed, **(values or {})}, project=self._project)
 
-    def _contained(self, execution: str, argv: tuple[str, ...], variables: Mapping[str, str]) -> Client | None:
+    def _contained(self, argv: tuple[str, ...], variables: Mapping[str, str]) -> Client | None:
         """What starts the container of one run."""
         if self._box is None:
             return None
@@ -202,7 +200,7 @@ class Maker:
         runs, script = f"{INSIDE}/runs", f"{INSIDE}/worker.py"
         own = (Mount(f"{HERE}/{worker.RUNS}", runs, writable=True), Mount(str(Path(worker.__file__)), script))
         variables = {name: self._environment[name] for name in ("PATH", "SIERRA_SESSION")} | {"HOME": runs, "TMPDIR": "/tmp"}  # noqa: S108
-        argv = ("python3", "-I", "-S", script, runs, "1", "-")
+        argv = (PYTHON, "-I", "-S", script, runs, "1", "-")
         process = Process(argv, variables, own, runs, interactive=True)
         return self._engine.client(cast(Box, self._box), process)
 

@@ -28,6 +28,9 @@ SHIPPED = {
 }
 INSIDE = "/run/sierra"
 """Where a container has what SIERRA gives it: `run`, `project` and, for runs that share it, `runs` and `worker.py`."""
+PROJECT = f"{INSIDE}/project"
+PYTHON = "python3"
+"""What `{python}` stands for in a container."""
 HOSTNAME = "run"
 
 
