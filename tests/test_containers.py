@@ -162,6 +162,19 @@ echo 0,1 >> swarm.csv
 """
 
 
+ENDED = {
+    1: ("failed", 7, None),
+    2: ("failed", None, 11),
+    3: ("failed", 125, None),
+    4: ("failed", 255, None),
+    5: ("failed", 127, None),
+    6: ("timeout", None, 15),
+    7: ("timeout", None, 9),
+    9: ("ok", 0, None),
+}
+"""Status, exit status and signal of each of these (of the eighth, that it had too much memory)."""
+
+
 @pytest.mark.parametrize("isolation", ["run", "worker"])
 def test_each_way_to_end_is_told_apart(tmp_path: Path, python: Path, isolation: str) -> None:
     folder = containers.make(tmp_path / "project", python, f'isolation = "{isolation}"', simulator=ENDS)
@@ -174,16 +187,7 @@ def test_each_way_to_end_is_told_apart(tmp_path: Path, python: Path, isolation: 
     found = {row["n"]: (row["status"], row["exit_code"], row["signal"]) for row in ended}
     assert found[8][0] == "memory"
     del found[8]
-    assert found == {
-        1: ("failed", 7, None),
-        2: ("failed", None, 11),
-        3: ("failed", 125, None),
-        4: ("failed", 255, None),
-        5: ("failed", 127, None),
-        6: ("timeout", None, 15),
-        7: ("timeout", None, 9),
-        9: ("ok", 0, None),
-    }
+    assert found == ENDED
     assert containers.left(folder) == []
     assert list(containers.sleepers("61.5")) == []
 
