@@ -211,7 +211,7 @@ def test_a_recipe_in_an_image_has_its_content_and_what_runs_reach_beyond_it() ->
     assert replace(plain, image=None, reach=("network",)).preimage()["image"] is None
 
 
-ISOLATION = "11e9dfbdf069f2c3b1f2fd51d57ba5a6bd46776031bbae116224720f86e2e310"
+ISOLATION = "248f73e6160525a63312e2ea2bb660709f2c72ba1316f4c6561046f4f7205a30"
 
 
 class Engine(Uncontained):
