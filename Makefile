@@ -20,7 +20,7 @@ LOCKED = --no-compile --only-binary :all: --require-hashes --requirement require
 
 .DEFAULT_GOAL = help
 .DELETE_ON_ERROR:
-.PHONY: help install demo test check format bench schemas lock system dist clean
+.PHONY: help install demo test slow check format bench schemas lock system dist clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## /\1	/p' Makefile | expand -t 10
@@ -43,8 +43,11 @@ demo: install ## copy the example to ./demo, unless it is there, and run a query
 	test -e demo || $(BIN)/sierra init --example swarm demo
 	cd demo && ../$(BIN)/sierra run population_size.Log8 --runs 10
 
-test: install ## all tests; more at once with WORKERS=8
-	$(BIN)/python -m pytest --numprocesses $(WORKERS)
+test: install ## all tests but the slow ones; more at once with WORKERS=8
+	$(BIN)/python -m pytest --numprocesses $(WORKERS) -m "not slow"
+
+slow: install ## the tests that take long
+	$(BIN)/python -m pytest --numprocesses $(WORKERS) -m slow
 
 check: install ## style, types, and the layers of the design
 	$(BIN)/ruff check

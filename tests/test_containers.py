@@ -325,6 +325,7 @@ def test_runs_that_share_a_container_have_no_say_in_what_is_recorded_of_others(t
     assert says(folder, "fsck").startswith("sound")
 
 
+@pytest.mark.slow
 def test_a_run_that_stops_the_worker_in_its_container_is_ended_all_the_same(tmp_path: Path, python: Path) -> None:
     simulator = 'grep -q \'count="1"\' "$1" && kill -STOP $PPID && sleep 100\n' + containers.SIMULATOR
     folder = containers.make(tmp_path / "project", python, 'isolation = "worker"', simulator=simulator)
@@ -394,6 +395,7 @@ def test_another_file_system_below_the_project_is_read_only_too(
         subprocess.run(["umount", folder / "other one"], check=True)
 
 
+@pytest.mark.slow
 def test_of_a_mount_also_the_place_of_a_file_counts_and_where_a_link_leads(tmp_path: Path, busybox: Path) -> None:
     writes = 'echo tick,coverage > swarm.csv; echo "0,$(cat /data/latest/map)" >> swarm.csv\n'
     folder = containers.make(tmp_path / "project", busybox, f'mounts = {{ "/data" = "{tmp_path}/maps" }}', simulator=writes)

@@ -120,6 +120,7 @@ def test_a_recipe_that_was_edited_since_is_noticed(busybox: Project) -> None:
     assert f"{BUSYBOX} has changed since its image was built" in quick(*asking).stderr
 
 
+@pytest.mark.slow
 def test_an_exported_image_is_the_same_elsewhere(busybox: Project, storages: Storages, tmp_path: Path) -> None:
     built = busybox.build_image(BUSYBOX)
     busybox.pin(BUSYBOX)
@@ -308,6 +309,7 @@ def test_a_recipe_that_fails_is_said_in_a_line_and_leaves_nothing(
     assert listed.stdout == ""
 
 
+@pytest.mark.slow
 def test_what_is_recorded_of_an_image_goes_with_the_last_run_in_it(busybox: Project) -> None:
     (busybox.root / "sim.sh").write_text('printf "t,v\\n1,2\\n" > "$1/swarm.csv"\n')
     config = projects.CONFIG.replace("python3 sim.py {input}", "sh {project}/sim.sh {output}")
