@@ -76,6 +76,7 @@ def test_runs_are_isolated_as_in_podman(tmp_path: Path, python: Path, isolation:
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("isolation", ["run", "worker"])
 def test_each_way_to_end_is_told_apart(tmp_path: Path, python: Path, isolation: str) -> None:
     folder = containers.make(tmp_path / "project", python, ENGINE, f'isolation = "{isolation}"', simulator=ENDS)

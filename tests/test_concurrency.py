@@ -51,6 +51,7 @@ def test_eight_that_ask_the_same_share_the_work_even_where_no_store_is_yet(simul
     assert project.sql("SELECT count(*) AS n FROM experiments") == [{"n": 4}]
 
 
+@pytest.mark.slow
 def test_eight_whose_questions_overlap_share_what_is_common(simulate: Simulate) -> None:
     project = simulate()
     some = [
@@ -66,6 +67,7 @@ def test_eight_whose_questions_overlap_share_what_is_common(simulate: Simulate) 
     assert project.sql("SELECT count(*) AS n FROM members") == [{"n": 20 + 40 + 21 + 8}]
 
 
+@pytest.mark.slow
 def test_eight_different_ones_do_not_disturb_each_other_and_readers_never_fail(simulate: Simulate) -> None:
     project = simulate()
     assert project.ask("run", "size=99", "--runs", "1", "--no-figures").returncode == 0

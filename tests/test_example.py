@@ -116,6 +116,7 @@ def test_two_variables_make_all_combinations_and_a_heat_map(demo: tuple[Path, di
     }
 
 
+@pytest.mark.slow
 def test_twenty_runs_replay_identically_whatever_becomes_of_the_code(tmp_path: Path) -> None:
     folder = tmp_path / "swarm"
     quick_("init", "--example", "swarm", str(folder), cwd=tmp_path)

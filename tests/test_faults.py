@@ -60,6 +60,7 @@ def strike(victim: str, project: Any, sierra: subprocess.Popen[str]) -> None:
         project.kill_all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("repetition", range(16))
 def test_asking_again_after_a_kill_at_any_moment_finishes_the_batch(simulate: Simulate, repetition: int) -> None:
     chance = random.Random(repetition)
@@ -96,6 +97,7 @@ def test_a_joiner_records_what_a_killed_session_had_finished(simulate: Simulate)
     assert {run: n for run, n in project.executed().items() if n > 1 and run in finished} == {}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupted_asking_keeps_what_had_finished(simulate: Simulate, number: int) -> None:
     project = simulate()
@@ -127,6 +129,7 @@ def test_interrupting_twice_does_not_wait_for_the_grace_time(simulate: Simulate)
     assert project.sql("SELECT count(*) AS n FROM executions") == [{"n": 0}]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("repetition", range(4))
 def test_signals_at_any_moment_tear_nothing_apart(simulate: Simulate, repetition: int) -> None:
     chance = random.Random(repetition)

@@ -454,6 +454,7 @@ ODD: Mapping[str, Any] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("case", ODD)
 def test_nothing_odd_in_the_data_keeps_a_figure_from_being_drawn(kind: str, case: str) -> None:

@@ -74,6 +74,7 @@ def flip(path: Path, place: int, numbers: random.Random) -> None:
     path.write_bytes(data)
 
 
+@pytest.mark.slow
 def test_any_flipped_bit_is_found_and_its_file_is_named(recorded: Path, root: Path) -> None:
     """One bit in a file of each segment at a time, and in one of the store's own."""
     numbers = random.Random(1)
@@ -329,6 +330,7 @@ def test_strays_are_put_aside(root: Path) -> None:
     assert (root / ".sierra" / "damaged" / "more").read_text() == "mine"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tables", [("executions", "objects", "artifacts"), ("output.swarm", "readings", "output.notes")])
 def test_what_was_executed_and_is_lost_is_executed_again_and_nothing_else(root: Path, tables: Sequence[str]) -> None:
     """Each of the tables in what another batch executed; the second batch has files that no other has."""

@@ -111,6 +111,7 @@ def test_what_a_dead_asking_had_finished_is_recorded(simulate: Callable[..., Any
     assert project.sql("SELECT count(*) AS n FROM executions") == [{"n": 8}]
 
 
+@pytest.mark.slow
 def test_killed_at_any_moment_nothing_is_lost_or_doubled(made: Path, tmp_path: Path) -> None:
     numbers = random.Random(4)
     before = everything(made)
@@ -131,6 +132,7 @@ def test_killed_at_any_moment_nothing_is_lost_or_doubled(made: Path, tmp_path: P
         shutil.rmtree(root)
 
 
+@pytest.mark.slow
 def test_beside_a_running_batch_nothing_is_lost(simulate: Callable[..., Any]) -> None:
     project = simulate(r"sleep 0.15; printf 't,v\n1,1\n2,4\n' > swarm.csv")
     for _ in range(2):
