@@ -21,6 +21,7 @@ trap 'rm -rf "$work"' EXIT
 mkdir -p "$work/lists/partial" "$work/cache/archives/partial" "$work/empty" "$work/sources"
 : >"$work/status"
 archive=$(sed -n 's/^URIs: *\([^ ]*\).*/\1/p' /etc/apt/sources.list.d/debian.sources 2>/dev/null | head -n 1)
+test -n "$archive" || { echo "apptainer: no archive of Debian's is named in debian.sources" >&2; exit 1; }
 cat >"$work/sources/unstable.sources" <<END
 Types: deb
 URIs: $archive
