@@ -25,6 +25,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
+from sierra import processes
 from sierra.engines import HOSTNAME, INSIDE, Abilities, Box, Engine, Mount, Process
 from sierra.images import Image, Kind
 from sierra.model import Client, Result
@@ -77,13 +78,7 @@ class Started:
 
     def left(self) -> list[int]:
         """Processes of the run that are still there."""
-        mark = f"SIERRA_EXECUTION={self.execution}".encode()
-        found = []
-        for process in Path("/proc").glob("[0-9]*"):
-            with contextlib.suppress(OSError):
-                if mark in (process / "environ").read_bytes().split(b"\0"):
-                    found.append(int(process.name))
-        return found
+        return sorted(processes.marked({f"SIERRA_EXECUTION={self.execution}".encode()}))
 
     def said(self) -> str:
         return (self.folder / "stdout").read_text(errors="replace")

@@ -21,6 +21,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from sierra import processes
 from sierra.config import ProgramsTable
 from sierra.hashing import digest
 from sierra.paths import user_versions
@@ -130,7 +131,7 @@ def _end(process: subprocess.Popen[bytes], mark: str) -> None:
     give_up = time.monotonic() + PATIENCE_S
     with contextlib.suppress(ProcessLookupError, PermissionError):
         os.killpg(process.pid, signal.SIGKILL)
-    while (left := _marked(f"{MARK}={mark}".encode())) and time.monotonic() < give_up:
+    while (left := processes.marked({f"{MARK}={mark}".encode()})) and time.monotonic() < give_up:
         for pid in left:
             with contextlib.suppress(ProcessLookupError, PermissionError):
                 os.kill(pid, signal.SIGKILL)
@@ -138,16 +139,6 @@ def _end(process: subprocess.Popen[bytes], mark: str) -> None:
         process.stdout.close()
     with contextlib.suppress(subprocess.TimeoutExpired):
         process.wait(PATIENCE_S)
-
-
-def _marked(mark: bytes) -> list[int]:
-    """Processes in whose environment there is this; zombies have none."""
-    found = []
-    for process in Path("/proc").glob("[0-9]*"):
-        with contextlib.suppress(OSError):
-            if mark in (process / "environ").read_bytes().split(b"\0"):
-                found.append(int(process.name))
-    return found
 
 
 def _first_line(said: bytes) -> str | None:

@@ -13,7 +13,7 @@ import time
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from sierra import worker
+from sierra import processes, worker
 from sierra.errors import Missing
 from sierra.model import Result
 from sierra.paths import SessionPaths
@@ -41,17 +41,7 @@ def end(sessions: Sequence[SessionPaths]) -> None:
 def _left(sessions: Iterable[SessionPaths]) -> set[int]:
     marks = {f"SIERRA_SESSION={paths.root.name}".encode() for paths in sessions}
     started = {pid for paths in sessions for pid in _started(paths.journal)}
-    return (_marked(marks) | started) - {os.getpid()}
-
-
-def _marked(marks: set[bytes]) -> set[int]:
-    """Processes in whose environment there is one of these."""
-    found = set()
-    for process in Path("/proc").glob("[0-9]*"):
-        with contextlib.suppress(OSError):
-            if not marks.isdisjoint((process / "environ").read_bytes().split(b"\0")):
-                found.add(int(process.name))
-    return found
+    return (processes.marked(marks) | started) - {os.getpid()}
 
 
 def _started(journal: Path) -> list[int]:
