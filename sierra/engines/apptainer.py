@@ -18,7 +18,7 @@ from pathlib import Path
 
 from sierra import images
 from sierra.engines import Abilities, Box, Mount, Process, sandboxes, starting
-from sierra.engines.podman import signalled
+from sierra.engines.clients import killed, last_line, mounted, signalled
 from sierra.engines.starting import Way
 from sierra.errors import Missing
 from sierra.images import Image
@@ -69,13 +69,13 @@ class Apptainer:
                     os.kill(int(folder.name), signal.SIGKILL)
 
     def classify(self, result: Result, said: str, enforced: AbstractSet[str]) -> Result:
-        last = said.strip().splitlines()[-1:] or [""]
-        if result.exit_code == FAILED and (match := FATAL.fullmatch(last[0])):
+        last = last_line(said)
+        if result.exit_code == FAILED and (match := FATAL.fullmatch(last)):
             return replace(result, exit_code=None, error=_explained(match[1]))
         if result.signal is not None and result.stopped is None:
             if result.signal == signal.SIGKILL and "memory" in enforced:
                 return replace(result, stopped="memory")
-            return replace(result, error=f"apptainer was ended by signal {result.signal}, and its container with it")
+            return killed("apptainer", result)
         return signalled(result, enforced)
 
 
@@ -88,8 +88,8 @@ def _explained(complaint: str) -> str:
 
 
 def _options(box: Box, process: Process) -> Iterator[str]:
-    yield from (_mounted(mount) for mount in (Mount(str(SCRIPT), SOURCED), *box.mounts, *process.mounts))
-    yield from (_mounted(Mount(device, device, writable=True)) for device in box.devices)
+    yield from map(mounted, (Mount(str(SCRIPT), SOURCED), *box.mounts, *process.mounts))
+    yield from (mounted(Mount(device, device, writable=True)) for device in box.devices)
     if box.gpu:
         yield "--nv"
     able = starting.enforced()
@@ -111,7 +111,3 @@ def _given(way: Way, box: Box, process: Process) -> Iterator[tuple[str, str]]:
         yield f"{way.prefix}{PREFIX}{name}", value
     if box.gpu and "LD_LIBRARY_PATH" not in process.environment:
         yield f"{way.prefix}{PREFIX}LD_LIBRARY_PATH", "/.singularity.d/libs"
-
-
-def _mounted(mount: Mount) -> str:
-    return starting.mounted(mount.source, mount.target, writable=mount.writable)

@@ -11,14 +11,14 @@ import math
 import os
 import re
 import resource
-import signal
 import subprocess
 from collections.abc import Iterator, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import replace
 from pathlib import Path
 
-from sierra.engines import HOSTNAME, Abilities, Box, Mount, Process, probing
+from sierra.engines import HOSTNAME, Abilities, Box, Process, probing
+from sierra.engines.clients import killed, last_line, mounted, signalled
 from sierra.errors import Missing
 from sierra.images import Image, Kind, short, storage
 from sierra.model import Client, Result
@@ -33,7 +33,6 @@ HANDED_ON = re.compile(
 MOST_FILES = 16384
 """Open files, and processes, that a container may have: podman's own default is more than some hosts allow."""
 FAILED, NOT_EXECUTABLE, NOT_FOUND = 125, 126, 127
-SIGNALLED = 128
 INIT = re.compile(r"ERROR \(catatonit:\d+\): failed to exec pid1: (.*)")
 ERROR = re.compile(r"Error: (.*)")
 
@@ -69,23 +68,14 @@ class Podman:
                 _podman("rm", "--force", "--time=0", "--ignore", *found, session=session)
 
     def classify(self, result: Result, said: str, enforced: AbstractSet[str]) -> Result:
-        last = said.strip().splitlines()[-1:] or [""]
-        if match := INIT.search(last[0]):
+        last = last_line(said)
+        if match := INIT.search(last):
             return replace(result, exit_code=None, error=f"the command cannot be started in the container: {match[1]}")
-        if result.exit_code in (FAILED, NOT_EXECUTABLE, NOT_FOUND) and (match := ERROR.match(last[0])):
+        if result.exit_code in (FAILED, NOT_EXECUTABLE, NOT_FOUND) and (match := ERROR.match(last)):
             return replace(result, exit_code=None, error=f"podman: {match[1]}")
         if result.signal is not None and result.stopped is None:
-            return replace(result, error=f"podman was ended by signal {result.signal}, and its container with it")
+            return killed("podman", result)
         return signalled(result, enforced)
-
-
-def signalled(result: Result, enforced: AbstractSet[str]) -> Result:
-    """The result, with the signal that ended its process: as in a shell, 128 and its number are the exit status then."""
-    number = (result.exit_code or 0) - SIGNALLED
-    if result.error is not None or not 0 < number < 65:
-        return result
-    stopped = "memory" if number == signal.SIGKILL and "memory" in enforced else None
-    return replace(result, exit_code=None, signal=number, stopped=result.stopped or stopped)
 
 
 def environment(session: str) -> dict[str, str]:
@@ -103,7 +93,7 @@ def _options(box: Box, process: Process, enforced: AbstractSet[str]) -> Iterator
         yield "--interactive"
     if not any(mount.target == "/tmp" for mount in process.mounts):  # noqa: S108 - the container's own
         yield "--tmpfs=/tmp:rw,nosuid,nodev,mode=1777"
-    yield from (_mounted(mount) for mount in (*box.mounts, *process.mounts))
+    yield from map(mounted, (*box.mounts, *process.mounts))
     yield from (f"--device={device}" for device in box.devices)
     if box.gpu:
         yield "--device=nvidia.com/gpu=all"
@@ -124,13 +114,6 @@ def _allowed(kind: str) -> str:
     _, hard = resource.getrlimit(getattr(resource, f"RLIMIT_{kind}"))
     most = MOST_FILES if hard == resource.RLIM_INFINITY else min(hard, MOST_FILES)
     return f"{most}:{most}"
-
-
-def _mounted(mount: Mount) -> str:
-    """A mount as podman reads it: a line of CSV."""
-    if '"' in mount.source or "\n" in mount.source:
-        raise Missing(f"{mount.source!r} cannot be mounted into a container; take a path without quotes and line feeds")
-    return f'--mount=type=bind,"src={mount.source}","dst={mount.target}"{"" if mount.writable else ",ro"}'
 
 
 def _podman(*words: str, session: str) -> str:

@@ -18,9 +18,9 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
-from sierra.engines import HOSTNAME, Abilities, probing
+from sierra.engines import HOSTNAME, Abilities, Mount, probing
+from sierra.engines.clients import mounted
 from sierra.engines.probing import CPUS, PIDS, Found, Told
-from sierra.errors import Missing
 from sierra.hashing import sha256
 from sierra.paths import user_apptainer, write_whole
 
@@ -88,13 +88,6 @@ def environment() -> dict[str, str]:
     return {name: value for name, value in os.environ.items() if HANDED_ON.fullmatch(name)}
 
 
-def mounted(source: str, target: str, *, writable: bool) -> str:
-    """A mount as it is read: a line of CSV."""
-    if '"' in source or "\n" in source:
-        raise Missing(f"{source!r} cannot be mounted into a container; take a path without quotes and line feeds")
-    return f'--mount=type=bind,"source={source}","destination={target}"{"" if writable else ",ro"}'
-
-
 def _around() -> Sequence[str]:
     """What is to be the same for all to be as it was found."""
     programs = [*NAMES, "unshare", "squashfuse", "squashfuse_ll", "fusermount", "fusermount3", "mksquashfs"]
@@ -154,8 +147,8 @@ def _can_be_changed(configuration: str) -> bool:
 
 def _start(one: Way, limits: Sequence[str], squashfs: Path | None = None) -> Told:
     def words(root: Path, mounts: Mapping[str, str]) -> tuple[str, ...]:
-        given = (mounted(source, target, writable=False) for target, source in mounts.items())
-        groups = mounted("/sys/fs/cgroup", "/sys/fs/cgroup", writable=False)
+        given = (mounted(Mount(source, target)) for target, source in mounts.items())
+        groups = mounted(Mount("/sys/fs/cgroup", "/sys/fs/cgroup"))
         return (*one.words(), *limits, *given, groups, "--pwd=/", str(squashfs or root))
 
     return probing.start(words, environment())
