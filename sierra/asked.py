@@ -77,14 +77,7 @@ def keep(plan: Plan, store: Store, session: SessionPaths) -> None:
 
 
 def close(
-    plan: Plan,
-    store: Store,
-    session: Session,
-    counts: Mapping[str, Any],
-    *,
-    started: datetime,
-    runner: str,
-    slots: int,
+    plan: Plan, store: Store, session: Session, counts: Mapping[str, Any], *, started: datetime, runner: str, slots: int
 ) -> None:
     """Record how an asking went, with what was around it."""
     now = context(plan)

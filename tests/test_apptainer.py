@@ -13,7 +13,7 @@ import pytest
 
 from tests import containers
 from tests.projects import SIERRA
-from tests.test_containers import ENDED, ENDS, RUN, TOLD, rows, says
+from tests.test_containers import ENDED, ENDS, RUN, TOLD, isolated, rows, says, what_is_told
 
 pytestmark = pytest.mark.real
 ENGINE = 'engine = "apptainer"'
@@ -53,27 +53,9 @@ def test_runs_are_isolated_as_in_podman(tmp_path: Path, python: Path, isolation:
     monkeypatch.setenv("APPTAINERENV_SECRET", "s3cret")
     monkeypatch.setenv("APPTAINER_BIND", "/home")
     folder = containers.make(tmp_path / "project", python, ENGINE, f'isolation = "{isolation}"', simulator=TOLD)
-    with (folder / "sierra.toml").open("a") as file:
-        file.write('[environment.set]\nPROJECT = "{project}"\nVALUE = \'a=b "c" $HOME\'\n[outputs.told]\nfile = "told.csv"\n')
-    assert "2 executed" in says(folder, "run", "population_size=1", "--no-figures", "-j1")
-    told = {row["what"]: row["said"] for row in rows(folder, "SELECT DISTINCT what, said FROM told")}
+    told = what_is_told(folder)
     assert told.pop("folders") in ("2", "3")
-    assert told == {
-        "interfaces": "1",
-        "host": "run",
-        "capabilities": "0000000000000000",
-        "privileges": "1",
-        "zone": "UTC",
-        "root": "kept",
-        "inputs": "kept" if isolation == "run" else "writable",
-        "input": "kept" if isolation == "run" else "writable",
-        "project": "kept",
-        "own": "writable",
-        "threads": "1",
-        "secret": None,
-        "value": 'a=b "c" $HOME',
-        "home": "1",
-    }
+    assert told == isolated(isolation)
 
 
 @pytest.mark.slow
