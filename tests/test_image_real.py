@@ -23,6 +23,7 @@ from sierra.images import archive, layers, recipe, storage
 from sierra.paths import StorePaths
 from tests import images as made
 from tests import projects
+from tests.containers import sleepers
 from tests.projects import quick
 
 pytestmark = pytest.mark.real
@@ -330,12 +331,6 @@ def test_what_is_recorded_of_an_image_goes_with_the_last_run_in_it(busybox: Proj
     assert project.sql("SELECT count(*) AS n FROM objects").to_pylist() == [{"n": 0}]
 
 
-def running(word: str) -> bool:
-    """Whether a process with this word among its arguments is there."""
-    commands = (path.read_bytes() for path in Path("/proc").glob("[0-9]*/cmdline") if path.exists())
-    return any(word.encode() in command.split(b"\0") for command in commands)
-
-
 def until(there: Callable[[], bool]) -> None:
     give_up = time.monotonic() + 60
     while not there():
@@ -364,12 +359,12 @@ def test_an_interrupted_build_leaves_nothing(
     process = subprocess.Popen(
         [projects.SIERRA, "image", "build", "containers/sim"], cwd=busybox.root, stderr=subprocess.PIPE, text=True
     )
-    until(lambda: running("8641") or process.poll() is not None)
+    until(lambda: any(sleepers("8641")) or process.poll() is not None)
     process.send_signal(signal.SIGINT)
     assert "Traceback" not in process.communicate(timeout=60)[1]
     assert process.returncode == 130
-    assert not running("8641")
-    assert not running("8642")
+    assert not any(sleepers("8641"))
+    assert not any(sleepers("8642"))
     assert [path for path in (tmp_path / "temporary").iterdir() if path.name.startswith("sierra-")] == []
     listed = subprocess.run(["podman", "ps", "--all", "--external", "--quiet"], check=True, capture_output=True, text=True)
     assert listed.stdout == ""
