@@ -71,7 +71,39 @@ CREATE TABLE executions (
     "programs" VARCHAR,  -- fingerprint of the programs outside source and image
     "reading" VARCHAR,  -- hash of what the project declares of outputs and success
     "purpose" VARCHAR,  -- run, or what else it was executed for; only those of run count in statistics
-    "isolation" VARCHAR  -- how it was contained; NULL where it was not
+    "isolation" VARCHAR,  -- how it was contained; NULL where it was not
+    "attempt" VARCHAR  -- on a cluster, the attempt at an element in which it was executed; NULL elsewhere
+);
+
+-- On clusters: one time that an element, a share of a batch's runs, was executed by a task of a job.
+CREATE TABLE attempts (
+    "attempt" VARCHAR,  -- the attempt's id
+    "session" VARCHAR,  -- the asking that it was for
+    "batch" VARCHAR,  -- the batch
+    "element" BIGINT,  -- the element: it has every n-th run of the asking
+    "scheduler" VARCHAR,  -- what started it, with its version
+    "job" VARCHAR,  -- the scheduler's id of the job, or of this task of it
+    "node" VARCHAR,  -- host name of the node
+    "started" TIMESTAMP WITH TIME ZONE,  -- when it began, by the node's clock
+    "ended" TIMESTAMP WITH TIME ZONE,  -- when it had last recorded something, by the node's clock
+    "cpus" BIGINT,  -- cores that it had [1]
+    "memory" BIGINT,  -- memory that it had; NULL where that was not said [bytes]
+    "gpus" VARCHAR,  -- graphics processors that it had, as the scheduler calls them
+    "allocation" VARCHAR,  -- what else the scheduler said of it on the node, as JSON
+    "runs" BIGINT,  -- runs that it has executed to their end [1]
+    "cut" BIGINT,  -- runs that it began, and did not end [1]
+    "state" VARCHAR,  -- finished, or cut off
+    "trouble" VARCHAR,  -- why it could not go on, as it said, or else the scheduler
+    "environment" VARCHAR  -- what was around it
+);
+
+-- Runs that were executed once more than was asked, because two attempts at one element lived at a time.
+CREATE TABLE copies (
+    "execution" VARCHAR,  -- the execution of the run that is recorded: that which was seen first
+    "run" VARCHAR,  -- the run
+    "attempt" VARCHAR,  -- the attempt that executed the copy
+    "result" VARCHAR,  -- Merkle hash of the copy's outputs, as in executions
+    "same" BOOLEAN  -- whether they are the recorded execution's
 );
 
 -- How executions were contained, recorded once.

@@ -15,7 +15,7 @@ from sierra.following import Following, noted
 from sierra.model import Job, Status
 from sierra.plans import Plan, context
 from sierra.record import Recorder, find_odd
-from sierra.runners import Runner
+from sierra.runners import Runner, Work
 from sierra.sessions import Session
 from sierra.states import states
 from sierra.store import Store
@@ -126,7 +126,8 @@ class Asking:
         with noted() as signals:
             following = Following(self._runner(), recorder, self.store, self.session, self._took, self._tell)
             try:
-                following.execute(self._jobs(wanted, root, contained), signals, enough=self._is_enough)
+                work = Work(self._jobs(wanted, root, contained), len(wanted), self.plan.batch.id)
+                following.execute(work, signals, enough=self._is_enough)
             finally:
                 contained.close()
             odd = find_odd(self.store, self.session.paths, self._context)

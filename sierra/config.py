@@ -120,6 +120,7 @@ Size = Annotated[
     BeforeValidator(size),
     WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "integer", "exclusiveMinimum": 0}]}),
 ]
+Line = Annotated[str, StringConstraints(pattern=r"^[^\n\r]+$")]
 Inside = Annotated[str, AfterValidator(_inside)]
 Inner = Annotated[str, AfterValidator(_inner)]
 Device = Annotated[str, AfterValidator(_device)]
@@ -308,6 +309,36 @@ class Container(Table):
     pids: PositiveInt | None = Field(None, description="processes and threads that a container may have")
 
 
+class ClusterTable(Table):
+    """A cluster: what each element of an array job asks for, and how a batch is dealt out to elements."""
+
+    scheduler: str | None = Field(
+        None, description="`slurm`, `pbs`, or one that is installed; where absent, the one that the table is called after"
+    )
+    elements: PositiveInt | None = Field(
+        None, description="shares of a batch, each executed by one task; where absent, so many that each takes 5 to 10 minutes"
+    )
+    cpus: PositiveInt = Field(1, description="cores of an element: so many of its runs execute at a time")
+    memory: Size | None = Field(None, description="memory of an element, a number or as in `4 GiB`")
+    wall: Seconds | None = Field(None, description="seconds that an element may take; where absent, estimated, or the site's")
+    partition: Line | None = Field(None, description="the partition (PBS: the queue)")
+    account: Line | None = Field(None, description="the account (PBS: as well) that is charged")
+    qos: Line | None = Field(None, description="the quality of service (SLURM)")
+    constraint: Line | None = Field(
+        None, description="features that nodes must have (SLURM), or what is added to `select` (PBS)"
+    )
+    gpus: PositiveInt | None = Field(None, description="graphics processors of an element")
+    modules: tuple[Line, ...] = Field((), description="environment modules to load before anything else")
+    directives: tuple[Line, ...] = Field((), description="further lines, as they stand after `#SBATCH` or `#PBS`")
+    python: str = Field("python3", min_length=1, description="a Python 3.8 or newer on the nodes")
+    scratch: str | None = Field(
+        None,
+        min_length=1,
+        description="folder on the node for runs, as in `$TMPDIR/x`; where absent, $SLURM_TMPDIR, $TMPDIR or /tmp",
+    )
+    attempts: PositiveInt = Field(3, description="times that a run is begun, or an element without one, before it has failed")
+
+
 class Source(Table):
     """What of the project counts as the code that a run was made from."""
 
@@ -465,6 +496,9 @@ class Project(Table):
     queries: Mapping[Name, QueryTable] = Field(default_factory=dict, description="research queries, by name")
     figures: Mapping[Name, Figure] = Field(default_factory=dict, description="figures, by name")
     platforms: Mapping[str, Mapping[str, Any]] = Field(default_factory=dict, description="options of platforms, by name")
+    runners: Mapping[str, ClusterTable] = Field(
+        default_factory=dict, description="clusters for `--on`, by name: `slurm`, `pbs`, or one of your own with a `scheduler`"
+    )
 
 
 @dataclass(frozen=True, slots=True)

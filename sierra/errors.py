@@ -45,5 +45,9 @@ class Missing(SierraError):
     exit_code = 3
 
 
+class Full(Missing):
+    """A scheduler takes no more jobs for now."""
+
+
 class Damaged(SierraError):
     """What is recorded is not what was recorded."""

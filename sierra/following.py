@@ -6,13 +6,13 @@ import contextlib
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 from sierra import recovery
 from sierra.errors import Missing
-from sierra.model import Job, Result, Status
+from sierra.model import Result, Status
 from sierra.record import Recorder
-from sierra.runners import Runner
+from sierra.runners import Runner, Work
 from sierra.sessions import Session
 from sierra.store import Store
 
@@ -41,13 +41,13 @@ class Following:
         self._took = took
         self._tell = tell
 
-    def execute(self, jobs: Iterable[Job], signals: Sequence[int], *, enough: Callable[[], bool] = lambda: False) -> None:
+    def execute(self, work: Work, signals: Sequence[int], *, enough: Callable[[], bool] = lambda: False) -> None:
         """Execute all jobs, until `signals` has something in it, or `enough` is true: what runs is ended then.
 
         Whatever goes wrong, what had finished is recorded, or left for whoever asks next.
         """
         try:
-            self._runner.submit(jobs, self._session.paths)
+            self._runner.submit(work, self._session.paths)
             self._follow(signals, enough)
         except BaseException:
             self._give_up()

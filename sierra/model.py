@@ -382,3 +382,7 @@ class Result:
     outputs: tuple[OutputFile, ...]
     error: str | None = None
     """Why the program could not be started, or why what it left can't be read."""
+    attempt: str | None = None
+    """On a cluster, the attempt at an element in which it was executed."""
+    environment: str | None = None
+    """What was around it, where that is not what is around this process."""

@@ -13,6 +13,10 @@ PROJECT/.sierra/segments/<segment>/ what is recorded; see sierra.store.segments
 PROJECT/.sierra/work/<session>/     what executes now; gone once it is recorded
     lock  owner.0  claims.json  context.json  journal.jsonl  segment/
     <number>/                       one run: input files, stdout, stderr, home/ tmp/ output/
+    source/                         the code, where it is not executed from the project itself
+    asking.json  submission.json  worker.py  element.py  machine.py  element.json  cancelled
+    elements/<index>.jobs  results/<index>.<attempt>.pack  logs/  sent/<number>.json
+                                    on a cluster: what was submitted, and what came of it; see sierra.runners.element
 PROJECT/.sierra/images/<id>/        what is in an image, and its files as apptainer runs them; made again from the image
     image.json  files.jsonl  rootfs.sqfs  rootfs.<user>/
 PROJECT/.sierra/damaged/<segment>/  segments that `sierra fsck --repair` put aside
@@ -179,6 +183,44 @@ class SessionPaths:
     @property
     def segment(self) -> Path:
         return self.root / "segment"
+
+    @property
+    def asking(self) -> Path:
+        """What is to be recorded of an asking whose process may be gone when it is answered."""
+        return self.root / "asking.json"
+
+    @property
+    def submission(self) -> Path:
+        """What was submitted to a cluster. A session that has it lives without a process."""
+        return self.root / "submission.json"
+
+    @property
+    def sent(self) -> Path:
+        """A file for each job that was handed to a scheduler, written before that."""
+        return self.root / "sent"
+
+    @property
+    def cancelled(self) -> Path:
+        """Is there once the user has cancelled what was submitted."""
+        return self.root / "cancelled"
+
+    @property
+    def element_settings(self) -> Path:
+        """What all elements have in common."""
+        return self.root / "element.json"
+
+    def jobs(self, element: int) -> Path:
+        return self.root / "elements" / f"{element}.jobs"
+
+    @property
+    def results(self) -> Path:
+        """The folder of packs."""
+        return self.root / "results"
+
+    @property
+    def logs(self) -> Path:
+        """The folder of what elements print."""
+        return self.root / "logs"
 
     @property
     def journal(self) -> Path:

@@ -526,11 +526,12 @@ class Recorder:
             "slot": result.slot,
             "result": result_hash(result.outputs),
             "log": None if one.status is Status.OK else _last_words(Path(result.directory)),
-            "environment": context.environment,
+            "environment": result.environment or context.environment,
             "programs": context.programs,
             "reading": self._reading,
             "purpose": context.purpose,
             "isolation": context.isolation and context.isolation["isolation"],
+            "attempt": result.attempt,
         }
 
 

@@ -295,7 +295,7 @@ def _execute(
             took,
             lambda running: watch(Progress(len(work), 0, len(done), len(bad()), running)),
         )
-        following.execute(work, signals)
+        following.execute(runners.Work(work, len(work), context.batch), signals)
     return bad(), bool(signals)
 
 

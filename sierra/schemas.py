@@ -172,6 +172,23 @@ column = "energy"
 measure = "time_to"
 threshold = 1.0
 
+[runners.slurm]
+elements = 20
+cpus = 4
+memory = "8 GiB"
+wall = 3600.0
+partition = "batch"
+account = "swarm"
+qos = "normal"
+constraint = "avx2"
+gpus = 1
+scratch = "$TMPDIR/sierra"
+modules = ["python/3.12", "apptainer"]
+directives = ["--mail-type=END"]
+[runners.tier2]
+scheduler = "pbs"
+partition = "workq"
+
 [platforms.argos]
 length = 300.0
 ticks_per_second = 10

@@ -75,8 +75,8 @@ def test_an_image_is_the_same_in_every_form(project: Project, require: Callable[
     made.oci_archive(root / "oci.tar", [BASE, TOP])
     made.oci_archive(root / "plain.tar", [BASE, TOP], pack=lambda one: one)
     made.oci_archive(root / "pieces.tar", [BASE, TOP], pack=lambda one: gzip.compress(one[:700]) + gzip.compress(one[700:]))
-    with tarfile.open(root / "oci.tar") as tar:
-        tar.extractall(root / "layout", filter="data")
+    (root / "layout").mkdir()
+    subprocess.run(["tar", "-xf", root / "oci.tar", "-C", root / "layout"], check=True)
     found = {}
     for name in ("docker.tar", "oci.tar", "plain.tar", "pieces.tar", "layout"):
         pinned = project.pin(name)

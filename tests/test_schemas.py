@@ -67,6 +67,7 @@ def seen(table: dict[str, Any]) -> dict[str, set[str]]:
         "equivalence": "Equivalence",
         "queries": "QueryTable",
         "figures": "Figure",
+        "runners": "ClusterTable",
     }
     for name, model in groups.items():
         found[model] = set().union(*table[name].values())

@@ -1,19 +1,52 @@
 """Where runs execute: the Runner contract, and the door to find one by name.
 
-Shipped: `local`. Others come as entry points of the group `sierra.runners`, each naming a class that fulfils `Runner`.
+Shipped: `local`, and `slurm` and `pbs`, which are one runner over two schedulers (see `sierra.runners.schedulers`). Others
+come as entry points of the group `sierra.runners`, each naming a class that fulfils `Runner`, or of `sierra.schedulers`.
+`sierra.runners.conformance` holds them to it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
-from typing import Protocol
+from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Set as AbstractSet
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any, Protocol
 
 from sierra import plugins
+from sierra.config import ClusterTable
+from sierra.errors import ConfigError
 from sierra.model import Job, Result
 from sierra.paths import SessionPaths
+from sierra.runners import schedulers
 
 SHIPPED = {"local": "sierra.runners.local:Local"}
+
+
+@dataclass(frozen=True, slots=True)
+class Needed:
+    """A file that must be where runs execute as it is here."""
+
+    name: str
+    path: str
+    sha256: str
+
+
+@dataclass(frozen=True, slots=True)
+class Work:
+    """What is to be executed."""
+
+    jobs: Iterable[Job]
+    """Read as slots become free, perhaps in another thread."""
+    count: int
+    batch: str
+    needs: tuple[Needed, ...] = ()
+    seconds: float | None = None
+    """What a run is expected to take; None where nobody knows."""
+    record: tuple[str, ...] = ()
+    """Variables (or patterns) that are recorded of what is around runs."""
+    around: Mapping[str, Any] = field(default_factory=dict)
+    """The row of `environments` of this process: what a node does not say of itself is taken from it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,25 +58,46 @@ class Look:
     """Runs in flight now."""
     alive: bool
     """Whether more may come."""
+    rows: tuple[tuple[str, dict[str, Any]], ...] = ()
+    """What is to be recorded beside: rows by their table."""
+    notes: tuple[str, ...] = ()
+    """What the user should know, now."""
+    queued: int = 0
+    """Elements that wait for a node."""
 
 
 class Runner(Protocol):
     """One place where runs execute. What it says of a run is only ever what the run's worker recorded."""
 
     name: str
+    stays: bool
+    """Whether what it has started lives on without this process; else it ends with it."""
 
-    def __init__(self, slots: int) -> None:
-        """`slots`: how many runs execute at a time."""
+    def __init__(self, slots: int, table: ClusterTable) -> None:
+        """`slots`: how many runs execute at a time, where this machine executes them; `table` is the project's."""
         ...
 
-    def submit(self, jobs: Iterable[Job], session: SessionPaths) -> None:
-        """Start executing. `jobs` is read as slots become free, perhaps in another thread; called once."""
+    def submit(self, work: Work, session: SessionPaths) -> None:
+        """Start executing; called once for a session.
+
+        Raises ConfigError, Missing for what is refused or not there; nothing runs then.
+        """
+        ...
+
+    def resume(self, session: SessionPaths, recorded: AbstractSet[str]) -> None:
+        """Take over, instead of `submit`, what another process has submitted, however far that came.
+
+        `recorded` are the executions that the store has: `look` does not tell of them. Only where `stays`.
+        """
         ...
 
     def look(self) -> Look:
-        """What has happened; returns at once and may be called at any time after `submit`.
+        """What has happened; returns at once and may be called at any time after `submit` or `resume`.
 
-        Raises Missing where the runner itself cannot go on (a full disk, no worker).
+        A result's directory is its reader's from then on, to be removed. What was lost (a node, a job that nobody knows) is
+        started again in here, a bounded number of times; then its runs have failed.
+
+        Raises Missing where the runner itself cannot go on (a full disk, no worker); asking again goes on then.
         """
         ...
 
@@ -52,7 +106,27 @@ class Runner(Protocol):
         ...
 
 
-def find(name: str) -> Callable[[int], Runner]:
-    """What makes the runner of that name, for a number of slots. Raises ConfigError where there is none."""
-    made: Callable[[int], Runner] = plugins.find("runner", SHIPPED, name)
+def find(name: str, tables: Mapping[str, ClusterTable] | None = None) -> Callable[[int], Runner]:
+    """What makes the runner of that name, for a number of slots. `tables`: the clusters that the project names.
+
+    Raises ConfigError where there is none.
+    """
+    table = (tables or {}).get(name)
+    if table is None and name in plugins.names("runner", SHIPPED):
+        return partial(_runner(name), table=ClusterTable())
+    known = plugins.names("scheduler", schedulers.SHIPPED)
+    scheduler = (table and table.scheduler) or name
+    if scheduler not in known:
+        if table is not None:
+            raise ConfigError(f"[runners.{name}] needs a scheduler: {', '.join(known)}")
+        named = dict.fromkeys((*plugins.names("runner", SHIPPED), *known, *(tables or {})))
+        raise ConfigError(f"unknown runner {name!r}; known are {', '.join(named)}")
+    from sierra.runners.cluster import Cluster
+
+    made: Callable[[int], Runner] = partial(Cluster, table=table or ClusterTable(), name=name, scheduler=scheduler)
+    return made
+
+
+def _runner(name: str) -> Callable[..., Runner]:
+    made: Callable[..., Runner] = plugins.find("runner", SHIPPED, name)
     return made

@@ -10,15 +10,17 @@ import subprocess
 import sys
 import threading
 from collections.abc import Iterable
+from collections.abc import Set as AbstractSet
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from sierra import worker
+from sierra.config import ClusterTable
 from sierra.errors import Missing
 from sierra.model import Job, Result
 from sierra.paths import SessionPaths
-from sierra.runners import Look, orphans
+from sierra.runners import Look, Work, orphans
 from sierra.runners.journal import Journal, Started
 
 
@@ -26,14 +28,15 @@ class Local:
     """The runner `local`. The worker ends what runs as soon as this process is gone: the pipe closes."""
 
     name = "local"
+    stays = False
 
-    def __init__(self, slots: int) -> None:
+    def __init__(self, slots: int, table: ClusterTable) -> None:
         self._slots = slots
         self._process: subprocess.Popen[bytes] | None = None
         self._trouble: BaseException | None = None
         self._running: set[str] = set()
 
-    def submit(self, jobs: Iterable[Job], session: SessionPaths) -> None:
+    def submit(self, work: Work, session: SessionPaths) -> None:
         self._session = session
         self._journal = Journal(session.journal)
         self._journal.skip()
@@ -45,7 +48,10 @@ class Local:
             start_new_session=True,
             env={**os.environ, "SIERRA_SESSION": session.root.name},
         )
-        threading.Thread(target=self._feed, args=(jobs, self._process), daemon=True).start()
+        threading.Thread(target=self._feed, args=(work.jobs, self._process), daemon=True).start()
+
+    def resume(self, session: SessionPaths, recorded: AbstractSet[str]) -> None:
+        raise NotImplementedError("what ran here ended with the process that started it")
 
     def _feed(self, jobs: Iterable[Job], process: subprocess.Popen[bytes]) -> None:
         """Send all jobs, and hold the pipe open until the worker has ended."""
