@@ -22,7 +22,7 @@ from sierra.store import Store
 if TYPE_CHECKING:
     import pyarrow as pa
 
-    from sierra.asking import Watch
+    from sierra.asking import How, Watch
     from sierra.difference import Comparison
     from sierra.extract import Listing, Outcome
     from sierra.images import Contents, Image
@@ -102,13 +102,16 @@ class Project:
         figures: bool = True,
         watch: Watch | None = None,
         engine: str | None = None,
+        runner: str = "local",
+        detach: bool = False,
     ) -> Summary:
         """Answer a query: execute what is missing, record it, draw the figures.
 
         `jobs` is how many runs execute at a time (default: the user's setting, or usable cores). `watch` hears of the progress.
+        `runner` is where runs execute: `local`, or a cluster by its name; with `detach`, it is left to itself at once.
         """
         plan = self.plan(*query, runs=runs, controller=controller, scenario=scenario, sets=sets, engine=engine)
-        return self.execute(plan, jobs=jobs, fail_fast=fail_fast, figures=figures, watch=watch)
+        return self.execute(plan, jobs=jobs, fail_fast=fail_fast, figures=figures, watch=watch, runner=runner, detach=detach)
 
     def execute(
         self,
@@ -118,16 +121,29 @@ class Project:
         fail_fast: bool = False,
         figures: bool = True,
         watch: Watch | None = None,
+        runner: str = "local",
+        detach: bool = False,
+        say: Callable[[str], None] | None = None,
+        leave: Callable[[], bool] | None = None,
     ) -> Summary:
-        """Answer a query that is planned already."""
+        """Answer a query that is planned already. `say` hears what the user should know at once; see `sierra.asking.How`."""
         from sierra import pipeline
+        from sierra.asking import How
 
-        slots, watch = _slots(jobs), watch or (lambda progress: None)
+        how = How(
+            _slots(jobs),
+            runner,
+            fail_fast,
+            watch=watch or (lambda progress: None),
+            say=say or (lambda text: None),
+            leave=leave or (lambda: True),
+            detach=detach,
+        )
         store = Store.create(self.paths.store)
-        probed = self._probe(plan, store, watch) if self.config.determinism.probe else ()
-        summary = pipeline.run(plan, store, slots=slots, fail_fast=fail_fast, watch=watch)
+        probed = self._probe(plan, store, how) if self.config.determinism.probe else ()
+        summary = pipeline.run(plan, store, how)
         summary = replace(summary, notes=(*probed, *summary.notes))
-        if not figures or summary.interrupted or summary.missing + summary.failed == summary.runs:
+        if not figures or summary.interrupted or summary.left or summary.missing + summary.failed == summary.runs:
             return summary
         try:
             drawn, notes = self._deliver(summary.batch, again=False)
@@ -342,10 +358,10 @@ class Project:
         batch: str = known[-1]["batch"]
         return batch
 
-    def _probe(self, plan: Plan, store: Store, watch: Watch) -> tuple[str, ...]:
+    def _probe(self, plan: Plan, store: Store, how: How) -> tuple[str, ...]:
         from sierra import probing  # and with it all that a replay needs
 
-        return probing.probe(plan, store, watch)
+        return probing.probe(plan, store, how)
 
     def _deliver(self, batch: str, name: str | None = None, *, again: bool = True) -> tuple[list[Path], list[str]]:
         from sierra import deliver

@@ -10,12 +10,13 @@ from typing import Any
 from sierra import images, sessions
 from sierra.hashing import sha256
 from sierra.model import Batch
-from sierra.paths import SessionPaths
+from sierra.paths import SessionPaths, write_whole
 from sierra.plans import Plan, context
 from sierra.provenance import source
 from sierra.sessions import Session
 from sierra.store import Question, Store
 from sierra.store.objects import Objects
+from sierra.store.segments import Writer, disk_errors
 from sierra.store.tables import arrow_schema
 
 AT_A_TIME = 10_000
@@ -80,14 +81,53 @@ def close(
     plan: Plan, store: Store, session: Session, counts: Mapping[str, Any], *, started: datetime, runner: str, slots: int
 ) -> None:
     """Record how an asking went, with what was around it."""
+    record = _row(plan, session, started, runner, slots)
+    writer = store.writer(session.paths.segment, plan.batch.id)
+    writer.rows("sessions", [record | {"ended": datetime.now(UTC)} | {name: counts[name] for name in COUNTS}])
+    _write_around(plan, writer, executed=bool(counts["executed"]))
+    store.publish(writer)
+
+
+def prepare(plan: Plan, store: Store, session: Session, *, started: datetime, runner: str, slots: int) -> None:
+    """The same for an asking whose process may be gone when it is answered: all but how it went, which `finish` records."""
+    writer = store.writer(session.paths.segment, plan.batch.id)
+    _write_around(plan, writer, executed=True)
+    store.publish(writer)
+    record = {"runs": len({run.id for run in plan.batch.runs}), **_row(plan, session, started, runner, slots)}
+    with disk_errors(session.paths.root):
+        write_whole(session.paths.asking, json.dumps(record, default=datetime.isoformat).encode())
+
+
+def finish(store: Store, session: Session, *, interrupted: bool) -> None:
+    """Record how an asking went that another process had prepared; nothing where none had."""
+    if not session.paths.asking.exists():
+        return
+    record = json.loads(session.paths.asking.read_text())
+    runs, claimed = record.pop("runs"), len(sessions.claims(session.paths))
+    [went] = store.rows(WENT, s=session.id)
+    counts = {**went, "reused": runs - claimed, "missing": claimed - went["executed"], "interrupted": interrupted}
+    record |= {"started": datetime.fromisoformat(record["started"]), "ended": datetime.now(UTC)}
+    writer = store.writer(session.paths.segment, record["batch"])
+    writer.rows("sessions", [record | counts])
+    store.publish(writer)
+
+
+WENT = """
+WITH mine AS (SELECT run, bool_or(status = 'ok') AS good, min(started) AS began FROM executions WHERE session = $s GROUP BY run)
+SELECT count(*) AS executed, count(*) FILTER (NOT good) AS failed, count(*) FILTER (
+    EXISTS (SELECT 1 FROM executions e WHERE e.run = mine.run AND e.session <> $s AND e.ended <= mine.began)
+) AS again FROM mine
+"""
+
+
+def _row(plan: Plan, session: Session, started: datetime, runner: str, slots: int) -> dict[str, Any]:
+    """What is known of an asking before it is answered."""
     now = context(plan)
-    record = {
-        **{name: counts[name] for name in COUNTS},
+    return {
         "session": session.id,
         "batch": plan.batch.id,
         "query": plan.text,
         "started": started,
-        "ended": datetime.now(UTC),
         "runner": runner,
         "engine": plan.engine.name,
         "slots": slots,
@@ -96,14 +136,15 @@ def close(
         "source": plan.source_id,
         **{name: getattr(now, name) for name in ("programs", "reading", "rules")},
     }
-    writer = store.writer(session.paths.segment, plan.batch.id)
-    writer.rows("sessions", [record])
+
+
+def _write_around(plan: Plan, writer: Writer, *, executed: bool) -> None:
+    """Record what was around an asking."""
     if plan.source:
         writer.rows("sources", [plan.source.row(sha256(plan.source.manifest))])
-    if counts["executed"]:
+    if executed:
         writer.rows("environments", [plan.environment])
         writer.rows("programs", plan.programs.rows())
-    store.publish(writer)
 
 
 def is_kept(plan: Plan, store: Store) -> bool:

@@ -6,18 +6,23 @@ import time
 from collections.abc import Callable, Iterator
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 from sierra import jobs, recovery, sessions
+from sierra.attaching import attach
 from sierra.containment import Containment, contain
 from sierra.errors import Missing
-from sierra.following import Following, noted
+from sierra.following import Ears, Following, noted
 from sierra.model import Job, Status
+from sierra.paths import SessionPaths
 from sierra.plans import Plan, context
+from sierra.provenance import environment
+from sierra.provenance.program import Programs
 from sierra.record import Recorder, find_odd
-from sierra.runners import Runner, Work
+from sierra.runners import Runner, Work, needed
 from sierra.sessions import Session
-from sierra.states import states
+from sierra.states import seconds, states
 from sierra.store import Store
 
 JOIN_S = 0.2
@@ -33,25 +38,35 @@ class Progress:
     failed: int
     running: int
     elsewhere: int = 0
+    queued: int = 0
+    """Elements of a cluster's jobs that wait for a node."""
 
 
 Watch = Callable[[Progress], None]
 
 
+@dataclass(frozen=True, slots=True)
+class How:
+    """How to answer: where, and who hears of it."""
+
+    slots: int
+    runner: str = "local"
+    fail_fast: bool = False
+    only: AbstractSet[str] | None = None
+    """No other runs than these."""
+    watch: Watch = lambda progress: None
+    say: Callable[[str], None] = lambda text: None
+    """Hears what the user should know at once."""
+    leave: Callable[[], bool] = lambda: True
+    """Whether what lives on without this process is left to itself, asked when the user wants to end; else it is ended too."""
+    detach: bool = False
+    """Whether it is left to itself at once."""
+
+
 class Asking:
     """One asking while it is answered: what is done, what failed, what others do."""
 
-    def __init__(
-        self,
-        plan: Plan,
-        store: Store,
-        session: Session,
-        runner: Callable[[], Runner],
-        fail_fast: bool,
-        watch: Watch,
-        only: AbstractSet[str] | None = None,
-    ) -> None:
-        """`only`: execute no other runs than these."""
+    def __init__(self, plan: Plan, store: Store, session: Session, runner: Callable[[], Runner], how: How) -> None:
         self.plan = plan
         self.store = store
         self.session = session
@@ -63,13 +78,13 @@ class Asking:
         self.notes: tuple[str, ...] = ()
         self._doubted: str | None = None
         self._runner = runner
-        self._fail_fast = fail_fast
-        self._only = only
-        self._watch = watch
+        self._how = how
         self.reused = 0
         self._total = len({run.id for run in plan.batch.runs})
         self._context = context(plan, session.id)
         self.containment: Containment | None = None
+        self.left: list[SessionPaths] = []
+        """The sessions that were left to themselves."""
 
     @property
     def attempted(self) -> set[str]:
@@ -83,7 +98,7 @@ class Asking:
 
     def answer(self) -> None:
         """Execute what is missing; wait for what other sessions execute, and take over what they leave."""
-        while not self.interrupted:
+        while not (self.interrupted or self.left):
             recorded = len(self.store.segments())
             wanted = self._wanted()
             if not wanted or self._is_enough():
@@ -95,6 +110,8 @@ class Asking:
                 self._wait(wanted)
                 continue
             odd = self._execute(mine)
+            if self.left:
+                return
             if mine <= self._open and not self.interrupted:
                 raise Missing(f"{self.session.paths.root}: the worker has ended, and said of no run how it went")
             if len(mine) == len(wanted) and not self._open and not odd:
@@ -108,31 +125,45 @@ class Asking:
             self._before = {run: now[run].executions for run in wanted if now[run].executions}
             self.reused = self._total - len(wanted)
         self.failed |= {run for run in wanted if now[run].executions > self._before.get(run, 0)}
-        if self._only is not None:
-            wanted &= self._only
+        if self._how.only is not None:
+            wanted &= self._how.only
         wanted -= self.failed
         wanted -= self.attempted
         return wanted
 
     def _execute(self, wanted: AbstractSet[str]) -> int:
         """Execute these runs; how many executions, of these or of earlier ones, were found to be unlike their siblings."""
-        root = self._code()
+        runner = self._runner()
+        root, programs = self._snapshot() if runner.stays else (self._code(), self.plan.programs)
         contained = self._contain(root)
         self._context = replace(self._context, **contained.context)
         self._context.save(self.session.paths.context)
         self._claimed |= wanted
         self._open |= wanted
-        recorder = Recorder(self.store, self.session.paths, self._context, doubt=self._doubt)
-        with noted() as signals:
-            following = Following(self._runner(), recorder, self.store, self.session, self._took, self._tell)
+        # what a cluster executes is a snapshot, and its nodes check the programs
+        doubt = self._doubt if not runner.stays else lambda: None
+        recorder = Recorder(self.store, self.session.paths, self._context, doubt=doubt)
+        with noted(self._how.detach) as signals:
+            ears = Ears(self._took, self._tell, self._how.say)
+            following = Following(runner, recorder, self.store, self.session, ears, leave=self._how.leave)
+            work = Work(
+                self._jobs(wanted, root, contained),
+                len(wanted),
+                self.plan.batch.id,
+                (*needed(programs), *contained.needed),
+                seconds(self.plan, self.store) if runner.stays else None,
+                environment.recorded(self.plan.project.config.environment.record),
+                self.plan.environment,
+            )
             try:
-                work = Work(self._jobs(wanted, root, contained), len(wanted), self.plan.batch.id)
                 following.execute(work, signals, enough=self._is_enough)
             finally:
-                contained.close()
+                if not runner.stays:
+                    contained.close()
             odd = find_odd(self.store, self.session.paths, self._context)
             self.notes += tuple(recorder.notes())
-        self.interrupted = bool(signals)
+        self.left += [self.session.paths] if following.left else []
+        self.interrupted = bool(signals) and not self._how.detach
         return odd
 
     def _doubt(self) -> str | None:
@@ -141,7 +172,7 @@ class Asking:
         return self._doubted
 
     def _is_enough(self) -> bool:
-        return self._doubted is not None or (self._fail_fast and bool(self.failed))
+        return self._doubted is not None or (self._how.fail_fast and bool(self.failed))
 
     def _took(self, run: str, status: Status) -> None:
         self._open.discard(run)
@@ -193,8 +224,25 @@ class Asking:
             self.plan.checkout.make(root)
         return root
 
+    def _snapshot(self) -> tuple[Path, Programs]:
+        """A folder with the code as it is now, which may be changed while runs wait for a node; and the programs there."""
+        plan = self.plan
+        checkout = plan.checkout or plan.snapshot(self.store.blob)
+        root = self.session.paths.source
+        if not root.exists():
+            checkout.make(root)
+        programs = checkout.programs_in(root)
+        if programs.id != plan.programs.id or (plan.checkout is None and plan.seen.doubt()):
+            raise Missing("code or programs have changed while they were being copied for the cluster; ask again")
+        return root, programs
+
     def _wait(self, wanted: AbstractSet[str]) -> None:
-        """Other sessions execute what is wanted: until one of them ends, or has recorded something."""
+        """Other sessions execute what is wanted: until one of them ends, or has recorded something.
+
+        What is on a cluster, and nobody follows, is followed here.
+        """
+        if self._join(wanted):
+            return
         known = len(self.store.segments())
         with noted() as signals:
             while not signals and sessions.others(self.session.store, self.session.id) & wanted:
@@ -205,7 +253,21 @@ class Asking:
                     break
         self.interrupted = bool(signals)
 
-    def _tell(self, running: int, elsewhere: int = 0) -> None:
-        self._watch(
-            Progress(self._total, self.reused, len(self._claimed) - len(self._open), len(self.failed), running, elsewhere)
-        )
+    def _join(self, wanted: AbstractSet[str]) -> bool:
+        """Follow a session on a cluster that has claimed some of these; whether there was one that nobody follows."""
+        for paths in sessions.submitted(self.session.store):
+            mine = sessions.claims(paths) & wanted
+            session = Session.adopted(self.session.store, paths) if mine else None
+            if session is not None:
+                self._how.say(f"{len(mine)} runs have been submitted before ({paths.root.name}); they are followed")
+                ears = Ears(lambda run, status: None, partial(self._tell, elsewhere=len(mine)), self._how.say)
+                attached = attach(self.store, session, ears, self._how.leave, detach=self._how.detach)
+                self.notes += attached.notes
+                self.left += [paths] if attached.left else []
+                self.interrupted = attached.interrupted
+                return True
+        return False
+
+    def _tell(self, running: int, queued: int = 0, elsewhere: int = 0) -> None:
+        done = len(self._claimed) - len(self._open)
+        self._how.watch(Progress(self._total, self.reused, done, len(self.failed), running, elsewhere, queued))

@@ -16,7 +16,7 @@ from sierra.engines import PROJECT, PYTHON, Abilities, Box, Engine, Mount, Proce
 from sierra.errors import ConfigError, Missing
 from sierra.hashing import digest, sha256
 from sierra.images import Contents, Image, archive
-from sierra.model import Limits, Recipe
+from sierra.model import Limits, Needed, Recipe
 from sierra.paths import StorePaths
 from sierra.provenance.digests import Digests
 from sierra.provenance.program import Kind, Program, Programs
@@ -102,6 +102,17 @@ class Containment:
             return {"engine": self.engine.name}
         enforced = tuple(sorted(self.enforced))
         return {"engine": self.engine.name, "isolation": self.row, "shared": self.box.shared, "enforced": enforced}
+
+    @property
+    def needed(self) -> tuple[Needed, ...]:
+        """The image, where it is a file that must be the same wherever runs execute."""
+        reference = self.box.reference if self.box else ""
+        if not Path(reference).is_absolute() or not Path(reference).is_file():
+            return ()
+        digests = Digests()
+        found = digests.of(reference)
+        digests.save()
+        return (Needed("the image", reference, found),)
 
     def close(self) -> None:
         """Remove all containers that are left."""

@@ -7,23 +7,32 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 
 from sierra import recovery
-from sierra.errors import Missing
-from sierra.model import Result, Status
+from sierra.errors import Missing, SierraError
+from sierra.model import Status
 from sierra.record import Recorder
-from sierra.runners import Runner, Work
+from sierra.runners import Look, Runner, Work
 from sierra.sessions import Session
 from sierra.store import Store
 
 POLL_S = 0.05
 
 
-class Following:
-    """One runner and the recorder that takes what it says.
-
-    `took` hears of each run as it ends, and again if recording finds fault with it; `tell` how many are running.
+@dataclass(frozen=True, slots=True)
+class Ears:
+    """Who hears of what happens: of each run as it ends (and again if recording finds fault with it), of how many are running
+    and how many elements wait, of what the user should know at once.
     """
+
+    took: Callable[[str, Status], None]
+    tell: Callable[[int, int], None]
+    say: Callable[[str], None] = lambda text: None
+
+
+class Following:
+    """One runner and the recorder that takes what it says."""
 
     def __init__(
         self,
@@ -31,54 +40,97 @@ class Following:
         recorder: Recorder,
         store: Store,
         session: Session,
-        took: Callable[[str, Status], None],
-        tell: Callable[[int], None],
+        ears: Ears,
+        *,
+        leave: Callable[[], bool] = lambda: True,
     ) -> None:
+        """`leave`: asked when the user wants to end, where what runs lives on without this process: whether it is to."""
         self._runner = runner
         self._recorder = recorder
         self._store = store
         self._session = session
-        self._took = took
-        self._tell = tell
+        self._ears = ears
+        self._leave = leave
+        self.left = False
+        """Whether what runs was left to itself."""
+        self._submitted = self._over = False
 
     def execute(self, work: Work, signals: Sequence[int], *, enough: Callable[[], bool] = lambda: False) -> None:
-        """Execute all jobs, until `signals` has something in it, or `enough` is true: what runs is ended then.
+        """Execute all jobs, until `signals` has something in it, or `enough` is true: what runs is ended then, or left.
 
         Whatever goes wrong, what had finished is recorded, or left for whoever asks next.
         """
-        try:
+        with self._giving_up():
             self._runner.submit(work, self._session.paths)
+            self._submitted = True
             self._follow(signals, enough)
-        except BaseException:
-            self._give_up()
-            raise
+
+    def go_on(self, signals: Sequence[int], *, enough: Callable[[], bool] = lambda: False) -> None:
+        """The same with what another process has submitted."""
+        self._submitted = True
+        with self._giving_up():
+            rows = self._store.rows("SELECT execution FROM executions WHERE session = $s", s=self._session.id)
+            self._runner.resume(self._session.paths, {row["execution"] for row in rows})
+            self._follow(signals, enough)
 
     def _follow(self, signals: Sequence[int], enough: Callable[[], bool]) -> None:
         alive, told = True, 0
         while alive:
-            look = self._runner.look()
-            self._take(look.results)
+            look = self._look()
+            self._take(look)
             if self._recorder.due():
                 self._flush()
-            self._tell(look.running)
+            self._ears.tell(look.running, look.queued)
+            self._session.beat()
             if len(signals) > told or (enough() and not told):
+                if self._runner.stays and len(signals) > told and self._leave():
+                    self.left = True
+                    self._session.leave()
+                    while look.results:
+                        look = self._look()
+                        self._take(look)
+                    break
                 told = max(len(signals), 1)
                 self._runner.stop()
             alive = look.alive
             if alive:
                 time.sleep(POLL_S)
         self._flush()
-        self._tell(0)
+        self._ears.tell(0, 0)
 
-    def _take(self, results: Sequence[Result]) -> None:
-        for result in results:
+    def _look(self) -> Look:
+        """What has happened; where the runner can't go on, what it had told is recorded first."""
+        try:
+            return self._runner.look()
+        except SierraError:
+            self._over = True
+            self._flush()
+            raise
+
+    def _take(self, look: Look) -> None:
+        for result in look.results:
             status = self._recorder.add(result)
             if status is not Status.INTERRUPTED:
-                self._took(result.run, status)
+                self._ears.took(result.run, status)
+        self._recorder.beside(look.rows, look.copies)
+        for text in look.notes:
+            self._ears.say(text)
 
     def _flush(self) -> None:
         for run, status, _ in self._recorder.flush():
-            self._took(run, status)
+            self._ears.took(run, status)
+
+    @contextlib.contextmanager
+    def _giving_up(self) -> Iterator[None]:
+        """Whatever goes wrong meanwhile: what lives on without this process does, and all else is ended and recorded."""
+        try:
+            yield
+        except BaseException:
+            if not self._runner.stays:
+                self._give_up()
+            elif self._submitted and not self._over:
+                self._session.leave()
+            raise
 
     def _give_up(self) -> None:
         self._session.recorded = False
@@ -92,9 +144,12 @@ class Following:
 
 
 @contextlib.contextmanager
-def noted() -> Iterator[list[int]]:
-    """Signals to end that arrive meanwhile: noted, so that nothing is torn apart (in the main thread; others get none)."""
-    noted: list[int] = []
+def noted(already: bool = False) -> Iterator[list[int]]:
+    """Signals to end that arrive meanwhile: noted, so that nothing is torn apart (in the main thread; others get none).
+
+    `already`: as if one had arrived.
+    """
+    noted: list[int] = [signal.SIGINT] if already else []
     if threading.current_thread() is not threading.main_thread():
         yield noted
         return

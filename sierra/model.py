@@ -327,6 +327,15 @@ class Job:
     shared: bool = False
 
 
+@dataclass(frozen=True, slots=True)
+class Needed:
+    """A file that must be where runs execute as it is here."""
+
+    name: str
+    path: str
+    sha256: str
+
+
 class Status(StrEnum):
     """How an execution ended."""
 

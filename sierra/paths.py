@@ -11,11 +11,11 @@ PROJECT/.sierra/files               hashes of the project's files outside git; m
 PROJECT/.sierra/format              the version of the store's format
 PROJECT/.sierra/segments/<segment>/ what is recorded; see sierra.store.segments
 PROJECT/.sierra/work/<session>/     what executes now; gone once it is recorded
-    lock  owner.0  claims.json  context.json  journal.jsonl  segment/
+    lock  owner.0  left.0  claims.json  context.json  journal.jsonl  segment/
     <number>/                       one run: input files, stdout, stderr, home/ tmp/ output/
     source/                         the code, where it is not executed from the project itself
     asking.json  submission.json  worker.py  element.py  machine.py  element.json  cancelled
-    elements/<index>.jobs  results/<index>.<attempt>.pack  logs/  sent/<number>.json
+    elements/<index>.jobs  elements/<index>.failed  results/<index>.<attempt>.pack  logs/  sent/<number>.json
                                     on a cluster: what was submitted, and what came of it; see sierra.runners.element
 PROJECT/.sierra/images/<id>/        what is in an image, and its files as apptainer runs them; made again from the image
     image.json  files.jsonl  rootfs.sqfs  rootfs.<user>/
@@ -167,6 +167,10 @@ class SessionPaths:
     def owner(self, generation: int) -> Path:
         return self.root / f"owner.{generation}"
 
+    def left(self, generation: int) -> Path:
+        """Is there once that owner has left what it submitted to itself, on a file system without locks."""
+        return self.root / f"left.{generation}"
+
     @property
     def claims(self) -> Path:
         return self.root / "claims.json"
@@ -211,6 +215,10 @@ class SessionPaths:
 
     def jobs(self, element: int) -> Path:
         return self.root / "elements" / f"{element}.jobs"
+
+    def given_up(self, element: int) -> Path:
+        """Executions of an element that are not to be begun again, a line each."""
+        return self.root / "elements" / f"{element}.failed"
 
     @property
     def results(self) -> Path:

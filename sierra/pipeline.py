@@ -15,7 +15,7 @@ from functools import partial
 from typing import Any
 
 from sierra import asked, recovery, runners
-from sierra.asking import Asking, Watch
+from sierra.asking import Asking, How
 from sierra.model import Batch
 from sierra.plans import Plan, context, versioned
 from sierra.record import find_odd
@@ -64,6 +64,8 @@ class Summary:
     failed: int
     missing: int
     interrupted: bool
+    left: tuple[str, ...] = ()
+    """Sessions on a cluster that go on without this process."""
     counts: tuple[Counted, ...] = ()
     """By experiment, in the batch's order."""
     failures: tuple[Failure, ...] = ()
@@ -74,34 +76,29 @@ class Summary:
     """Why no figure could be written at all (a full disk, a file in the way); the answer itself is recorded."""
 
 
-def run(
-    plan: Plan,
-    store: Store,
-    *,
-    slots: int,
-    runner: str = "local",
-    fail_fast: bool = False,
-    watch: Watch = lambda progress: None,
-    only: AbstractSet[str] | None = None,
-) -> Summary:
-    """Execute what has no good execution yet (of the runs in `only`, where given), record it, and say how it went.
+def run(plan: Plan, store: Store, how: How) -> Summary:
+    """Execute what has no good execution yet, record it, and say how it went.
 
-    Ends what runs, and keeps what has finished, when interrupted (KeyboardInterrupt).
+    When interrupted, ends what runs, or leaves it to itself where it lives on elsewhere; what has finished is kept.
     """
     recovery.finish_dead(store)
     began = datetime.now(UTC)
     if is_answered(plan, store):
         return _summary(plan, store)
     plan = versioned(plan)
+    make = partial(runners.find(how.runner, plan.project.config.runners), how.slots)
     session = Session(store.paths)
     try:
         if not asked.is_kept(plan, store):
             asked.keep(plan, store, session.paths)
+        if make().stays:
+            asked.prepare(plan, store, session, started=began, runner=how.runner, slots=how.slots)
         find_odd(store, session.paths, context(plan, session.id))
-        asking = Asking(plan, store, session, partial(runners.find(runner), slots), fail_fast, watch, only)
+        asking = Asking(plan, store, session, make, how)
         asking.answer()
         summary = _sum_up(asking)
-        asked.close(plan, store, session, asdict(summary), started=began, runner=runner, slots=slots)
+        if session.paths not in asking.left:
+            asked.close(plan, store, session, asdict(summary), started=began, runner=how.runner, slots=how.slots)
         return summary
     finally:
         session.close()
@@ -122,6 +119,7 @@ def _sum_up(asking: Asking) -> Summary:
         missing=bad - failed,
         tried={run for run, state in now.items() if state.worth == FAILED} | failed,
         interrupted=asking.interrupted,
+        left=tuple(paths.root.name for paths in asking.left),
         notes=asking.notes,
     )
 
@@ -136,6 +134,7 @@ def _summary(
     missing: AbstractSet[str] = frozenset(),
     tried: AbstractSet[str] = frozenset(),
     interrupted: bool = False,
+    left: tuple[str, ...] = (),
     notes: tuple[str, ...] = (),
 ) -> Summary:
     """What is told of an asking that executed some runs; what is neither `failed` nor `missing` is good.
@@ -154,6 +153,7 @@ def _summary(
         failed=len(failed),
         missing=len(missing),
         interrupted=interrupted,
+        left=left,
         counts=tuple(_counts(plan.batch, failed | missing, tried)),
         failures=tuple(_failures(plan, store, failed)) if failed else (),
         notes=(*plan.notes, *dict.fromkeys(notes)),

@@ -66,6 +66,12 @@ class Plan:
     """What executes, as it was when it was taken for that."""
     notes: tuple[str, ...] = ()
 
+    def snapshot(self, content: Callable[[str], bytes | None]) -> Checkout:
+        """What makes a copy of the code as it is; `content` is that of a file which git does not have, by git's hash."""
+        manifest = self.source.manifest if self.source else b""
+        used = tuple((program.name, program.kind) for program in self.programs.all)
+        return Checkout(self.project.root, self.batch.recipe, manifest, used, content)
+
 
 def ask(
     project: LoadedProject,

@@ -5,9 +5,11 @@ The first execution is that of the batch; the second is a replay of it, recorded
 
 from __future__ import annotations
 
+from dataclasses import replace as replaced
+
 from sierra import pipeline, replay
 from sierra.agreement import Verdict
-from sierra.asking import Watch
+from sierra.asking import How
 from sierra.errors import Missing
 from sierra.hashing import short
 from sierra.plans import Plan
@@ -16,19 +18,19 @@ from sierra.store import Store
 from sierra.verdicts import Compared
 
 
-def probe(plan: Plan, store: Store, watch: Watch) -> tuple[str, ...]:
+def probe(plan: Plan, store: Store, how: How) -> tuple[str, ...]:
     """Probe the first run that has no good execution; what came of it. Nothing where there is none, or it fails."""
     found = states(plan, store)
     run = next((run.id for run in plan.batch.runs if not found[run.id].good), None)
     if run is None:
         return ()
-    first = pipeline.run(plan, store, slots=1, only={run}, watch=watch)
+    first = pipeline.run(plan, store, replaced(how, slots=1, only={run}, detach=False))
     if first.interrupted:
         raise KeyboardInterrupt
     if not states(plan, store)[run].good:
         return ()
     try:
-        answer = replay.replay(plan.project, store, run, replay.How(slots=1), watch)
+        answer = replay.replay(plan.project, store, run, replay.How(slots=1, runner=how.runner), how.watch)
     except Missing as error:
         return (f"run {short(run)} could not be executed a second time: {error}",)
     if answer.interrupted:

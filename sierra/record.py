@@ -211,6 +211,9 @@ class Recorder:
         self._context = context
         self._reading = context.reading
         self._pending: list[_Judged] = []
+        self._beside: dict[str, list[Mapping[str, Any]]] = {}
+        self._copies: list[Result] = []
+        self._copied = self._unlike = 0
         self._bytes = 0
         self._began = self._flushed = time.monotonic()
         self._shapes: dict[str, Shape] = {}
@@ -235,6 +238,12 @@ class Recorder:
         said = _log(Path(result.directory, RUN_STDERR))[0][-LOG_SHOWN:].decode("utf-8", "replace")
         return engines.find(self._context.engine).classify(result, said, frozenset(self._context.enforced))
 
+    def beside(self, rows: Iterable[tuple[str, Mapping[str, Any]]], copies: Iterable[Result]) -> None:
+        """Take what else is to be recorded: rows by their table, and runs that were executed once more than was asked."""
+        for table, row in rows:
+            self._beside.setdefault(table, []).append(row)
+        self._copies += copies
+
     def due(self) -> bool:
         """Whether it is time to write: soon at first, then ever less often, so that segments stay few."""
         now = time.monotonic()
@@ -248,9 +257,12 @@ class Recorder:
         Raises Missing where the disk is full or may not be written; nothing is lost then.
         """
         self._flushed = time.monotonic()
-        if not self._pending:
+        if not (self._pending or self._beside or self._copies):
             return []
         writer = self._store.writer(self._session.segment, self._context.batch)
+        for table, rows in self._beside.items():
+            writer.rows(table, rows)
+        writer.rows("copies", self._compared())
         if (doubt := self._doubt()) is not None:
             self._pending = [_doubted(one, doubt) for one in self._pending]
         judged = self._write(writer, self._pending)
@@ -258,7 +270,21 @@ class Recorder:
         for one in judged:
             self._put_away(one.result)
         self._pending, self._bytes = [], 0
+        self._beside, self._copies = {}, []
         return [(one.result.run, one.status, one.reason or "") for one in judged if one.status is not Status.OK]
+
+    def _compared(self) -> Iterator[dict[str, Any]]:
+        """The copies, each compared with what is recorded of its execution."""
+        if not self._copies:
+            return
+        recorded = {one.result.execution: result_hash(one.result.outputs) for one in self._pending}
+        rows = self._store.rows("SELECT execution, result FROM executions WHERE session = $s", s=self._context.session)
+        recorded |= {row["execution"]: row["result"] for row in rows}
+        for copy in self._copies:
+            result = result_hash(copy.outputs)
+            same = recorded.get(copy.execution) == result
+            self._copied, self._unlike = self._copied + 1, self._unlike + (not same)
+            yield {"execution": copy.execution, "run": copy.run, "attempt": copy.attempt, "result": result, "same": same}
 
     def _put_away(self, result: Result) -> None:
         folder = Path(result.directory)
@@ -274,7 +300,14 @@ class Recorder:
         Asks the store, so it is to be called once, when all is recorded and `find_odd` has looked at it.
         """
         forms = self._store.rows(GOOD + FORMS, **_asked(self._context)) if self._shapes else []
-        return [*self._kept_as_files(), *self._alone(forms), *self._renamed(), *self._of_kinds(forms)]
+        return [*self._twice(), *self._kept_as_files(), *self._alone(forms), *self._renamed(), *self._of_kinds(forms)]
+
+    def _twice(self) -> Iterator[str]:
+        """Runs that two attempts executed at a time."""
+        if self._copied:
+            told = f"{self._copied} runs were executed twice, because copies of their elements lived at a time"
+            unlike = f"; {self._unlike} of them came out differently: they are not deterministic" if self._unlike else ""
+            yield f"{told}{unlike}; the table copies has them"
 
     def _kept_as_files(self) -> Iterator[str]:
         for why, files in self._kept.items():

@@ -20,7 +20,7 @@ from sierra.asking import Progress, Watch
 from sierra.config import LoadedProject, Output
 from sierra.containment import Containment, contain
 from sierra.errors import Missing, NotFound, UsageError
-from sierra.following import Following, noted
+from sierra.following import Ears, Following, noted
 from sierra.hashing import short
 from sierra.metrics import Metric
 from sierra.model import Job, Run, Status
@@ -31,6 +31,7 @@ from sierra.provenance.program import Programs
 from sierra.provenance.seen import seen
 from sierra.recalled import Recalled
 from sierra.record import Context, Recorder
+from sierra.runners import Runner, Work, needed
 from sierra.sessions import Session
 from sierra.store import Found, Store
 from sierra.store.files import Taken, take, where
@@ -95,7 +96,7 @@ def replay(
     was = _metrics(project, store, record, declared)
     engine = recalled.engine(store, record.of.batch, record.of.recipe, how.engine, hosted=True)
     image = recalled.image(project, store, record.of.recipe)
-    runner = runners.find(how.runner)(how.slots)
+    runner = runners.find(how.runner, project.config.runners)(how.slots)
     began = datetime.now(UTC)
     session = Session(store.paths)
     kept = store.paths.kept(session.id) if how.keep else None
@@ -149,10 +150,16 @@ def replay(
             box=contained.box,
         )
         made = {job.run: job for job in _jobs(record, store, maker)}
+        work = Work(
+            made.values(),
+            len(made),
+            record.of.batch,
+            (*needed(now), *contained.needed),
+            record=environment.recorded(project.config.environment.record),
+            around=around,
+        )
         try:
-            failed, interrupted = _execute(
-                store, session, context, list(made.values()), runner, watch, kept, seen(root, b"", now).doubt
-            )
+            failed, interrupted = _execute(store, session, context, work, runner, watch, say, kept, seen(root, b"", now).doubt)
         finally:
             contained.close()
         _leave(session.paths, kept)
@@ -270,9 +277,10 @@ def _execute(
     store: Store,
     session: Session,
     context: Context,
-    work: Sequence[Job],
-    runner: runners.Runner,
+    work: Work,
+    runner: Runner,
     watch: Watch,
+    say: Callable[[str], None],
     kept: Path | None,
     doubt: Callable[[], str | None],
 ) -> tuple[dict[str, Status], bool]:
@@ -292,10 +300,12 @@ def _execute(
             Recorder(store, session.paths, context, kept, doubt),
             store,
             session,
-            took,
-            lambda running: watch(Progress(len(work), 0, len(done), len(bad()), running)),
+            Ears(
+                took, lambda running, queued: watch(Progress(work.count, 0, len(done), len(bad()), running, queued=queued)), say
+            ),
+            leave=lambda: False,
         )
-        following.execute(runners.Work(work, len(work), context.batch), signals)
+        following.execute(work, signals)
     return bad(), bool(signals)
 
 

@@ -5,9 +5,13 @@ locks) record two executions of it, and neither is lost. A session whose lock no
 finds it ends what it left running, records what had finished, and removes it. Until then its claims hold, so
 that nobody executes again what only waits to be recorded.
 
+What was submitted to a cluster lives on without a process. Such a session (it has `submission.json`) does not die with its
+process: it is unattended then, until somebody takes it over, and whoever asks for its runs does.
+
 Where a file system has no locks, claims are not heeded, and a session has died once its owner's process is gone, as
 far as its own host can tell: `owner.0` names the process that made it, `owner.1` the one that finishes it because
-that has died, and so on. Each is created by one process alone.
+that has died, and so on. Each is created by one process alone. An owner of what is on a cluster may be on another host: it
+touches its file now and then, and has died when it has not for a while.
 """
 
 from __future__ import annotations
@@ -19,6 +23,8 @@ import json
 import os
 import secrets
 import socket
+import tempfile
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -26,6 +32,9 @@ from typing import Any
 from sierra import worker
 from sierra.paths import SessionPaths, StorePaths
 from sierra.store.segments import disk_errors
+
+BEAT_S, SILENT_S = 20.0, 120.0
+"""Between two signs of life of an owner on a file system without locks, and after how long without one it has died."""
 
 
 class Session:
@@ -37,10 +46,44 @@ class Session:
         self.store = store
         self.recorded = True
         """Whether all that has finished here is recorded; otherwise the session is left to whoever asks next."""
+        self._generation, self._beaten = 0, time.monotonic()
         with exclusively(store), disk_errors(self.paths.root):
             self.paths.root.mkdir(parents=True)
             _own(self.paths, 0)
             self._lock = _locked(self.paths.lock)
+
+    @classmethod
+    def adopted(cls, store: StorePaths, paths: SessionPaths) -> Session | None:
+        """A session that was submitted to a cluster, taken over; None where somebody else has it, or it is gone."""
+        made = cls.__new__(cls)
+        made.id, made.paths, made.store, made.recorded = paths.root.name, paths, store, True
+        made._generation, made._beaten = 0, time.monotonic()
+        with exclusively(store):
+            if not paths.submission.exists():
+                return None
+            try:
+                made._lock = _locked(paths.lock, wait=False)
+            except BlockingIOError:
+                return None
+            generation = _take_over(paths) if made._lock is None else 0
+            if generation is None:
+                return None
+            made._generation = generation
+        return made
+
+    def beat(self) -> None:
+        """Show that the session's owner lives, where no lock does."""
+        if self._lock is None and time.monotonic() - self._beaten > BEAT_S:
+            self._beaten = time.monotonic()
+            with contextlib.suppress(OSError):
+                os.utime(self.paths.owner(self._generation))
+
+    def leave(self) -> None:
+        """Let it go on without a process."""
+        self.recorded = False
+        if self._lock is None:
+            with contextlib.suppress(OSError):
+                self.paths.left(self._generation).touch()
 
     def claim(self, runs: set[str]) -> set[str]:
         """Claim those of `runs` that no other session has claimed; the ones that were free."""
@@ -72,13 +115,15 @@ def dead(store: StorePaths) -> Iterator[list[SessionPaths]]:
     found: list[SessionPaths] = []
     with exclusively(store):
         for paths in all_of(store):
+            if paths.submission.exists():
+                continue
             try:
                 lock = _locked(paths.lock, wait=False)
             except BlockingIOError:
                 continue
             if lock is not None:
                 held.append(lock)
-            if lock is not None or _take_over(paths):
+            if lock is not None or _take_over(paths) is not None:
                 found.append(paths)
     try:
         yield found
@@ -90,9 +135,14 @@ def dead(store: StorePaths) -> Iterator[list[SessionPaths]]:
 
 
 def alive(store: StorePaths) -> list[SessionPaths]:
-    """The sessions whose lock is held. To be called within `exclusively`, where it says that there are locks."""
+    """The sessions whose lock is held, or that are on a cluster. To be called within `exclusively`, where it says that there
+    are locks.
+    """
     found = []
     for paths in all_of(store):
+        if paths.submission.exists():
+            found.append(paths)
+            continue
         try:
             lock = _locked(paths.lock, wait=False)
         except BlockingIOError:
@@ -124,12 +174,24 @@ def all_of(store: StorePaths) -> list[SessionPaths]:
         return []
 
 
+def submitted(store: StorePaths) -> list[SessionPaths]:
+    """The sessions that were submitted to a cluster, attended or not."""
+    return sorted((paths for paths in all_of(store) if paths.submission.exists()), key=lambda paths: paths.root.name)
+
+
+def claims(paths: SessionPaths) -> set[str]:
+    """The runs that a session has claimed."""
+    try:
+        return set(json.loads(paths.claims.read_text()))
+    except (OSError, json.JSONDecodeError):
+        return set()
+
+
 def _claimed(store: StorePaths, own: str) -> set[str]:
     claimed: set[str] = set()
     for paths in all_of(store):
         if paths.root.name != own:
-            with contextlib.suppress(OSError, json.JSONDecodeError):
-                claimed |= set(json.loads(paths.claims.read_text()))
+            claimed |= claims(paths)
     return claimed
 
 
@@ -170,17 +232,32 @@ def _own(paths: SessionPaths, generation: int) -> bool:
     return True
 
 
-def _take_over(paths: SessionPaths) -> bool:
-    """Become the owner of a session whose last owner was a process of this host that is gone."""
+def _take_over(paths: SessionPaths) -> int | None:
+    """Become the owner of a session whose last owner is gone: a process of this host, or one that left or fell silent.
+
+    The generation of it; None where it can't be taken over.
+    """
     generation = 0
     while paths.owner(generation + 1).exists():
         generation += 1
     try:
         owner = json.loads(paths.owner(generation).read_text())
     except (OSError, json.JSONDecodeError):
-        return False
+        return None
     known = owner["born"] is not None and owner["where"] == _where()
-    return known and owner != _process(owner["pid"]) and _own(paths, generation + 1)
+    gone = known and owner != _process(owner["pid"])
+    if gone or (paths.submission.exists() and (paths.left(generation).exists() or _is_silent(paths.owner(generation)))):
+        return generation + 1 if _own(paths, generation + 1) else None
+    return None
+
+
+def _is_silent(owner: Path) -> bool:
+    """Whether a file has not been touched for long, by the clock of the file system."""
+    try:
+        with tempfile.NamedTemporaryFile(dir=owner.parent) as now:
+            return os.fstat(now.fileno()).st_mtime - owner.stat().st_mtime > SILENT_S
+    except OSError:
+        return False
 
 
 def _process(pid: int) -> dict[str, Any]:

@@ -65,6 +65,13 @@ def is_answered(plan: Plan, store: Store) -> bool:
         return same and all(state.good for state in states(plan, question).values())
 
 
+def seconds(plan: Plan, store: Store) -> float | None:
+    """How long good runs of this recipe took in the mean, or else of those with the same command; None where there are none."""
+    [row] = store.rows(SECONDS, recipe=plan.batch.recipe_id, command=list(plan.batch.recipe.command))
+    found: float | None = row["these"] if row["these"] is not None else row["alike"]
+    return found
+
+
 def states(plan: Plan, asked: Store | Question | None) -> dict[str, State]:
     """What the store has of each run of the batch."""
     new = State()
@@ -81,6 +88,11 @@ def states(plan: Plan, asked: Store | Question | None) -> dict[str, State]:
     return runs
 
 
+SECONDS = """
+SELECT avg(e.wall) FILTER (r.recipe = $recipe) AS these, avg(e.wall) AS alike
+FROM executions e JOIN batches b USING (batch) JOIN recipes r USING (recipe)
+WHERE e.status = 'ok' AND e.purpose = 'run' AND r.command = $command
+"""
 # The runs of one recipe were executed for batches of that recipe, and for no others; some of these may have been removed.
 THOSE = (
     "FROM executions WHERE purpose = 'run' AND (batch IN (SELECT batch FROM batches WHERE recipe = $recipe) "

@@ -45,13 +45,32 @@ def capture(version: str, record: Sequence[str] = ()) -> dict[str, Any]:
         "timezone": os.environ.get("TZ") or machine["timezone"],
         "limits": json.dumps(machine["limits"], sort_keys=True),
         "modules": [name for name in os.environ.get("LOADEDMODULES", "").split(":") if name],
-        "variables": json.dumps(_variables((*VARIABLES, *record)), sort_keys=True),
+        "variables": json.dumps(_variables(recorded(record)), sort_keys=True),
         "python": platform.python_version(),
         "sierra": version,
         "distributions": _distributions(),
         "lock": sha256(_distributions().encode()),
     }
     return {"environment": digest("environment", around), **around}
+
+
+def elsewhere(around: Mapping[str, Any], machine: Mapping[str, Any], variables: Mapping[str, str]) -> dict[str, Any]:
+    """The record of the environment on another host, which told these facts and variables; `around` is that of this one."""
+    found = {
+        **{name: value for name, value in around.items() if name != "environment"},
+        **machine,
+        "timezone": variables.get("TZ") or machine["timezone"],
+        "locale": next((variables[name] for name in ("LC_ALL", "LC_CTYPE", "LANG") if variables.get(name)), "C"),
+        "limits": json.dumps(machine["limits"], sort_keys=True),
+        "modules": [name for name in variables.get("LOADEDMODULES", "").split(":") if name],
+        "variables": json.dumps({name: variables[name] for name in sorted(variables) if name != "LOADEDMODULES"}),
+    }
+    return {"environment": digest("environment", found), **found}
+
+
+def recorded(record: Sequence[str]) -> tuple[str, ...]:
+    """Names (or patterns) of all variables that are recorded; `record` are further ones."""
+    return (*VARIABLES, *record)
 
 
 def _variables(patterns: Sequence[str]) -> dict[str, str]:

@@ -16,20 +16,12 @@ from typing import Any, Protocol
 from sierra import plugins
 from sierra.config import ClusterTable
 from sierra.errors import ConfigError
-from sierra.model import Job, Result
+from sierra.model import Job, Needed, Result
 from sierra.paths import SessionPaths
+from sierra.provenance.program import Kind, Programs
 from sierra.runners import schedulers
 
 SHIPPED = {"local": "sierra.runners.local:Local"}
-
-
-@dataclass(frozen=True, slots=True)
-class Needed:
-    """A file that must be where runs execute as it is here."""
-
-    name: str
-    path: str
-    sha256: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,6 +56,8 @@ class Look:
     """What the user should know, now."""
     queued: int = 0
     """Elements that wait for a node."""
+    copies: tuple[Result, ...] = ()
+    """Runs that were executed once more than was asked; without a directory."""
 
 
 class Runner(Protocol):
@@ -104,6 +98,11 @@ class Runner(Protocol):
     def stop(self) -> None:
         """Start nothing more and end what runs; `look` tells the end of those too. May be called again."""
         ...
+
+
+def needed(programs: Programs) -> tuple[Needed, ...]:
+    """The files among what runs depend on. Of what a Python has installed, the files are too many to be asked for."""
+    return tuple(Needed(one.name, one.path, one.sha256) for one in programs.all if one.kind != Kind.DISTRIBUTIONS)
 
 
 def find(name: str, tables: Mapping[str, ClusterTable] | None = None) -> Callable[[int], Runner]:

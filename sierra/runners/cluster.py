@@ -3,15 +3,98 @@
 Truth is what elements have recorded in their packs; a scheduler is only asked whether anything may still come. Two copies of
 one task, a requeue, a lost node, a job that nobody remembers, a controller out of reach and a submitter that died are all one
 case: see what is recorded, ask whether anything lives, submit again what is missing.
+
+An element that is gone with runs missing is submitted again as long as it gets on. One that ends without having executed
+anything, `attempts` times in a row, ends all: something is wrong with the cluster or the project, and no run is to blame. A run
+that was begun `attempts` times and never ended has failed.
 """
 
 from __future__ import annotations
 
+import gzip
+import json
+import shutil
+import tempfile
+import threading
+import time
+from collections.abc import Iterator, Sequence
 from collections.abc import Set as AbstractSet
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
 
+from sierra import worker
 from sierra.config import ClusterTable
-from sierra.paths import SessionPaths
-from sierra.runners import Look, Work, schedulers
+from sierra.errors import Damaged, Full, Missing, SierraError
+from sierra.hashing import short
+from sierra.model import Result
+from sierra.paths import SessionPaths, write_whole
+from sierra.provenance import environment, machine
+from sierra.runners import Look, Work, element, schedulers, submission
+from sierra.runners.dealing import deal
+from sierra.runners.packs import Attempt, Ended, Finished, Pack, Started, Trouble
+from sierra.runners.schedulers import Request, State, Task
+from sierra.runners.sizing import size
+from sierra.runners.submission import Submission
+from sierra.store.segments import disk_errors
+from sierra.wording import few
+
+AT_ONCE = 256
+"""Runs that one look tells of at most."""
+READ_S = 0.2
+"""Between two readings of packs, while nothing comes."""
+FIRST_POLL_S, LAST_POLL_S = 1.0, 15.0
+"""Between two questions to the scheduler, which get rarer while nothing happens."""
+QUIET_S = 3.0
+"""How long an element that the scheduler does not know must have recorded nothing, before it is taken for gone."""
+LATE_S = 60.0
+"""How long a network file system may take to show what was written."""
+FULL_S = 30.0
+"""Until a scheduler that takes no more jobs is tried again."""
+STOPPING_S = 60.0
+RELAUNCHED = "launch failed"
+"""What schedulers say of a job that they could not begin, though it can: it is submitted again."""
+
+
+@dataclass(slots=True)
+class Share:
+    """One element: how far it has come."""
+
+    count: int
+    done: int = 0
+    progress: int = 0
+    """What was done when it was last submitted."""
+    tries: int = 0
+    """How many times it was submitted since it last got on."""
+    gone: int = 0
+    """How many times in a row the scheduler knew nothing of it."""
+    grew: float = 0.0
+    begun: dict[str, int] = field(default_factory=dict)
+    """Executions that have not ended, and how many times they were begun."""
+    word: str = ""
+    """The last that was said of why it ended: by itself, or by the scheduler."""
+    node: str = ""
+
+    @property
+    def missing(self) -> int:
+        return self.count - self.done
+
+
+@dataclass(slots=True)
+class Track:
+    """One attempt: its pack, and what was read in it."""
+
+    pack: Pack
+    attempt: Attempt | None = None
+    environment: str | None = None
+    ended: float = 0.0
+    runs: int = 0
+    begun: set[str] = field(default_factory=set)
+    finished: bool = False
+    trouble: str | None = None
+    late: list[tuple[float, Ended]] = field(default_factory=list)
+    """Runs whose files are not there as they were recorded, and since when."""
 
 
 class Cluster:
@@ -21,17 +104,454 @@ class Cluster:
 
     def __init__(self, slots: int, table: ClusterTable, *, name: str, scheduler: str) -> None:
         self.name = name
+        self._kind = scheduler
         self._table = table
         self._scheduler = schedulers.find(scheduler)(table)
 
+    # ------------------------------------------------------------ beginning
+
     def submit(self, work: Work, session: SessionPaths) -> None:
-        raise NotImplementedError
+        bounds, version = self._scheduler.bounds(), self._scheduler.version()
+        sized = size(work.count, work.seconds, self._table, bounds)
+        self._table = self._table.model_copy(update={"wall": sized.wall_s})
+        with disk_errors(session.root):
+            session.results.mkdir()
+            session.logs.mkdir()
+            counts = deal(work.jobs, sized.elements, session)
+            for module in (worker, element, machine):
+                shutil.copyfile(str(module.__file__), session.root / Path(str(module.__file__)).name)
+            write_whole(session.element_settings, json.dumps(self._settings(work, session)).encode())
+        made = Submission(
+            self.name, self._kind, version, self._table.model_dump(mode="json"), work.batch, counts, dict(work.around)
+        )
+        made.save(session)
+        self._begin(made, session, frozenset())
+        self._scheduler = schedulers.find(self._kind)(self._table)
+        self._hand_over(tuple(range(len(counts))), "")
+
+    def _settings(self, work: Work, session: SessionPaths) -> dict[str, Any]:
+        return {
+            "session": session.root.name,
+            "slots": self._table.cpus,
+            "scratch": self._table.scratch,
+            "needs": [{"name": one.name, "path": one.path, "sha256": one.sha256} for one in work.needs],
+            "record": list(work.record),
+        }
 
     def resume(self, session: SessionPaths, recorded: AbstractSet[str]) -> None:
-        raise NotImplementedError
+        made = Submission.load(session)
+        self._table = made.cluster
+        self._scheduler = schedulers.find(self._kind)(self._table)
+        self._begin(made, session, recorded)
+        if session.cancelled.exists():
+            self.stop()
+
+    def _begin(self, made: Submission, session: SessionPaths, recorded: AbstractSet[str]) -> None:
+        self._made, self._session = made, session
+        self._name = submission.name_of(session)
+        self._shares = [Share(count, tries=1) for count in made.counts]
+        self._tracks: dict[str, Track] = {}
+        self._ended: set[bytes] = set()
+        self._recorded = {bytes.fromhex(execution) for execution in recorded}
+        self._temporary = tempfile.TemporaryDirectory(prefix="sierra-")
+        self._number = 0
+        self._poll = Poll(self._scheduler, self._name)
+        self._due = time.monotonic() + FIRST_POLL_S
+        self._pause = FIRST_POLL_S
+        self._read_at = 0.0
+        self._queued: set[int] = set()
+        self._alive: set[int] | None = None
+        self._notes: list[str] = []
+        self._said: set[str] = set()
+        self._failed: list[Result] = []
+        self._again: dict[int, str] = {}
+        self._again_at = 0.0
+        self._stopping: float | None = None
+        self._over = False
+        self._wrong: SierraError | None = None
+
+    # ------------------------------------------------------------ looking
 
     def look(self) -> Look:
-        raise NotImplementedError
+        rows: list[tuple[str, dict[str, Any]]] = []
+        results, copies = self._read(rows)
+        if len(results) < AT_ONCE:
+            results += self._failed
+            self._failed = []
+            self._go_on(bool(results))
+        notes, self._notes = tuple(self._notes), []
+        alive = not self._over or bool(results)
+        if not alive:
+            if self._wrong is not None:
+                raise self._wrong
+            rows += [("attempts", self._row(track, track.attempt)) for track in self._tracks.values() if track.attempt]
+        running = sum(len(track.begun) for track in self._tracks.values() if self._lives(track))
+        return Look(tuple(results), running, alive, tuple(rows), notes, len(self._queued), tuple(copies))
+
+    def _go_on(self, came: bool) -> None:
+        """Find out what lives, where it is time to, and do what follows from that."""
+        now = time.monotonic()
+        if self._over:
+            return
+        if all(share.missing == 0 for share in self._shares):
+            self._settle()
+            return
+        if came:
+            self._pause = FIRST_POLL_S
+        if now >= self._due and self._poll.ask():
+            self._due = float("inf")
+        if (answer := self._poll.answer()) is not None:
+            self._pause = min(self._pause * 1.5, LAST_POLL_S)
+            self._due = now + self._pause
+            self._hear(answer.tasks)
+        if self._stopping is not None and now - self._stopping > STOPPING_S:
+            self._note(f"{self._name}: {self._kind} does not say that it has ended; it was asked to")
+            self._over = True
+        if self._again and now >= self._again_at and self._stopping is None:
+            self._submit_again()
+
+    def _hear(self, tasks: tuple[Task, ...] | None) -> None:
+        """What the scheduler says."""
+        if tasks is None:
+            self._note(f"{self._kind} cannot be reached; what has been recorded is taken, and it is asked again")
+            return
+        self._said.discard("")
+        living = [task for task in tasks if task.state in (State.QUEUED, State.RUNNING)]
+        self._queued = self._elements(task for task in tasks if task.state is State.QUEUED)
+        self._alive = self._elements(living)
+        for task in tasks:
+            if task.state is State.ENDED and task.element is not None and task.reason:
+                self._shares[task.element].word = task.reason
+        if self._stopping is not None:
+            self._over = not living
+            return
+        self._unstick([task for task in tasks if task.state is State.STUCK])
+        for index, share in enumerate(self._shares):
+            share.gone = share.gone + 1 if share.missing and index not in self._alive and index not in self._again else 0
+        gone = [index for index, share in enumerate(self._shares) if share.gone]
+        if gone:
+            self._due = time.monotonic() + FIRST_POLL_S
+        if any(self._shares[index].gone > 1 for index in gone):
+            refresh(self._session.results)
+            self._lost([index for index in gone if self._is_quiet(self._shares[index])])
+
+    def _is_quiet(self, share: Share) -> bool:
+        return share.gone > 1 and time.monotonic() - share.grew > QUIET_S
+
+    def _unstick(self, stuck: Sequence[Task]) -> None:
+        """Cancel what will never begin; where that is not by mishap, nothing will."""
+        mishaps = [task for task in stuck if RELAUNCHED in task.reason.lower()]
+        if mishaps:
+            self._scheduler.cancel(self._name, sorted(self._elements(mishaps)))
+        wrong = [task for task in stuck if task not in mishaps]
+        if wrong:
+            where = f"[runners.{self.name}]"
+            self._end(Missing(f"{self._kind} will never begin job {wrong[0].job}: {wrong[0].reason}; see {where}"))
+
+    def _elements(self, tasks: Iterator[Task] | Sequence[Task]) -> set[int]:
+        """The elements that tasks are of; of a job that does not say, all that it has."""
+        found: set[int] = set()
+        for task in tasks:
+            found |= {task.element} if task.element is not None else self._of_job(task.job)
+        return found & set(range(len(self._shares)))
+
+    def _of_job(self, job: str) -> set[int]:
+        sent = submission.sent(self._session)
+        known = [one for one in sent if one.job == job] or [one for one in sent if one.job is None]
+        return {index for one in known for index in one.elements}
+
+    def _settle(self) -> None:
+        """All is recorded: end what may still live, but for what is ending by itself."""
+        self._over = True
+        tasks = self._scheduler.look(self._name) or ()
+        ending = {track.pack.element for track in self._tracks.values() if track.finished}
+        living = [task for task in tasks if task.state is not State.ENDED]
+        needless = [task for task in living if not (task.state is State.RUNNING and task.element in ending)]
+        if needless:
+            self._scheduler.cancel(self._name, sorted(self._elements(needless)))
+
+    # ------------------------------------------------------------ going on
+
+    def _lost(self, indices: Sequence[int]) -> None:
+        """These elements are gone, and runs of theirs are missing."""
+        for index in indices:
+            share = self._shares[index]
+            self._given_up_before(index)
+            self._give_up_on(index, [one for one, times in share.begun.items() if times >= self._table.attempts])
+            if not share.missing:
+                continue
+            if share.done > share.progress:
+                share.tries = 0
+            word = share.word or self._last_line(index) or "it is gone, and has said nothing"
+            if share.tries >= self._table.attempts:
+                times = f"{share.tries} times" if share.tries > 1 else "once"
+                self._end(Missing(f"element {index} was executed {times} and ended before any run had: {word}"))
+                return
+            self._again[index] = word
+
+    def _submit_again(self) -> None:
+        words = list(dict.fromkeys(self._again.values()))
+        count = len(self._again)
+        indices, why = tuple(sorted(self._again)), few(words, 2)
+        self._again = {}
+        self._note(f"{count} {'element has' if count == 1 else 'elements have'} been submitted again: {why}")
+        for index in indices:
+            share = self._shares[index]
+            share.tries, share.progress, share.gone = share.tries + 1, share.done, 0
+        try:
+            self._hand_over(indices, why)
+        except SierraError as error:
+            self._end(error)
+
+    def _hand_over(self, indices: tuple[int, ...], why: str) -> None:
+        """Submit elements; those that are too many now are submitted later. Raises what the scheduler refuses."""
+        number = len(list(self._session.sent.iterdir()))
+        intent = submission.intent(indices, why)
+        submission.note(self._session, number, intent)
+        root = self._session.root
+        command = (self._table.python, "-I", "-S", str(root / "element.py"), str(root))
+        request = Request(self._name, f"sierra {root.name}", indices, root, self._session.logs, command)
+        self._due = time.monotonic() + FIRST_POLL_S
+        try:
+            job = self._scheduler.submit(request)
+        except Full as error:
+            self._put_off(number, indices, why, error)
+        except Missing as error:
+            self._note(f"{error}; whether it has taken the job will be seen")
+        else:
+            submission.note(self._session, number, replace(intent, job=job))
+
+    def _put_off(self, number: int, indices: tuple[int, ...], why: str, error: Full) -> None:
+        """Try half of them, and the others later; or all later."""
+        (self._session.sent / f"{number}.json").unlink()
+        half = len(indices) // 2
+        if half:
+            self._hand_over(indices[:half], why)
+        else:
+            self._note(f"{error}; tried again every {FULL_S:g} s")
+        for index in indices[half:]:
+            self._again[index] = why or "the site took no more jobs at first"
+        self._again_at = time.monotonic() + FULL_S
 
     def stop(self) -> None:
-        raise NotImplementedError
+        if self._stopping is None:
+            self._stopping = time.monotonic()
+            self._session.cancelled.touch()
+        self._scheduler.cancel(self._name)
+        self._due, self._pause = time.monotonic(), FIRST_POLL_S / 2
+
+    def _end(self, error: SierraError) -> None:
+        """End all: asking again will do no better unless something is done about it."""
+        self._wrong = self._wrong or error
+        self.stop()
+
+    def _note(self, text: str) -> None:
+        if text not in self._said:
+            self._said.add(text)
+            self._notes.append(text)
+
+    def _last_line(self, index: int) -> str:
+        """The last that the element's newest log says."""
+        logs = sorted(self._session.logs.glob(f"*[._]{index}.out"), key=lambda file: file.stat().st_mtime)
+        for log in reversed(logs):
+            said = log.read_bytes()[-4096:].decode("utf-8", "replace").strip().splitlines()
+            if said:
+                return said[-1]
+        return ""
+
+    # ------------------------------------------------------------ reading
+
+    def _read(self, rows: list[tuple[str, dict[str, Any]]]) -> tuple[list[Result], list[Result]]:
+        """What packs have since the last time: results, and copies of such as were taken before."""
+        results: list[Result] = []
+        copies: list[Result] = []
+        if time.monotonic() < self._read_at:
+            return results, copies
+        for path in sorted(self._session.results.glob("*.pack")):
+            track = self._tracks.setdefault(path.name, Track(Pack(path)))
+            for event in track.pack.read():
+                self._shares[track.pack.element].grew = time.monotonic()
+                match event:
+                    case Attempt():
+                        self._begun(track, event, rows)
+                    case Started():
+                        self._started(track, event)
+                    case Ended():
+                        self._take(track, event, results, copies)
+                    case Trouble():
+                        track.trouble = self._shares[track.pack.element].word = event.reason
+                    case Finished():
+                        track.finished, track.ended = True, event.time
+                if len(results) >= AT_ONCE:
+                    return results, copies
+            self._take_late(track, results, copies)
+        if not results:
+            self._read_at = time.monotonic() + READ_S
+        return results, copies
+
+    def _begun(self, track: Track, event: Attempt, rows: list[tuple[str, dict[str, Any]]]) -> None:
+        around = environment.elsewhere(self._made.around, event.facts, event.variables)
+        track.attempt, track.environment, track.ended = event, around["environment"], event.started
+        self._shares[event.element].node = event.node
+        rows.append(("environments", around))
+
+    def _started(self, track: Track, event: Started) -> None:
+        track.begun.add(event.execution)
+        track.ended = event.time
+        if bytes.fromhex(event.execution) not in self._ended:
+            begun = self._shares[track.pack.element].begun
+            begun[event.execution] = begun.get(event.execution, 0) + 1
+
+    def _take(self, track: Track, event: Ended, results: list[Result], copies: list[Result]) -> None:
+        """One run that has ended: the first time that it is seen, it is the run's."""
+        execution = event.result.execution
+        key = bytes.fromhex(execution)
+        if key not in self._ended and key not in self._recorded:
+            self._number += 1
+            try:
+                result = track.pack.extract(event, Path(self._temporary.name, str(self._number)))
+            except Damaged:
+                track.late.append((time.monotonic(), event))
+                return
+            results.append(self._of(track, result))
+        elif key in self._ended:
+            copies.append(self._of(track, event.result))
+        track.begun.discard(execution)
+        track.runs += 1
+        track.ended = event.result.ended
+        share = self._shares[track.pack.element]
+        if key not in self._ended:
+            share.done += 1
+            share.begun.pop(execution, None)
+            self._ended.add(key)
+
+    def _take_late(self, track: Track, results: list[Result], copies: list[Result]) -> None:
+        """What was not there yet: now perhaps. What never comes was never recorded; nor is it taken for done any more."""
+        late, track.late = track.late, []
+        for since, event in late:
+            before = len(track.late)
+            self._take(track, event, results, copies)
+            if len(track.late) > before:
+                track.late[-1] = (since, event)
+        if track.late and time.monotonic() - track.late[0][0] > LATE_S:
+            track.late = []
+            self._note(f"{track.pack.path.name} is damaged; the runs in question are executed again")
+            track.pack.path.rename(track.pack.path.with_suffix(".damaged"))
+
+    def _of(self, track: Track, result: Result) -> Result:
+        return replace(result, attempt=track.pack.attempt, environment=track.environment)
+
+    def _lives(self, track: Track) -> bool:
+        lost = self._alive is not None and track.pack.element not in self._alive
+        return not (track.finished or track.trouble or lost or self._over)
+
+    def _row(self, track: Track, begun: Attempt) -> dict[str, Any]:
+        """The attempt as a row of `attempts`."""
+        return {
+            "attempt": begun.attempt,
+            "session": self._session.root.name,
+            "batch": self._made.batch,
+            "element": begun.element,
+            "scheduler": self._made.version,
+            "job": begun.job,
+            "node": begun.node,
+            "started": moment(begun.started),
+            "ended": moment(track.ended),
+            "cpus": begun.cpus,
+            "memory": begun.memory,
+            "gpus": begun.gpus,
+            "allocation": json.dumps(dict(begun.allocation), sort_keys=True),
+            "runs": track.runs,
+            "cut": len(track.begun),
+            "state": "finished" if track.finished else "cut off",
+            "trouble": track.trouble or (None if track.finished else self._shares[begun.element].word or None),
+            "environment": track.environment,
+        }
+
+    # ------------------------------------------------------------ failing
+
+    def _given_up_before(self, index: int) -> None:
+        """Count the runs that have failed because another process, which followed before this one, gave them up."""
+        share = self._shares[index]
+        for execution, _ in jobs_of(self._session, index) if self._recorded else ():
+            key = bytes.fromhex(execution)
+            if key in self._recorded and key not in self._ended:
+                self._ended.add(key)
+                share.begun.pop(execution, None)
+                share.done += 1
+
+    def _give_up_on(self, index: int, executions: Sequence[str]) -> None:
+        """These executions were begun as many times as they may be, and never ended: their runs have failed."""
+        if not executions:
+            return
+        share, wanted, now = self._shares[index], set(executions), time.time()
+        word = share.word or "nobody says by what"
+        for execution, run in jobs_of(self._session, index):
+            if execution in wanted:
+                times = share.begun.pop(execution)
+                reason = f"its element was cut off {times} times while it ran: {word}"
+                self._failed.append(failed(run, execution, share.node, now, reason, self._temporary.name))
+                self._ended.add(bytes.fromhex(execution))
+                share.done += 1
+        with disk_errors(self._session.root), self._session.given_up(index).open("a") as file:
+            file.writelines(f"{execution}\n" for execution in executions)
+        self._note(f"{len(wanted)} of {share.count} runs of element {index} have failed: {word} ({short(executions[0])})")
+
+
+class Answer:
+    """What a scheduler has answered."""
+
+    def __init__(self, tasks: tuple[Task, ...] | None) -> None:
+        self.tasks = tasks
+
+
+class Poll:
+    """Questions to a scheduler, one at a time, in another thread: one that is out of reach takes its time to say so."""
+
+    def __init__(self, scheduler: schedulers.Scheduler, name: str) -> None:
+        self._scheduler, self._name = scheduler, name
+        self._thread: threading.Thread | None = None
+        self._answers: list[Answer] = []
+
+    def ask(self) -> bool:
+        """Ask, where no question is open."""
+        if self._thread is not None and self._thread.is_alive():
+            return False
+        self._thread = threading.Thread(target=self._look, daemon=True)
+        self._thread.start()
+        return True
+
+    def answer(self) -> Answer | None:
+        return self._answers.pop() if self._answers else None
+
+    def _look(self) -> None:
+        try:
+            tasks = self._scheduler.look(self._name)
+        except (SierraError, OSError):
+            tasks = None
+        self._answers.append(Answer(tasks))
+
+
+def jobs_of(session: SessionPaths, index: int) -> Iterator[tuple[str, str]]:
+    """Execution and run of each job of an element."""
+    with gzip.open(session.jobs(index), "rt", encoding="utf-8") as lines:
+        for line in lines:
+            job = json.loads(line)
+            if "common" not in job:
+                yield job["execution"], job["run"]
+
+
+def failed(run: str, execution: str, node: str, now: float, reason: str, folder: str) -> Result:
+    """The result of a run that nobody has a result of."""
+    return Result(run, execution, f"{folder}/none", now, now, None, None, None, None, None, None, node, 0, (), reason)
+
+
+def refresh(folder: Path) -> None:
+    """Make a network file system look again at what is in a folder: by changing it."""
+    with tempfile.TemporaryFile(dir=folder):
+        pass
+
+
+def moment(seconds: float) -> datetime:
+    """Seconds since the epoch as a time."""
+    return datetime.fromtimestamp(seconds, UTC)

@@ -1,0 +1,56 @@
+"""Following what another process has submitted to a cluster, to its end or for a while."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+from sierra import asked, runners
+from sierra.following import Ears, Following, noted
+from sierra.model import Status
+from sierra.record import Context, Recorder, find_odd
+from sierra.runners.submission import Submission
+from sierra.sessions import Session
+from sierra.store import Store
+
+
+@dataclass(frozen=True, slots=True)
+class Attached:
+    """How far a session on a cluster has come."""
+
+    batch: str
+    executed: int
+    """Runs that were recorded meanwhile; so `failed`."""
+    failed: int
+    left: bool
+    """Whether it goes on without this process; else it has ended."""
+    interrupted: bool
+    notes: tuple[str, ...] = ()
+
+
+def attach(store: Store, session: Session, ears: Ears, leave: Callable[[], bool], *, detach: bool = False) -> Attached:
+    """Follow a session that was adopted, and close it; with `detach`, record what has finished and leave it.
+
+    Raises what a runner raises that can't go on.
+    """
+    done: dict[str, Status] = {}
+
+    def took(run: str, status: Status) -> None:
+        done[run] = status
+        ears.took(run, status)
+
+    try:
+        context, made = Context.load(session.paths.context), Submission.load(session.paths)
+        runner = runners.find(made.runner, {made.runner: made.cluster})(1)
+        recorder = Recorder(store, session.paths, context)
+        with noted(detach) as signals:
+            following = Following(runner, recorder, store, session, replace(ears, took=took), leave=leave)
+            following.go_on(signals)
+        if not following.left:
+            find_odd(store, session.paths, context)
+            asked.finish(store, session, interrupted=session.paths.cancelled.exists())
+        failed = sum(status is not Status.OK for status in done.values())
+        notes = () if following.left else tuple(recorder.notes())
+        return Attached(context.batch, len(done), failed, following.left, bool(signals) and not detach, notes)
+    finally:
+        session.close()

@@ -1,0 +1,95 @@
+"""What a session has submitted to a cluster, as its folder has it: enough for any process to go on with it.
+
+`submission.json` is written once, before anything is handed over. Each job that is handed over has a file of its own,
+`sent/<number>.json`, which is written before that without the job's id and again with it: a submitter that dies in between
+leaves no id, and the job is found by its name.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from sierra.config import ClusterTable
+from sierra.paths import SessionPaths, write_whole
+from sierra.store.segments import disk_errors
+
+NAMED = 8
+"""Digits of a session's id in the name of its jobs."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sent:
+    """One job that was, or was to be, handed over."""
+
+    elements: tuple[int, ...]
+    when: float
+    """Seconds since the epoch."""
+    why: str = ""
+    """Why these elements were submitted again; empty at first."""
+    job: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Submission:
+    """What does not change from then on."""
+
+    runner: str
+    scheduler: str
+    version: str
+    """Of the scheduler, with its name."""
+    table: Mapping[str, Any]
+    batch: str
+    counts: tuple[int, ...]
+    """The runs of each element."""
+    around: Mapping[str, Any]
+    """The row of `environments` of the submitting process."""
+
+    @property
+    def cluster(self) -> ClusterTable:
+        """What the project said of the cluster then."""
+        return ClusterTable.model_validate({**self.table, "scheduler": self.scheduler})
+
+    def save(self, session: SessionPaths) -> None:
+        with disk_errors(session.root):
+            session.sent.mkdir()
+            write_whole(session.submission, json.dumps(asdict(self), default=str).encode())
+
+    @classmethod
+    def load(cls, session: SessionPaths) -> Submission:
+        fields = json.loads(session.submission.read_text())
+        return cls(**{**fields, "counts": tuple(fields["counts"])})
+
+
+def name_of(session: SessionPaths) -> str:
+    """What the jobs of a session are called."""
+    return f"sierra-{session.root.name[:NAMED]}"
+
+
+def sent(session: SessionPaths) -> list[Sent]:
+    """All that was, or was to be, handed over, in order."""
+    files = sorted(session.sent.glob("*.json"), key=lambda file: int(file.stem))
+    return [Sent(**{**found, "elements": tuple(found["elements"])}) for found in map(_read, files) if found]
+
+
+def note(session: SessionPaths, number: int, one: Sent) -> None:
+    """Write what is handed over, or was."""
+    with disk_errors(session.root):
+        write_whole(session.sent / f"{number}.json", json.dumps(asdict(one)).encode())
+
+
+def intent(elements: tuple[int, ...], why: str) -> Sent:
+    return Sent(elements, time.time(), why)
+
+
+def _read(file: Any) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads(file.read_text())
+    return found
+
+
+def jobs(session: SessionPaths) -> Iterator[str]:
+    """The ids of all jobs that are known to have been handed over."""
+    return (one.job for one in sent(session) if one.job is not None)
