@@ -20,7 +20,7 @@ import pytest
 from hypothesis import settings
 
 from sierra.store import Store
-from tests import projects, stores
+from tests import clusters, projects, stores
 
 # A shell that starts the tests in the background makes them, and all that they start, ignore these.
 signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -72,6 +72,27 @@ def require() -> Callable[..., str]:
         pytest.skip(f"needs {what}")
 
     return require
+
+
+@pytest.fixture(scope="session")
+def running_slurm() -> Iterator[clusters.Slurm]:
+    """A cluster that each process of tests starts once, when it is first asked for; take `slurm`."""
+    with clusters.folder() as folder, clusters.Slurm(folder, pbs=True) as cluster:
+        yield cluster
+
+
+@pytest.fixture
+def slurm(
+    require: Callable[..., str], request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[clusters.Slurm]:
+    """A real SLURM of three nodes, that is idle, and that the commands of SLURM (and of PBS, over it) speak to."""
+    clusters.needed(require)
+    cluster: clusters.Slurm = request.getfixturevalue("running_slurm")
+    for name, value in cluster.environment.items():
+        monkeypatch.setenv(name, value)
+    cluster.heal()
+    yield cluster
+    cluster.heal()
 
 
 class Simulated:

@@ -1,0 +1,268 @@
+"""PBS: OpenPBS (and PBS Pro), Torque, and the `qsub` that Debian's slurm-wlm-torque puts over SLURM.
+
+`qsub --version` tells them apart. They agree in little but the names of their commands; `qsub` (the module) says what each is
+handed, `qstat` what each answers. What holds for all:
+
+- The script is always a file: the wrapper takes none on its standard input. It is named without its folder, for the wrapper
+  puts its words into a shell.
+- No history is asked for, which is off by default in OpenPBS, and `-x` means XML in Torque. A job that isn't listed has ended;
+  `qstat` with ids ends with 153 (unknown) or 35 (finished) then. An exit status is never believed: an array's is 0 whatever
+  became of its elements.
+- Where nothing is known of a name, all jobs are listed, by one call; from then on, one call asks for the ids that were alive,
+  until one of them isn't, for a list of a whole site is long.
+- Commands see few variables of the caller's (`PASSED`): a site may have made `-V` its default, and PBS_DPREFIX or SBATCH_*
+  would change what scripts mean.
+- Over SLURM, `qstat` and `qdel` know nothing of elements, which have plain numbers there. Where this `qsub` is, SLURM's own
+  commands are, so they are asked.
+"""
+
+from __future__ import annotations
+
+import os
+import pwd
+import re
+import subprocess
+from collections.abc import Iterator, Sequence
+from functools import cached_property
+from pathlib import Path
+
+from sierra.config import ClusterTable
+from sierra.errors import ConfigError, Full, Missing
+from sierra.paths import write_whole
+from sierra.runners import schedulers
+from sierra.runners.schedulers import Bounds, Request, Scheduler, State, Task, qstat, qsub
+from sierra.runners.schedulers.qsub import Dialect
+
+PATIENCE_S = 20.0
+SUBMITTING_S = 120.0
+AT_ONCE = 200
+"""Ids on one command line."""
+ARRAY = 10_000
+"""OpenPBS's own `max_array_size`, where none is set."""
+PASSED = frozenset(
+    (
+        *("PATH", "HOME", "USER", "LOGNAME", "LD_LIBRARY_PATH", "PERL5LIB", "TMPDIR", "KRB5CCNAME", "SLURM_CONF"),
+        *("PBS_CONF_FILE", "PBS_EXEC", "PBS_HOME", "PBS_SERVER", "PBS_PRIMARY", "PBS_SECONDARY", "PBS_DEFAULT"),
+    )
+)
+SET = {"LC_ALL": "C", "SBATCH_EXPORT": "NIL"}
+"""The second is for the wrapper, whose sbatch would hand over all that it sees itself."""
+OPENPBS = re.compile(r"pbs_version\s*=\s*(\S+)")
+TORQUE = re.compile(r"^Version:\s*(\S+)", re.MULTILINE)
+JOB = re.compile(r"\d+(\[\])?(\.\S+)?")
+UNREACHABLE = re.compile(
+    r"cannot connect|can not establish|connection (refused|reset|timed)|connection table full|no free connections"
+    r"|communication failure|shutting down|trqauthd|end of file|timed out"
+    r"|unable to contact slurm|zero bytes|transport|could not establish a configuration",
+    re.IGNORECASE,
+)
+FULL = re.compile(
+    r"maximum number of jobs|would exceed|temporarily un(available|able)|MaxSubmit|accounting/QOS policy|MaxJobCount",
+    re.IGNORECASE,
+)
+GONE = re.compile(r"unknown job|has finished|invalid (for|in this) state|request invalid for (state|finished)", re.IGNORECASE)
+DEPENDENCY = re.compile(r"unknown job|dependency", re.IGNORECASE)
+
+
+class Pbs:
+    """The scheduler `pbs`, whichever it is."""
+
+    name = "pbs"
+
+    def __init__(self, table: ClusterTable) -> None:
+        self._table = table
+        self._alive: dict[str, tuple[str, ...]] = {}
+        """Ids of the jobs of a name that were alive when it was last looked for."""
+
+    def version(self) -> str:
+        dialect, version = self._speaks
+        return f"{dialect} {version}" if dialect is not Dialect.SLURM else f"{self._slurm.version()} (its qsub)"
+
+    def bounds(self) -> Bounds:
+        if self._dialect is Dialect.SLURM:
+            return self._slurm.bounds()
+        server = _first(_said("qstat", "-B", "-f"))
+        queue = self._table.partition or server.get("default_queue", "")
+        return _bounds(server, _queue(queue), self._dialect)
+
+    def script(self, request: Request) -> str:
+        return qsub.script(request, self._table, self._dialect)
+
+    def submit(self, request: Request) -> str:
+        script = write_whole(request.folder / f"{request.name}.pbs", self.script(request).encode())
+        # the wrapper gives jobs files in which they print, unless it is told otherwise here
+        words = ("-j", "oe", "-o", "/dev/null") if self._dialect is Dialect.SLURM else ()
+        alive = self._alive.pop(request.name, ())
+        done = _call("qsub", *words, script.name, folder=request.folder, patience=SUBMITTING_S)
+        job = _taken(done, waits=bool(request.after))
+        if alive:
+            self._alive[request.name] = (*alive, job)
+        return job
+
+    def look(self, name: str) -> tuple[Task, ...] | None:
+        try:
+            if self._dialect is Dialect.SLURM:
+                return self._slurm.look(name)
+            tasks = tuple(qstat.tasks(self._records(name)))
+        except Missing:
+            return None
+        self._alive[name] = tuple(dict.fromkeys(task.job for task in tasks if task.state is not State.ENDED))
+        return tasks
+
+    def cancel(self, name: str, elements: Sequence[int] | None = None) -> None:
+        if self._dialect is Dialect.SLURM:
+            self._slurm.cancel(name, elements)
+            return
+        self._alive.pop(name, None)
+        ids = [one["id"] for one in self._records(name) if one.get("job_state") not in qstat.ENDED and _meant(one, elements)]
+        for start in range(0, len(ids), AT_ONCE):
+            done = _call("qdel", *ids[start : start + AT_ONCE])
+            if done.returncode and any(not GONE.search(line) for line in done.stderr.splitlines()):
+                raise Missing(f"qdel: {_words(done)}")
+
+    @cached_property
+    def _speaks(self) -> tuple[Dialect, str]:
+        done = _call("qsub", "--version")
+        said = done.stdout + done.stderr
+        if match := OPENPBS.search(said):
+            return Dialect.OPENPBS, match[1]
+        if match := TORQUE.search(said):
+            return Dialect.TORQUE, match[1]
+        if "Unknown option: version" in said:
+            return Dialect.SLURM, ""
+        raise Missing(f"qsub --version says neither that it is OpenPBS nor Torque: {_words(done)}")
+
+    @property
+    def _dialect(self) -> Dialect:
+        return self._speaks[0]
+
+    @cached_property
+    def _slurm(self) -> Scheduler:
+        return schedulers.find("slurm")(self._table)
+
+    def _records(self, name: str) -> list[qstat.Record]:
+        """The caller's jobs of that name, and their elements. Raises Missing where nobody answers."""
+        alive = self._alive.get(name, ())
+        records = self._listed(alive) if alive else None
+        if records is None:
+            records = self._listed(())
+        if records is None:
+            raise Missing("qstat does not answer")
+        return qstat.own(records, name, _user())
+
+    def _listed(self, ids: Sequence[str]) -> list[qstat.Record] | None:
+        """All jobs, or those; None where there is no answer, or one of them is gone."""
+        if self._dialect is Dialect.OPENPBS:
+            done = _call("qstat", "-t", "-f", "-F", "json", *ids)
+            try:
+                return None if done.returncode else list(qstat.json_records(done.stdout))
+            except ValueError:
+                pass
+        done = _call("qstat", "-t", "-f", *ids)
+        return None if done.returncode else list(qstat.text_records(done.stdout))
+
+
+def _call(*argv: str, folder: Path | None = None, patience: float = PATIENCE_S) -> subprocess.CompletedProcess[str]:
+    """What a command says. Raises Missing where there is none, or it doesn't end."""
+    environment = {name: value for name, value in os.environ.items() if name in PASSED} | SET
+    try:
+        return subprocess.run(
+            argv,
+            cwd=folder,
+            env=environment,
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+            errors="replace",
+            timeout=patience,
+            check=False,
+        )
+    except FileNotFoundError as error:
+        raise Missing(f"no {argv[0]} here; PBS's commands are on login nodes") from error
+    except OSError as error:
+        raise Missing(f"{argv[0]} can't be started: {error.strerror}") from error
+    except subprocess.TimeoutExpired as error:
+        raise Missing(f"{argv[0]} has not answered in {patience:g} s") from error
+
+
+def _said(*argv: str) -> str:
+    done = _call(*argv)
+    if done.returncode:
+        raise Missing(f"{argv[0]}: {_words(done)}")
+    return done.stdout
+
+
+def _words(done: subprocess.CompletedProcess[str]) -> str:
+    """What a command complains of, in one line."""
+    said = (done.stderr + "\n" + done.stdout).partition("and the output was:")
+    lines = (
+        re.sub(r"^(qsub|qstat|qdel|sbatch)(: error)?:\s*", "", line.strip(" \t'")) for line in (said[2] or said[0]).splitlines()
+    )
+    return "; ".join(filter(None, lines))[:500] or f"exit status {done.returncode}"
+
+
+def _taken(done: subprocess.CompletedProcess[str], *, waits: bool) -> str:
+    """The job's id in what `qsub` says. Raises as `submit` does."""
+    words = _words(done)
+    if not done.returncode:
+        ids = [line.strip() for line in done.stdout.splitlines() if JOB.fullmatch(line.strip())]
+        if not ids:
+            raise Missing(f"qsub names no job: {words}")
+        return ids[-1]
+    if FULL.search(words):
+        raise Full(f"qsub: {words}")
+    if UNREACHABLE.search(words):
+        raise Missing(f"qsub: {words}")
+    if waits and DEPENDENCY.search(words):
+        raise Missing(f"qsub: {words}: the job that it waits for is no longer known")
+    raise ConfigError(f"qsub refuses: {words}")
+
+
+def _meant(record: qstat.Record, elements: Sequence[int] | None) -> bool:
+    """Whether what is listed is to be ended: whole jobs, or the places of these elements."""
+    if elements is None:
+        return qstat.name(record["id"]).place is None
+    return qstat.element(record) in elements
+
+
+def _user() -> str:
+    try:
+        return pwd.getpwuid(os.geteuid()).pw_name
+    except KeyError:
+        return os.environ.get("LOGNAME", str(os.geteuid()))
+
+
+def _first(text: str) -> qstat.Record:
+    return next(qstat.text_records(text), {})
+
+
+def _queue(name: str) -> qstat.Record:
+    """What is said of a queue; nothing where there is none: `qsub` will refuse it."""
+    done = _call("qstat", "-Q", "-f", name) if name else None
+    return _first(done.stdout) if done and not done.returncode else {}
+
+
+def _bounds(server: qstat.Record, queue: qstat.Record, dialect: Dialect) -> Bounds:
+    arrays = [*_numbers(server, queue, names=("max_array_size", "max_job_array_size"))]
+    arrays += [ARRAY] if dialect is Dialect.OPENPBS and not arrays else []
+    jobs = [*_numbers(server, queue, names=("max_queuable", "max_user_queuable"))]
+    jobs += [limit for one in (server, queue) if (limit := _queued(one.get("max_queued", ""))) is not None]
+    walls = [_seconds(one["resources_max.walltime"]) for one in (server, queue) if "resources_max.walltime" in one]
+    return Bounds(min(arrays, default=None), min(jobs, default=None), min(walls, default=None))
+
+
+def _numbers(*records: qstat.Record, names: Sequence[str]) -> Iterator[int]:
+    for record in records:
+        yield from (int(record[name]) for name in names if record.get(name, "").strip().isdigit())
+
+
+def _queued(text: str) -> int | None:
+    """Of a limit such as `[u:PBS_GENERIC=100], [u:ann=200], [o:PBS_ALL=1000]`, what concerns the caller."""
+    said = {who: int(limit) for who, limit in re.findall(r"([uo]:[^=\]]+)=(\d+)", text)}
+    limits = [said.get("o:PBS_ALL"), said.get(f"u:{_user()}", said.get("u:PBS_GENERIC"))]
+    return min((limit for limit in limits if limit is not None), default=None)
+
+
+def _seconds(text: str) -> float:
+    """A duration: seconds, or up to days before colons."""
+    return sum(float(part) * unit for part, unit in zip(reversed(text.strip().split(":")), (1, 60, 3600, 86400), strict=False))

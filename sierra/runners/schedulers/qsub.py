@@ -1,0 +1,157 @@
+"""What `qsub` is handed: one script, whose lines `#PBS` say all, so that nothing else need be said on the command line.
+
+OpenPBS, Torque and the `qsub` that Debian puts over SLURM differ in these lines:
+
+              resources                        array          index
+    OpenPBS   -l select=1:ncpus=4:mem=8mb      -J 0-5         $PBS_ARRAY_INDEX
+    Torque    -l nodes=1:ppn=4, -l mem=8mb     -t 0-3,5       $PBS_ARRAYID
+    SLURM's   -l nodes=1:ppn=4, -l mem=8mb     -J 0-3,5       $SLURM_ARRAY_TASK_ID
+
+OpenPBS has only ranges, and refuses one of a single index; what a single one means in Torque depends on its version. So one
+element is a plain job, and elements with gaps are an array of places in OpenPBS: the script turns the place into the element,
+and the job has a variable, SIERRA_ELEMENTS, that says the same to whom lists it.
+
+PBS keeps what a job prints on the node until the end, and copies it by rules of each site's own. So scripts write into their
+log themselves, from their first line on. (Torque adds the index even to `/dev/null`: it gets a file of its own for its words.)
+
+Jobs are left rerunnable: OpenPBS takes no array that isn't, and a second copy does no harm.
+"""
+
+from __future__ import annotations
+
+import math
+import shlex
+from collections.abc import Iterator
+from enum import StrEnum
+
+from sierra.config import ClusterTable
+from sierra.errors import ConfigError
+from sierra.runners.schedulers import Request
+from sierra.runners.schedulers.qstat import ELEMENTS, spell
+
+MIB = 1 << 20
+
+
+class Dialect(StrEnum):
+    """Whose `qsub` it is."""
+
+    OPENPBS = "openpbs"
+    TORQUE = "torque"
+    SLURM = "slurm"
+    """The wrapper over SLURM: sbatch reads the script, its lines `#SBATCH` and most of `#PBS`."""
+
+
+INDEX = {
+    Dialect.OPENPBS: "$PBS_ARRAY_INDEX",
+    Dialect.TORQUE: "$PBS_ARRAYID",
+    Dialect.SLURM: "$SLURM_ARRAY_TASK_ID",
+}
+NUMBER = {
+    Dialect.OPENPBS: "${PBS_JOBID%%[!0-9]*}",
+    Dialect.TORQUE: "${PBS_JOBID%%[!0-9]*}",
+    Dialect.SLURM: "${SLURM_ARRAY_JOB_ID:-$SLURM_JOB_ID}",
+}
+
+
+def script(request: Request, table: ClusterTable, dialect: Dialect) -> str:
+    """The whole script. Raises ConfigError for what this scheduler doesn't have."""
+    if table.qos and dialect is not Dialect.SLURM:
+        raise ConfigError(f"qos = {table.qos!r} is SLURM's; say in directives what this PBS has instead")
+    shell = "/bin/bash" if table.modules else "/bin/sh"
+    lines = [
+        f"#!{shell} -l" if table.modules else f"#!{shell}",
+        f"# {' '.join(request.comment.split())}",
+        f"#PBS -N {request.name}",
+        f"#PBS -S {shell}",
+        "#PBS -j oe",
+        f"#PBS -o {_output(request, dialect)}",
+        "#PBS -m n",
+        *(f"#PBS -l {words}" for words in _resources(table, dialect)),
+        *_places(table, dialect),
+        *_after(request, dialect),
+        *_array(request, dialect),
+        *(f"#PBS {line}" for line in table.directives),
+        *_index(request, dialect),
+        f'exec >>{shlex.quote(str(request.logs))}/"{NUMBER[dialect]}_$index.out" 2>&1',
+        f"cd {shlex.quote(str(request.folder))} || exit 3",
+        *(f"module load {shlex.join(module.split())} || exit 3" for module in table.modules),
+        f'exec {shlex.join(request.command)} "$index"',
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _output(request: Request, dialect: Dialect) -> str:
+    if dialect is Dialect.TORQUE and len(request.elements) > 1:
+        return shlex.quote(str(request.logs / "pbs"))
+    return "/dev/null"
+
+
+def _resources(table: ClusterTable, dialect: Dialect) -> Iterator[str]:
+    memory = f"mem={math.ceil(table.memory / MIB)}mb" if table.memory else ""
+    if dialect is Dialect.OPENPBS:
+        gpus = f"ngpus={table.gpus}" if table.gpus else ""
+        yield "select=" + ":".join(filter(None, ("1", f"ncpus={table.cpus}", memory, gpus, table.constraint)))
+    else:
+        # SLURM's are said in its own lines, beyond what its sbatch knows of PBS
+        more = () if dialect is Dialect.SLURM else (table.gpus and f"gpus={table.gpus}", table.constraint)
+        yield "nodes=" + ":".join(filter(None, ("1", f"ppn={table.cpus}", *more)))
+        if memory:
+            yield memory
+    if table.wall:
+        minutes, seconds = divmod(math.ceil(table.wall), 60)
+        yield f"walltime={minutes // 60:02}:{minutes % 60:02}:{seconds:02}"
+
+
+def _places(table: ClusterTable, dialect: Dialect) -> Iterator[str]:
+    if table.partition:
+        yield f"#PBS -q {table.partition}"
+    if table.account:
+        yield f"#PBS -A {table.account}"
+    if dialect is Dialect.SLURM:
+        if table.qos:
+            yield f"#SBATCH --qos={table.qos}"
+        if table.constraint:
+            yield f"#SBATCH --constraint={table.constraint}"
+        if table.gpus:
+            yield f"#SBATCH --gres=gpu:{table.gpus}"
+
+
+def _after(request: Request, dialect: Dialect) -> Iterator[str]:
+    if not request.after:
+        return
+    if dialect is Dialect.SLURM:
+        yield f"#SBATCH --dependency=afterok:{request.after}"
+        yield "#SBATCH --kill-on-invalid-dep=yes"
+    else:
+        kind = "afterokarray" if dialect is Dialect.TORQUE and "[]" in request.after else "afterok"
+        yield f"#PBS -W depend={kind}:{request.after}"
+
+
+def _array(request: Request, dialect: Dialect) -> Iterator[str]:
+    elements = request.elements
+    if dialect is Dialect.SLURM:
+        yield f"#PBS -J {spell(elements, ',')}"
+    elif len(elements) == 1:
+        yield f"#PBS -v {ELEMENTS}={elements[0]}"
+    elif dialect is Dialect.TORQUE:
+        yield f"#PBS -t {spell(elements, ',')}"
+    elif _gaps(request):
+        yield f"#PBS -J 0-{len(elements) - 1}"
+        yield f"#PBS -v {ELEMENTS}={spell(elements)}"
+    else:
+        yield f"#PBS -J {elements[0]}-{elements[-1]}"
+
+
+def _index(request: Request, dialect: Dialect) -> Iterator[str]:
+    if len(request.elements) == 1:
+        yield f"index={request.elements[0]}"
+    elif dialect is Dialect.OPENPBS and _gaps(request):
+        yield f"set -- {' '.join(map(str, request.elements))}"
+        yield f'shift "{INDEX[dialect]}"'
+        yield "index=$1"
+    else:
+        yield f"index={INDEX[dialect]}"
+
+
+def _gaps(request: Request) -> bool:
+    return request.elements[-1] - request.elements[0] != len(request.elements) - 1

@@ -1,0 +1,328 @@
+"""A real SLURM in one folder, to be thrown away: for root on one Linux host, without systemd, control groups, files in /etc.
+
+Each node is a slurmd in PID, mount and host-name namespaces of its own, so that `hostname` is the node's there, and killing
+its first process is a power cut: slurmd, and all that jobs have left, die at once. The controller, munged and the nodes end
+with the process that started them, also where that is killed. Debian: see `make system`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import secrets
+import shutil
+import signal
+import socket
+import subprocess
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+
+SBIN = ":/usr/sbin:/sbin"
+PROGRAMS = ("munged", "slurmctld", "slurmd", "sbatch", "unshare", "nsenter", "setpriv")
+LONGEST = 100
+"""Letters that the path of a unix socket may have, roughly."""
+
+SETTINGS = {
+    "ClusterName": "sierratest",
+    "SlurmUser": "root",
+    "SlurmdUser": "root",
+    "AuthType": "auth/munge",
+    "CredType": "cred/munge",
+    "MailProg": "/bin/true",
+    # nothing of the host is needed: no control groups, no affinity, no PMIx
+    "ProctrackType": "proctrack/linuxproc",
+    "TaskPlugin": "task/none",
+    "JobAcctGatherType": "jobacct_gather/none",
+    "MpiDefault": "none",
+    "SwitchType": "switch/none",
+    # a node may claim more cores than the host has
+    "SlurmdParameters": "config_overrides",
+    "ReturnToService": "2",
+    # notice quickly; by default 120, 300 and 30
+    "SlurmctldTimeout": "30",
+    "SlurmdTimeout": "10",
+    "KillWait": "2",
+    "MinJobAge": "300",
+    "InactiveLimit": "0",
+    "SchedulerType": "sched/backfill",
+    "SchedulerParameters": "batch_sched_delay=0,sched_min_interval=0,bf_interval=2",
+    "SelectType": "select/cons_tres",
+    "SelectTypeParameters": "CR_CPU",
+    "MaxArraySize": "1001",
+    "MaxJobCount": "10000",
+    "GresTypes": "gpu",
+    "JobCompType": "jobcomp/filetxt",
+    "AccountingStorageType": "accounting_storage/none",
+}
+PARTITIONS = ("PartitionName=debug Nodes=ALL Default=YES MaxTime=60 State=UP",)
+
+
+class Slurm:
+    """One cluster. `settings` replace those above, `partitions` the one above; `pbs` has jobs see the variables of PBS too.
+
+    Nodes are called n1, n2, …; each has `cpus` cores, 4000 MiB, 2 processors of graphics and the feature `fast`.
+    """
+
+    def __init__(
+        self,
+        root: Path,
+        *,
+        nodes: int = 3,
+        cpus: int = 4,
+        settings: Mapping[str, str] | None = None,
+        partitions: Sequence[str] = PARTITIONS,
+        pbs: bool = False,
+    ) -> None:
+        assert len(str(root / "munge.sock")) < LONGEST, f"{root} is too long for a unix socket"
+        self.root = root
+        self.names = [f"n{number + 1}" for number in range(nodes)]
+        self.environment = {"SLURM_CONF": str(root / "slurm.conf")}
+        """What makes the commands of SLURM speak to this cluster."""
+        self._processes: dict[str, subprocess.Popen[bytes]] = {}
+        self._ports = free_ports(nodes + 1)
+        self._write(cpus, settings or {}, partitions, pbs=pbs)
+
+    def _write(self, cpus: int, settings: Mapping[str, str], partitions: Sequence[str], *, pbs: bool) -> None:
+        root, host = self.root, socket.gethostname()
+        for name in ("state", "log", "key"):
+            (root / name).mkdir(parents=True)
+        root.chmod(0o755)
+        (root / "key").chmod(0o700)  # munged refuses any other
+        own = {
+            "SlurmctldHost": f"{host}(127.0.0.1)",
+            "SlurmctldPort": str(self._ports[0]),
+            "AuthInfo": f"socket={root}/munge.sock",
+            "SlurmctldPidFile": f"{root}/slurmctld.pid",
+            "SlurmdPidFile": f"{root}/slurmd.%n.pid",
+            "StateSaveLocation": f"{root}/state",
+            "SlurmdSpoolDir": f"{root}/spool.%n",
+            "SlurmctldLogFile": f"{root}/log/slurmctld.log",
+            "SlurmdLogFile": f"{root}/log/slurmd.%n.log",
+            "JobCompLoc": f"{root}/jobcomp.txt",
+        }
+        if pbs:
+            own["PlugStackConfig"] = f"{root}/plugstack.conf"
+            (root / "plugstack.conf").write_text("required spank_pbs.so\n")
+        nodes = [
+            f"NodeName={name} NodeHostname={host} NodeAddr=127.0.0.1 Port={port} CPUs={cpus} Boards=1 SocketsPerBoard=1 "
+            f"CoresPerSocket={cpus} ThreadsPerCore=1 RealMemory=4000 Gres=gpu:2 Feature=fast State=UNKNOWN"
+            for name, port in zip(self.names, self._ports[1:], strict=True)
+        ]
+        lines = [f"{name}={value}" for name, value in {**SETTINGS, **own, **settings}.items()]
+        (root / "slurm.conf").write_text("\n".join((*lines, *nodes, *partitions, "")))
+        (root / "gres.conf").write_text("AutoDetect=off\nName=gpu File=/dev/null,/dev/zero\n")
+        key = root / "key" / "munge.key"
+        key.write_bytes(secrets.token_bytes(128))
+        key.chmod(0o600)
+
+    def start(self) -> None:
+        """Start all of it; returns when every node is idle."""
+        key = self.root / "key"
+        files = (f"--pid-file={key}/pid", f"--log-file={key}/log", f"--seed-file={key}/seed")
+        munge = self.root / "munge.sock"
+        self._spawn("munged", "munged", "-F", f"--socket={munge}", f"--key-file={key}/munge.key", *files, "--num-threads=4")
+        _wait(munge.exists, "munged does not start", 10)
+        self._start("slurmctld", "slurmctld", "-D")
+        for name in self.names:
+            self.start_node(name)
+        self.until_idle()
+
+    def stop(self) -> None:
+        """End all of it; jobs that run die."""
+        for name in sorted(self._processes, key=lambda name: (name not in self.names, name == "munged")):
+            self._kill(name, signal.SIGKILL if name in self.names else signal.SIGTERM)
+
+    def __enter__(self) -> Slurm:
+        try:
+            self.start()
+        except BaseException:
+            self.stop()
+            raise
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()
+
+    # what may befall it
+
+    def power_cut(self, node: str) -> None:
+        """All that is on a node dies. SLURM notices after half a minute, if it isn't told: see `declare_down`."""
+        self._kill(node)
+
+    def start_node(self, node: str) -> None:
+        """A node as it is after it was switched on."""
+        script = 'hostname "$1"; slurmd -D -N "$1" & sleep infinity & wait'  # a shell as the first process: it reaps
+        self._spawn(node, "unshare", "--pid", "--fork", "--kill-child", "--mount-proc", "--uts", "sh", "-c", script, "sh", node)
+
+    def kill_slurmd(self, node: str) -> None:
+        """The daemon alone dies: the node's jobs live on, and SLURM will think that they are lost."""
+        for pid in self._slurmd(node):
+            os.kill(pid, signal.SIGKILL)
+        _wait(lambda: not self._slurmd(node), f"slurmd of {node} does not end", 10)
+
+    def start_slurmd(self, node: str) -> None:
+        """The daemon alone comes back, on a node that is on."""
+        [shell] = _children(self._processes[node].pid)
+        enter = ("nsenter", f"--target={shell}", "--pid", "--uts", "--mount", "slurmd", "-D", "-N", node)
+        self._spawn(f"slurmd of {node}", *enter)
+
+    def kill_controller(self) -> None:
+        self._kill("slurmctld")
+
+    def start_controller(self) -> None:
+        """Returns when it answers."""
+        self._start("slurmctld", "slurmctld", "-D")
+
+    def declare_down(self, node: str) -> None:
+        """Have SLURM take a node for lost, at once."""
+        self.command("scontrol", "update", f"nodename={node}", "state=down", "reason=test")
+
+    def resume(self, node: str) -> None:
+        """Have SLURM use a node again that was declared down."""
+        self.command("scontrol", "update", f"nodename={node}", "state=resume")
+
+    def release_requeued(self, job: str) -> None:
+        """A job that was requeued may start again now, not only after two minutes."""
+        self.command("scontrol", "update", f"jobid={job}", "StartTime=now")
+
+    def heal(self) -> None:
+        """No jobs, and all nodes idle, whatever was done to it."""
+        if self._gone("slurmctld"):
+            self.start_controller()
+        self.command("scancel", f"--user={os.geteuid()}")
+        for node in self.names:
+            if self._gone(node):
+                self.start_node(node)
+            elif not self._slurmd(node):
+                self.start_slurmd(node)
+        self.until_idle()
+
+    # what it says
+
+    def command(self, *argv: str) -> str:
+        """What one of SLURM's commands prints."""
+        done = subprocess.run(argv, env=self._environment(), check=False, timeout=60, capture_output=True, text=True)
+        assert done.returncode == 0, f"{argv}: {done.stderr}"
+        return done.stdout.strip()
+
+    def nodes(self) -> dict[str, str]:
+        """The state of each node."""
+        return dict(line.split() for line in self.command("sinfo", "-h", "-N", "-o", "%N %t").splitlines())
+
+    def states(self, job: str = "") -> dict[str, str]:
+        """The state of each element of a job, or of all jobs, by its id."""
+        asked = ("squeue", "-h", "-r", "-t", "all", *(["-j", job] if job else []), "-o", "%i %T")
+        return dict(line.split() for line in self.command(*asked).splitlines())
+
+    def until_idle(self) -> None:
+        """Wait until no node has anything to do; nodes that were declared down are used again."""
+        _wait(self._is_idle, f"nodes are not idle; see {self.root}/log", 60)
+
+    def _is_idle(self) -> bool:
+        states = self.nodes()
+        for node in (node for node, state in states.items() if state == "down" and not self._gone(node)):
+            with contextlib.suppress(AssertionError):  # it is no longer down
+                self.resume(node)
+        return set(states.values()) == {"idle"}
+
+    def until(self, job: str, *states: str, element: int | None = None, seconds: float = 30) -> None:
+        """Wait until all elements of a job (or that one) are in one of these states."""
+
+        def reached() -> bool:
+            one = None if element is None else f"{job}_{element}"
+            said = [state for name, state in self.states(job).items() if one in (None, name)]
+            return bool(said) and set(said) <= set(states)
+
+        _wait(reached, f"job {job} is not {' or '.join(states)}", seconds)
+
+    # processes
+
+    def _spawn(self, name: str, *argv: str) -> None:
+        with (self.root / "log" / f"{name}.out").open("ab") as log:
+            self._processes[name] = subprocess.Popen(
+                ("setpriv", "--pdeathsig", "KILL", *argv),
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=log,
+                env=self._environment(),
+                start_new_session=True,
+            )
+
+    def _start(self, name: str, *argv: str) -> None:
+        """Start the controller; it is asked only once it listens, as its clients try for seconds otherwise."""
+        self._spawn(name, *argv)
+        _wait(lambda: _listens(self._ports[0]) or self._gone(name), f"{name} does not start", 20)
+        assert not self._gone(name), f"{name} has ended; see {self.root}/log"
+
+    def _kill(self, name: str, number: signal.Signals = signal.SIGKILL) -> None:
+        process = self._processes.pop(name)
+        process.send_signal(number)
+        try:
+            process.wait(10)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+
+    def _gone(self, name: str) -> bool:
+        return name not in self._processes or self._processes[name].poll() is not None
+
+    def _slurmd(self, node: str) -> list[int]:
+        """The processes of a node's daemon; not those of its jobs."""
+        found = []
+        for process in Path("/proc").glob("[0-9]*"):
+            with contextlib.suppress(OSError):
+                words = (process / "cmdline").read_bytes().split(b"\0")
+                if words[0] == b"slurmd" and node.encode() in words and self._is_ours(process):
+                    found.append(int(process.name))
+        return found
+
+    def _is_ours(self, process: Path) -> bool:
+        return f"SLURM_CONF={self.root}/".encode() in (process / "environ").read_bytes()
+
+    def _environment(self) -> dict[str, str]:
+        kept = {name: value for name, value in os.environ.items() if not name.startswith(("SLURM_", "SBATCH_", "SQUEUE_"))}
+        return {**kept, **self.environment, "PATH": os.environ["PATH"] + SBIN, "LC_ALL": "C"}
+
+
+@contextlib.contextmanager
+def folder() -> Iterator[Path]:
+    """A folder with a short path, for a cluster; gone afterwards."""
+    path = Path(tempfile.mkdtemp(prefix="sierra-", dir="/tmp"))
+    path.chmod(0o755)  # munged refuses to listen where not everybody may come
+    try:
+        yield path / "c"
+    finally:
+        shutil.rmtree(path, ignore_errors=True)
+
+
+def needed(require: Callable[..., str]) -> None:
+    """Skip, or fail, where a cluster can't be started."""
+    require("root, to start a cluster", there=os.geteuid() == 0)
+    for program in PROGRAMS:
+        require(program, there=shutil.which(program, path=os.environ["PATH"] + SBIN) is not None)
+
+
+def free_ports(count: int) -> list[int]:
+    """Ports of the loopback that nobody uses now."""
+    with contextlib.ExitStack() as stack:
+        servers = [stack.enter_context(socket.create_server(("127.0.0.1", 0))) for _ in range(count)]
+        return [server.getsockname()[1] for server in servers]
+
+
+def _listens(port: int) -> bool:
+    with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port), 1):
+        return True
+    return False
+
+
+def _children(pid: int) -> list[int]:
+    return [int(word) for word in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+
+
+def _wait(condition: Callable[[], bool], otherwise: str, seconds: float) -> None:
+    give_up = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < give_up, otherwise
+        time.sleep(0.05)
