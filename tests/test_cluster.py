@@ -1,0 +1,384 @@
+"""Batches on a real SLURM: they are answered as on this machine, whatever befalls the cluster meanwhile."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import sierra
+from sierra import processes
+from sierra.api import Project
+from tests import projects
+from tests.clusters import Slurm
+
+CLUSTER = """
+[runners.slurm]
+elements = 3
+"""
+WAITING = """\
+import os, sys, time
+import xml.etree.ElementTree as ET
+
+arena = ET.parse(sys.argv[1]).getroot()
+count = int(arena.find("swarm").get("count"))
+with open("swarm.csv", "w") as file:
+    print("tick,coverage", file=file)
+    print(0, count, sep=",", file=file)
+with open({log!r}, "a") as log:
+    print(os.environ["SIERRA_RUN_ID"], file=log, flush=True)
+while not os.path.exists({gate!r}):
+    time.sleep(0.02)
+"""
+"""A simulator that says that it has begun, and goes on once a gate is open."""
+
+
+@dataclass
+class Gated:
+    """A project whose runs end once a gate is open."""
+
+    root: Path
+    slurm: Slurm
+
+    @property
+    def gate(self) -> Path:
+        return self.root.with_name("gate")
+
+    def open(self) -> None:
+        self.gate.touch()
+
+    def begun(self) -> list[str]:
+        """The runs that were begun, each as often as it was."""
+        log = self.root.with_name("log")
+        return log.read_text().split() if log.exists() else []
+
+    def ask(self, *words: str) -> subprocess.Popen[str]:
+        command = [projects.SIERRA, "run", *(words or ("population_size.Log8",)), "--on", "slurm", "--no-figures"]
+        pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "stdin": subprocess.DEVNULL}
+        return subprocess.Popen(command, cwd=self.root, text=True, **pipes)  # type: ignore[call-overload,no-any-return]
+
+    def until_begun(self, count: int) -> None:
+        until(lambda: len(self.begun()) >= count, f"{count} runs begin")
+
+    def job(self) -> str:
+        """The id of the one job that is there."""
+        [job] = {name.partition("_")[0] for name, state in self.slurm.states().items() if state in ("PENDING", "RUNNING")}
+        return job
+
+    @property
+    def project(self) -> Project:
+        return sierra.open(self.root)
+
+
+@pytest.fixture
+def gated(tmp_path: Path, slurm: Slurm) -> Iterator[Gated]:
+    root = tmp_path / "project"
+    simulator = WAITING.format(log=str(tmp_path / "log"), gate=str(tmp_path / "gate"))
+    projects.make(root, projects.CONFIG + CLUSTER, simulator=simulator)
+    made = Gated(root, slurm)
+    yield made
+    made.open()
+
+
+def until(there: Callable[[], bool], what: str, seconds: float = 60) -> None:
+    give_up = time.monotonic() + seconds
+    while not there():
+        assert time.monotonic() < give_up, f"waited in vain until {what}"
+        time.sleep(0.05)
+
+
+def ended(process: subprocess.Popen[str], code: int = 0) -> str:
+    """What a command printed on standard error, once it has ended as it should."""
+    out, err = process.communicate(timeout=100)
+    assert "Traceback" not in err, err
+    assert "fault in SIERRA" not in err, err
+    assert process.returncode == code, out + err
+    return err
+
+
+def rows(project: Project, text: str) -> list[dict[str, Any]]:
+    found: list[dict[str, Any]] = project.sql(text).to_pylist()
+    return found
+
+
+def is_whole(project: Project, runs: int = 8, executions: int | None = None) -> None:
+    """Every run has one good execution that counts, no run was executed more often, and nothing is left of a session."""
+    [found] = rows(project, "SELECT count(*) AS runs, count(*) FILTER (status = 'ok') AS good FROM runs")
+    assert found == {"runs": runs, "good": runs}
+    [found] = rows(project, "SELECT count(*) AS n, count(DISTINCT execution) AS d FROM executions WHERE purpose = 'run'")
+    assert found == {"n": executions or runs, "d": executions or runs}
+    assert [path for path in (project.root / ".sierra" / "work").iterdir() if path.is_dir()] == []
+
+
+def at_rest(slurm: Slurm, project: Project) -> None:
+    """Nothing runs on: neither jobs nor processes."""
+    until(lambda: set(slurm.states().values()) & {"PENDING", "RUNNING", "COMPLETING"} == set(), "no job is left")
+    sessions = {row["session"] for row in rows(project, "SELECT DISTINCT session FROM executions")}
+    until(lambda: not processes.marked({f"SIERRA_SESSION={one}".encode() for one in sessions}), "no process is left")
+
+
+def test_a_batch_on_slurm_is_what_it_is_here(tmp_path: Path, slurm: Slurm) -> None:
+    here = projects.make(tmp_path / "here")
+    there = projects.make(tmp_path / "there", projects.CONFIG + CLUSTER)
+    done = projects.sierra(there, "run", "population_size.Log8", "--on", "slurm")
+    assert done.returncode == 0, done.stderr
+    assert projects.sierra(here, "run", "population_size.Log8").returncode == 0
+    results = "SELECT run, result FROM executions ORDER BY run"
+    assert rows(sierra.open(there), results) == rows(sierra.open(here), results)
+    is_whole(sierra.open(there))
+    at_rest(slurm, sierra.open(there))
+    [session] = rows(sierra.open(there), "SELECT runner, executed, failed, missing FROM sessions")
+    assert session == {"runner": "slurm", "executed": 8, "failed": 0, "missing": 0}
+
+
+def test_attempts_say_where_and_with_what_runs_were_executed(tmp_path: Path, slurm: Slurm) -> None:
+    root = projects.make(tmp_path / "project", projects.CONFIG + CLUSTER + "cpus = 2\nmemory = '100 MB'\n")
+    assert projects.sierra(root, "run", "population_size.Log8", "--on", "slurm").returncode == 0
+    found = rows(sierra.open(root), "SELECT * FROM attempts ORDER BY element")
+    assert [row["element"] for row in found] == [0, 1, 2]
+    assert [row["runs"] for row in found] == [3, 3, 2]
+    for row in found:
+        assert row["scheduler"].startswith("slurm ")
+        assert row["node"] in slurm.names
+        assert (row["cpus"], row["state"], row["cut"], row["trouble"]) == (2, "finished", 0, None)
+    joined = "executions e JOIN attempts a USING (attempt) JOIN environments v ON v.environment = e.environment"
+    same = f"SELECT count(*) AS n FROM {joined} WHERE v.host = a.node AND e.host = a.node"
+    assert rows(sierra.open(root), same) == [{"n": 8}]
+
+
+def test_code_may_change_while_runs_wait(gated: Gated) -> None:
+    asking = gated.ask()
+    gated.until_begun(3)
+    (gated.root / "sim.py").write_text("raise SystemExit(1)\n")
+    gated.open()
+    ended(asking)
+    is_whole(gated.project)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_what_is_submitted_lives_on_without_its_submitter(gated: Gated, number: signal.Signals) -> None:
+    asking = gated.ask()
+    gated.until_begun(3)
+    asking.send_signal(number)
+    ended(asking, -9 if number == signal.SIGKILL else 130)
+    gated.open()
+    ended(gated.ask())
+    is_whole(gated.project)
+    assert len(gated.begun()) == 8
+    at_rest(gated.slurm, gated.project)
+
+
+def test_a_submitter_that_died_before_it_knew_the_job_finds_it_by_its_name(gated: Gated) -> None:
+    asking = gated.ask()
+    gated.until_begun(3)
+    asking.kill()
+    asking.communicate()
+    [sent] = gated.root.glob(".sierra/work/*/sent/0.json")
+    sent.write_text(sent.read_text().replace(f'"job": "{gated.job()}"', '"job": null'))
+    gated.open()
+    ended(gated.ask())
+    is_whole(gated.project)
+    assert len(gated.begun()) == 8
+
+
+def test_a_submitter_that_died_before_anything_was_handed_over_is_followed_by_another(gated: Gated) -> None:
+    asking = gated.ask()
+    gated.until_begun(3)
+    asking.kill()
+    asking.communicate()
+    gated.slurm.command("scancel", gated.job())
+    at_rest(gated.slurm, gated.project)
+    for file in [*gated.root.glob(".sierra/work/*/sent/*"), *gated.root.glob(".sierra/work/*/results/*")]:
+        file.unlink()
+    gated.open()
+    ended(gated.ask())
+    is_whole(gated.project)
+
+
+def test_two_that_ask_for_the_same_execute_it_once(gated: Gated) -> None:
+    first = gated.ask()
+    gated.until_begun(3)
+    second = gated.ask()
+    time.sleep(2)
+    gated.open()
+    ended(first)
+    ended(second)
+    is_whole(gated.project)
+    assert len(gated.begun()) == 8
+
+
+@pytest.mark.parametrize("which", ["one element", "all"])
+def test_what_somebody_cancels_is_submitted_again(gated: Gated, which: str) -> None:
+    asking = gated.ask()
+    gated.until_begun(3)
+    gated.slurm.command("scancel", f"{gated.job()}_1" if which == "one element" else gated.job())
+    gated.open()
+    told = ended(asking)
+    assert "submitted again" in told or which == "one element"
+    is_whole(gated.project)
+    at_rest(gated.slurm, gated.project)
+
+
+def test_a_node_that_loses_power_costs_what_was_in_flight(gated: Gated) -> None:
+    asking = gated.ask()
+    gated.until_begun(3)
+    states = gated.slurm.command("squeue", "-h", "-r", "-o", "%N")
+    node = states.split()[0]
+    gated.slurm.power_cut(node)
+    gated.slurm.declare_down(node)
+    gated.open()
+    ended(asking)
+    is_whole(gated.project)
+    gated.slurm.start_node(node)
+    at_rest(gated.slurm, gated.project)
+
+
+@pytest.mark.slow
+def test_two_copies_of_an_element_are_one_result_and_a_comparison(gated: Gated) -> None:
+    asking = gated.ask()
+    gated.until_begun(3)
+    job = gated.job()
+    node = gated.slurm.command("squeue", "-h", "-r", "-o", "%N").split()[0]
+    gated.slurm.kill_slurmd(node)
+    gated.slurm.declare_down(node)
+    with contextlib.suppress(AssertionError):
+        gated.slurm.release_requeued(job)
+    gated.until_begun(4)
+    gated.open()
+    told = ended(asking)
+    is_whole(gated.project)
+    copies = rows(gated.project, "SELECT count(*) AS n, bool_and(same) AS same FROM copies")
+    if copies[0]["n"]:
+        assert copies[0]["same"]
+        assert "executed twice" in told
+
+
+@pytest.mark.slow
+def test_a_controller_that_dies_loses_nothing(gated: Gated) -> None:
+    asking = gated.ask()
+    gated.until_begun(3)
+    gated.slurm.kill_controller()
+    time.sleep(12)
+    gated.slurm.start_controller()
+    gated.open()
+    ended(asking)
+    is_whole(gated.project)
+    assert len(gated.begun()) == 8
+
+
+def test_an_element_that_is_requeued_goes_on_where_it_was(gated: Gated) -> None:
+    asking = gated.ask()
+    gated.until_begun(3)
+    job = gated.job()
+    gated.slurm.command("scontrol", "requeue", f"{job}_0")
+    until(lambda: gated.slurm.states().get(f"{job}_0") == "PENDING", "it is requeued")
+    gated.slurm.command("scontrol", "update", f"jobid={job}_0", "StartTime=now")
+    gated.open()
+    ended(asking)
+    is_whole(gated.project)
+    assert [row["cut"] for row in rows(gated.project, "SELECT cut FROM attempts WHERE state = 'cut off'")] in ([1], [])
+
+
+def test_a_run_that_outlives_its_element_every_time_has_failed(gated: Gated) -> None:
+    config = gated.root / "sierra.toml"
+    config.write_text(config.read_text() + "attempts = 2\n")
+    asking = gated.ask("population_size=1", "--runs", "2")
+    for count in (2, 4):
+        gated.until_begun(count)
+        gated.slurm.command("scancel", gated.job())
+        until(lambda: not {"RUNNING", "PENDING"} & set(gated.slurm.states().values()), "it is cancelled", 20)
+    told = ended(asking, 1)
+    assert "cut off 2 times" in told
+    reasons = rows(gated.project, "SELECT status, reason FROM executions")
+    assert [row["status"] for row in reasons] == ["failed", "failed"]
+    assert all("cut off 2 times while it ran" in row["reason"] for row in reasons)
+    gated.open()
+    ended(gated.ask("population_size=1", "--runs", "2"))
+    is_whole(gated.project, 2, executions=4)
+
+
+def test_jobs_that_end_well_without_having_done_anything_are_not_believed(gated: Gated) -> None:
+    config = gated.root / "sierra.toml"
+    config.write_text(config.read_text() + 'python = "true"\nattempts = 2\n')
+    told = ended(gated.ask(), 3)
+    assert "was executed 2 times and ended before any run had" in told
+    config.write_text(config.read_text().replace('python = "true"\n', ""))
+    gated.open()
+    ended(gated.ask())
+    is_whole(gated.project)
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ('partition = "nowhere"', "partition"),
+        ('python = "/no/python3"', "/no/python3"),
+        ("wall = 1e9", "more than the site allows"),
+        ("cpus = 4000", ""),
+    ],
+)
+def test_what_the_site_does_not_have_is_said_in_a_line(gated: Gated, line: str, words: str) -> None:
+    config = gated.root / "sierra.toml"
+    config.write_text(config.read_text() + f"{line}\nattempts = 1\n")
+    asking = gated.ask()
+    _, err = asking.communicate(timeout=60)
+    assert asking.returncode in (2, 3)
+    assert words in err
+    assert len([text for text in err.splitlines() if text.startswith("sierra:")]) == 1, err
+    assert rows(gated.project, "SELECT * FROM executions") == []
+    assert [path for path in gated.root.glob(".sierra/work/*") if path.is_dir()] == []
+    assert gated.begun() == []
+    assert set(gated.slurm.states().values()) <= {"CANCELLED", "FAILED", "COMPLETED"}
+
+
+def test_forgotten_jobs_are_no_lost_runs(tmp_path: Path, require: Callable[..., str], monkeypatch: pytest.MonkeyPatch) -> None:
+    from tests import clusters
+
+    clusters.needed(require)
+    root = projects.make(tmp_path / "project", projects.CONFIG + CLUSTER)
+    with clusters.folder() as folder, Slurm(folder, settings={"MinJobAge": "2"}) as cluster:
+        monkeypatch.setenv("SLURM_CONF", cluster.environment["SLURM_CONF"])
+        done = projects.sierra(root, "run", "population_size.Log8", "--on", "slurm", "--detach")
+        assert done.returncode == 0, done.stderr
+        until(lambda: not cluster.states(), "the controller has forgotten the jobs", 90)
+        done = projects.sierra(root, "run", "population_size.Log8", "--on", "slurm")
+        assert done.returncode == 0, done.stderr
+    is_whole(sierra.open(root))
+    assert rows(sierra.open(root), "SELECT count(*) AS n FROM attempts") == [{"n": 3}]
+
+
+def test_the_secrets_of_the_submitters_shell_do_not_travel(
+    tmp_path: Path, slurm: Slurm, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("MY_SECRET_THING", "leak")
+    look = "[open(f'/proc/{p}/environ').read() for p in ('self', os.getppid())]"
+    simulator = f"import os, pathlib\npathlib.Path('env.txt').write_text(repr({look}))\n"
+    root = projects.make(tmp_path / "project", projects.CONFIG + CLUSTER, simulator=simulator)
+    assert projects.sierra(root, "run", "population_size=1", "--on", "slurm").returncode == 0
+    project = sierra.open(root)
+    texts = [
+        project.store.object(row["sha256"]) for row in rows(project, "SELECT sha256 FROM artifacts WHERE path = 'env.txt'")
+    ]
+    assert texts
+    assert not any(b"leak" in text for text in texts)
+
+
+def test_a_replay_on_slurm_of_runs_from_here_is_identical_and_the_other_way_round(tmp_path: Path, slurm: Slurm) -> None:
+    root = projects.make(tmp_path / "project", projects.CONFIG + CLUSTER)
+    projects.commit(root)
+    here = projects.sierra(root, "run", "population_size=1,2")
+    assert here.returncode == 0, here.stderr
+    there = projects.sierra(root, "run", "population_size=4,8", "--on", "slurm")
+    assert there.returncode == 0, there.stderr
+    project = sierra.open(root)
+    first, second = (one["batch"] for one in project.batches)
+    assert str(project.replay(first, runner="slurm").verdict) == "identical"
+    assert str(project.replay(second, runner="local").verdict) == "identical"
+    at_rest(slurm, project)
