@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import zlib
 from binascii import b2a_base64
+from collections import defaultdict
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -56,14 +57,16 @@ class _Share:
         self._lines: list[bytes] = []
         self._members: list[bytes] = []
         self._common: Job | None = None
+        self._templates: dict[str, _Template] = {}
 
     def add(self, job: Job) -> int:
         """The bytes of memory that it takes until it is compressed."""
         if self._common is None:
             self._common = job
+            self._templates = defaultdict(_Template, ((name, _Template(content)) for name, content in job.files))
             self._path.unlink(missing_ok=True)
             self._lines.append(_line({"common": local.record(job)}))
-        line = _line(_difference(job, self._common))
+        line = _line(_difference(job, self._common, self._templates))
         self._lines.append(line)
         self.count += 1
         return len(line)
@@ -93,12 +96,36 @@ class _Share:
             self.write()
 
 
+class _Template:
+    """An input file of the first job, and with how many of its bytes those of the others have begun and ended so far."""
+
+    def __init__(self, content: bytes = b"") -> None:
+        self._content = content
+        self._head = self._tail = len(content)
+
+    def difference(self, content: bytes) -> list[Any]:
+        """The bytes with which it begins like the template, what comes then, and the bytes with which it ends like it."""
+        if not self._fits(content):
+            most = min(len(content), len(self._content))
+            self._head = _alike(content, self._content, min(most, self._head))
+            self._tail = _alike(content[::-1], self._content[::-1], min(most - self._head, self._tail))
+        between = content[self._head : len(content) - self._tail]
+        return [self._head, b2a_base64(between, newline=False).decode(), self._tail]
+
+    def _fits(self, content: bytes) -> bool:
+        return (
+            self._head + self._tail <= min(len(content), len(self._content))
+            and content[: self._head] == self._content[: self._head]
+            and content[len(content) - self._tail :] == self._content[len(self._content) - self._tail :]
+        )
+
+
 def _line(record: Mapping[str, Any]) -> bytes:
     return ENCODER.encode(record).encode() + b"\n"
 
 
-def _difference(job: Job, common: Job) -> dict[str, Any]:
-    """What a job does not have in common with another of its session."""
+def _difference(job: Job, common: Job, templates: Mapping[str, _Template]) -> dict[str, Any]:
+    """What a job does not have in common with another of its session, whose files are `templates`."""
     if job.environment.keys() != common.environment.keys() or (job.client is None) != (common.client is None):
         raise ValueError(f"run {job.run} is not executed like run {common.run}: other variables, or another engine")
     own = dict(job.environment.items() - common.environment.items())
@@ -106,21 +133,11 @@ def _difference(job: Job, common: Job) -> dict[str, Any]:
     if job.argv != common.argv:
         record["argv"] = job.argv
     if job.files != common.files:
-        known = dict(common.files)
-        record["files"] = {name: _file(content, known.get(name, b"")) for name, content in job.files}
+        record["files"] = {name: templates[name].difference(content) for name, content in job.files}
     if job.limits != common.limits or job.client != common.client or job.shared != common.shared:
         whole = local.record(replace(job, files=()))
         record.update((name, whole[name]) for name in ("limits", "client", "shared") if name in whole)
     return record
-
-
-def _file(content: bytes, common: bytes) -> list[Any]:
-    """The bytes with which it begins like the other, what comes then, and the bytes with which it ends like it."""
-    most = min(len(content), len(common))
-    head = _alike(content, common, most)
-    tail = _alike(content[::-1], common[::-1], most - head)
-    between = content[head : len(content) - tail]
-    return [head, b2a_base64(between, newline=False).decode(), tail]
 
 
 def _alike(one: bytes, other: bytes, most: int) -> int:
