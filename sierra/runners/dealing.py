@@ -34,9 +34,9 @@ def deal(jobs: Iterable[Job], elements: int, session: SessionPaths) -> tuple[int
     Raises Missing where there is no room for them.
     """
     shares = [_Share(session.jobs(number)) for number in range(elements)]
-    session.jobs(0).parent.mkdir(exist_ok=True)
     buffered = packed = 0
     with disk_errors(session.root):
+        session.jobs(0).parent.mkdir(exist_ok=True)
         for number, job in enumerate(jobs):
             buffered += shares[number % elements].add(job)
             if buffered > BUFFERED:

@@ -71,8 +71,8 @@ from typing import Any, BinaryIO, Deque, Dict, Iterable, Iterator, List, NamedTu
 HOLD_S = 0.2
 BUSY_S, IDLE_S = 0.02, 0.1
 SYNC_S = 2.0
-AHEAD = 512
-"""Runs that are sent to the worker before one of them has been packed."""
+AHEAD, AHEAD_EACH = 64, 8
+"""Runs that the worker is sent before one has ended (or is packed, where it has left much), and so many more per slot."""
 CHUNK = 1 << 20
 LINE_BYTES = 1 << 28
 LOGS = ("stdout", "stderr")
@@ -312,15 +312,15 @@ def content_of(file: Any, common: Optional[str]) -> str:
 
 
 class Feeder(threading.Thread):
-    """Sends the worker what is missing, as far ahead of what has been packed as AHEAD."""
+    """Sends the worker what is missing, but only so many runs ahead that large outputs do not pile up on the node."""
 
-    def __init__(self, path: str, without: Set[bytes], pipe: Any, write: Any) -> None:
+    def __init__(self, path: str, without: Set[bytes], ahead: int, pipe: Any, write: Any) -> None:
         super().__init__(daemon=True)
         self._path = path
         self._without = without
         self._pipe = pipe
         self._write = write
-        self.permits = threading.Semaphore(AHEAD)
+        self.permits = threading.Semaphore(ahead)
         self.sent = 0
         self.error: Optional[BaseException] = None
 
@@ -617,7 +617,7 @@ class Execution:
             pass_fds=(lock,),
             start_new_session=True,
         )
-        self._feeder = Feeder(path, without, self._process.stdin, self._worker.write_all)
+        self._feeder = Feeder(path, without, AHEAD + slots * AHEAD_EACH, self._process.stdin, self._worker.write_all)
         self._feeder.start()
         try:
             self._follow()
@@ -632,7 +632,10 @@ class Execution:
             events = self._journal.read()
             now = time.monotonic()
             self._heed(now)
-            self._held.extend((now, event) for event in events)
+            for event in events:
+                self._held.append((now, event))
+                if is_small(event):
+                    self._feeder.permits.release()
             self._take(now)
             self._pack.sync(now)
             if over and not events and not self._held:
@@ -676,7 +679,8 @@ class Execution:
             self._ended += 1
         if self._is_own(directory):
             self._remove(directory)
-        self._feeder.permits.release()
+        if not is_small(event):
+            self._feeder.permits.release()
 
     def _is_own(self, directory: str) -> bool:
         """Whether it is the folder of one run; one that could not begin has none."""
@@ -734,6 +738,24 @@ class Execution:
         return code == 0
 
 
+def is_small(event: Event) -> bool:
+    """Whether it is the end of a run that has left little."""
+    return event["event"] == "end" and sum(int(file["bytes"]) for file in event["outputs"]) <= CHUNK
+
+
+def adopt_orphans() -> None:
+    """Become the parent of what a worker leaves that is killed (Linux only).
+
+    (Not the worker's own function: this process must not end with the thread that started it, which a scheduler may do away
+    with long before.)
+    """
+    with contextlib.suppress(ImportError, OSError, AttributeError):
+        import ctypes
+
+        set_child_subreaper = 36
+        ctypes.CDLL(None).prctl(set_child_subreaper, 1, 0, 0, 0)
+
+
 def module(folder: str, name: str) -> Any:
     """A file of the session's, as a module; it leaves none beside it."""
     sys.dont_write_bytecode = True
@@ -750,7 +772,7 @@ def attempt(folder: str, index: int, asked: Asked, *, probing: bool) -> bool:
     with open(os.path.join(folder, "element.json"), "rb") as file:
         settings = Settings(**json.load(file))
     worker, machine = module(folder, "worker"), module(folder, "machine")
-    worker.become_subreaper(secretive=False)
+    adopt_orphans()
     if os.path.exists(os.path.join(folder, "cancelled")):
         return False
     slots = min(settings.slots, usable_cores())
@@ -763,6 +785,7 @@ def attempt(folder: str, index: int, asked: Asked, *, probing: bool) -> bool:
                 done = executed(results, str(index), pack.path)
                 path = os.path.join(folder, "elements", "%d.jobs" % index)
                 if not Execution(folder, own, pack, asked, worker).run(slots, settings.session, path, done, lock):
+                    pack.sync(float("inf"))
                     return False
         pack.add({"event": "finished", "time": time.time()})
         pack.sync(float("inf"))

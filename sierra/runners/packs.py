@@ -95,11 +95,14 @@ class Pack:
         """All whole records since the last reading; payloads are passed over, not read.
 
         Nothing after a damaged record is told of; on a network file system its bytes are perhaps not there yet, and the next
-        reading tells of it. Raises OSError where the file can't be read.
+        reading tells of it. Raises OSError where the file can't be read, Damaged where it was written in another format.
         """
         with self.path.open("rb") as file:
             for record, at, after in element.records(file, self._offset):
-                event = self._event(record, at)
+                try:
+                    event = self._event(record, at)
+                except (TypeError, ValueError, LookupError) as error:
+                    raise Damaged(f"{self.path}: has a record of another version of SIERRA; read it with that one") from error
                 self._offset = after
                 if event is not None:
                     yield event
