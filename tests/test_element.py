@@ -565,6 +565,13 @@ def test_a_pack_is_read_while_it_grows(packed: Pack, tmp_path: Path) -> None:
     assert found + list(growing.read()) == list(Pack(packed.path).read())
 
 
+def test_a_record_of_another_version_is_said(tmp_path: Path) -> None:
+    pack = Pack(tmp_path / "0.a.b.c.d.pack")
+    pack.path.write_bytes(element.line_of({"event": "start", "execution": "x", "time": 1.0, "weather": "fine"}))
+    with pytest.raises(Damaged, match="another version"):
+        list(pack.read())
+
+
 @pytest.mark.parametrize(
     "path", ["../x", "/etc/x", "output/../../x", "output//x", "output/./x", "output", "else", "output/a\0b", ""]
 )
