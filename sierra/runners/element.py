@@ -322,7 +322,7 @@ class Feeder(threading.Thread):
         self._write = write
         self.permits = threading.Semaphore(ahead)
         self.sent = 0
-        self.error: Optional[BaseException] = None
+        self.error: Optional[Trouble] = None
 
     def run(self) -> None:
         try:
@@ -334,8 +334,8 @@ class Feeder(threading.Thread):
             self._send({"end": True})
         except BrokenPipeError:
             pass  # the worker has ended, and says itself why
-        except BaseException as error:
-            self.error = error
+        except Exception as error:
+            self.error = error if isinstance(error, Trouble) else Trouble("%s cannot be read: %s" % (self._path, error))
             self._pipe.close()  # ends the worker
 
     def _send(self, record: Event) -> None:
@@ -570,23 +570,22 @@ class Journal:
     def __init__(self, path: str) -> None:
         self._path = path
         self._file: Optional[int] = None
-        self._rest = b""
+        self._offset = 0
 
     def read(self) -> List[Event]:
-        """The next events; a line that is cut short is not there yet."""
+        """The next events. A line that is cut short is not there yet, and may be taken back."""
         if self._file is None:
             try:
                 self._file = os.open(self._path, os.O_RDONLY | os.O_CLOEXEC)
             except FileNotFoundError:
                 return []
-        data = os.read(self._file, CHUNK)
-        while data and b"\n" not in data:
-            more = os.read(self._file, CHUNK)
-            if not more:
-                break
+        data = more = os.pread(self._file, CHUNK, self._offset)
+        while more and b"\n" not in data:
+            more = os.pread(self._file, CHUNK, self._offset + len(data))
             data += more
-        *lines, self._rest = (self._rest + data).split(b"\n")
-        return [json.loads(line) for line in lines]
+        whole = data[: data.rfind(b"\n") + 1]
+        self._offset += len(whole)
+        return [json.loads(line) for line in whole.splitlines()]
 
 
 class Execution:
