@@ -2,6 +2,8 @@
 
 Nothing that changes by itself (free memory, load) is among them, and nothing is executed to find them: Linux tells all of
 it in files. Elsewhere what is not known is empty.
+
+One file on the standard library alone (Python 3.8 or newer): a cluster's nodes, where SIERRA is not, execute it too.
 """
 
 from __future__ import annotations
@@ -11,12 +13,14 @@ import os
 import platform
 import re
 import resource
+import shlex
 from collections.abc import Iterator
-from functools import cache
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 CPUINFO = Path("/proc/cpuinfo")
+OS_RELEASE = (Path("/etc/os-release"), Path("/usr/lib/os-release"))
 ARITHMETIC = re.compile(
     r"3dnow(ext)?|abm|adx|aes|amx_.*|avx.*|bmi\d|f16c|fma4?|gfni|mmx|movbe|pclmulqdq|pni|popcnt|sha_ni|sse.*|ssse3|tbm|v?aes|"
     r"vpclmulqdq|xop"
@@ -45,11 +49,11 @@ def limits() -> dict[str, list[int | None]]:
     for name in names:
         with contextlib.suppress(ValueError, OSError):
             both = resource.getrlimit(getattr(resource, name))
-            found[name.removeprefix("RLIMIT_").lower()] = [None if one == resource.RLIM_INFINITY else one for one in both]
+            found[name[len("RLIMIT_") :].lower()] = [None if one == resource.RLIM_INFINITY else one for one in both]
     return found
 
 
-@cache
+@lru_cache(maxsize=None)
 def _fixed() -> dict[str, Any]:
     uname = os.uname()
     model, flags = processor(_text(CPUINFO))
@@ -76,10 +80,13 @@ def _text(path: Path) -> str:
 
 
 def _os_release() -> str:
-    try:
-        return platform.freedesktop_os_release()["PRETTY_NAME"]
-    except (OSError, KeyError):
-        return os.uname().sysname
+    """The name that the os-release file gives, by its specification."""
+    text = next(filter(None, map(_text, OS_RELEASE)), "")
+    named = [line.partition("=")[2] for line in text.splitlines() if line.startswith("PRETTY_NAME=")]
+    with contextlib.suppress(ValueError):  # a quote that nobody closes
+        if named and shlex.split(named[-1]):
+            return shlex.split(named[-1])[0]
+    return os.uname().sysname
 
 
 def processor(cpuinfo: str) -> tuple[str, list[str]]:

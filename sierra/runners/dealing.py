@@ -1,13 +1,152 @@
-"""Dealing the jobs of a batch out to elements: run k goes to element k modulo their number."""
+"""Dealing jobs out to the elements of a cluster's job: the files that `sierra.runners.element.jobs` reads.
+
+What all jobs of an element have in common is written once, with what their input files, which come from one template, have in
+common. All files are written at once where that much memory suffices: on a network file system, opening one is what costs.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import json
+import zlib
+from binascii import b2a_base64
+from collections import defaultdict
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 from sierra.model import Job
 from sierra.paths import SessionPaths
+from sierra.runners import local
+from sierra.store.segments import disk_errors
+
+LEVEL = 1
+ENCODER = json.JSONEncoder(separators=(",", ":"))
+BUFFERED = 16 << 20
+"""Bytes of lines that wait to be compressed."""
+PACKED = 32 << 20
+"""Bytes, compressed, that wait to be written."""
 
 
 def deal(jobs: Iterable[Job], elements: int, session: SessionPaths) -> tuple[int, ...]:
-    """Write the jobs of each element; how many each got."""
-    raise NotImplementedError
+    """Write job k to element k mod `elements`; how many jobs each has got. An element without any gets no file.
+
+    Raises Missing where there is no room for them.
+    """
+    shares = [_Share(session.jobs(number)) for number in range(elements)]
+    buffered = packed = 0
+    with disk_errors(session.root):
+        session.jobs(0).parent.mkdir(exist_ok=True)
+        for number, job in enumerate(jobs):
+            buffered += shares[number % elements].add(job)
+            if buffered > BUFFERED:
+                packed, buffered = packed + sum(share.compress() for share in shares), 0
+            if packed > PACKED:
+                packed = sum(share.write() for share in shares)
+        for share in shares:
+            share.close()
+    return tuple(share.count for share in shares)
+
+
+class _Share:
+    """The jobs of one element: lines, then members of a gzip file, then what is on the disk."""
+
+    def __init__(self, path: Path) -> None:
+        self.count = 0
+        self._path = path
+        self._lines: list[bytes] = []
+        self._members: list[bytes] = []
+        self._common: Job | None = None
+        self._templates: dict[str, _Template] = {}
+
+    def add(self, job: Job) -> int:
+        """The bytes of memory that it takes until it is compressed."""
+        if self._common is None:
+            self._common = job
+            self._templates = defaultdict(_Template, ((name, _Template(content)) for name, content in job.files))
+            self._path.unlink(missing_ok=True)
+            self._lines.append(_line({"common": local.record(job)}))
+        line = _line(_difference(job, self._common, self._templates))
+        self._lines.append(line)
+        self.count += 1
+        return len(line)
+
+    def compress(self) -> int:
+        """The bytes that it has become."""
+        if not self._lines:
+            return 0
+        gzip = zlib.compressobj(LEVEL, zlib.DEFLATED, zlib.MAX_WBITS | 16)
+        member = gzip.compress(b"".join(self._lines)) + gzip.flush()
+        self._lines.clear()
+        self._members.append(member)
+        return len(member)
+
+    def write(self) -> int:
+        """The bytes that still wait: none."""
+        if self._members:
+            with self._path.open("ab") as file:
+                file.writelines(self._members)
+            self._members.clear()
+        return 0
+
+    def close(self) -> None:
+        if self.count:
+            self._lines.append(_line({"end": self.count}))
+            self.compress()
+            self.write()
+
+
+class _Template:
+    """An input file of the first job, and with how many of its bytes those of the others have begun and ended so far."""
+
+    def __init__(self, content: bytes = b"") -> None:
+        self._content = content
+        self._head = self._tail = len(content)
+
+    def difference(self, content: bytes) -> list[Any]:
+        """The bytes with which it begins like the template, what comes then, and the bytes with which it ends like it."""
+        if not self._fits(content):
+            most = min(len(content), len(self._content))
+            self._head = _alike(content, self._content, min(most, self._head))
+            self._tail = _alike(content[::-1], self._content[::-1], min(most - self._head, self._tail))
+        between = content[self._head : len(content) - self._tail]
+        return [self._head, b2a_base64(between, newline=False).decode(), self._tail]
+
+    def _fits(self, content: bytes) -> bool:
+        return (
+            self._head + self._tail <= min(len(content), len(self._content))
+            and content[: self._head] == self._content[: self._head]
+            and content[len(content) - self._tail :] == self._content[len(self._content) - self._tail :]
+        )
+
+
+def _line(record: Mapping[str, Any]) -> bytes:
+    return ENCODER.encode(record).encode() + b"\n"
+
+
+def _difference(job: Job, common: Job, templates: Mapping[str, _Template]) -> dict[str, Any]:
+    """What a job does not have in common with another of its session, whose files are `templates`."""
+    if job.environment.keys() != common.environment.keys() or (job.client is None) != (common.client is None):
+        raise ValueError(f"run {job.run} is not executed like run {common.run}: other variables, or another engine")
+    own = dict(job.environment.items() - common.environment.items())
+    record: dict[str, Any] = {"run": job.run, "execution": job.execution, "environment": own}
+    if job.argv != common.argv:
+        record["argv"] = job.argv
+    if job.files != common.files:
+        record["files"] = {name: templates[name].difference(content) for name, content in job.files}
+    if job.limits != common.limits or job.client != common.client or job.shared != common.shared:
+        whole = local.record(replace(job, files=()))
+        record.update((name, whole[name]) for name in ("limits", "client", "shared") if name in whole)
+    return record
+
+
+def _alike(one: bytes, other: bytes, most: int) -> int:
+    """How many bytes two contents begin with that are the same, at most so many: found by halving."""
+    low, high = 0, most
+    while low < high:
+        middle = (low + high + 1) // 2
+        if one[low:middle] == other[low:middle]:
+            low = middle
+        else:
+            high = middle - 1
+    return low

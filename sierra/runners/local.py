@@ -12,13 +12,14 @@ import threading
 from collections.abc import Iterable
 from collections.abc import Set as AbstractSet
 from dataclasses import asdict
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 from sierra import worker
 from sierra.config import ClusterTable
 from sierra.errors import Missing
-from sierra.model import Job, Result
+from sierra.model import Client, Job, Limits, Result
 from sierra.paths import SessionPaths
 from sierra.runners import Look, Work, orphans
 from sierra.runners.journal import Journal, Started
@@ -101,21 +102,30 @@ class Local:
 
 def line(job: Job) -> bytes:
     """A job as the worker reads it."""
-    limits: dict[str, Any] = {
-        name: value
-        for name in ("wall_s", "cpu_s", "memory_bytes", "output_bytes", "grace_s")
-        if (value := getattr(job.limits, name)) is not None
-    }
-    record = {
+    return json.dumps(record(job), separators=(",", ":")).encode() + b"\n"
+
+
+def record(job: Job) -> dict[str, Any]:
+    """A job as the worker knows it."""
+    return {
         "run": job.run,
         "execution": job.execution,
         "argv": job.argv,
         "environment": dict(job.environment),
         "files": {name: base64.b64encode(content).decode() for name, content in job.files},
-        "limits": limits,
-        **({"client": asdict(job.client), "shared": job.shared} if job.client else {}),
+        "limits": _limits(job.limits),
+        **({"client": _client(job.client), "shared": job.shared} if job.client else {}),
     }
-    return json.dumps(record, separators=(",", ":")).encode() + b"\n"
+
+
+@lru_cache(maxsize=8)
+def _limits(limits: Limits) -> dict[str, Any]:
+    """Those that there are."""
+    return {name: value for name, value in asdict(limits).items() if value is not None}
+
+
+def _client(client: Client) -> dict[str, Any]:
+    return {"argv": client.argv, "environment": dict(client.environment), "stop": client.stop}
 
 
 def _ending(process: subprocess.Popen[bytes]) -> str:

@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
+import hashlib
+import os
+import shutil
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
-from sierra.model import Result
+from sierra.errors import Damaged
+from sierra.model import OutputFile, Result
+from sierra.paths import RUN_OUTPUT, RUN_STDERR, RUN_STDOUT
+from sierra.runners import element
+from sierra.store.segments import disk_errors
+
+CHUNK = 1 << 20
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,10 +27,14 @@ class Attempt:
     session: str
     element: int
     job: str
+    """The task, as its scheduler calls it: `12_3`, `12[3].server`; empty without one."""
     node: str
     started: float
     """By the node's clock, in seconds since the epoch; so are all times here."""
+    slots: int
+    """Runs that execute at a time: those that were asked for, but no more than there are cores to be used."""
     cpus: int
+    """Cores that were allotted."""
     memory: int | None
     gpus: str | None
     allocation: Mapping[str, str]
@@ -71,18 +84,94 @@ class Pack:
     """One attempt's file, read on from where reading stopped."""
 
     def __init__(self, path: Path) -> None:
-        """`path` is named `INDEX.ATTEMPT.pack`."""
+        """`path` is named `INDEX.ATTEMPT.pack`, or `probe.ATTEMPT.pack`."""
         self.path = path
-        name = path.name.removesuffix(".pack")
-        self.element, self.attempt = int(name.partition(".")[0]), name.partition(".")[2]
+        name, _, self.attempt = path.name.removesuffix(".pack").partition(".")
+        self.element = int(name) if name.isdigit() else None
+        """None for a probe."""
+        self._offset = 0
 
     def read(self) -> Iterator[Event]:
-        """All whole records since the last reading; payloads are passed over, not read. A damaged record ends it for good."""
-        raise NotImplementedError
+        """All whole records since the last reading; payloads are passed over, not read.
+
+        Nothing after a damaged record is told of; on a network file system its bytes are perhaps not there yet, and the next
+        reading tells of it. Raises OSError where the file can't be read, Damaged where it was written in another format.
+        """
+        with self.path.open("rb") as file:
+            for record, at, after in element.records(file, self._offset):
+                try:
+                    event = self._event(record, at)
+                except (TypeError, ValueError, LookupError) as error:
+                    raise Damaged(f"{self.path}: has a record of another version of SIERRA; read it with that one") from error
+                self._offset = after
+                if event is not None:
+                    yield event
+
+    def _event(self, record: Mapping[str, Any], at: int) -> Event | None:
+        fields = dict(record)
+        match fields.pop("event"):
+            case "attempt":
+                return Attempt(**fields)
+            case "start":
+                return Started(**fields)
+            case "end":
+                return self._ended(fields, at)
+            case "trouble":
+                return Trouble(**fields)
+            case "finished":
+                return Finished(**fields)
+            case _:
+                return None
+
+    def _ended(self, fields: dict[str, Any], at: int) -> Ended:
+        files = tuple((path, size, sha256) for path, size, sha256 in fields.pop("files"))
+        fields["outputs"] = tuple(OutputFile(**file) for file in fields["outputs"])
+        del fields["size"]
+        return Ended(Result(directory="", attempt=self.attempt, **fields), files, at)
 
     def extract(self, ended: Ended, folder: Path) -> Result:
         """Write a run's files to a folder, which is made; the result with that directory.
 
-        Raises Damaged where the bytes are not those that were recorded: on a network file system, perhaps not yet.
+        There is a `stdout`, a `stderr` and an `output` in it, whatever the run left. Raises Damaged where the bytes are not
+        those that were recorded (on a network file system, perhaps not yet) or a path leads elsewhere, Missing where there is
+        no room; no folder is left then.
         """
-        raise NotImplementedError
+        folder.mkdir()
+        try:
+            with disk_errors(folder):
+                self._extract(ended, folder)
+        except BaseException:
+            shutil.rmtree(folder, ignore_errors=True)
+            raise
+        return replace(ended.result, directory=str(folder))
+
+    def _extract(self, ended: Ended, folder: Path) -> None:
+        (folder / RUN_OUTPUT).mkdir()
+        for name in (RUN_STDOUT, RUN_STDERR):
+            (folder / name).touch()
+        with self.path.open("rb") as pack:
+            pack.seek(ended.at)
+            for path, size, sha256 in ended.files:
+                if _copied(pack, self._place(folder, path), size) != sha256:
+                    raise Damaged(f"{self.path}: {path!r} of run {ended.result.run} is not as it was recorded")
+
+    def _place(self, folder: Path, path: str) -> Path:
+        """Where a file goes; its folder is made."""
+        parts = path.split("/")
+        within = path in (RUN_STDOUT, RUN_STDERR) or (parts[0] == RUN_OUTPUT and len(parts) > 1)
+        if not within or "\0" in path or not {"", ".", ".."}.isdisjoint(parts):
+            raise Damaged(f"{self.path}: {path!r} does not lie in a run's folder")
+        place = Path(folder, os.fsdecode(path.encode("utf-8", "surrogateescape")))
+        place.parent.mkdir(parents=True, exist_ok=True)
+        return place
+
+
+def _copied(pack: BinaryIO, place: Path, size: int) -> str:
+    """Copy so many bytes; the SHA-256 of those that there were."""
+    digest = hashlib.sha256()
+    with place.open("wb") as file:
+        while size and (chunk := pack.read(min(size, CHUNK))):
+            digest.update(chunk)
+            file.write(chunk)
+            size -= len(chunk)
+    return digest.hexdigest()
