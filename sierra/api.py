@@ -22,6 +22,7 @@ from sierra.store import Store
 if TYPE_CHECKING:
     import pyarrow as pa
 
+    from sierra.adopting import Cancelled
     from sierra.asking import How, Watch
     from sierra.difference import Comparison
     from sierra.extract import Listing, Outcome
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
     from sierra.pipeline import Summary
     from sierra.plans import Plan
     from sierra.reasons import Why
+    from sierra.standing import Standing
     from sierra.verdicts import Replay, Tolerances
 
 
@@ -127,9 +129,14 @@ class Project:
         leave: Callable[[], bool] | None = None,
     ) -> Summary:
         """Answer a query that is planned already. `say` hears what the user should know at once; see `sierra.asking.How`."""
-        from sierra import pipeline
+        from sierra import pipeline, runners
         from sierra.asking import How
 
+        stays = runners.find(runner, self.config.runners)(1).stays
+        if detach and not stays:
+            raise UsageError(
+                f"what {runner!r} executes ends with this process: only what is on a cluster can be left to itself"
+            )
         how = How(
             _slots(jobs),
             runner,
@@ -143,13 +150,7 @@ class Project:
         probed = self._probe(plan, store, how) if self.config.determinism.probe else ()
         summary = pipeline.run(plan, store, how)
         summary = replace(summary, notes=(*probed, *summary.notes))
-        if not figures or summary.interrupted or summary.left or summary.missing + summary.failed == summary.runs:
-            return summary
-        try:
-            drawn, notes = self._deliver(summary.batch, again=False)
-        except Missing as error:
-            return replace(summary, undrawn=str(error))
-        return replace(summary, figures=tuple(map(str, drawn)), notes=(*summary.notes, *notes))
+        return self._drawn(summary) if figures else summary
 
     def sql(self, text: str, *, within: str | None = None, **parameters: Any) -> pa.Table:
         """The answer to one SQL statement as an Arrow table (`.to_pandas()` makes it a data frame).
@@ -197,6 +198,47 @@ class Project:
         return replay.replay(
             self._loaded, self.store, prefix, how, watch or (lambda progress: None), say or (lambda text: None)
         )
+
+    def status(self, prefix: str | None = None, *, say: Callable[[str], None] = lambda text: None) -> list[Standing]:
+        """What is on clusters, of all batches or of one, once what has finished there is recorded: see `sierra.standing`."""
+        from sierra import standing
+
+        store = self.stored()
+        return standing.standing(store, prefix, say) if store else []
+
+    def left(self, summary: Summary) -> list[Standing]:
+        """What an asking has left to itself on clusters."""
+        from sierra import standing
+
+        found = (standing.submitted(self.store.paths.session(session)) for session in summary.left)
+        return [one for one in found if one is not None]
+
+    def attach(
+        self,
+        prefix: str,
+        *,
+        figures: bool = True,
+        watch: Watch | None = None,
+        say: Callable[[str], None] | None = None,
+        leave: Callable[[], bool] | None = None,
+    ) -> Summary:
+        """Follow what is on a cluster of a batch to its end, where no other process does; see `sierra.adopting.follow`."""
+        from sierra import adopting
+
+        summary = adopting.follow(
+            self.store,
+            prefix,
+            watch or (lambda progress: None),
+            say or (lambda text: None),
+            leave or (lambda: True),
+        )
+        return self._drawn(summary) if figures else summary
+
+    def cancel(self, prefix: str, *, say: Callable[[str], None] = lambda text: None) -> list[Cancelled]:
+        """Cancel what is on a cluster of a batch; what had finished is kept. Raises NotFound where nothing is there."""
+        from sierra import adopting
+
+        return adopting.cancel(self.store, prefix, say)
 
     def diff(self, before: str, after: str) -> Comparison:
         """What differs between two batches, experiments, runs or executions, by beginnings of their ids.
@@ -362,6 +404,16 @@ class Project:
         from sierra import probing  # and with it all that a replay needs
 
         return probing.probe(plan, store, how)
+
+    def _drawn(self, summary: Summary) -> Summary:
+        """The same with figures, where there is something to draw."""
+        if summary.interrupted or summary.left or summary.missing + summary.failed == summary.runs:
+            return summary
+        try:
+            drawn, notes = self._deliver(summary.batch, again=False)
+        except Missing as error:
+            return replace(summary, undrawn=str(error))
+        return replace(summary, figures=tuple(map(str, drawn)), notes=(*summary.notes, *notes))
 
     def _deliver(self, batch: str, name: str | None = None, *, again: bool = True) -> tuple[list[Path], list[str]]:
         from sierra import deliver

@@ -107,8 +107,9 @@ class Asking:
             if len(self.store.segments()) != recorded:
                 continue  # what is claimed now may have been executed since the store was asked
             if not mine:
-                self._wait(wanted)
-                continue
+                if self._wait(wanted):
+                    continue
+                return
             odd = self._execute(mine)
             if self.left:
                 return
@@ -163,7 +164,8 @@ class Asking:
             odd = find_odd(self.store, self.session.paths, self._context)
             self.notes += tuple(recorder.notes())
         self.left += [self.session.paths] if following.left else []
-        self.interrupted = bool(signals) and not self._how.detach
+        cancelled = self.session.paths.cancelled.exists() and not self._is_enough()
+        self.interrupted = cancelled or (bool(signals) and not self._how.detach)
         return odd
 
     def _doubt(self) -> str | None:
@@ -236,13 +238,16 @@ class Asking:
             raise Missing("code or programs have changed while they were being copied for the cluster; ask again")
         return root, programs
 
-    def _wait(self, wanted: AbstractSet[str]) -> None:
-        """Other sessions execute what is wanted: until one of them ends, or has recorded something.
+    def _wait(self, wanted: AbstractSet[str]) -> bool:
+        """Other sessions execute what is wanted: until one of them ends, or has recorded something; whether to go on then.
 
         What is on a cluster, and nobody follows, is followed here.
         """
         if self._join(wanted):
-            return
+            return True
+        if self._how.detach:
+            self._how.say(f"{len(wanted)} runs are executed by other processes already; they are not waited for")
+            return False
         known = len(self.store.segments())
         with noted() as signals:
             while not signals and sessions.others(self.session.store, self.session.id) & wanted:
@@ -252,6 +257,7 @@ class Asking:
                 if len(self.store.segments()) != known:
                     break
         self.interrupted = bool(signals)
+        return True
 
     def _join(self, wanted: AbstractSet[str]) -> bool:
         """Follow a session on a cluster that has claimed some of these; whether there was one that nobody follows."""

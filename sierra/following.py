@@ -84,11 +84,10 @@ class Following:
             self._session.beat()
             if len(signals) > told or (enough() and not told):
                 if self._runner.stays and len(signals) > told and self._leave():
-                    self.left = True
-                    self._session.leave()
                     while look.results:
                         look = self._look()
                         self._take(look)
+                    self.left = look.alive
                     break
                 told = max(len(signals), 1)
                 self._runner.stop()
@@ -96,6 +95,8 @@ class Following:
             if alive:
                 time.sleep(POLL_S)
         self._flush()
+        if self.left:
+            self._session.leave()
         self._ears.tell(0, 0)
 
     def _look(self) -> Look:

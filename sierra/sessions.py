@@ -51,6 +51,7 @@ class Session:
             self.paths.root.mkdir(parents=True)
             _own(self.paths, 0)
             self._lock = _locked(self.paths.lock)
+        _sign(self._lock)
 
     @classmethod
     def adopted(cls, store: StorePaths, paths: SessionPaths) -> Session | None:
@@ -69,6 +70,7 @@ class Session:
             if generation is None:
                 return None
             made._generation = generation
+        _sign(made._lock)
         return made
 
     def beat(self) -> None:
@@ -187,6 +189,16 @@ def claims(paths: SessionPaths) -> set[str]:
         return set()
 
 
+def holder(paths: SessionPaths) -> str:
+    """Who has a session, in words; its lock says so, or its last owner."""
+    owners = sorted(paths.root.glob(paths.owner(0).with_suffix(".*").name), key=lambda file: int(file.suffix[1:]))
+    for file in (paths.lock, *reversed(owners)):
+        with contextlib.suppress(OSError, ValueError):
+            found = json.loads(file.read_text())
+            return f"process {found['pid']} on {found['where'][0]}"
+    return "another process"
+
+
 def _claimed(store: StorePaths, own: str) -> set[str]:
     claimed: set[str] = set()
     for paths in all_of(store):
@@ -220,6 +232,14 @@ def _locked(path: Path, *, wait: bool = True) -> int | None:
             raise
         return None
     return descriptor
+
+
+def _sign(lock: int | None) -> None:
+    """Write into a lock who holds it, for people."""
+    if lock is not None:
+        with contextlib.suppress(OSError):
+            os.ftruncate(lock, 0)
+            os.pwrite(lock, json.dumps(_process(os.getpid())).encode(), 0)
 
 
 def _own(paths: SessionPaths, generation: int) -> bool:

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from sierra.cli import deliver, diff, doctor, files, image, init, keep, look, replay, run, schema, sql, stats, why
+from sierra.cli import cluster, deliver, diff, doctor, files, image, init, keep, look, replay, run, schema, sql, stats, why
 
 EXIT_CODES = (
     "Exit codes: 0 fine; 1 a run failed, results differ, or the store is damaged; 2 usage; "
@@ -49,6 +49,9 @@ def _options(
 for command in (
     init.init,
     run.run,
+    cluster.status,
+    cluster.attach,
+    cluster.cancel,
     replay.replay,
     diff.diff,
     why.why,

@@ -5,27 +5,39 @@ from __future__ import annotations
 import contextlib
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 from sierra.asking import Progress
+from sierra.cli import leaving
 
 PLAIN_S = 5.0
 
 
+class Display:
+    """What progress is told to, and who asks the user meanwhile; shows nothing."""
+
+    def show(self, progress: Progress) -> None:
+        """Hear how far it has come."""
+
+    def leave(self) -> bool:
+        """Whether what goes on on a cluster is left to itself, now that the user wants to end: see `sierra.cli.leaving`."""
+        return leaving.asked()
+
+
 @contextlib.contextmanager
-def watching(*, quiet: bool) -> Iterator[Callable[[Progress], None]]:
+def watching(*, quiet: bool) -> Iterator[Display]:
     """What to tell progress to; it is shown on standard error."""
     if quiet:
-        yield lambda progress: None
+        yield Display()
     elif sys.stderr.isatty():
         with _Bar() as bar:
-            yield bar.show
+            yield bar
     else:
-        yield _Lines().show
+        yield _Lines()
 
 
-class _Lines:
+class _Lines(Display):
     """Plain lines, for logs."""
 
     def __init__(self) -> None:
@@ -41,7 +53,7 @@ class _Lines:
             self._said, self._last = now, line
 
 
-class _Bar:
+class _Bar(Display):
     """One line that is drawn again and again."""
 
     def __init__(self) -> None:
@@ -63,6 +75,13 @@ class _Bar:
     def __exit__(self, *_: object) -> None:
         self._bars.stop()
 
+    def leave(self) -> bool:
+        self._bars.stop()
+        try:
+            return leaving.asked()
+        finally:
+            self._bars.start()
+
     def show(self, progress: Progress) -> None:
         self._bars.update(
             self._task,
@@ -80,6 +99,8 @@ def text(progress: Progress, seconds: float) -> str:
         parts.append(f"{progress.failed} failed")
     if progress.running:
         parts.append(f"{progress.running} running")
+    if progress.queued:
+        parts.append(f"{progress.queued} {'element' if progress.queued == 1 else 'elements'} queued")
     if progress.elsewhere:
         parts.append(f"{progress.elsewhere} in another session")
     if progress.done and seconds > 0:

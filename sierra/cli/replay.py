@@ -27,7 +27,9 @@ def replay(
         int | None, typer.Option("--runs", metavar="K", min=1, help="The first K runs of each experiment alone.")
     ] = None,
     jobs: Annotated[int | None, typer.Option("-j", "--jobs", metavar="N", help="Runs at a time (default: cores).")] = None,
-    runner: Annotated[str, typer.Option("--on", metavar="RUNNER", help="Where runs execute.")] = "local",
+    runner: Annotated[
+        str, typer.Option("--on", metavar="RUNNER", help="Where runs execute: local, slurm, pbs, or a cluster of sierra.toml.")
+    ] = "local",
     engine: Annotated[
         str | None,
         typer.Option(
@@ -59,6 +61,7 @@ def replay(
       sierra replay 774d
       sierra replay 774d --runs 2 --json
       sierra replay 774d --set-tolerance swarm.coverage=rel:1e-9
+      sierra replay 774d --on slurm
       sierra replay 774d --junit replay.xml --keep
     """
     from sierra.cli import junit as junit_file
@@ -70,7 +73,7 @@ def replay(
     project = opened.project()
     if junit is not None and not junit.parent.is_dir():
         raise Missing(f"{junit}: there is no folder {junit.parent}")
-    with watching(quiet=as_json) as watch:
+    with watching(quiet=as_json) as display:
         answer = project.replay(
             prefix,
             runs=runs,
@@ -79,7 +82,7 @@ def replay(
             engine=engine,
             tolerances=asked,
             keep=keep,
-            watch=watch,
+            watch=display.show,
             say=None if as_json else note,
         )
     if junit is not None and not answer.interrupted:

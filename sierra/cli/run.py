@@ -4,21 +4,14 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import asdict
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sierra.errors import Missing
-
 if TYPE_CHECKING:
     from sierra.api import Project
-    from sierra.pipeline import Summary
     from sierra.plans import Plan
     from sierra.states import State
-
-
-COUNTED = ("runs", "good", "failed")
 
 
 def run(
@@ -37,6 +30,10 @@ def run(
         list[str] | None, typer.Option("--set", metavar="XPATH=VALUE", help="Change the template in all runs. May be repeated.")
     ] = None,
     jobs: Annotated[int | None, typer.Option("-j", "--jobs", metavar="N", help="Runs at a time (default: cores).")] = None,
+    runner: Annotated[
+        str, typer.Option("--on", metavar="RUNNER", help="Where runs execute: local, slurm, pbs, or a cluster of sierra.toml.")
+    ] = "local",
+    detach: Annotated[bool, typer.Option("--detach", help="Submit to a cluster, and leave it to itself at once.")] = False,
     engine: Annotated[
         str | None,
         typer.Option(
@@ -53,7 +50,8 @@ def run(
 ) -> None:
     """Answer a research query.
 
-    What has no good execution yet is executed and recorded; then the figures are drawn.
+    What has no good execution yet is executed and recorded; then the figures are drawn. On a cluster, Ctrl-C asks whether what
+    was submitted is to go on by itself; sierra status, attach and cancel find it again.
 
     \b
     Criteria:
@@ -72,9 +70,11 @@ def run(
       sierra run population_size=4 --set "//arena/@size=20"
       sierra run scalability noise=0,0.1 --dry-run --explain
       sierra run 774d
+      sierra run population_size.Log8 --on slurm --detach
+      sierra run population_size.Log8 --on slurm --dry-run --explain
     """
     from sierra import settings
-    from sierra.cli import opened
+    from sierra.cli import opened, summaries
     from sierra.cli.output import note, print_json
     from sierra.cli.progress import watching
     from sierra.query import setting
@@ -99,33 +99,20 @@ def run(
             return
     else:
         told = _again(project, plan)
-    with watching(quiet=as_json) as watch:
+    with watching(quiet=as_json) as display:
         summary = project.execute(
-            plan, jobs=jobs, fail_fast=fail_fast, figures=settings.load().figures if figures is None else figures, watch=watch
+            plan,
+            jobs=jobs,
+            fail_fast=fail_fast,
+            figures=settings.load().figures if figures is None else figures,
+            watch=display.show,
+            runner=runner,
+            detach=detach,
+            say=note,
+            leave=display.leave,
         )
-    for text in summary.notes:
-        note(text)
-    if as_json:
-        print_json(_answer(summary) | {name: told[name] for name in ("reasons", "new_because") if name in told})
-    else:
-        _print(summary)
-    if summary.interrupted:
-        raise typer.Exit(130)
-    if summary.failed or summary.missing:
-        raise typer.Exit(1)
-    if summary.undrawn:
-        raise Missing(summary.undrawn)
-
-
-def _answer(summary: Summary) -> dict[str, Any]:
-    names = ("batch", "query", "experiments", "runs", "executed", "again", "reused", "failed", "missing", "interrupted")
-    answer: dict[str, Any] = {name: getattr(summary, name) for name in names}
-    answer["figures"] = list(summary.figures)
-    answer["counts"] = [{**counted.values, **{name: getattr(counted, name) for name in COUNTED}} for counted in summary.counts]
-    answer["failures"] = [asdict(failure) for failure in summary.failures]
-    answer["notes"] = list(summary.notes)
-    answer["undrawn"] = summary.undrawn
-    return answer
+    more: dict[str, Any] = {name: told[name] for name in ("reasons", "new_because") if name in told}
+    summaries.tell(project, summary, more if as_json else None, detached=detach)
 
 
 def _preview(project: Project, plan: Plan, *, explain: bool, as_json: bool) -> dict[str, Any]:
@@ -181,39 +168,3 @@ def _again(project: Project, plan: Plan) -> dict[str, Any]:
 
 def _row(values: Mapping[str, Any], states: list[State]) -> list[Any]:
     return [*values.values(), len(states), sum(not state.good for state in states)]
-
-
-def _print(summary: Summary) -> None:
-    from sierra.cli.deliver import from_here
-    from sierra.cli.output import table
-    from sierra.hashing import short
-
-    print(f"batch {short(summary.batch)}: {summary.query}")
-    axes = list(summary.counts[0].values)
-    rows = [[*counted.values.values(), counted.runs, counted.good, counted.failed] for counted in summary.counts]
-    table([*axes, *COUNTED], rows, right=COUNTED)
-    failed = f", {summary.failed} failed" if summary.failed else ""
-    missing = f", {summary.missing} not executed" if summary.missing else ""
-    print(f"{summary.runs} runs: {summary.executed} executed, {summary.reused} reused{failed}{missing}")
-    _print_failures(summary)
-    if summary.interrupted:
-        print("interrupted: what had finished is recorded; ask the same again to go on")
-    if summary.figures:
-        print("figures:")
-        for path in summary.figures:
-            if path.endswith(".png"):
-                print(f"  {from_here(path)} (and .pdf, .svg)")
-
-
-def _print_failures(summary: Summary) -> None:
-    from sierra.hashing import short
-
-    for failure in summary.failures:
-        values = ", ".join(f"{name}={value}" for name, value in failure.experiment.items())
-        several = f"{failure.count} runs failed, as" if failure.count > 1 else "failed:"
-        print(f"{several} {short(failure.run)} ({values}, run {failure.number}): {failure.reason}")
-        for line in (failure.log or "").splitlines()[-5:]:
-            print(f"    {line}")
-    more = summary.failed - sum(failure.count for failure in summary.failures)
-    if more > 0:
-        print(f"and {more} more, for other reasons: sierra show {short(summary.batch)}")

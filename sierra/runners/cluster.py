@@ -17,7 +17,7 @@ import shutil
 import tempfile
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
@@ -167,7 +167,7 @@ class Cluster:
         self._again: dict[int, str] = {}
         self._again_at = 0.0
         self._stopping: float | None = None
-        self._over = False
+        self._over = self._deaf = False
         self._wrong: SierraError | None = None
 
     # ------------------------------------------------------------ looking
@@ -224,6 +224,8 @@ class Cluster:
                 self._shares[task.element].word = task.reason
         if self._stopping is not None:
             self._over = not living
+            if self._deaf:
+                self._cancel()
             return
         self._unstick([task for task in tasks if task.state is State.STUCK])
         for index, share in enumerate(self._shares):
@@ -242,23 +244,14 @@ class Cluster:
         """Cancel what will never begin; where that is not by mishap, nothing will."""
         mishaps = [task for task in stuck if RELAUNCHED in task.reason.lower()]
         if mishaps:
-            self._scheduler.cancel(self._name, sorted(self._elements(mishaps)))
+            self._cancel(sorted(self._elements(mishaps)))
         wrong = [task for task in stuck if task not in mishaps]
         if wrong:
             where = f"[runners.{self.name}]"
             self._end(Missing(f"{self._kind} will never begin job {wrong[0].job}: {wrong[0].reason}; see {where}"))
 
-    def _elements(self, tasks: Iterator[Task] | Sequence[Task]) -> set[int]:
-        """The elements that tasks are of; of a job that does not say, all that it has."""
-        found: set[int] = set()
-        for task in tasks:
-            found |= {task.element} if task.element is not None else self._of_job(task.job)
-        return found & set(range(len(self._shares)))
-
-    def _of_job(self, job: str) -> set[int]:
-        sent = submission.sent(self._session)
-        known = [one for one in sent if one.job == job] or [one for one in sent if one.job is None]
-        return {index for one in known for index in one.elements}
+    def _elements(self, tasks: Iterable[Task]) -> set[int]:
+        return submission.elements(self._session, tasks) & set(range(len(self._shares)))
 
     def _settle(self) -> None:
         """All is recorded: end what may still live, but for what is ending by itself."""
@@ -268,7 +261,7 @@ class Cluster:
         living = [task for task in tasks if task.state is not State.ENDED]
         needless = [task for task in living if not (task.state is State.RUNNING and task.element in ending)]
         if needless:
-            self._scheduler.cancel(self._name, sorted(self._elements(needless)))
+            self._cancel(sorted(self._elements(needless)))
 
     # ------------------------------------------------------------ going on
 
@@ -337,8 +330,17 @@ class Cluster:
         if self._stopping is None:
             self._stopping = time.monotonic()
             self._session.cancelled.touch()
-        self._scheduler.cancel(self._name)
+        self._cancel()
         self._due, self._pause = time.monotonic(), FIRST_POLL_S / 2
+
+    def _cancel(self, elements: Sequence[int] | None = None) -> None:
+        """Have jobs, or elements, ended; where nobody can be asked to, that is tried again with the next question."""
+        self._deaf = False
+        try:
+            self._scheduler.cancel(self._name, elements)
+        except Missing as error:
+            self._deaf = True
+            self._note(f"{error}; what is to end is cancelled as soon as {self._kind} can be reached")
 
     def _end(self, error: SierraError) -> None:
         """End all: asking again will do no better unless something is done about it."""
@@ -367,6 +369,8 @@ class Cluster:
         copies: list[Result] = []
         if time.monotonic() < self._read_at:
             return results, copies
+        if self._stopping is None and self._session.cancelled.exists():  # by another process
+            self.stop()
         for path in sorted(self._session.results.glob("*.pack")):
             track = self._tracks.setdefault(path.name, Track(Pack(path)))
             for event in track.pack.read():

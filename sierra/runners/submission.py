@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
 from sierra.config import ClusterTable
 from sierra.paths import SessionPaths, write_whole
+from sierra.runners.schedulers import Task
 from sierra.store.segments import disk_errors
 
 NAMED = 8
@@ -86,10 +87,24 @@ def intent(elements: tuple[int, ...], why: str) -> Sent:
 
 
 def _read(file: Any) -> dict[str, Any]:
-    found: dict[str, Any] = json.loads(file.read_text())
+    try:
+        found: dict[str, Any] = json.loads(file.read_text())
+    except FileNotFoundError:  # taken back meanwhile: the site took no more
+        return {}
     return found
 
 
 def jobs(session: SessionPaths) -> Iterator[str]:
     """The ids of all jobs that are known to have been handed over."""
     return (one.job for one in sent(session) if one.job is not None)
+
+
+def elements(session: SessionPaths, tasks: Iterable[Task]) -> set[int]:
+    """The elements that tasks are of; of a job that does not say, all that it has."""
+    tasks = tuple(tasks)
+    handed = sent(session) if any(task.element is None for task in tasks) else []
+    found: set[int] = set()
+    for task in tasks:
+        known = [one for one in handed if one.job == task.job] or [one for one in handed if one.job is None]
+        found |= {index for one in known for index in one.elements} if task.element is None else {task.element}
+    return found

@@ -1,0 +1,173 @@
+"""What the project has on clusters: each session that was submitted and is not closed yet, and how it stands.
+
+What has finished of those that nobody follows is recorded first. A scheduler is asked once for each session.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from functools import partial
+
+from sierra import sessions
+from sierra.attaching import attach
+from sierra.errors import NotFound, SierraError
+from sierra.following import Ears
+from sierra.paths import SessionPaths
+from sierra.runners import schedulers, submission
+from sierra.runners.schedulers import State, Task
+from sierra.runners.submission import Submission
+from sierra.sessions import Session
+from sierra.store import PREFIX, Store
+
+AT_ONCE = 8
+"""Questions to schedulers at a time: one that is out of reach takes its time to say so."""
+DEAF = Ears(lambda run, status: None, lambda running, queued: None)
+
+
+@dataclass(frozen=True, slots=True)
+class Standing:
+    """One submission: what was asked for, how far it has come, who follows it."""
+
+    session: str
+    batch: str
+    query: str | None
+    """As it was asked; None of a replay."""
+    runner: str
+    scheduler: str
+    """With its version."""
+    jobs: tuple[str, ...]
+    """Their ids, as far as they are known."""
+    elements: int
+    runs: int
+    since: datetime
+    done: int = 0
+    """Runs that are recorded, well or not."""
+    failed: int = 0
+    """Of these, those that failed."""
+    queued: int | None = None
+    """Elements that wait for a node, by the scheduler's word; None where it can't be reached. So `running`."""
+    running: int | None = None
+    stuck: str | None = None
+    """Why elements will never begin, in the scheduler's words."""
+    attended: str | None = None
+    """The process that follows it; None where none does."""
+    cancelled: bool = False
+    ended: bool = False
+    """Whether all that there is of it has been recorded now, and nothing of it lives any more."""
+
+
+def standing(store: Store, prefix: str | None = None, say: Callable[[str], None] = lambda text: None) -> list[Standing]:
+    """All that is on clusters, or what is of the batch (or the session) whose id begins so; the oldest first.
+
+    `say` hears what the user should know. Raises NotFound.
+    """
+    found = [row for paths in named(store, prefix) if (row := submitted(paths))]
+    rows = [_recorded(store, row, say) for row in found]
+    with ThreadPoolExecutor(AT_ONCE) as pool:
+        rows = list(pool.map(partial(_asked, store), rows))
+    counts = counted(store, [row.session for row in rows])
+    rows = [replace(row, done=counts[row.session][0], failed=counts[row.session][1]) for row in rows]
+    return sorted(rows, key=lambda row: (row.since, row.session))
+
+
+def named(store: Store, prefix: str | None) -> list[SessionPaths]:
+    """The sessions on clusters; those of the batch, or that one, whose id begins so. Raises NotFound for what is no id."""
+    found = sessions.submitted(store.paths)
+    if prefix is None:
+        return found
+    try:
+        batch = store.resolve(prefix)
+        if batch.kind != "batch":
+            raise NotFound(f"{prefix!r} is a {batch.kind}; only a batch, or a session, is on a cluster")
+    except NotFound:
+        begin = prefix.lower()
+        mine = [paths for paths in found if PREFIX.fullmatch(begin) and paths.root.name.startswith(begin)]
+        if not mine:
+            raise
+        return mine
+    return [paths for paths in found if (row := submitted(paths)) and row.batch == batch.id]
+
+
+def submitted(paths: SessionPaths) -> Standing | None:
+    """What a session's folder says of it; None where it has been closed meanwhile."""
+    try:
+        made = Submission.load(paths)
+        sent = submission.sent(paths)
+        since = sent[0].when if sent else paths.submission.stat().st_mtime
+    except FileNotFoundError:
+        return None
+    return Standing(
+        session=paths.root.name,
+        batch=made.batch,
+        query=_query(paths),
+        runner=made.runner,
+        scheduler=made.version,
+        jobs=tuple(one.job for one in sent if one.job is not None),
+        elements=len(made.counts),
+        runs=sum(made.counts),
+        since=datetime.fromtimestamp(since, UTC),
+        cancelled=paths.cancelled.exists(),
+    )
+
+
+def counted(store: Store, those: list[str]) -> dict[str, tuple[int, int]]:
+    """How many runs each session has executed, and how many of these failed."""
+    counts = dict.fromkeys(those, (0, 0))
+    return counts | {row["session"]: (row["executed"], row["failed"]) for row in store.rows(COUNTS, s=those)}
+
+
+COUNTS = """
+WITH mine AS (
+    SELECT session, run, bool_or(status = 'ok') AS good FROM executions WHERE list_contains($s, session) GROUP BY ALL
+)
+SELECT session, count(*) AS executed, count(*) FILTER (NOT good) AS failed FROM mine GROUP BY session
+"""
+
+
+def _query(paths: SessionPaths) -> str | None:
+    try:
+        query: str = json.loads(paths.asking.read_text())["query"]
+    except FileNotFoundError:
+        return None
+    return query
+
+
+def _recorded(store: Store, row: Standing, say: Callable[[str], None]) -> Standing:
+    """The same, once what has finished is recorded, by us or by whoever follows it."""
+    paths = store.paths.session(row.session)
+    session = Session.adopted(store.paths, paths)
+    if session is None:
+        return replace(row, attended=sessions.holder(paths)) if paths.submission.exists() else replace(row, ended=True)
+    try:
+        attached = attach(store, session, replace(DEAF, say=say), lambda: True, detach=True)
+    except SierraError as error:
+        say(f"session {row.session}: {error}")
+        return replace(row, ended=not paths.submission.exists())
+    return replace(row, ended=not attached.left)
+
+
+def _asked(store: Store, row: Standing) -> Standing:
+    """The same, with the scheduler's word of its elements."""
+    if row.ended:
+        return replace(row, queued=0, running=0)
+    paths = store.paths.session(row.session)
+    try:
+        made = Submission.load(paths)
+        tasks = schedulers.find(made.scheduler)(made.cluster).look(submission.name_of(paths))
+    except FileNotFoundError:
+        return replace(row, queued=0, running=0, ended=True)
+    except SierraError:
+        tasks = None
+    if tasks is None:
+        return row
+    by = {state: [task for task in tasks if task.state is state] for state in State}
+    queued, running = (len(submission.elements(paths, by[state])) for state in (State.QUEUED, State.RUNNING))
+    return replace(row, queued=queued, running=running, stuck=_stuck(by[State.STUCK]))
+
+
+def _stuck(tasks: list[Task]) -> str | None:
+    return "; ".join(dict.fromkeys(task.reason or "it does not say why" for task in tasks)) or None
