@@ -114,7 +114,11 @@ class Pbs:
             self._slurm.cancel(name, elements)
             return
         self._alive.pop(name, None)
-        ids = [one["id"] for one in self._records(name) if one.get("job_state") not in qstat.ENDED and _meant(one, elements)]
+        alive = [one for one in self._records(name) if one.get("job_state") not in qstat.ENDED]
+        if elements is None:
+            ids = list(dict.fromkeys(qstat.name(one["id"]).job for one in alive))
+        else:
+            ids = [one["id"] for one in alive if qstat.element(one) in elements]
         for start in range(0, len(ids), AT_ONCE):
             done = _call("qdel", *ids[start : start + AT_ONCE])
             if done.returncode and any(not GONE.search(line) for line in done.stderr.splitlines()):
@@ -216,13 +220,6 @@ def _taken(done: subprocess.CompletedProcess[str], *, waits: bool) -> str:
     if waits and DEPENDENCY.search(words):
         raise Missing(f"qsub: {words}: the job that it waits for is no longer known")
     raise ConfigError(f"qsub refuses: {words}")
-
-
-def _meant(record: qstat.Record, elements: Sequence[int] | None) -> bool:
-    """Whether what is listed is to be ended: whole jobs, or the places of these elements."""
-    if elements is None:
-        return qstat.name(record["id"]).place is None
-    return qstat.element(record) in elements
 
 
 def _user() -> str:
