@@ -43,6 +43,7 @@ DEFAULTS: dict[str, Any] = {
     "down": False,
     "broken_json": False,
     "always_V": False,
+    "slow": 0,
 }
 
 
@@ -124,6 +125,8 @@ def main(folder: str, command: str, words: list[str]) -> None:
         if state["down"]:
             refuse(command, f"cannot connect to server {HOST} (errno=111)", 111, before="Connection refused\n")
         {"qsub": qsub, "qstat": qstat, "qdel": qdel}[command](Path(folder), state, words)
+    if command == "qstat" and state["slow"]:
+        time.sleep(state["slow"])
 
 
 def refuse(command: str, words: str, status: int, *, before: str = "") -> NoReturn:

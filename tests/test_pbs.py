@@ -6,6 +6,7 @@ import os
 import pwd
 import re
 import subprocess
+import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -293,21 +294,41 @@ def test_an_element_that_ended_in_an_array_that_lives_has_ended(server: pbs.Serv
     until(lambda: alive(scheduler) == {3, 9})
     tasks = scheduler.look(NAME)
     assert tasks is not None
-    assert [(task.element, task.reason) for task in tasks if task.state is State.ENDED] == [(7, "Exit_status 7")]
+    status = "Exit_status" if scheduler.version().startswith("openpbs") else "exit_status"
+    assert [(task.element, task.reason) for task in tasks if task.state is State.ENDED] == [(7, f"{status} 7")]
 
 
 def test_each_look_is_one_call_that_names_the_jobs_once_they_are_known(server: pbs.Server, ask: Callable[..., Request]) -> None:
     server.waiting()
     scheduler = Pbs(ClusterTable())
-    jobs = [scheduler.submit(ask())]
-    scheduler.look(NAME)
-    jobs.append(scheduler.submit(ask(elements=(7,))))
+    jobs = [scheduler.submit(ask()), scheduler.submit(ask(elements=(7,)))]
+    scheduler.version()
     server.calls()
-    for _ in range(3):
+    for _ in range(4):
         assert alive(scheduler) == {0, 1, 2, 7}
-    calls = server.calls()
-    assert len(calls) == 3
-    assert all(call[0] == "qstat" and call[-2:] == jobs for call in calls)
+    first, *others = server.calls()
+    assert first[-1] in ("json", "-f")
+    assert len(others) == 3
+    assert all(call[0] == "qstat" and call[-2:] == jobs for call in others)
+
+
+def test_a_job_that_is_submitted_while_another_thread_looks_is_not_missed(
+    server: pbs.Server, ask: Callable[..., Request]
+) -> None:
+    server.waiting()
+    scheduler = Pbs(ClusterTable())
+    scheduler.submit(ask())
+    server.set(slow=1)
+    server.calls()
+    looking = threading.Thread(target=scheduler.look, args=(NAME,))
+    looking.start()
+    until(lambda: bool(server.calls()))
+    scheduler.submit(ask(elements=(7,)))
+    assert looking.is_alive()
+    looking.join()
+    server.set(slow=0)
+    for _ in range(2):
+        assert alive(scheduler) == {0, 1, 2, 7}
 
 
 def test_one_job_of_two_that_ends_leaves_the_other_known(server: pbs.Server, ask: Callable[..., Request]) -> None:
@@ -453,7 +474,7 @@ def test_a_recorded_array_of_openpbs_is_read() -> None:
     tasks = list(qstat.tasks(records))
     assert [(task.job, task.element, task.state) for task in tasks] == [("5[].pbs1", i, State.ENDED) for i in range(6)]
     assert {task.node for task in tasks} == {"pbs1"}
-    assert all(task.reason for task in tasks)
+    assert [task.reason for task in tasks] == ["", "", "", "Exit_status 7", "", ""]
 
 
 def test_of_a_recorded_array_without_elements_the_whole_is_told() -> None:
@@ -482,7 +503,7 @@ def test_an_old_torque_is_read() -> None:
     tasks = list(qstat.tasks(qstat.own(qstat.text_records(text), "name", "me")))
     assert [(task.job, task.element, task.state, task.reason, task.node) for task in tasks] == [
         ("123.server", 3, State.RUNNING, "", "n7"),
-        ("124.server", None, State.ENDED, "Exit_status 271", ""),
+        ("124.server", None, State.ENDED, "exit_status 271: asked to end", ""),
     ]
 
 
