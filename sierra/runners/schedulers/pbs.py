@@ -72,7 +72,9 @@ class Pbs:
     def __init__(self, table: ClusterTable) -> None:
         self._table = table
         self._alive: dict[str, tuple[str, ...]] = {}
-        """Ids of the jobs of a name that were alive when it was last looked for."""
+        """Ids of the jobs of a name that were alive when it was last looked for, if none was submitted since."""
+        self._submitted = 0
+        """Grows when a submission begins and when it ends: a look in another thread may not have seen its job."""
 
     def version(self) -> str:
         dialect, version = self._speaks
@@ -92,33 +94,43 @@ class Pbs:
         script = write_whole(request.folder / f"{request.name}.pbs", self.script(request).encode())
         # the wrapper gives jobs files in which they print, unless it is told otherwise here
         words = ("-j", "oe", "-o", "/dev/null") if self._dialect is Dialect.SLURM else ()
-        alive = self._alive.pop(request.name, ())
-        done = _call("qsub", *words, script.name, folder=request.folder, patience=SUBMITTING_S)
-        job = _taken(done, waits=bool(request.after))
-        if alive:
-            self._alive[request.name] = (*alive, job)
-        return job
+        self._forget(request.name)
+        try:
+            done = _call("qsub", *words, script.name, folder=request.folder, patience=SUBMITTING_S)
+        finally:
+            self._forget(request.name)
+        return _taken(done, waits=bool(request.after))
 
     def look(self, name: str) -> tuple[Task, ...] | None:
+        submitted = self._submitted
         try:
             if self._dialect is Dialect.SLURM:
                 return self._slurm.look(name)
             tasks = tuple(qstat.tasks(self._records(name)))
         except Missing:
             return None
-        self._alive[name] = tuple(dict.fromkeys(task.job for task in tasks if task.state is not State.ENDED))
+        if submitted == self._submitted:
+            self._alive[name] = tuple(dict.fromkeys(task.job for task in tasks if task.state is not State.ENDED))
         return tasks
 
     def cancel(self, name: str, elements: Sequence[int] | None = None) -> None:
         if self._dialect is Dialect.SLURM:
             self._slurm.cancel(name, elements)
             return
-        self._alive.pop(name, None)
-        ids = [one["id"] for one in self._records(name) if one.get("job_state") not in qstat.ENDED and _meant(one, elements)]
+        self._forget(name)
+        alive = [one for one in self._records(name) if one.get("job_state") not in qstat.ENDED]
+        if elements is None:
+            ids = list(dict.fromkeys(qstat.name(one["id"]).job for one in alive))
+        else:
+            ids = [one["id"] for one in alive if qstat.element(one) in elements]
         for start in range(0, len(ids), AT_ONCE):
             done = _call("qdel", *ids[start : start + AT_ONCE])
             if done.returncode and any(not GONE.search(line) for line in done.stderr.splitlines()):
                 raise Missing(f"qdel: {_words(done)}")
+
+    def _forget(self, name: str) -> None:
+        self._submitted += 1
+        self._alive.pop(name, None)
 
     @cached_property
     def _speaks(self) -> tuple[Dialect, str]:
@@ -216,13 +228,6 @@ def _taken(done: subprocess.CompletedProcess[str], *, waits: bool) -> str:
     if waits and DEPENDENCY.search(words):
         raise Missing(f"qsub: {words}: the job that it waits for is no longer known")
     raise ConfigError(f"qsub refuses: {words}")
-
-
-def _meant(record: qstat.Record, elements: Sequence[int] | None) -> bool:
-    """Whether what is listed is to be ended: whole jobs, or the places of these elements."""
-    if elements is None:
-        return qstat.name(record["id"]).place is None
-    return qstat.element(record) in elements
 
 
 def _user() -> str:

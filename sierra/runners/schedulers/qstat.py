@@ -36,6 +36,16 @@ NEVER = re.compile(r"can never run|too many failed attempts", re.IGNORECASE)
 HOLDS = frozenset("sop")
 """Holds of the system (a launch that failed), of an operator, for a bad password. The user's own (u) is theirs to release,
 and Torque's a and l hold elements until the array is there or has a place."""
+ENDS = {
+    ("Exit_status", "-20"): "its node was lost",
+    ("Exit_status", "-27"): "memory exceeded",
+    ("Exit_status", "-29"): "walltime exceeded",
+    ("Exit_status", "271"): "asked to end",
+    ("exit_status", "-10"): "memory exceeded",
+    ("exit_status", "-11"): "walltime exceeded",
+    ("exit_status", "271"): "asked to end",
+}
+"""What statuses that are no program's mean: OpenPBS's and, in small letters, Torque's (job.h, pbs_job.h)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,8 +161,7 @@ def _state(record: Record, whole: Record) -> tuple[State, str]:
     """What becomes of a task, and the scheduler's words on it. A letter that nobody knows is a task that may live."""
     letter, comment = record.get("job_state", ""), record.get("comment", "")
     if letter in ENDED:
-        status = record.get("Exit_status", record.get("exit_status", ""))
-        return State.ENDED, comment or (f"Exit_status {status}" if status else "")
+        return State.ENDED, _end(record)
     if letter == "H" or (letter in WAITING and whole.get("job_state") == "H"):
         held = record if letter == "H" else whole
         return _held(held), comment or held.get("comment") or f"held: {held.get('Hold_Types', '?')}"
@@ -160,6 +169,14 @@ def _state(record: Record, whole: Record) -> tuple[State, str]:
         words = comment or (whole.get("comment", "") if whole.get("job_state") in WAITING else "")
         return State.STUCK if NEVER.search(words) else State.QUEUED, words
     return State.RUNNING, comment
+
+
+def _end(record: Record) -> str:
+    """How a task ended, where that is worth a word."""
+    for key in ("Exit_status", "exit_status"):
+        if (status := record.get(key, "0")) != "0":
+            return ": ".join(filter(None, (f"{key} {status}", ENDS.get((key, status)))))
+    return ""
 
 
 def _held(record: Record) -> State:

@@ -1,0 +1,457 @@
+"""A small PBS in one folder: `qsub`, `qstat` and `qdel` that behave as those of OpenPBS 23.06, or of Torque 6, were seen to.
+
+No server runs: each command reads and writes one file, under a lock. Scripts really execute, in processes that outlive the
+command, in the user's home folder, with the few variables that PBS gives. On the standard library alone, for it is what the
+commands are, too. What is as it is there:
+
+- an array of one index is refused (OpenPBS), and so is a script on the standard input of none (here: at all);
+- of what has ended, nothing is known (153); with a history, that it has ended (35); Torque shows it for a while, as C;
+- the elements of a living array that have ended are X, and the array's own exit status is 0 whatever theirs are;
+- text is folded, by a line feed and a tab; JSON may be broken by a quote;
+- jobs that wait for others are held by the system; where those fail, they are deleted.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import getopt
+import json
+import os
+import pwd
+import re
+import shlex
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, NoReturn
+
+HOST = "pbs1"
+OPTIONS = {"openpbs": "a:A:C:e:hj:J:k:l:m:M:N:o:p:P:q:r:S:v:VW:z", "torque": "a:A:C:e:hj:k:l:m:M:N:o:p:q:r:S:t:v:VW:z"}
+VERSIONS = {"openpbs": ("pbs_version = 23.06.06", sys.stdout), "torque": ("Version: 6.1.2\nCommit: 66cfc0", sys.stderr)}
+CALLER = ("HOME", "LANG", "LOGNAME", "PATH", "MAIL", "SHELL", "TZ")
+DEFAULTS: dict[str, Any] = {
+    "slots": 8,
+    "cpus": 4,
+    "queues": ["workq"],
+    "max_queued": 1000,
+    "max_array_size": 10000,
+    "history": False,
+    "down": False,
+    "broken_json": False,
+    "always_V": False,
+    "slow": 0,
+}
+
+
+class Server:
+    """What tests hold: its folder of commands is to be put first on the PATH."""
+
+    def __init__(self, folder: Path, dialect: str) -> None:
+        self._folder = folder
+        self.bin = folder / "bin"
+        self.bin.mkdir(parents=True)
+        (folder / "state.json").write_text(json.dumps({"dialect": dialect, **DEFAULTS, "next": 1, "jobs": {}}))
+        for command in ("qsub", "qstat", "qdel"):
+            program = self.bin / command
+            program.write_text(
+                f"#!{sys.executable} -IS\nimport sys\nsys.path.insert(0, {str(Path(__file__).parent)!r})\n"
+                f"import pbs\npbs.main({str(folder)!r}, {command!r}, sys.argv[1:])\n"
+            )
+            program.chmod(0o755)
+
+    def set(self, **settings: Any) -> None:
+        """As an administrator does."""
+        with opened(self._folder) as state:
+            state.update(settings)
+
+    def change(self, number: int, **attributes: Any) -> None:
+        """Give attributes to a job (`comment`, `hold`), as a scheduler or an administrator does."""
+        with opened(self._folder) as state:
+            state["jobs"][str(number)].update(attributes)
+
+    def calls(self) -> list[list[str]]:
+        """The commands that were called since this was last asked."""
+        log = self._folder / "calls"
+        lines = log.read_text().splitlines() if log.exists() else []
+        log.write_text("")
+        return [json.loads(line) for line in lines]
+
+    def waiting(self) -> None:
+        """Let nothing begin."""
+        self.set(slots=0)
+
+    def begin(self) -> None:
+        """Let what waits begin."""
+        with opened(self._folder) as state:
+            state["slots"] = 8
+            schedule(self._folder, state)
+
+    def end(self) -> None:
+        """End all that runs."""
+        with opened(self._folder) as state:
+            state["slots"] = 0
+            for job in state["jobs"].values():
+                for task in job["tasks"].values():
+                    kill(task)
+
+
+@contextlib.contextmanager
+def opened(folder: Path) -> Iterator[dict[str, Any]]:
+    """What the server knows, alone, and written again."""
+    with (folder / "lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        file = folder / "state.json"
+        state: dict[str, Any] = json.loads(file.read_text())
+        try:
+            yield state
+        finally:
+            file.with_suffix(".new").write_text(json.dumps(state))
+            file.with_suffix(".new").replace(file)
+
+
+def main(folder: str, command: str, words: list[str]) -> None:
+    with (Path(folder) / "calls").open("a") as log:
+        log.write(json.dumps([command, *words]) + "\n")
+    if words == ["--version"]:
+        with opened(Path(folder)) as state:
+            said, stream = VERSIONS[state["dialect"]]
+        print(said, file=stream)
+        return
+    with opened(Path(folder)) as state:
+        if state["down"]:
+            refuse(command, f"cannot connect to server {HOST} (errno=111)", 111, before="Connection refused\n")
+        {"qsub": qsub, "qstat": qstat, "qdel": qdel}[command](Path(folder), state, words)
+    if command == "qstat" and state["slow"]:
+        time.sleep(state["slow"])
+
+
+def refuse(command: str, words: str, status: int, *, before: str = "") -> NoReturn:
+    sys.stderr.write(f"{before}{command}: {words}\n")
+    sys.stderr.flush()
+    raise SystemExit(status)
+
+
+def qsub(folder: Path, state: dict[str, Any], words: list[str]) -> None:
+    dialect = state["dialect"]
+    try:
+        given, files = getopt.getopt(words, OPTIONS[dialect])
+        if not files:
+            refuse("qsub", "script not a file", 2)
+        text = Path(files[0]).read_text()
+        said, rest = getopt.getopt(directives(text), OPTIONS[dialect])
+        if rest:
+            refuse("qsub", f"directive error: {' '.join(rest)}", 2)
+    except getopt.GetoptError as error:
+        refuse("qsub", f"invalid option -- '{error.opt}'", 2)
+    options: dict[str, list[str]] = {}
+    for name, value in (*said, *given):
+        options.setdefault(name[1], []).append(value)
+    places = wanted(dialect, options)
+    check(state, dialect, options, places or [None])
+    number = str(state["next"])
+    state["next"] += 1
+    script = folder / f"{number}.SC"
+    script.write_text(text)
+    variables = {f"PBS_O_{name}": os.environ[name] for name in CALLER if name in os.environ}
+    variables |= {"PBS_O_WORKDIR": str(Path.cwd()), "PBS_O_QUEUE": "workq"}
+    if "V" in options or state["always_V"]:
+        variables |= os.environ
+    variables |= dict(pair.split("=", 1) for value in options.get("v", []) for pair in value.split(","))
+    depend = [word.removeprefix("depend=") for word in options.get("W", []) if word.startswith("depend=")]
+    state["jobs"][number] = {
+        "name": options.get("N", [Path(files[0]).name])[-1],
+        "queue": options.get("q", ["workq"])[-1],
+        "owner": pwd.getpwuid(os.geteuid()).pw_name,
+        "shell": options.get("S", ["/bin/sh"])[-1],
+        "output": options.get("o", ["out"])[-1],
+        "script": str(script),
+        "variables": variables,
+        "array": places is not None,
+        "depend": depend[-1] if depend else "",
+        "tasks": {str(place): {"state": "Q", "pid": None, "status": None} for place in places or [""]},
+        "comment": never(state, options),
+        "hold": "n",
+    }
+    schedule(folder, state)
+    print(identity(number, state["jobs"][number]))
+
+
+def directives(text: str) -> list[str]:
+    """What the script says, up to its first command."""
+    words: list[str] = []
+    for line in text.splitlines():
+        if line.startswith("#PBS "):
+            words += shlex.split(line[5:])
+        elif line and not line.startswith("#"):
+            break
+    return words
+
+
+def wanted(dialect: str, options: dict[str, list[str]]) -> list[int] | None:
+    if dialect == "torque" and "t" in options:
+        ends = [part.split("-") for part in options["t"][-1].partition("%")[0].split(",")]
+        return [index for part in ends for index in range(int(part[0]), int(part[-1]) + 1)]
+    if "J" not in options:
+        return None
+    match = re.fullmatch(r"(\d+)-(\d+)(?::(\d+))?(?:%\d+)?", options["J"][-1])
+    if not match or int(match[1]) >= int(match[2]):
+        refuse("qsub", "illegal -J value", 2)
+    if options.get("r", ["y"])[-1] == "n":
+        refuse("qsub", " cannot submit non-rerunable Array Job", 2)
+    return list(range(int(match[1]), int(match[2]) + 1, int(match[3] or 1)))
+
+
+def check(state: dict[str, Any], dialect: str, options: dict[str, list[str]], places: Sequence[int | None]) -> None:
+    if len(options.get("N", [""])[-1]) > 15:
+        refuse("qsub", "illegal -N value", 2)
+    if options.get("q", ["workq"])[-1] not in state["queues"]:
+        refuse("qsub", "Unknown queue" + (" MSG=cannot locate queue" if dialect == "torque" else ""), 170)
+    if len(places) > state["max_array_size"]:
+        refuse("qsub", "Array job exceeds server or queue size limit", 2)
+    there = sum(task["status"] is None for job in state["jobs"].values() for task in job["tasks"].values())
+    if there + len(places) > state["max_queued"]:
+        words = {"openpbs": "would exceed complex's per-user limit", "torque": "Maximum number of jobs already in queue"}
+        refuse("qsub", words[dialect], 1)
+    if dialect == "torque" and never(state, options):
+        refuse("qsub", "Job exceeds queue resource limits MSG=cannot locate feasible nodes", 188)
+    for word in options.get("W", []):
+        if word.startswith("depend=") and not found(state, word.rpartition(":")[2]):
+            refuse("qsub", "Invalid Job Dependency", 1)
+
+
+def never(state: dict[str, Any], options: dict[str, list[str]]) -> str:
+    """What the scheduler says of a request that no node satisfies."""
+    asked = [int(cores) for words in options.get("l", []) for cores in re.findall(r"(?:ncpus|ppn)=(\d+)", words)]
+    if max(asked, default=1) <= state["cpus"]:
+        return ""
+    most = state["cpus"]
+    return f"Can Never Run: Insufficient amount of resource: ncpus (R: {max(asked)} A: {most} T: {most})"
+
+
+def identity(number: str, job: dict[str, Any], place: str = "") -> str:
+    return f"{number}[{place}].{HOST}" if job["array"] else f"{number}.{HOST}"
+
+
+def found(state: dict[str, Any], text: str) -> tuple[str, str] | None:
+    """The number of a job that is known, and the place of the element that is meant."""
+    match = re.fullmatch(r"(\d+)(?:\[(\d*)\])?(?:\.\S+)?", text)
+    job = state["jobs"].get(match[1]) if match else None
+    return None if not match or job is None or not known(state, job) else (match[1], match[2] or "")
+
+
+def known(state: dict[str, Any], job: dict[str, Any]) -> bool:
+    return bool(state["history"] or state["dialect"] == "torque" or alive(job))
+
+
+def alive(job: dict[str, Any]) -> bool:
+    return any(task["status"] is None for task in job["tasks"].values())
+
+
+def schedule(folder: Path, state: dict[str, Any]) -> None:
+    """Begin what has a slot; jobs that wait for one that failed are deleted."""
+    free = state["slots"] - sum(task["state"] == "R" for job in state["jobs"].values() for task in job["tasks"].values())
+    for number, job in state["jobs"].items():
+        waits = job["depend"] and after(state, job)
+        for place, task in job["tasks"].items():
+            if task["state"] == "Q" and free > 0 and not waits and not job["comment"] and job["hold"] == "n":
+                begin(folder, number, place, job, task)
+                free -= 1
+
+
+def after(state: dict[str, Any], job: dict[str, Any]) -> bool:
+    first = state["jobs"][re.split(r"[\[.]", job["depend"].partition(":")[2])[0]]
+    failed = any(task["status"] for task in first["tasks"].values())
+    for task in job["tasks"].values():
+        if failed and not alive(first) and task["state"] == "Q":
+            task.update(state="F", status=271)
+    return alive(first)
+
+
+def begin(folder: Path, number: str, place: str, job: dict[str, Any], task: dict[str, Any]) -> None:
+    home = os.environ.get("HOME", "/")
+    environment = {
+        "HOME": home,
+        "PATH": "/usr/bin:/bin",
+        "LOGNAME": job["owner"],
+        "PBS_JOBNAME": job["name"],
+        **job["variables"],
+    }
+    environment |= {"PBS_JOBID": identity(number, job, place), "PBS_ENVIRONMENT": "PBS_BATCH"}
+    if place:
+        environment |= {"PBS_ARRAY_INDEX": place, "PBS_ARRAY_ID": identity(number, job)}
+        environment |= {"PBS_ARRAYID": place}
+    words = [str(folder), number, place, job["shell"], job["script"]]
+    code = f"import sys; sys.path.insert(0, {str(Path(__file__).parent)!r}); import pbs; pbs.execute(*sys.argv[1:])"
+    process = subprocess.Popen(
+        [sys.executable, "-IS", "-c", code, *words],
+        cwd=home,
+        env=environment,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )
+    process.returncode = 0  # it is left alone; init takes it over
+    task.update(state="R", pid=process.pid)
+
+
+def execute(folder: str, number: str, place: str, shell: str, script: str) -> None:
+    """What PBS has on a node: it executes one task and tells the server of its end. It ends with its task's process group."""
+    task: subprocess.Popen[bytes] | None = None
+    asked = False
+
+    def end(*_: object) -> None:
+        nonlocal asked
+        asked = True
+        if task is not None:
+            os.killpg(task.pid, signal.SIGTERM)
+
+    signal.signal(signal.SIGTERM, end)
+    with (Path(folder) / "lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)  # not before the server has noted that it was begun
+    spool = Path(folder) / f"{number}.{place}.OU"
+    with spool.open("w") as output:
+        task = subprocess.Popen([shell, script], stdout=output, stderr=output, process_group=0)
+    if asked:
+        os.killpg(task.pid, signal.SIGTERM)
+    status = task.wait()
+    with opened(Path(folder)) as state:
+        deliver(spool, state["jobs"][number], place, torque=state["dialect"] == "torque")
+        state["jobs"][number]["tasks"][place].update(state="F", status=256 - status if status < 0 else status)
+        schedule(Path(folder), state)
+
+
+def deliver(spool: Path, job: dict[str, Any], place: str, *, torque: bool) -> None:
+    """Copy what a task printed where the job wants it; Torque adds an element's index, even to /dev/null."""
+    target = job["output"] + (f"-{place}" if torque and place else "")
+    if target != "/dev/null":
+        spool.replace(target if not target.startswith("/dev/") else spool.with_name("undelivered"))
+
+
+def kill(task: dict[str, Any]) -> None:
+    if task["state"] == "R":
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(task["pid"], signal.SIGTERM)
+    elif task["state"] == "Q":
+        task.update(state="F", status=271)
+
+
+def qdel(folder: Path, state: dict[str, Any], words: list[str]) -> None:
+    status = 0
+    for word in words:
+        meant = found(state, word)
+        if meant is None:
+            sys.stderr.write(f"qdel: Unknown Job Id {word}\n")
+            status = 153
+        elif not alive(state["jobs"][meant[0]]):
+            sys.stderr.write(f"qdel: Job has finished {word}\n")
+            status = 35
+        else:
+            tasks = state["jobs"][meant[0]]["tasks"]
+            for task in [tasks[meant[1]]] if meant[1] else tasks.values():
+                kill(task)
+    schedule(folder, state)
+    if status:
+        raise SystemExit(status)
+
+
+def qstat(folder: Path, state: dict[str, Any], words: list[str]) -> None:
+    torque = state["dialect"] == "torque"
+    try:
+        given, ids = getopt.getopt(words, "BQftx" if torque else "BQftxF:")
+    except getopt.GetoptError as error:
+        refuse("qstat", f"invalid option -- '{error.opt}'", 2)
+    options = dict(given)
+    if "-x" in options:
+        if torque:
+            print("<Data></Data>")
+            return
+        if not state["history"]:
+            refuse("qstat", "PBS is not configured to maintain job history", 2)
+    if "-B" in options:
+        limit = {"max_queued": f"[u:PBS_GENERIC={state['max_queued']}]"} if not torque else {}
+        size = "max_job_array_size" if torque else "max_array_size"
+        print(folded("Server", HOST, {"default_queue": "workq", **limit, size: state["max_array_size"]}))
+        return
+    if "-Q" in options:
+        if ids[0] not in state["queues"]:
+            refuse("qstat", f"Unknown queue {ids[0]}", 170)
+        print(folded("Queue", ids[0], {"queue_type": "Execution", "resources_max.walltime": "24:00:00"}))
+        return
+    status, records = listed(state, ids, torque=torque)
+    if "-F" not in options:
+        print("\n".join(folded("Job Id", name, record) for name, record in records.items()))
+    else:
+        answer = {"timestamp": int(time.time()), "pbs_version": "23.06.06", **({"Jobs": records} if records else {})}
+        text = json.dumps(answer, indent="\t")
+        print(text.replace('"Checkpoint": "u"', '"Checkpoint": "u"u"') if state["broken_json"] else text)
+    if status:
+        raise SystemExit(status)
+
+
+def listed(state: dict[str, Any], ids: list[str], *, torque: bool) -> tuple[int, dict[str, dict[str, Any]]]:
+    """Of these jobs, or of all that have not ended (in Torque: of all), the records; and the exit status."""
+    numbers, status = list(state["jobs"]), 0
+    if ids:
+        numbers = []
+        for text in ids:
+            meant = found(state, text)
+            if meant is None:
+                sys.stderr.write(f"qstat: Unknown Job Id {text}\n")
+                status = 153
+            elif not torque and not alive(state["jobs"][meant[0]]):
+                sys.stderr.write(f"qstat: {text} Job has finished, use -x or -H to obtain historical job information\n")
+                status = 35
+            else:
+                numbers.append(meant[0])
+    records: dict[str, dict[str, Any]] = {}
+    for number in numbers:
+        job = state["jobs"][number]
+        if torque or alive(job):
+            records |= described(number, job, torque=torque)
+    return status, records
+
+
+def described(number: str, job: dict[str, Any], *, torque: bool) -> dict[str, dict[str, Any]]:
+    records = {}
+    common = {
+        "Job_Name": job["name"],
+        "Job_Owner": f"{job['owner']}@{HOST}",
+        "queue": job["queue"],
+        "Checkpoint": "u",
+        "Variable_List": job["variables"],
+        **({"comment": job["comment"]} if job["comment"] else {}),
+        **({"depend": job["depend"]} if job["depend"] else {}),
+    }
+    waits = bool(job["depend"]) and any(task["state"] == "Q" for task in job["tasks"].values())
+    hold = "s" if waits else job["hold"]
+    if job["array"] and not torque:
+        states = {task["state"] for task in job["tasks"].values()}
+        letter = "H" if hold != "n" else "B" if states != {"Q"} else "Q"
+        records[identity(number, job)] = {**common, "job_state": letter, "Hold_Types": hold, "array": "True", "Exit_status": 0}
+    for place, task in job["tasks"].items():
+        letter = "H" if task["state"] == "Q" and hold != "n" else task["state"]
+        if letter == "F":
+            letter = "C" if torque else "X" if job["array"] else "F"
+        record = {**common, "job_state": letter, "Hold_Types": hold}
+        if place:
+            record |= {"job_array_id": place, "Job_Name": f"{job['name']}-{place}"} if torque else {"array_index": int(place)}
+        if task["pid"]:
+            record |= {"exec_host": f"{HOST}/0"}
+        if task["status"] is not None:
+            record |= {"exit_status" if torque else "Exit_status": task["status"]}
+        records[identity(number, job, place)] = record
+    return records
+
+
+def folded(kind: str, name: str, record: dict[str, Any]) -> str:
+    lines = [f"{kind}: {name}"]
+    for key, value in record.items():
+        text = ",".join(f"{one}={inner}" for one, inner in value.items()) if isinstance(value, dict) else str(value)
+        line = f"    {key} = {text}"
+        lines.append("\n\t".join(line[start : start + 78] for start in range(0, len(line), 78)))
+    return "\n".join(lines) + "\n"
