@@ -84,8 +84,9 @@ CREATE TABLE attempts (
     "scheduler" VARCHAR,  -- what started it, with its version
     "job" VARCHAR,  -- the scheduler's id of the job, or of this task of it
     "node" VARCHAR,  -- host name of the node
-    "started" TIMESTAMP WITH TIME ZONE,  -- when it began, by the node's clock
-    "ended" TIMESTAMP WITH TIME ZONE,  -- when it had last recorded something, by the node's clock
+    "started" TIMESTAMP WITH TIME ZONE,  -- when it began
+    "ended" TIMESTAMP WITH TIME ZONE,  -- when it had last recorded something
+    "clock" DOUBLE,  -- how far the node's clock was ahead of the shared file system's; all times are by the latter, if over 2 s [s]
     "cpus" BIGINT,  -- cores that it had [1]
     "memory" BIGINT,  -- memory that it had; NULL where that was not said [bytes]
     "gpus" VARCHAR,  -- graphics processors that it had, as the scheduler calls them

@@ -33,7 +33,7 @@ from sierra.paths import SessionPaths, write_whole
 from sierra.provenance import environment, machine
 from sierra.runners import Look, Work, element, schedulers, submission
 from sierra.runners.dealing import deal
-from sierra.runners.packs import Attempt, Ended, Finished, Pack, Started, Trouble
+from sierra.runners.packs import Attempt, Ended, Event, Finished, Pack, Started, Trouble
 from sierra.runners.schedulers import Request, State, Task
 from sierra.runners.sizing import size
 from sierra.runners.submission import Submission
@@ -53,6 +53,8 @@ LATE_S = 60.0
 FULL_S = 30.0
 """Until a scheduler that takes no more jobs is tried again."""
 STOPPING_S = 60.0
+CLOCK_S = 2.0
+"""How far a node's clock may be from the shared file system's; times are told by the latter where it is farther."""
 RELAUNCHED = "launch failed"
 """What schedulers say of a job that they could not begin, though it can: it is submitted again."""
 
@@ -86,10 +88,13 @@ class Track:
     """One attempt: its pack, and what was read in it."""
 
     pack: Pack
+    element: int
     attempt: Attempt | None = None
     environment: str | None = None
     ended: float = 0.0
     runs: int = 0
+    ahead: float = 0.0
+    """Seconds to take from the node's times."""
     begun: set[str] = field(default_factory=set)
     finished: bool = False
     trouble: str | None = None
@@ -257,7 +262,7 @@ class Cluster:
         """All is recorded: end what may still live, but for what is ending by itself."""
         self._over = True
         tasks = self._scheduler.look(self._name) or ()
-        ending = {track.pack.element for track in self._tracks.values() if track.finished}
+        ending = {track.element for track in self._tracks.values() if track.finished}
         living = [task for task in tasks if task.state is not State.ENDED]
         needless = [task for task in living if not (task.state is State.RUNNING and task.element in ending)]
         if needless:
@@ -270,17 +275,21 @@ class Cluster:
         for index in indices:
             share = self._shares[index]
             self._given_up_before(index)
-            self._give_up_on(index, [one for one, times in share.begun.items() if times >= self._table.attempts])
+            word = share.word or self._last_line(index) or "nobody says by what"
+            self._give_up_on(index, [one for one, times in share.begun.items() if times >= self._table.attempts], word)
             if not share.missing:
                 continue
             if share.done > share.progress:
                 share.tries = 0
-            word = share.word or self._last_line(index) or "it is gone, and has said nothing"
-            if share.tries >= self._table.attempts:
+            if share.tries >= self._table.attempts and share.begun:
+                self._give_up_on(index, list(share.begun), word)
+                share.tries = 0
+            elif share.tries >= self._table.attempts:
                 times = f"{share.tries} times" if share.tries > 1 else "once"
                 self._end(Missing(f"element {index} was executed {times} and ended before any run had: {word}"))
                 return
-            self._again[index] = word
+            if share.missing:
+                self._again[index] = word
 
     def _submit_again(self) -> None:
         words = list(dict.fromkeys(self._again.values()))
@@ -371,10 +380,10 @@ class Cluster:
             return results, copies
         if self._stopping is None and self._session.cancelled.exists():  # by another process
             self.stop()
-        for path in sorted(self._session.results.glob("*.pack")):
-            track = self._tracks.setdefault(path.name, Track(Pack(path)))
-            for event in track.pack.read():
-                self._shares[track.pack.element].grew = time.monotonic()
+        for path in sorted(self._session.results.glob("[0-9]*.pack")):
+            track = self._tracks.setdefault(path.name, Track(Pack(path), int(path.name.partition(".")[0])))
+            for event in self._events(track):
+                self._shares[track.element].grew = time.monotonic()
                 match event:
                     case Attempt():
                         self._begun(track, event, rows)
@@ -383,7 +392,7 @@ class Cluster:
                     case Ended():
                         self._take(track, event, results, copies)
                     case Trouble():
-                        track.trouble = self._shares[track.pack.element].word = event.reason
+                        track.trouble = self._shares[track.element].word = event.reason
                     case Finished():
                         track.finished, track.ended = True, event.time
                 if len(results) >= AT_ONCE:
@@ -393,17 +402,25 @@ class Cluster:
             self._read_at = time.monotonic() + READ_S
         return results, copies
 
+    def _events(self, track: Track) -> Iterator[Event]:
+        """What a pack has since the last time; a file that can't be read now, perhaps later."""
+        try:
+            yield from track.pack.read()
+        except OSError as error:
+            self._note(f"{track.pack.path} cannot be read: {error.strerror}")
+
     def _begun(self, track: Track, event: Attempt, rows: list[tuple[str, dict[str, Any]]]) -> None:
         around = environment.elsewhere(self._made.around, event.facts, event.variables)
         track.attempt, track.environment, track.ended = event, around["environment"], event.started
-        self._shares[event.element].node = event.node
+        track.ahead = event.clock if abs(event.clock) > CLOCK_S else 0.0
+        self._shares[track.element].node = event.node
         rows.append(("environments", around))
 
     def _started(self, track: Track, event: Started) -> None:
         track.begun.add(event.execution)
         track.ended = event.time
         if bytes.fromhex(event.execution) not in self._ended:
-            begun = self._shares[track.pack.element].begun
+            begun = self._shares[track.element].begun
             begun[event.execution] = begun.get(event.execution, 0) + 1
 
     def _take(self, track: Track, event: Ended, results: list[Result], copies: list[Result]) -> None:
@@ -423,7 +440,7 @@ class Cluster:
         track.begun.discard(execution)
         track.runs += 1
         track.ended = event.result.ended
-        share = self._shares[track.pack.element]
+        share = self._shares[track.element]
         if key not in self._ended:
             share.done += 1
             share.begun.pop(execution, None)
@@ -443,10 +460,18 @@ class Cluster:
             track.pack.path.rename(track.pack.path.with_suffix(".damaged"))
 
     def _of(self, track: Track, result: Result) -> Result:
-        return replace(result, attempt=track.pack.attempt, environment=track.environment)
+        """The result, where it was executed; its times are by the shared file system's clock."""
+        ahead = track.ahead
+        return replace(
+            result,
+            attempt=track.pack.attempt,
+            environment=track.environment,
+            started=result.started - ahead,
+            ended=result.ended - ahead,
+        )
 
     def _lives(self, track: Track) -> bool:
-        lost = self._alive is not None and track.pack.element not in self._alive
+        lost = self._alive is not None and track.element not in self._alive
         return not (track.finished or track.trouble or lost or self._over)
 
     def _row(self, track: Track, begun: Attempt) -> dict[str, Any]:
@@ -455,12 +480,13 @@ class Cluster:
             "attempt": begun.attempt,
             "session": self._session.root.name,
             "batch": self._made.batch,
-            "element": begun.element,
+            "element": track.element,
             "scheduler": self._made.version,
             "job": begun.job,
             "node": begun.node,
-            "started": moment(begun.started),
-            "ended": moment(track.ended),
+            "started": moment(begun.started - track.ahead),
+            "ended": moment(track.ended - track.ahead),
+            "clock": begun.clock,
             "cpus": begun.cpus,
             "memory": begun.memory,
             "gpus": begun.gpus,
@@ -468,7 +494,7 @@ class Cluster:
             "runs": track.runs,
             "cut": len(track.begun),
             "state": "finished" if track.finished else "cut off",
-            "trouble": track.trouble or (None if track.finished else self._shares[begun.element].word or None),
+            "trouble": track.trouble or (None if track.finished else self._shares[track.element].word or None),
             "environment": track.environment,
         }
 
@@ -484,15 +510,14 @@ class Cluster:
                 share.begun.pop(execution, None)
                 share.done += 1
 
-    def _give_up_on(self, index: int, executions: Sequence[str]) -> None:
+    def _give_up_on(self, index: int, executions: Sequence[str], word: str) -> None:
         """These executions were begun as many times as they may be, and never ended: their runs have failed."""
         if not executions:
             return
         share, wanted, now = self._shares[index], set(executions), time.time()
-        word = share.word or "nobody says by what"
         for execution, run in jobs_of(self._session, index):
             if execution in wanted:
-                times = share.begun.pop(execution)
+                times = max(share.begun.pop(execution), share.tries)
                 reason = f"its element was cut off {times} times while it ran: {word}"
                 self._failed.append(failed(run, execution, share.node, now, reason, self._temporary.name))
                 self._ended.add(bytes.fromhex(execution))

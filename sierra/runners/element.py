@@ -7,6 +7,7 @@ nodes and login nodes share: this one, `worker.py`, which executes, and `machine
 
     element.json            what all elements of the session have in common: see `Settings`
     elements/INDEX.jobs     the element's jobs: gzip (of several members, perhaps), lines of JSON; see `jobs`
+    elements/INDEX.failed   where it is there, executions, one a line, that were begun too often: they are not begun again
     results/INDEX.<attempt>.pack    what one attempt at the element has recorded
     cancelled               where it is there, nothing more is begun, and what runs is ended
 
@@ -22,7 +23,8 @@ as a whole, to the last line feed, is not there yet (on a network file system, b
 it but in the writer's memory. A record that can't be written whole is taken back (truncated), and the attempt ends. Events:
 
     attempt     first, once: attempt, session, element, job, node, started, slots, cpus, memory (bytes), gpus, allocation (the
-                scheduler's variables), facts (`machine.facts`), variables (those that `record` names), python
+                scheduler's variables), facts (`machine.facts`), variables (those that `record` names), python, clock (seconds
+                that the node's clock is ahead of the shared file system's)
     start       a run has begun: execution, time
     end         a run has ended, by itself or by a limit: all fields of sierra.model.Result but `directory`, `attempt`
                 and `environment`; `files`: a list of [path, bytes, sha256], in the order of the payload: `stdout`, `stderr`
@@ -167,6 +169,10 @@ class Pack:
         self._pending = bytearray()
         self._sync_at = 0.0
 
+    def ahead(self) -> float:
+        """Seconds that this node's clock is ahead of the file system's, which has just made the file."""
+        return time.time() - os.fstat(self._file).st_mtime
+
     def add(self, record: Event, chunks: Iterable[bytes] = ()) -> None:
         """Append a record; its payload, where it has a `size`, comes in chunks. What they raise leaves the pack as it was."""
         line = line_of(record)
@@ -247,6 +253,15 @@ def executed(folder: str, index: str, own: str) -> Set[bytes]:
                     if record["event"] == "end" and is_sound(file, at, record["files"]):
                         found.add(short(record["execution"]))
     return found
+
+
+def given_up(path: str) -> Set[bytes]:
+    """Executions that are not to be begun again."""
+    try:
+        with open(path) as file:
+            return {short(line.strip()) for line in file}
+    except FileNotFoundError:
+        return set()
 
 
 def is_sound(file: BinaryIO, at: int, files: List[File]) -> bool:
@@ -466,6 +481,7 @@ def new_pack(folder: str, index: str, told: Event) -> Pack:
         except FileExistsError:
             suffix += 1
             continue
+        told["clock"] = pack.ahead()
         pack.add(told)
         pack.sync(float("inf"))
         return pack
@@ -781,9 +797,9 @@ def attempt(folder: str, index: int, asked: Asked, *, probing: bool) -> bool:
         check_needs(settings.needs)
         with scratch(settings, worker.remove) as (own, lock):
             if not probing:
-                done = executed(results, str(index), pack.path)
-                path = os.path.join(folder, "elements", "%d.jobs" % index)
-                if not Execution(folder, own, pack, asked, worker).run(slots, settings.session, path, done, lock):
+                named = os.path.join(folder, "elements", str(index))
+                done = executed(results, str(index), pack.path) | given_up(named + ".failed")
+                if not Execution(folder, own, pack, asked, worker).run(slots, settings.session, named + ".jobs", done, lock):
                     pack.sync(float("inf"))
                     return False
         pack.add({"event": "finished", "time": time.time()})

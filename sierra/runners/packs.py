@@ -41,6 +41,8 @@ class Attempt:
     facts: Mapping[str, Any]
     variables: Mapping[str, str]
     python: str
+    clock: float
+    """Seconds that the node's clock is ahead of the shared file system's."""
 
 
 @dataclass(frozen=True, slots=True)
