@@ -56,11 +56,16 @@ SETTINGS = {
     "JobCompType": "jobcomp/filetxt",
     "AccountingStorageType": "accounting_storage/none",
 }
-PARTITIONS = ("PartitionName=debug Nodes=ALL Default=YES MaxTime=60 State=UP",)
+PARTITIONS = (
+    "PartitionName=debug Nodes=ALL Default=YES MaxTime=60 State=UP",
+    "PartitionName=short Nodes=ALL MaxTime=1 State=UP",
+    "PartitionName=closed Nodes=ALL AllowAccounts=others State=UP",
+    "PartitionName=drained Nodes=ALL State=DRAIN",
+)
 
 
 class Slurm:
-    """One cluster. `settings` replace those above, `partitions` the one above; `pbs` has jobs see the variables of PBS too.
+    """One cluster. `settings` replace those above, `partitions` those above; `pbs` has jobs see the variables of PBS too.
 
     Nodes are called n1, n2, …; each has `cpus` cores, 4000 MiB, 2 processors of graphics and the feature `fast`.
     """
@@ -176,7 +181,7 @@ class Slurm:
         self._start("slurmctld", "slurmctld", "-D")
 
     def declare_down(self, node: str) -> None:
-        """Have SLURM take a node for lost, at once."""
+        """Have SLURM take a node for lost, at once. One that is on comes back by itself within seconds."""
         self.command("scontrol", "update", f"nodename={node}", "state=down", "reason=test")
 
     def resume(self, node: str) -> None:
@@ -213,7 +218,7 @@ class Slurm:
 
     def states(self, job: str = "") -> dict[str, str]:
         """The state of each element of a job, or of all jobs, by its id."""
-        asked = ("squeue", "-h", "-r", "-t", "all", *(["-j", job] if job else []), "-o", "%i %T")
+        asked = ("squeue", "-h", "-a", "-r", "-t", "all", *(["-j", job] if job else []), "-o", "%i %T")
         return dict(line.split() for line in self.command(*asked).splitlines())
 
     def until_idle(self) -> None:

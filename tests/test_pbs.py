@@ -546,6 +546,7 @@ def test_slurms_wrapper_executes_what_is_asked_for(
     for index in request.elements:
         assert found[f"{job}_{index}.out"].startswith(f"{request.folder}\n{index} of {NAME} with 2, 1\n")
         assert "SECRET_THING" not in found[f"{job}_{index}.out"]
+        assert "SLURM_GET_USER_ENV" not in found[f"{job}_{index}.out"], "a login shell was started for it"
     assert sorted(path.name for path in request.folder.iterdir()) == ["logs", f"{NAME}.pbs"]
 
 

@@ -21,8 +21,9 @@ from __future__ import annotations
 import os
 import pwd
 import re
+import shutil
 import subprocess
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 
@@ -45,8 +46,10 @@ PASSED = frozenset(
         *("PBS_CONF_FILE", "PBS_EXEC", "PBS_HOME", "PBS_SERVER", "PBS_PRIMARY", "PBS_SECONDARY", "PBS_DEFAULT"),
     )
 )
-SET = {"LC_ALL": "C", "SBATCH_EXPORT": "NIL"}
-"""The second is for the wrapper, whose sbatch would hand over all that it sees itself."""
+HANDED_ON = frozenset(("HOME", "USER", "LOGNAME", "LD_LIBRARY_PATH", "PERL5LIB", "SLURM_CONF"))
+SYSTEM = {"PATH": "/usr/local/bin:/usr/bin:/bin", "SBATCH_EXPORT": "ALL"}
+"""SLURM's sbatch hands all that it sees on to the job, so the wrapper sees nearly nothing. Were it told to hand on nothing, it
+would have a login shell started on the node for each task, and wait for that, which may take minutes."""
 OPENPBS = re.compile(r"pbs_version\s*=\s*(\S+)")
 TORQUE = re.compile(r"^Version:\s*(\S+)", re.MULTILINE)
 JOB = re.compile(r"\d+(\[\])?(\.\S+)?")
@@ -92,11 +95,9 @@ class Pbs:
 
     def submit(self, request: Request) -> str:
         script = write_whole(request.folder / f"{request.name}.pbs", self.script(request).encode())
-        # the wrapper gives jobs files in which they print, unless it is told otherwise here
-        words = ("-j", "oe", "-o", "/dev/null") if self._dialect is Dialect.SLURM else ()
         self._forget(request.name)
         try:
-            done = _call("qsub", *words, script.name, folder=request.folder, patience=SUBMITTING_S)
+            done = self._handed_over(script)
         finally:
             self._forget(request.name)
         return _taken(done, waits=bool(request.after))
@@ -127,6 +128,14 @@ class Pbs:
             done = _call("qdel", *ids[start : start + AT_ONCE])
             if done.returncode and any(not GONE.search(line) for line in done.stderr.splitlines()):
                 raise Missing(f"qdel: {_words(done)}")
+
+    def _handed_over(self, script: Path) -> subprocess.CompletedProcess[str]:
+        if self._dialect is not Dialect.SLURM:
+            return _call("qsub", script.name, folder=script.parent, patience=SUBMITTING_S)
+        environment = {name: value for name, value in os.environ.items() if name in HANDED_ON} | SYSTEM
+        # the wrapper gives jobs files in which they print, unless it is told otherwise here
+        words = (shutil.which("qsub") or "qsub", "-j", "oe", "-o", "/dev/null", script.name)
+        return _call(*words, folder=script.parent, patience=SUBMITTING_S, environment=environment)
 
     def _forget(self, name: str) -> None:
         self._submitted += 1
@@ -174,9 +183,12 @@ class Pbs:
         return None if done.returncode else list(qstat.text_records(done.stdout))
 
 
-def _call(*argv: str, folder: Path | None = None, patience: float = PATIENCE_S) -> subprocess.CompletedProcess[str]:
+def _call(
+    *argv: str, folder: Path | None = None, patience: float = PATIENCE_S, environment: Mapping[str, str] | None = None
+) -> subprocess.CompletedProcess[str]:
     """What a command says. Raises Missing where there is none, or it doesn't end."""
-    environment = {name: value for name, value in os.environ.items() if name in PASSED} | SET
+    if environment is None:
+        environment = {name: value for name, value in os.environ.items() if name in PASSED} | {"LC_ALL": "C"}
     try:
         return subprocess.run(
             argv,

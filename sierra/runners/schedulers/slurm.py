@@ -1,0 +1,293 @@
+"""The scheduler `slurm`: array jobs by sbatch, squeue, scancel and scontrol.
+
+They are asked for forms of text that are the same in 22.05, 24.11 and 26.05, as those in JSON are not.
+
+Jobs begin with nothing of the caller's environment, and without the user's login shell, which may take seconds, hang, or hold
+secrets too: what sbatch is called with goes along, and that is only who the user is, a plain PATH, and SLURM_CONF. (Many sites
+don't know `--export=NIL` yet; all but ALL has each task start a login shell there.) So variables such as SBATCH_PARTITION or
+SQUEUE_FORMAT change nothing either. Where modules are to be loaded, the site's /etc/profile is read first.
+
+Jobs ask to be requeued when their node is lost or they are preempted, whatever the site's default: they come back by
+themselves then, also where nobody follows them. An attempt begins with what others have recorded, so that it does no harm.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import pwd
+import re
+import shlex
+import shutil
+import subprocess
+import time
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import groupby
+from pathlib import Path
+
+from sierra.config import ClusterTable
+from sierra.errors import ConfigError, Full, Missing
+from sierra.runners.schedulers import Bounds, Request, State, Task
+
+PATIENCE_S = 20.0
+POLL_S = 0.5
+PATH = "/usr/local/bin:/usr/bin:/bin"
+KEPT = ("SLURM_CONF",)
+"""Of the caller's environment: where the cluster is."""
+
+LOOK = "%F|%K|%T|%N|%r"
+"""The array's job id, the index, the state, the node, the reason: that is free text, and so the last."""
+SEEN = re.compile(r"^(\d+)\|([^|]*)\|([A-Z_]+)\|([^|]*)\|(.*)$", re.MULTILINE)
+
+ENDED = frozenset({"BOOT_FAIL", "CANCELLED", "COMPLETED", "DEADLINE", "FAILED", "LAUNCH_FAILED", "NODE_FAIL"}) | frozenset(
+    {"OUT_OF_MEMORY", "PREEMPTED", "RECONFIG_FAIL", "REVOKED", "TIMEOUT"}
+)
+WAITING = frozenset({"PENDING", "REQUEUED", "REQUEUE_FED"})
+HELD = frozenset({"SPECIAL_EXIT", "REQUEUE_HOLD", "RESV_DEL_HOLD"})
+
+NEVER = re.compile(
+    r"PartitionConfig|PartitionNodeLimit|PartitionTimeLimit|BadConstraints"
+    r"|InvalidAccount|InvalidQOS|AccountNotAllowed|QOSNotAllowed|.*not permitted|.*can't use this partition"
+    r"|(Assoc|QOS)Max\w+Per(Job|Node)(Limit)?|QOSMin\w+"
+    r"|DependencyNeverSatisfied|ReservationDeleted|JobHeldAdmin|JobHoldMaxRequeue|.*requeued\b.*\bheld\b"
+)
+"""Reasons that never resolve, as the request is. Those that may are no part of it: limits on many jobs together (AssocMaxJobs…,
+QOSGrp…), partitions and nodes that are down, licenses, begin times, and JobHeldUser: who held it may release it."""
+
+BUSY = re.compile(r"temporarily unable to accept job|job queue full")
+"""sbatch says so, and tries again for two minutes."""
+LIMIT = re.compile(r"(Assoc|QOS)\w*Submit\w*")
+UNREACHABLE = re.compile(
+    r"unable to contact|timed out|zero bytes|communication|authentication|munge|configuration (source|file)"
+    r"|in standby|unexpected message|connection (refused|reset)",
+    re.IGNORECASE,
+)
+SUBMITTED = re.compile(r"^(\d+)(;\S+)?$", re.MULTILINE)
+"""What sbatch answers; in a federation, with the cluster."""
+
+
+class Slurm:
+    """The scheduler `slurm`."""
+
+    name = "slurm"
+
+    def __init__(self, table: ClusterTable) -> None:
+        self._table = table
+
+    def version(self) -> str:
+        return f"slurm {_answer('sbatch', '--version').split()[-1]}"
+
+    def bounds(self) -> Bounds:
+        told = _answer("scontrol", "show", "config")
+        config = dict(re.findall(r"^(\w+) *= (.*)$", told, re.MULTILINE))
+        sizes = [config.get("MaxArraySize", ""), *re.findall(r"max_array_tasks=(\d+)", config.get("SchedulerParameters", ""))]
+        partitions = _answer("scontrol", "--all", "--oneliner", "show", "partition")
+        return Bounds(
+            array=_least(sizes),
+            jobs=_least([config.get("MaxJobCount", "")]),
+            wall_s=self._wall(partitions),
+        )
+
+    def script(self, request: Request) -> str:
+        modules = [f"module load {shlex.quote(name)} || exit 3" for name in self._table.modules]
+        command = [*map(shlex.quote, request.command), '"$SLURM_ARRAY_TASK_ID"']
+        lines = [
+            "#!/bin/bash" if modules else "#!/bin/sh",
+            *(f"#SBATCH {directive}" for directive in self._directives(request)),
+            *([". /etc/profile", *modules] if modules else []),
+            f"cd {shlex.quote(str(request.folder))} || exit 3",
+            f"exec {' '.join(command)}",
+        ]
+        return "\n".join((*lines, ""))
+
+    def submit(self, request: Request) -> str:
+        status, out, err = _submit(self.script(request), request.folder)
+        if status == 0:
+            if answer := SUBMITTED.search(out):
+                return answer[1]
+            raise Missing(f"sbatch does not say which job it made, but {_line(out + err)!r}; whether there is one is not known")
+        if LIMIT.search(err):
+            raise Full(f"SLURM: {_line(err)}")
+        raise (Missing if UNREACHABLE.search(err) else ConfigError)(f"SLURM: {_line(err)}")
+
+    def look(self, name: str) -> tuple[Task, ...] | None:
+        asked = (
+            "--noheader",
+            "--all",
+            "--array",
+            "--states=all",
+            f"--user={os.geteuid()}",
+            f"--name={name}",
+            f"--format={LOOK}",
+        )
+        try:
+            return tasks(_answer("squeue", *asked))
+        except Missing:
+            return None
+
+    def cancel(self, name: str, elements: Sequence[int] | None = None) -> None:
+        if elements is None:
+            _answer("scancel", f"--user={os.geteuid()}", f"--name={name}")
+            return
+        found = self.look(name)
+        if found is None:
+            raise Missing("SLURM can't be reached to cancel elements; ask again later")
+        if jobs := _named(task for task in found if task.element in set(elements) and task.state != State.ENDED):
+            _answer("scancel", *jobs)
+
+    def _directives(self, request: Request) -> Iterator[str]:
+        """What the table asks for, what the user adds to it, and then what must hold: of two of a kind, the later counts."""
+        yield from ("--requeue", "--nodes=1", "--ntasks=1", *self._asked())
+        yield from self._table.directives
+        yield f"--job-name={request.name}"
+        yield f"--comment={_quoted(' '.join(request.comment.split()))}"
+        yield f"--array={ranges(request.elements)}"
+        yield f"--chdir={_quoted(str(request.folder))}"
+        yield f"--output={_quoted(str(request.logs).replace('%', '%%') + '/%A_%a.out')}"
+        yield "--open-mode=append"
+        if request.after:
+            yield f"--dependency=afterok:{request.after}"
+            yield "--kill-on-invalid-dep=yes"
+
+    def _asked(self) -> Iterator[str]:
+        table = self._table
+        yield f"--cpus-per-task={table.cpus}"
+        for name in ("partition", "account", "qos", "constraint"):
+            if (value := getattr(table, name)) is not None:
+                yield f"--{name}={_quoted(value)}"
+        if table.gpus is not None:
+            yield f"--gres=gpu:{table.gpus}"
+        if table.memory is not None:
+            yield f"--mem={math.ceil(table.memory / 2**20)}M"
+        if table.wall is not None:
+            yield f"--time={math.ceil(table.wall / 60)}"
+
+    def _wall(self, told: str) -> float | None:
+        """The shortest limit of the partitions that are asked for, or of the site's default."""
+        known = {line["PartitionName"]: line for line in map(_fields, told.splitlines()) if "PartitionName" in line}
+        asked = (self._table.partition or "").split(",") if self._table.partition else []
+        if unknown := [name for name in asked if name not in known]:
+            raise ConfigError(f"SLURM has no partition {unknown[0]!r}; there are {', '.join(known)}")
+        chosen = [line for name, line in known.items() if (name in asked if asked else line.get("Default") == "YES")]
+        return min((limit for line in chosen if (limit := seconds(line.get("MaxTime", ""))) is not None), default=None)
+
+
+def tasks(told: str) -> tuple[Task, ...]:
+    """What squeue tells in the form LOOK."""
+    return tuple(_task(*match.groups()) for match in SEEN.finditer(told))
+
+
+def _task(job: str, element: str, word: str, node: str, reason: str) -> Task:
+    state = _state(word, reason)
+    shown = word if state == State.ENDED else "" if reason == "None" else reason
+    return Task(job, int(element) if element.isdigit() else None, state, shown, node)
+
+
+def _state(word: str, reason: str) -> State:
+    """A state that nobody knows is one in which something may come."""
+    if word in ENDED:
+        return State.ENDED
+    if word in HELD or (word in WAITING and NEVER.match(reason)):
+        return State.STUCK
+    return State.QUEUED if word in WAITING else State.RUNNING
+
+
+def ranges(elements: Sequence[int]) -> str:
+    """Indices, ascending, as SLURM writes them: `0-5,7`."""
+    runs = [list(group) for _, group in groupby(enumerate(elements), lambda pair: pair[1] - pair[0])]
+    return ",".join(f"{run[0][1]}-{run[-1][1]}" if len(run) > 1 else f"{run[0][1]}" for run in runs)
+
+
+def seconds(text: str) -> float | None:
+    """A limit as scontrol writes it, `1-12:00:00`; None where there is none."""
+    match = re.fullmatch(r"(?:(\d+)-)?(\d+):(\d+):(\d+)", text)
+    if match is None:
+        return None
+    days, hours, minutes, rest = (int(part or 0) for part in match.groups())
+    return float(((days * 24 + hours) * 60 + minutes) * 60 + rest)
+
+
+def _named(found: Iterable[Task]) -> list[str]:
+    """Elements as scancel takes them, each job's together: `12_[0-5,7]`."""
+    jobs: dict[str, list[int]] = {}
+    for task in found:
+        jobs.setdefault(task.job, []).append(task.element or 0)
+    return [f"{job}_[{ranges(sorted(set(elements)))}]" for job, elements in jobs.items()]
+
+
+def _quoted(text: str) -> str:
+    """A value as sbatch reads it in a script: unlike a shell, and to the end of the line."""
+    if "\n" in text:
+        raise ConfigError(f"SLURM can't be told of {text!r}; use a name without a line feed")
+    return '"' + re.sub(r'(["\\])', r"\\\1", text) + '"'
+
+
+def _fields(line: str) -> dict[str, str]:
+    return dict(word.split("=", 1) for word in line.split() if "=" in word)
+
+
+def _least(texts: Iterable[str]) -> int | None:
+    """The least of the texts that are numbers."""
+    return min((int(text) for text in texts if text.isdigit()), default=None)
+
+
+def _submit(script: str, folder: Path) -> tuple[int, str, str]:
+    """sbatch's status and what it said. Raises Full while it waits until it is let in, Missing where it says nothing."""
+    argv = (_program("sbatch"), "--parsable")
+    pipe = subprocess.PIPE
+    with subprocess.Popen(argv, stdin=pipe, stdout=pipe, stderr=pipe, env=_environment(), cwd=folder) as process:
+        give_up = time.monotonic() + PATIENCE_S
+        given: bytes | None = script.encode()
+        while True:
+            try:
+                out, err = process.communicate(given, timeout=POLL_S)
+                return process.returncode, out.decode(errors="replace"), err.decode(errors="replace")
+            except subprocess.TimeoutExpired as waiting:
+                given = None
+                said = (waiting.stderr or b"").decode(errors="replace")
+                if busy := BUSY.search(said):
+                    process.kill()
+                    raise Full(f"SLURM: {_line(said[busy.start() - 6 :])}") from None
+                if time.monotonic() > give_up:
+                    process.kill()
+                    raise Missing(f"SLURM does not answer sbatch within {PATIENCE_S:.0f} s: {_line(said)}") from None
+
+
+def _answer(program: str, *words: str) -> str:
+    """What one of SLURM's commands prints. Raises Missing where it fails, in its words."""
+    try:
+        done = subprocess.run(
+            (_program(program), *words),
+            env=_environment(),
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+            errors="replace",
+            timeout=PATIENCE_S,
+            check=False,
+        )
+    except subprocess.TimeoutExpired:
+        raise Missing(f"SLURM does not answer {program} within {PATIENCE_S:.0f} s") from None
+    if done.returncode != 0:
+        raise Missing(f"SLURM: {_line(done.stderr or done.stdout)}")
+    return done.stdout
+
+
+def _program(name: str) -> str:
+    path = shutil.which(name)
+    if path is None:
+        raise Missing(f"there is no {name} here; ask on a host from which jobs are submitted to SLURM")
+    return path
+
+
+def _environment() -> dict[str, str]:
+    """All that SLURM's commands are called with, and that jobs begin with."""
+    kept = {name: os.environ[name] for name in KEPT if name in os.environ}
+    user = pwd.getpwuid(os.geteuid())
+    return {**kept, "PATH": PATH, "HOME": user.pw_dir, "USER": user.pw_name, "LOGNAME": user.pw_name}
+
+
+def _line(said: str) -> str:
+    """What a command complains of, in one line."""
+    lines = [re.sub(r"^\w+: (error: |fatal: )?", "", line.strip()) for line in said.splitlines()]
+    return "; ".join(dict.fromkeys(line for line in lines if line and not line.startswith("Try ")))
