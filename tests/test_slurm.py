@@ -246,6 +246,42 @@ def test_a_refusal_is_told_from_a_full_queue_and_from_silence(said: str, error: 
     assert "\n" not in str(refused)
 
 
+@pytest.fixture
+def sbatch(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
+    """Puts a sbatch on the PATH that is a shell script, as many sites do."""
+
+    def put(script: str) -> None:
+        (tmp_path / "bin").mkdir()
+        (tmp_path / "bin" / "sbatch").write_text(f"#!/bin/sh\n{script}\n")
+        (tmp_path / "bin" / "sbatch").chmod(0o755)
+        monkeypatch.setenv("PATH", f"{tmp_path}/bin:{os.environ['PATH']}")
+
+    return put
+
+
+@pytest.mark.parametrize("said", ["12", "12;tux", "You have 3 jobs.\\n12;tux", "12\\nThank you"])
+def test_the_answer_names_the_job(said: str, sbatch: Callable[[str], None], request_of: Callable[..., Request]) -> None:
+    sbatch(f"cat > /dev/null; printf '{said}\\n'; echo welcome >&2")
+    assert scheduler().submit(request_of()) == "12"
+
+
+def test_an_answer_that_names_no_job_leaves_open_whether_there_is_one(
+    sbatch: Callable[[str], None], request_of: Callable[..., Request]
+) -> None:
+    sbatch("cat > /dev/null; echo Job 12 would start at noon")
+    with pytest.raises(Missing, match="'Job 12 would start at noon'; whether there is one is not known"):
+        scheduler().submit(request_of())
+
+
+def test_silence_is_not_waited_for_for_ever(
+    sbatch: Callable[[str], None], request_of: Callable[..., Request], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sierra.runners.schedulers.slurm.PATIENCE_S", 1.0)
+    sbatch("exec sleep 30")
+    with pytest.raises(Missing, match="does not answer sbatch within 1 s"):
+        scheduler().submit(request_of())
+
+
 def test_a_host_without_slurm_is_said(monkeypatch: pytest.MonkeyPatch, request_of: Callable[..., Request]) -> None:
     monkeypatch.setenv("PATH", "/nowhere")
     for asked in (scheduler().version, scheduler().bounds, lambda: scheduler().submit(request_of())):
