@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import secrets
+import shutil
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -589,6 +590,19 @@ def test_what_ended_long_ago_is_forgotten(small: clusters.Slurm, request_of: Cal
     scheduler().submit(request)
     until(scheduler(), request.name, ended)
     until(scheduler(), request.name, lambda seen: not seen, seconds=90)
+
+
+@pytest.mark.real
+def test_what_is_held_after_it_could_not_be_launched_is_stuck(
+    small: clusters.Slurm, request_of: Callable[..., Request]
+) -> None:
+    shutil.rmtree(small.root / "spool.n1")
+    request = request_of("true", 0, 1)
+    scheduler().submit(request)
+    seen = until(scheduler(), request.name, lambda seen: all(task.state == State.STUCK for task in seen))
+    assert [(task.element, task.reason) for task in seen] == [(each, "launch failed requeued held") for each in (0, 1)]
+    scheduler().cancel(request.name)
+    until(scheduler(), request.name, ended)
 
 
 @pytest.mark.real
