@@ -196,7 +196,8 @@ class Slurm:
         """No jobs, and all nodes idle, whatever was done to it."""
         if self._gone("slurmctld"):
             self.start_controller()
-        self.command("scancel", f"--user={os.geteuid()}")
+        if jobs := self.command("squeue", "-h", "-a", "-o", "%F").split():
+            self.command("scancel", *set(jobs))
         for node in self.names:
             if self._gone(node):
                 self.start_node(node)
