@@ -188,9 +188,15 @@ class Slurm:
         """Have SLURM use a node again that was declared down."""
         self.command("scontrol", "update", f"nodename={node}", "state=resume")
 
-    def release_requeued(self, job: str) -> None:
-        """A job that was requeued may start again now, not only after two minutes."""
-        self.command("scontrol", "update", f"jobid={job}", "StartTime=now")
+    def release_requeued(self, job: str = "") -> None:
+        """A job that was requeued (else: all that wait for it) may start again now, not only after two minutes."""
+        waiting = self.command("squeue", "-h", "-a", "-r", "-t", "PENDING", "-o", "%i %r").splitlines()
+        for one in [job] if job else [line.split()[0] for line in waiting if line.endswith("BeginTime")]:
+            self.command("scontrol", "update", f"jobid={one}", "StartTime=now")
+
+    def until_requeued(self) -> None:
+        """Wait until a job waits for its start after it was requeued."""
+        _wait(lambda: "BeginTime" in self.command("squeue", "-h", "-a", "-o", "%r"), "nothing is requeued", 30)
 
     def heal(self) -> None:
         """No jobs, and all nodes idle, whatever was done to it."""
