@@ -258,6 +258,7 @@ class Slurm:
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=log,
+                cwd=self.root,  # for what they leave when they crash
                 env=self._environment(),
                 start_new_session=True,
             )
