@@ -551,6 +551,22 @@ def test_slurms_wrapper_executes_what_is_asked_for(
 
 
 @pytest.mark.real
+def test_over_slurm_elements_are_told_and_cancelled(wrapper: clusters.Slurm, ask: Callable[..., Request]) -> None:
+    scheduler = Pbs(ClusterTable())
+    assert re.fullmatch(r"slurm \S+ \(its qsub\)", scheduler.version())
+    assert scheduler.bounds().array == 1001
+    job = scheduler.submit(ask("sleep 60", (1, 4, 5)))
+    tasks = Pbs(ClusterTable()).look(NAME)
+    assert tasks is not None
+    living = [task for task in tasks if task.state is not State.ENDED]
+    assert sorted((task.job, task.element) for task in living) == [(job, 1), (job, 4), (job, 5)]
+    scheduler.cancel(NAME, [4])
+    until(lambda: alive(scheduler) == {1, 5})
+    scheduler.cancel(NAME)
+    until(ended(scheduler))
+
+
+@pytest.mark.real
 def test_what_the_wrappers_qstat_says_is_read_and_its_qdel_ends_it(
     wrapper: clusters.Slurm, ask: Callable[..., Request]
 ) -> None:
