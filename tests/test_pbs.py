@@ -6,6 +6,7 @@ import os
 import pwd
 import re
 import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -15,12 +16,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import sierra
 from sierra.config import ClusterTable
 from sierra.errors import ConfigError, Full, Missing
 from sierra.runners.schedulers import Request, State, qstat, qsub
 from sierra.runners.schedulers.pbs import Pbs
 from sierra.runners.schedulers.qsub import Dialect
-from tests import clusters, pbs
+from tests import clusters, pbs, projects
 
 DATA = Path(__file__).parent / "data" / "pbs"
 HOSTILE = "a'; echo foo"
@@ -518,6 +520,45 @@ def test_elements_of_places_are_those_that_were_asked_for(elements: set[int]) ->
 @given(st.text())
 def test_no_text_is_too_odd_to_be_read(text: str) -> None:
     list(qstat.tasks(list(qstat.text_records(f"Job Id: 1.pbs1\n{text}\nJob Id: 2[1].pbs1\n    job_state = {text}"))))
+
+
+# batches
+
+CLUSTER = f"""
+[runners.pbs]
+elements = 3
+python = "{sys.executable}"
+"""
+WAITS = """
+import os, time
+while not os.path.exists({gate!r}):
+    time.sleep(0.02)
+"""
+
+
+@pytest.mark.slow
+def test_a_batch_is_answered_though_an_element_is_deleted(server: pbs.Server, tmp_path: Path) -> None:
+    gate = tmp_path / "gate"
+    simulator = projects.SIMULATOR + WAITS.format(gate=str(gate))
+    root = projects.make(tmp_path / HOSTILE, projects.CONFIG + CLUSTER, simulator=simulator)
+    words = (projects.SIERRA, "run", "population_size.Log8", "--on", "pbs", "--no-figures")
+    asked = subprocess.Popen(words, cwd=root, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    until(lambda: len(list(root.glob(".sierra/work/*/results/*.pack"))) == 3)
+    subprocess.run(["qdel", "1[1].pbs1"], check=True)
+    until(lambda: (tmp_path / "server" / "2.SC").exists(), 60)
+    gate.touch()
+    out, err = asked.communicate(timeout=60)
+    assert asked.returncode == 0, err
+    assert "8 runs: 8 executed, 0 reused" in out
+    jobs = sierra.open(root).sql("SELECT element, job FROM attempts WHERE state = 'finished' ORDER BY element").to_pylist()
+    assert jobs == [
+        {"element": 0, "job": "1[0].pbs1"},
+        {"element": 1, "job": "2.pbs1"},
+        {"element": 2, "job": "1[2].pbs1"},
+    ]
+    text = (tmp_path / "server" / "2.SC").read_text()
+    assert "SIERRA_ELEMENTS=1" in text
+    assert alive(Pbs(ClusterTable()), re.findall("-N (.*)", text)[0]) == set()
 
 
 # SLURM's wrapper
