@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import secrets
 import time
 from collections.abc import Callable, Iterator
@@ -13,9 +14,9 @@ from typing import Any
 import pytest
 
 from sierra.config import ClusterTable
-from sierra.errors import ConfigError, Full, Missing
+from sierra.errors import ConfigError, Full, Missing, SierraError
 from sierra.runners.schedulers import Request, State, Task
-from sierra.runners.schedulers.slurm import PATH, Slurm, ranges, seconds, tasks
+from sierra.runners.schedulers.slurm import PATH, Slurm, ranges, refusal, seconds, tasks
 from tests import clusters
 
 ODD = "a'; echo foo"
@@ -176,6 +177,7 @@ def test_limits_are_read(text: str, limit: float | None) -> None:
                 "InvalidAccount",
                 "InvalidQOS",
                 "JobHeldAdmin",
+                "MaxMemPerLimit",
                 "AssocMaxWallDurationPerJobLimit",
                 "QOSMaxMemoryPerNode",
                 "QOSMinGRES",
@@ -205,6 +207,43 @@ def test_what_has_no_index_is_no_element() -> None:
 def test_what_is_no_answer_is_passed_over() -> None:
     assert tasks("") == ()
     assert tasks("welcome to the cluster\n7|1|RUNNING|n1|a\nb|c\n") == (Task("7", 1, State.RUNNING, "a", "n1"),)
+
+
+POLICY = (
+    "sbatch: error: Batch job submission failed: "
+    "Job violates accounting/QOS policy (job submit limit, user's size and/or time limits)"
+)
+
+
+@pytest.mark.parametrize(
+    ("said", "error", "words"),
+    [
+        (f"sbatch: error: QOSMaxSubmitJobPerUserLimit\n{POLICY}", Full, "QOSMaxSubmitJobPerUserLimit; Batch job submission"),
+        (f"sbatch: error: AssocMaxSubmitJobLimit\n{POLICY}", Full, "AssocMaxSubmitJobLimit"),
+        (f"sbatch: error: MaxSubmitJobsPerAccount\n{POLICY}", Full, "MaxSubmitJobsPerAccount"),
+        (f"sbatch: error: QOSMaxWallDurationPerJobLimit\n{POLICY}", ConfigError, "QOSMaxWallDurationPerJobLimit"),
+        (POLICY, ConfigError, "Job violates accounting/QOS policy"),
+        (
+            "sbatch: error: Batch job submission failed: Invalid account or account/partition combination specified",
+            ConfigError,
+            "SLURM: Batch job submission failed: Invalid account or account/partition combination specified",
+        ),
+        ("sbatch: unrecognized option '--x'\nTry \"sbatch --help\" for more information", ConfigError, "option '--x'$"),
+        (
+            "sbatch: error: Batch job submission failed: Unable to contact slurm controller (connect failure)",
+            Missing,
+            "Unable to contact",
+        ),
+        ("sbatch: error: Batch job submission failed: Socket timed out on send/recv operation", Missing, "Socket timed out"),
+        ("sbatch: error: Munge encode failed: Failed to connect\nsbatch: error: x", Missing, "Munge"),
+        ("sbatch: fatal: Could not establish a configuration source", Missing, "SLURM: Could not establish"),
+    ],
+)
+def test_a_refusal_is_told_from_a_full_queue_and_from_silence(said: str, error: type[SierraError], words: str) -> None:
+    refused = refusal(said)
+    assert type(refused) is error
+    assert re.search(words, str(refused))
+    assert "\n" not in str(refused)
 
 
 def test_a_host_without_slurm_is_said(monkeypatch: pytest.MonkeyPatch, request_of: Callable[..., Request]) -> None:

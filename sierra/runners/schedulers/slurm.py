@@ -26,7 +26,7 @@ from itertools import groupby
 from pathlib import Path
 
 from sierra.config import ClusterTable
-from sierra.errors import ConfigError, Full, Missing
+from sierra.errors import ConfigError, Full, Missing, SierraError
 from sierra.runners.schedulers import Bounds, Request, State, Task
 
 PATIENCE_S = 20.0
@@ -49,14 +49,15 @@ NEVER = re.compile(
     r"PartitionConfig|PartitionNodeLimit|PartitionTimeLimit|BadConstraints"
     r"|InvalidAccount|InvalidQOS|AccountNotAllowed|QOSNotAllowed|.*not permitted|.*can't use this partition"
     r"|(Assoc|QOS)Max\w+Per(Job|Node)(Limit)?|QOSMin\w+"
-    r"|DependencyNeverSatisfied|ReservationDeleted|JobHeldAdmin|JobHoldMaxRequeue|.*requeued\b.*\bheld\b"
+    r"|MaxMemPerLimit|DependencyNeverSatisfied|ReservationDeleted|JobHeldAdmin|JobHoldMaxRequeue|.*requeued\b.*\bheld\b"
 )
 """Reasons that never resolve, as the request is. Those that may are no part of it: limits on many jobs together (AssocMaxJobs…,
 QOSGrp…), partitions and nodes that are down, licenses, begin times, and JobHeldUser: who held it may release it."""
 
 BUSY = re.compile(r"temporarily unable to accept job|job queue full")
 """sbatch says so, and tries again for two minutes."""
-LIMIT = re.compile(r"(Assoc|QOS)\w*Submit\w*")
+LIMIT = re.compile(r"(Max|Grp)SubmitJob")
+"""Of the limits that a request may violate, those on how much is there at a time."""
 UNREACHABLE = re.compile(
     r"unable to contact|timed out|zero bytes|communication|authentication|munge|configuration (source|file)"
     r"|in standby|unexpected message|connection (refused|reset)",
@@ -106,9 +107,7 @@ class Slurm:
             if answer := SUBMITTED.search(out):
                 return answer[1]
             raise Missing(f"sbatch does not say which job it made, but {_line(out + err)!r}; whether there is one is not known")
-        if LIMIT.search(err):
-            raise Full(f"SLURM: {_line(err)}")
-        raise (Missing if UNREACHABLE.search(err) else ConfigError)(f"SLURM: {_line(err)}")
+        raise refusal(err)
 
     def look(self, name: str) -> tuple[Task, ...] | None:
         asked = (
@@ -192,6 +191,12 @@ def _state(word: str, reason: str) -> State:
     return State.QUEUED if word in WAITING else State.RUNNING
 
 
+def refusal(said: str) -> SierraError:
+    """What it means that sbatch did not take a job, by what it said on standard error."""
+    kind = Full if LIMIT.search(said) or BUSY.search(said) else Missing if UNREACHABLE.search(said) else ConfigError
+    return kind(f"SLURM: {_line(said)}")
+
+
 def ranges(elements: Sequence[int]) -> str:
     """Indices, ascending, as SLURM writes them: `0-5,7`."""
     runs = [list(group) for _, group in groupby(enumerate(elements), lambda pair: pair[1] - pair[0])]
@@ -245,9 +250,9 @@ def _submit(script: str, folder: Path) -> tuple[int, str, str]:
             except subprocess.TimeoutExpired as waiting:
                 given = None
                 said = (waiting.stderr or b"").decode(errors="replace")
-                if busy := BUSY.search(said):
+                if BUSY.search(said):
                     process.kill()
-                    raise Full(f"SLURM: {_line(said[busy.start() - 6 :])}") from None
+                    raise refusal(said) from None
                 if time.monotonic() > give_up:
                     process.kill()
                     raise Missing(f"SLURM does not answer sbatch within {PATIENCE_S:.0f} s: {_line(said)}") from None
