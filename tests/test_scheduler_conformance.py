@@ -1,0 +1,91 @@
+"""The shipped schedulers hold to the conformance suite, over a real SLURM; and the suite notices what breaks its claims."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from sierra.config import ClusterTable
+from sierra.runners import conformance, schedulers
+from sierra.runners.conformance import Trial
+from sierra.runners.schedulers import Request, State, Task
+from sierra.runners.schedulers.slurm import Slurm
+from tests import clusters
+
+pytestmark = pytest.mark.real
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["slurm", "pbs"])
+def test_it_conforms(name: str, slurm: clusters.Slurm, tmp_path: Path) -> None:
+    conformance.check(schedulers.find(name)(ClusterTable()), tmp_path)
+
+
+class Splitting(Slurm):
+    """A scheduler that takes a command for a line of a shell."""
+
+    def submit(self, request: Request) -> str:
+        return super().submit(replace(request, command=("sh", "-c", " ".join(request.command))))
+
+
+class Counting(Slurm):
+    """A scheduler that counts elements from 0, whatever they are called."""
+
+    def submit(self, request: Request) -> str:
+        return super().submit(replace(request, elements=tuple(range(len(request.elements)))))
+
+
+class Leaking(Slurm):
+    """A scheduler whose scripts have a secret in them."""
+
+    def script(self, request: Request) -> str:
+        return super().script(request) + f"# {os.environ.get(conformance.CANARY)}\n"
+
+
+class Forgetting(Slurm):
+    """A scheduler that does not find what it submitted."""
+
+    def look(self, name: str) -> tuple[Task, ...] | None:
+        return ()
+
+
+class Remembering(Slurm):
+    """A scheduler for which what has ended still waits."""
+
+    def look(self, name: str) -> tuple[Task, ...] | None:
+        return tuple(replace(task, state=State.QUEUED) for task in super().look(name) or ())
+
+
+class Ruthless(Slurm):
+    """A scheduler that cancels all where some are to be."""
+
+    def cancel(self, name: str, elements: Sequence[int] | None = None) -> None:
+        super().cancel(name)
+
+
+@pytest.mark.parametrize(
+    ("scheduler", "claim", "complaint"),
+    [
+        (Splitting, conformance.passes_words_as_they_are, "became|No such file"),
+        (Counting, conformance.executes_each_element_once, "executed were"),
+        (Leaking, conformance.says_what_it_hands_over, "environment"),
+        (Forgetting, conformance.finds_jobs_by_name, "not found at once"),
+        (Remembering, conformance.may_be_looked_at_after_the_end, "does not end"),
+        (Ruthless, conformance.cancels_some, "after element 1 was cancelled"),
+    ],
+)
+def test_the_suite_notices(
+    scheduler: type[Slurm],
+    claim: Callable[[Trial], None],
+    complaint: str,
+    slurm: clusters.Slurm,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(conformance, "PATIENCE_S", 4.0)
+    with pytest.raises((AssertionError, FileNotFoundError), match=complaint):
+        claim(Trial(scheduler(ClusterTable()), tmp_path))
