@@ -19,6 +19,7 @@ from hypothesis import strategies as st
 import sierra
 from sierra.config import ClusterTable
 from sierra.errors import ConfigError, Full, Missing
+from sierra.runners import conformance
 from sierra.runners.schedulers import Request, State, qstat, qsub
 from sierra.runners.schedulers.pbs import Pbs
 from sierra.runners.schedulers.qsub import Dialect
@@ -40,6 +41,14 @@ def server(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.M
     monkeypatch.setenv("HOME", str(home))
     yield made
     made.end()
+
+
+@pytest.fixture
+def wrapper(slurm: clusters.Slurm, require: Callable[..., str]) -> clusters.Slurm:
+    """A real SLURM, over which `qsub`, `qstat` and `qdel` of Debian's slurm-wlm-torque are found."""
+    for command in ("qsub", "qstat", "qdel"):
+        require(command)
+    return slurm
 
 
 openpbs = pytest.mark.parametrize("server", ["openpbs"], indirect=True)
@@ -144,7 +153,8 @@ def test_only_the_script_is_left_in_the_folder(server: pbs.Server, ask: Callable
     scheduler, request = Pbs(ClusterTable()), ask()
     scheduler.submit(request)
     until(ended(scheduler))
-    assert sorted(path.name for path in request.folder.iterdir()) == ["logs", f"{NAME}.pbs"]
+    torques = [f"pbs-{index}" for index in (0, 1, 2)] if scheduler.version().startswith("torque") else []
+    assert sorted(path.name for path in request.folder.iterdir()) == ["logs", *torques, f"{NAME}.pbs"]
     assert (request.folder / f"{NAME}.pbs").read_text() == scheduler.script(request)
     assert list((request.folder.parent / "home").iterdir()) == []
     assert not list((request.folder.parent / "server").glob("undelivered"))
@@ -522,6 +532,21 @@ def test_no_text_is_too_odd_to_be_read(text: str) -> None:
     list(qstat.tasks(list(qstat.text_records(f"Job Id: 1.pbs1\n{text}\nJob Id: 2[1].pbs1\n    job_state = {text}"))))
 
 
+# what every scheduler holds to
+
+
+@pytest.mark.slow
+def test_it_is_a_scheduler(server: pbs.Server, tmp_path: Path) -> None:
+    conformance.check(Pbs(ClusterTable()), tmp_path / "shared")
+
+
+@pytest.mark.slow
+@pytest.mark.real
+def test_it_is_a_scheduler_over_slurm(wrapper: clusters.Slurm) -> None:
+    with clusters.folder() as folder:
+        conformance.check(Pbs(ClusterTable()), folder)
+
+
 # batches
 
 CLUSTER = f"""
@@ -562,14 +587,6 @@ def test_a_batch_is_answered_though_an_element_is_deleted(server: pbs.Server, tm
 
 
 # SLURM's wrapper
-
-
-@pytest.fixture
-def wrapper(slurm: clusters.Slurm, require: Callable[..., str]) -> clusters.Slurm:
-    """A real SLURM, over which `qsub`, `qstat` and `qdel` of Debian's slurm-wlm-torque are found."""
-    for command in ("qsub", "qstat", "qdel"):
-        require(command)
-    return slurm
 
 
 @pytest.mark.real

@@ -84,7 +84,7 @@ def script(request: Request, table: ClusterTable, dialect: Dialect) -> str:
 
 def _output(request: Request, dialect: Dialect) -> str:
     if dialect is Dialect.TORQUE and len(request.elements) > 1:
-        return shlex.quote(str(request.logs / "pbs"))
+        return shlex.quote(str(request.folder / "pbs"))
     return "/dev/null"
 
 
