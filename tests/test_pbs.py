@@ -71,7 +71,7 @@ def until(true: Callable[[], bool], seconds: float = 20) -> None:
     give_up = time.monotonic() + seconds
     while not true():
         assert time.monotonic() < give_up, "waited in vain"
-        time.sleep(0.02)
+        time.sleep(0.05)
 
 
 def alive(scheduler: Pbs, name: str = NAME) -> set[int | None]:
@@ -525,6 +525,12 @@ def test_elements_of_places_are_those_that_were_asked_for(elements: set[int]) ->
     record = {"Variable_List": f"PBS_O_HOME=/x,{qstat.ELEMENTS}={said}"}
     found = [qstat.element({"id": f"1[{place}].pbs1", **record}) for place in range(len(elements))]
     assert found == sorted(elements)
+
+
+@pytest.mark.parametrize("said", ["", "1-", "+", "1--2", "1-2-3", "5-3", "x"])
+def test_elements_that_are_damaged_are_not_guessed(said: str) -> None:
+    record = {"Variable_List": f"PBS_O_HOME=/x,{qstat.ELEMENTS}={said},PBS_O_PATH=/y"}
+    assert qstat.element({"id": "1[0].pbs1", **record}) is None
 
 
 @given(st.text())
