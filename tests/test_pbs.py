@@ -120,6 +120,14 @@ def test_a_qsub_of_something_else_is_said(tmp_path: Path, monkeypatch: pytest.Mo
         Pbs(ClusterTable()).version()
 
 
+def test_a_wrapper_that_does_not_find_its_cluster_is_out_of_reach(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "qsub").write_text("#!/bin/sh\necho perl: fatal: Could not establish a configuration source >&2; exit 1\n")
+    (tmp_path / "qsub").chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
+    with pytest.raises(Missing, match=r"qsub can't reach its cluster: .*establish a configuration source$"):
+        Pbs(ClusterTable()).version()
+
+
 # submitting
 
 
@@ -194,7 +202,7 @@ def test_variables_of_the_callers_shell_change_nothing(
 
 
 def test_a_wrong_queue_is_refused_in_the_schedulers_words(server: pbs.Server, ask: Callable[..., Request]) -> None:
-    with pytest.raises(ConfigError, match="qsub refuses: Unknown queue"):
+    with pytest.raises(ConfigError, match=r"qsub refuses: Unknown queue.* \(queue 'nope'\)"):
         Pbs(ClusterTable(partition="nope")).submit(ask())
 
 
