@@ -258,7 +258,7 @@ def schedule(folder: Path, state: dict[str, Any]) -> None:
         waits = job["depend"] and after(state, job)
         for place, task in job["tasks"].items():
             if task["state"] == "Q" and free > 0 and not waits and not job["comment"] and job["hold"] == "n":
-                begin(folder, number, place, job, task)
+                begin(folder, number, place, job, task, torque=state["dialect"] == "torque")
                 free -= 1
 
 
@@ -271,7 +271,7 @@ def after(state: dict[str, Any], job: dict[str, Any]) -> bool:
     return alive(first)
 
 
-def begin(folder: Path, number: str, place: str, job: dict[str, Any], task: dict[str, Any]) -> None:
+def begin(folder: Path, number: str, place: str, job: dict[str, Any], task: dict[str, Any], *, torque: bool) -> None:
     home = os.environ.get("HOME", "/")
     environment = {
         "HOME": home,
@@ -281,9 +281,10 @@ def begin(folder: Path, number: str, place: str, job: dict[str, Any], task: dict
         **job["variables"],
     }
     environment |= {"PBS_JOBID": identity(number, job, place), "PBS_ENVIRONMENT": "PBS_BATCH"}
-    if place:
-        environment |= {"PBS_ARRAY_INDEX": place, "PBS_ARRAY_ID": identity(number, job)}
+    if place and torque:
         environment |= {"PBS_ARRAYID": place}
+    elif place:
+        environment |= {"PBS_ARRAY_INDEX": place, "PBS_ARRAY_ID": identity(number, job)}
     words = [str(folder), number, place, job["shell"], job["script"]]
     code = f"import sys; sys.path.insert(0, {str(Path(__file__).parent)!r}); import pbs; pbs.execute(*sys.argv[1:])"
     process = subprocess.Popen(

@@ -6,6 +6,7 @@ import os
 import pwd
 import re
 import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -15,12 +16,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import sierra
 from sierra.config import ClusterTable
 from sierra.errors import ConfigError, Full, Missing
+from sierra.runners import conformance
 from sierra.runners.schedulers import Request, State, qstat, qsub
 from sierra.runners.schedulers.pbs import Pbs
 from sierra.runners.schedulers.qsub import Dialect
-from tests import clusters, pbs
+from tests import clusters, pbs, projects
 
 DATA = Path(__file__).parent / "data" / "pbs"
 HOSTILE = "a'; echo foo"
@@ -38,6 +41,14 @@ def server(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.M
     monkeypatch.setenv("HOME", str(home))
     yield made
     made.end()
+
+
+@pytest.fixture
+def wrapper(slurm: clusters.Slurm, require: Callable[..., str]) -> clusters.Slurm:
+    """A real SLURM, over which `qsub`, `qstat` and `qdel` of Debian's slurm-wlm-torque are found."""
+    for command in ("qsub", "qstat", "qdel"):
+        require(command)
+    return slurm
 
 
 openpbs = pytest.mark.parametrize("server", ["openpbs"], indirect=True)
@@ -60,7 +71,7 @@ def until(true: Callable[[], bool], seconds: float = 20) -> None:
     give_up = time.monotonic() + seconds
     while not true():
         assert time.monotonic() < give_up, "waited in vain"
-        time.sleep(0.02)
+        time.sleep(0.05)
 
 
 def alive(scheduler: Pbs, name: str = NAME) -> set[int | None]:
@@ -109,6 +120,14 @@ def test_a_qsub_of_something_else_is_said(tmp_path: Path, monkeypatch: pytest.Mo
         Pbs(ClusterTable()).version()
 
 
+def test_a_wrapper_that_does_not_find_its_cluster_is_out_of_reach(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "qsub").write_text("#!/bin/sh\necho perl: fatal: Could not establish a configuration source >&2; exit 1\n")
+    (tmp_path / "qsub").chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
+    with pytest.raises(Missing, match=r"qsub can't reach its cluster: .*establish a configuration source$"):
+        Pbs(ClusterTable()).version()
+
+
 # submitting
 
 
@@ -142,7 +161,8 @@ def test_only_the_script_is_left_in_the_folder(server: pbs.Server, ask: Callable
     scheduler, request = Pbs(ClusterTable()), ask()
     scheduler.submit(request)
     until(ended(scheduler))
-    assert sorted(path.name for path in request.folder.iterdir()) == ["logs", f"{NAME}.pbs"]
+    torques = [f"pbs-{index}" for index in (0, 1, 2)] if scheduler.version().startswith("torque") else []
+    assert sorted(path.name for path in request.folder.iterdir()) == ["logs", *torques, f"{NAME}.pbs"]
     assert (request.folder / f"{NAME}.pbs").read_text() == scheduler.script(request)
     assert list((request.folder.parent / "home").iterdir()) == []
     assert not list((request.folder.parent / "server").glob("undelivered"))
@@ -182,7 +202,7 @@ def test_variables_of_the_callers_shell_change_nothing(
 
 
 def test_a_wrong_queue_is_refused_in_the_schedulers_words(server: pbs.Server, ask: Callable[..., Request]) -> None:
-    with pytest.raises(ConfigError, match="qsub refuses: Unknown queue"):
+    with pytest.raises(ConfigError, match=r"qsub refuses: Unknown queue.* \(queue 'nope'\)"):
         Pbs(ClusterTable(partition="nope")).submit(ask())
 
 
@@ -515,20 +535,72 @@ def test_elements_of_places_are_those_that_were_asked_for(elements: set[int]) ->
     assert found == sorted(elements)
 
 
+@pytest.mark.parametrize("said", ["", "1-", "+", "1--2", "1-2-3", "5-3", "x"])
+def test_elements_that_are_damaged_are_not_guessed(said: str) -> None:
+    record = {"Variable_List": f"PBS_O_HOME=/x,{qstat.ELEMENTS}={said},PBS_O_PATH=/y"}
+    assert qstat.element({"id": "1[0].pbs1", **record}) is None
+
+
 @given(st.text())
 def test_no_text_is_too_odd_to_be_read(text: str) -> None:
     list(qstat.tasks(list(qstat.text_records(f"Job Id: 1.pbs1\n{text}\nJob Id: 2[1].pbs1\n    job_state = {text}"))))
 
 
+# what every scheduler holds to
+
+
+@pytest.mark.slow
+def test_it_is_a_scheduler(server: pbs.Server, tmp_path: Path) -> None:
+    conformance.check(Pbs(ClusterTable()), tmp_path / "shared")
+
+
+@pytest.mark.slow
+@pytest.mark.real
+def test_it_is_a_scheduler_over_slurm(wrapper: clusters.Slurm) -> None:
+    with clusters.folder() as folder:
+        conformance.check(Pbs(ClusterTable()), folder)
+
+
+# batches
+
+CLUSTER = f"""
+[runners.pbs]
+elements = 3
+python = "{sys.executable}"
+"""
+WAITS = """
+import os, time
+while not os.path.exists({gate!r}):
+    time.sleep(0.02)
+"""
+
+
+@pytest.mark.slow
+def test_a_batch_is_answered_though_an_element_is_deleted(server: pbs.Server, tmp_path: Path) -> None:
+    gate = tmp_path / "gate"
+    simulator = projects.SIMULATOR + WAITS.format(gate=str(gate))
+    root = projects.make(tmp_path / HOSTILE, projects.CONFIG + CLUSTER, simulator=simulator)
+    words = (projects.SIERRA, "run", "population_size.Log8", "--on", "pbs", "--no-figures")
+    asked = subprocess.Popen(words, cwd=root, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    until(lambda: len(list(root.glob(".sierra/work/*/results/*.pack"))) == 3)
+    subprocess.run(["qdel", "1[1].pbs1"], check=True)
+    until(lambda: (tmp_path / "server" / "2.SC").exists(), 60)
+    gate.touch()
+    out, err = asked.communicate(timeout=60)
+    assert asked.returncode == 0, err
+    assert "8 runs: 8 executed, 0 reused" in out
+    jobs = sierra.open(root).sql("SELECT element, job FROM attempts WHERE state = 'finished' ORDER BY element").to_pylist()
+    assert jobs == [
+        {"element": 0, "job": "1[0].pbs1"},
+        {"element": 1, "job": "2.pbs1"},
+        {"element": 2, "job": "1[2].pbs1"},
+    ]
+    text = (tmp_path / "server" / "2.SC").read_text()
+    assert "SIERRA_ELEMENTS=1" in text
+    assert alive(Pbs(ClusterTable()), re.findall("-N (.*)", text)[0]) == set()
+
+
 # SLURM's wrapper
-
-
-@pytest.fixture
-def wrapper(slurm: clusters.Slurm, require: Callable[..., str]) -> clusters.Slurm:
-    """A real SLURM, over which `qsub`, `qstat` and `qdel` of Debian's slurm-wlm-torque are found."""
-    for command in ("qsub", "qstat", "qdel"):
-        require(command)
-    return slurm
 
 
 @pytest.mark.real
@@ -548,6 +620,22 @@ def test_slurms_wrapper_executes_what_is_asked_for(
         assert "SECRET_THING" not in found[f"{job}_{index}.out"]
         assert "SLURM_GET_USER_ENV" not in found[f"{job}_{index}.out"], "a login shell was started for it"
     assert sorted(path.name for path in request.folder.iterdir()) == ["logs", f"{NAME}.pbs"]
+
+
+@pytest.mark.real
+def test_over_slurm_elements_are_told_and_cancelled(wrapper: clusters.Slurm, ask: Callable[..., Request]) -> None:
+    scheduler = Pbs(ClusterTable())
+    assert re.fullmatch(r"slurm \S+ \(its qsub\)", scheduler.version())
+    assert scheduler.bounds().array == 1001
+    job = scheduler.submit(ask("sleep 60", (1, 4, 5)))
+    tasks = Pbs(ClusterTable()).look(NAME)
+    assert tasks is not None
+    living = [task for task in tasks if task.state is not State.ENDED]
+    assert sorted((task.job, task.element) for task in living) == [(job, 1), (job, 4), (job, 5)]
+    scheduler.cancel(NAME, [4])
+    until(lambda: alive(scheduler) == {1, 5})
+    scheduler.cancel(NAME)
+    until(ended(scheduler))
 
 
 @pytest.mark.real

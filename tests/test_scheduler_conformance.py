@@ -15,7 +15,10 @@ from sierra.runners.conformance import Trial
 from sierra.runners.schedulers import Request, State, Task
 from sierra.runners.schedulers.slurm import Slurm
 from tests import clusters
+<<<<<<< HEAD
 from tests.users import a_user, called_as
+=======
+>>>>>>> h/pbs
 
 pytestmark = pytest.mark.real
 
@@ -26,6 +29,7 @@ def test_it_conforms(name: str, slurm: clusters.Slurm, tmp_path: Path) -> None:
     conformance.check(schedulers.find(name)(ClusterTable()), tmp_path)
 
 
+<<<<<<< HEAD
 @pytest.mark.slow
 def test_it_conforms_without_rights(slurm: clusters.Slurm, require: Callable[..., str]) -> None:
     require("useradd")
@@ -39,6 +43,8 @@ def test_it_conforms_without_rights(slurm: clusters.Slurm, require: Callable[...
         called_as(user, check)
 
 
+=======
+>>>>>>> h/pbs
 class Splitting(Slurm):
     """A scheduler that takes a command for a line of a shell."""
 

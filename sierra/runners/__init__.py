@@ -110,7 +110,7 @@ def find(name: str, tables: Mapping[str, ClusterTable] | None = None) -> Callabl
 
     Raises ConfigError where there is none.
     """
-    found = cluster(name, tables)
+    found = scheduled(name, tables)
     if found is None:
         return partial(_runner(name), table=ClusterTable())
     from sierra.runners.cluster import Cluster
@@ -120,7 +120,7 @@ def find(name: str, tables: Mapping[str, ClusterTable] | None = None) -> Callabl
     return made
 
 
-def cluster(name: str, tables: Mapping[str, ClusterTable] | None = None) -> tuple[str, ClusterTable] | None:
+def scheduled(name: str, tables: Mapping[str, ClusterTable] | None = None) -> tuple[str, ClusterTable] | None:
     """The scheduler of the cluster of that name, and what the project says of it; None where the name is another runner's.
 
     Raises ConfigError where there is none of that name.

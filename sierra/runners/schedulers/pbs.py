@@ -100,7 +100,7 @@ class Pbs:
             done = self._handed_over(script)
         finally:
             self._forget(request.name)
-        return _taken(done, waits=bool(request.after))
+        return _taken(done, self._table, waits=bool(request.after))
 
     def look(self, name: str) -> tuple[Task, ...] | None:
         submitted = self._submitted
@@ -151,7 +151,10 @@ class Pbs:
             return Dialect.TORQUE, match[1]
         if "Unknown option: version" in said:
             return Dialect.SLURM, ""
-        raise Missing(f"qsub --version says neither that it is OpenPBS nor Torque: {_words(done)}")
+        words = _words(done)
+        if UNREACHABLE.search(words):
+            raise Missing(f"qsub can't reach its cluster: {words}")
+        raise Missing(f"qsub --version says neither that it is OpenPBS nor Torque: {words}")
 
     @property
     def _dialect(self) -> Dialect:
@@ -225,7 +228,7 @@ def _words(done: subprocess.CompletedProcess[str]) -> str:
     return "; ".join(filter(None, lines))[:500] or f"exit status {done.returncode}"
 
 
-def _taken(done: subprocess.CompletedProcess[str], *, waits: bool) -> str:
+def _taken(done: subprocess.CompletedProcess[str], table: ClusterTable, *, waits: bool) -> str:
     """The job's id in what `qsub` says. Raises as `submit` does."""
     words = _words(done)
     if not done.returncode:
@@ -239,7 +242,8 @@ def _taken(done: subprocess.CompletedProcess[str], *, waits: bool) -> str:
         raise Missing(f"qsub: {words}")
     if waits and DEPENDENCY.search(words):
         raise Missing(f"qsub: {words}: the job that it waits for is no longer known")
-    raise ConfigError(f"qsub refuses: {words}")
+    asked = [f"{what} {name!r}" for what, name in (("queue", table.partition), ("account", table.account)) if name]
+    raise ConfigError(f"qsub refuses: {words}" + (f" ({', '.join(asked)})" if asked else ""))
 
 
 def _user() -> str:

@@ -17,6 +17,7 @@ import json
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 from sierra.runners.schedulers import State, Task
@@ -30,6 +31,7 @@ HEAD = re.compile(r"(?:Job Id|Queue|Server):\s*(\S+)\s*")
 ATTRIBUTE = re.compile(r"(?: {4}|\t)([A-Za-z_][\w.]*) = (.*)")
 ID = re.compile(r"(\d+)(?:\[(\d*)\]|-(\d+))?(\..+)?")
 """`12.pbs1`, the array `12[].pbs1`, its element `12[3].pbs1` or, in old Torques, `12-3.pbs1`."""
+SPELLED = re.compile(r"\d{1,9}(-\d{1,9})?(\+\d{1,9}(-\d{1,9})?)*")
 ENDED = frozenset("FXC")
 WAITING = frozenset("QWT")
 NEVER = re.compile(r"can never run|too many failed attempts", re.IGNORECASE)
@@ -132,10 +134,10 @@ def element(record: Record) -> int | None:
     known = name(record["id"])
     if known.array and known.place is None:
         return None
-    said = re.search(rf"(?:^|,){ELEMENTS}=([-+0-9]+)", record.get("Variable_List", ""))
+    said = re.search(rf"(?:^|,){ELEMENTS}=([^,]*)", record.get("Variable_List", ""))
     if not said:
         return known.place
-    elements = list(_spelled(said[1]))
+    elements = _spelled(said[1].strip())
     place = known.place or 0
     return elements[place] if place < len(elements) else None
 
@@ -151,10 +153,13 @@ def spell(elements: Iterable[int], between: str = "+") -> str:
     return between.join(f"{first}-{last}" if last > first else f"{first}" for first, last in runs)
 
 
-def _spelled(text: str) -> Iterator[int]:
-    for part in filter(None, text.split("+")):
-        first, _, last = part.partition("-")
-        yield from range(int(first), int(last or first) + 1)
+@lru_cache(maxsize=4)
+def _spelled(text: str) -> tuple[int, ...]:
+    """What was spelled, nothing where it is damaged; every part of an array says the same."""
+    if not SPELLED.fullmatch(text):
+        return ()
+    ends = [part.partition("-") for part in text.split("+") if part]
+    return tuple(index for first, _, last in ends for index in range(int(first), int(last or first) + 1))
 
 
 def _state(record: Record, whole: Record) -> tuple[State, str]:

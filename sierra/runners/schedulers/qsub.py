@@ -14,7 +14,8 @@ and the job has a variable, SIERRA_ELEMENTS, that says the same to whom lists it
 PBS keeps what a job prints on the node until the end, and copies it by rules of each site's own. So scripts write into their
 log themselves, from their first line on. (Torque adds the index even to `/dev/null`: it gets a file of its own for its words.)
 
-Jobs are left rerunnable: OpenPBS takes no array that isn't, and a second copy does no harm.
+Jobs may be executed again when their node is lost (`-r y`): OpenPBS takes no array that may not, they come back also where
+nobody follows them, and a second copy does no harm.
 """
 
 from __future__ import annotations
@@ -66,6 +67,7 @@ def script(request: Request, table: ClusterTable, dialect: Dialect) -> str:
         "#PBS -j oe",
         f"#PBS -o {_output(request, dialect)}",
         "#PBS -m n",
+        "#PBS -r y",
         *(f"#PBS -l {words}" for words in _resources(table, dialect)),
         *_places(table, dialect),
         *_after(request, dialect),
@@ -82,7 +84,7 @@ def script(request: Request, table: ClusterTable, dialect: Dialect) -> str:
 
 def _output(request: Request, dialect: Dialect) -> str:
     if dialect is Dialect.TORQUE and len(request.elements) > 1:
-        return shlex.quote(str(request.logs / "pbs"))
+        return shlex.quote(str(request.folder / "pbs"))
     return "/dev/null"
 
 
