@@ -6,7 +6,6 @@ import time
 from collections.abc import Callable, Iterator
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 
 from sierra import jobs, recovery, sessions
@@ -266,13 +265,21 @@ class Asking:
             session = Session.adopted(self.session.store, paths) if mine else None
             if session is not None:
                 self._how.say(f"{len(mine)} runs have been submitted before ({paths.root.name}); they are followed")
-                ears = Ears(lambda run, status: None, partial(self._tell, elsewhere=len(mine)), self._how.say)
-                attached = attach(self.store, session, ears, self._how.leave, detach=self._how.detach)
+                attached = attach(self.store, session, self._hearing(mine), self._how.leave, detach=self._how.detach)
                 self.notes += attached.notes
                 self.left += [paths] if attached.left else []
                 self.interrupted = attached.interrupted
                 return True
         return False
+
+    def _hearing(self, runs: set[str]) -> Ears:
+        """Who hears of what is followed for these runs: that they become fewer."""
+        to_come = set(runs)
+
+        def tell(running: int, queued: int) -> None:
+            self._tell(running, queued, elsewhere=len(to_come))
+
+        return Ears(lambda run, status: to_come.discard(run), tell, self._how.say)
 
     def _tell(self, running: int, queued: int = 0, elsewhere: int = 0) -> None:
         done = len(self._claimed) - len(self._open)

@@ -28,13 +28,18 @@ def tell(project: Project, summary: Summary, more: Mapping[str, Any] | None, *, 
     if more is None:
         _print(summary, left)
     else:
-        print_json({**_answer(summary), "left": [asdict(one) for one in left], **more})
+        print_json({**_answer(summary), "left": [_left(one) for one in left], **more})
     if summary.interrupted:
         raise typer.Exit(130)
     if summary.failed or (summary.missing and not detached):
         raise typer.Exit(1)
     if summary.undrawn:
         raise Missing(summary.undrawn)
+
+
+def _left(one: Standing) -> dict[str, Any]:
+    names = ("session", "runner", "scheduler", "jobs", "elements", "runs", "since")
+    return {name: getattr(one, name) for name in names}
 
 
 def _answer(summary: Summary) -> dict[str, Any]:
@@ -59,7 +64,7 @@ def _print(summary: Summary, left: Sequence[Standing]) -> None:
     rows = [[*counted.values.values(), counted.runs, counted.good, counted.failed] for counted in summary.counts]
     table([*axes, *COUNTED], rows, right=COUNTED)
     failed = f", {summary.failed} failed" if summary.failed else ""
-    missing = f", {summary.missing} not executed" if summary.missing else ""
+    missing = f", {summary.missing} {'to come' if left else 'not executed'}" if summary.missing else ""
     print(f"{summary.runs} runs: {summary.executed} executed, {summary.reused} reused{failed}{missing}")
     _print_failures(summary)
     if left:
