@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from sierra.pipeline import Summary
     from sierra.plans import Plan
     from sierra.reasons import Why
+    from sierra.runners.proposal import Proposal
     from sierra.standing import Standing
     from sierra.verdicts import Replay, Tolerances
 
@@ -198,6 +199,12 @@ class Project:
         return replay.replay(
             self._loaded, self.store, prefix, how, watch or (lambda progress: None), say or (lambda text: None)
         )
+
+    def proposal(self, plan: Plan, runner: str) -> Proposal | None:
+        """What answering a plan would ask of a cluster: see `sierra.runners.proposal`. None where nothing would."""
+        from sierra import proposing
+
+        return proposing.proposal(plan, self.stored(), runner)
 
     def status(self, prefix: str | None = None, *, say: Callable[[str], None] = lambda text: None) -> list[Standing]:
         """What is on clusters, of all batches or of one, once what has finished there is recorded: see `sierra.standing`."""

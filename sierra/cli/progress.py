@@ -106,11 +106,11 @@ def text(progress: Progress, seconds: float) -> str:
     if progress.done and seconds > 0:
         rate = progress.done / seconds
         parts.append(f"{rate:.1f}/s")
-        parts.append(f"{_duration((progress.total - done) / rate)} left")
+        parts.append(f"{duration((progress.total - done) / rate)} left")
     return ", ".join(parts)
 
 
-def _duration(seconds: float) -> str:
+def duration(seconds: float) -> str:
     whole = round(seconds)
     hours, rest = divmod(whole, 3600)
     minutes, seconds_left = divmod(rest, 60)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -74,7 +75,7 @@ def run(
       sierra run population_size.Log8 --on slurm --dry-run --explain
     """
     from sierra import settings
-    from sierra.cli import opened, summaries
+    from sierra.cli import opened, proposals, summaries
     from sierra.cli.output import note, print_json
     from sierra.cli.progress import watching
     from sierra.query import setting
@@ -91,8 +92,12 @@ def run(
     told: dict[str, Any] = {}
     if dry_run or explain:
         told = _preview(project, plan, explain=explain, as_json=as_json)
+        proposed = project.proposal(plan, runner)
+        told |= {"proposal": proposed and asdict(proposed)}
+        if proposed and not as_json:
+            proposals.show(proposed, explain=explain, script=dry_run)
         if dry_run:
-            for text in plan.notes:
+            for text in (*plan.notes, *(proposed.notes if proposed else ())):
                 note(text)
             if as_json:
                 print_json(told)
@@ -111,7 +116,7 @@ def run(
             say=note,
             leave=display.leave,
         )
-    more: dict[str, Any] = {name: told[name] for name in ("reasons", "new_because") if name in told}
+    more: dict[str, Any] = {name: told[name] for name in ("reasons", "new_because", "proposal") if name in told}
     summaries.tell(project, summary, more if as_json else None, detached=detach)
 
 

@@ -110,20 +110,32 @@ def find(name: str, tables: Mapping[str, ClusterTable] | None = None) -> Callabl
 
     Raises ConfigError where there is none.
     """
-    table = (tables or {}).get(name)
-    if table is None and name in plugins.names("runner", SHIPPED):
+    found = scheduler_of(name, tables)
+    if found is None:
         return partial(_runner(name), table=ClusterTable())
-    known = plugins.names("scheduler", schedulers.SHIPPED)
-    scheduler = (table and table.scheduler) or name
-    if scheduler not in known:
-        if table is not None:
-            raise ConfigError(f"[runners.{name}] needs a scheduler: {', '.join(known)}")
-        named = dict.fromkeys((*plugins.names("runner", SHIPPED), *known, *(tables or {})))
-        raise ConfigError(f"unknown runner {name!r}; known are {', '.join(named)}")
     from sierra.runners.cluster import Cluster
 
-    made: Callable[[int], Runner] = partial(Cluster, table=table or ClusterTable(), name=name, scheduler=scheduler)
+    scheduler, table = found
+    made: Callable[[int], Runner] = partial(Cluster, table=table, name=name, scheduler=scheduler)
     return made
+
+
+def scheduler_of(name: str, tables: Mapping[str, ClusterTable] | None = None) -> tuple[str, ClusterTable] | None:
+    """The scheduler of the cluster of that name, and what the project says of it; None where the name is another runner's.
+
+    Raises ConfigError where there is none of that name.
+    """
+    table = (tables or {}).get(name)
+    if table is None and name in plugins.names("runner", SHIPPED):
+        return None
+    known = plugins.names("scheduler", schedulers.SHIPPED)
+    scheduler = (table and table.scheduler) or name
+    if scheduler in known:
+        return scheduler, table or ClusterTable()
+    if table is not None:
+        raise ConfigError(f"[runners.{name}] needs a scheduler: {', '.join(known)}")
+    named = dict.fromkeys((*plugins.names("runner", SHIPPED), *known, *(tables or {})))
+    raise ConfigError(f"unknown runner {name!r}; known are {', '.join(named)}")
 
 
 def _runner(name: str) -> Callable[..., Runner]:

@@ -34,7 +34,7 @@ from sierra.provenance import environment, machine
 from sierra.runners import Look, Work, element, schedulers, submission
 from sierra.runners.dealing import deal
 from sierra.runners.packs import Attempt, Ended, Event, Finished, Pack, Started, Trouble
-from sierra.runners.schedulers import Request, State, Task
+from sierra.runners.schedulers import State, Task
 from sierra.runners.sizing import size
 from sierra.runners.submission import Submission
 from sierra.store.segments import disk_errors
@@ -310,9 +310,7 @@ class Cluster:
         number = len(list(self._session.sent.iterdir()))
         intent = submission.intent(indices, why)
         submission.note(self._session, number, intent)
-        root = self._session.root
-        command = (self._table.python, "-I", "-S", str(root / "element.py"), str(root))
-        request = Request(self._name, f"sierra {root.name}", indices, root, self._session.logs, command)
+        request = submission.request(self._session, self._name, indices, self._table.python)
         self._due = time.monotonic() + FIRST_POLL_S
         try:
             job = self._scheduler.submit(request)

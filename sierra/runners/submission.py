@@ -15,7 +15,7 @@ from typing import Any
 
 from sierra.config import ClusterTable
 from sierra.paths import SessionPaths, write_whole
-from sierra.runners.schedulers import Task
+from sierra.runners.schedulers import Request, Task
 from sierra.store.segments import disk_errors
 
 NAMED = 8
@@ -68,6 +68,12 @@ class Submission:
 def name_of(session: SessionPaths) -> str:
     """What the jobs of a session are called."""
     return f"sierra-{session.root.name[:NAMED]}"
+
+
+def request(session: SessionPaths, name: str, elements: tuple[int, ...], python: str) -> Request:
+    """The array job that executes these elements."""
+    command = (python, "-I", "-S", str(session.root / "element.py"), str(session.root))
+    return Request(name, f"sierra {session.root.name}", elements, session.root, session.logs, command)
 
 
 def sent(session: SessionPaths) -> list[Sent]:

@@ -1,0 +1,147 @@
+"""What a batch would ask a cluster for, and why, before anything is submitted or written."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+from sierra.config import ClusterTable
+from sierra.errors import Missing
+from sierra.paths import SessionPaths
+from sierra.runners import schedulers, submission
+from sierra.runners.schedulers import Bounds
+from sierra.runners.sizing import Size, size
+
+FILES = 14
+"""Files of a submission, however many elements it has; see `sierra.paths`."""
+FILES_OF_ELEMENT = 3
+"""Its jobs, its pack, what it prints."""
+SAID = (
+    *("cpus", "memory", "gpus", "partition", "account", "qos", "constraint", "modules", "directives"),
+    *("python", "scratch", "attempts"),
+)
+"""The settings of a cluster that are told of, beside the number of elements and their time."""
+DEFAULTS = {
+    "cpus": "the default: one run at a time",
+    "scratch": "$SLURM_TMPDIR, $TMPDIR or /tmp, whichever a node has",
+    "python": "the default",
+    "attempts": "the default",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """One setting of a cluster, and why it is what it is."""
+
+    name: str
+    value: str | float | None
+    """None is what the site has by default."""
+    why: str
+
+
+@dataclass(frozen=True, slots=True)
+class Proposal:
+    """What would be submitted."""
+
+    runner: str
+    scheduler: str
+    """With its version, where it says that."""
+    runs: int
+    elements: int
+    longest: int
+    """Runs of the largest element."""
+    cpus: int
+    wall_s: float | None
+    """What each element asks for; None is what the site says."""
+    expected_s: float | None
+    """What each is expected to take; None where nobody knows yet."""
+    core_hours: float | None
+    """What all are expected to take together."""
+    most_core_hours: float | None
+    """What they take at most: all that is asked for."""
+    files: int
+    """On the shared file system, about; so `bytes`, which is None where nobody knows yet what runs write."""
+    bytes: int | None
+    settings: tuple[Setting, ...]
+    script: str | None
+    """All of it; None where the scheduler must be asked for it first, and can't be."""
+    notes: tuple[str, ...]
+
+
+def propose(
+    name: str,
+    scheduler: str,
+    table: ClusterTable,
+    work: Path,
+    *,
+    count: int,
+    seconds: float | None,
+    each: float | None,
+    beside: tuple[int, int],
+) -> Proposal:
+    """What `count` runs would ask of a cluster, each of which takes so many seconds and leaves `each` bytes.
+
+    `work` is the folder of sessions; `beside` are files and bytes that are there however the batch is dealt out. Where the
+    scheduler can't be reached, all is told but for what the site allows. Raises ConfigError for what is refused.
+    """
+    notes: list[str] = []
+    version, bounds = _site(scheduler, table, notes)
+    sized = size(count, seconds, table, bounds)
+    asked = table.model_copy(update={"wall": sized.wall_s})
+    files, carried = beside
+    return Proposal(
+        runner=name,
+        scheduler=version or scheduler,
+        runs=count,
+        elements=sized.elements,
+        longest=math.ceil(count / sized.elements),
+        cpus=table.cpus,
+        wall_s=sized.wall_s,
+        expected_s=sized.expected_s,
+        core_hours=_hours(sized, table, sized.expected_s),
+        most_core_hours=_hours(sized, table, sized.wall_s),
+        files=files + FILES + FILES_OF_ELEMENT * sized.elements,
+        bytes=None if each is None else carried + round(count * each),
+        settings=tuple(_settings(sized, table, bounds)),
+        script=_script(scheduler, asked, sized, SessionPaths(work / "SESSION"), notes),
+        notes=tuple(dict.fromkeys(notes)),
+    )
+
+
+def _site(scheduler: str, table: ClusterTable, notes: list[str]) -> tuple[str | None, Bounds]:
+    """The scheduler's version and what the site allows, as far as it answers."""
+    asked = schedulers.find(scheduler)(table)
+    try:
+        return asked.version(), asked.bounds()
+    except Missing as error:
+        notes.append(f"{error}; what the site allows is not known")
+        return None, Bounds()
+
+
+def _hours(sized: Size, table: ClusterTable, seconds: float | None) -> float | None:
+    return None if seconds is None else sized.elements * table.cpus * seconds / 3600
+
+
+def _settings(sized: Size, table: ClusterTable, bounds: Bounds) -> list[Setting]:
+    """All that is asked for, and what the site allows."""
+    values: dict[str, float | None] = {"elements": sized.elements, "wall": sized.wall_s}
+    found = [Setting(name, values.get(name), why) for name, why in sized.why]
+    for name in SAID:
+        value = getattr(table, name)
+        shown = ", ".join(value) or None if isinstance(value, tuple) else value
+        if name in table.model_fields_set:
+            found.append(Setting(name, shown, "as sierra.toml says"))
+        elif name in DEFAULTS:
+            found.append(Setting(name, shown, DEFAULTS[name]))
+    allowed = (("longest array", bounds.array), ("jobs at a time", bounds.jobs), ("longest wall", bounds.wall_s))
+    return [*found, *(Setting(name, value, "the site allows no more") for name, value in allowed if value is not None)]
+
+
+def _script(scheduler: str, table: ClusterTable, sized: Size, session: SessionPaths, notes: list[str]) -> str | None:
+    request = submission.request(session, "sierra-SESSION", tuple(range(sized.elements)), table.python)
+    try:
+        return schedulers.find(scheduler)(table).script(request)
+    except Missing as error:
+        notes.append(f"{error}; so there is no script to show")
+        return None
