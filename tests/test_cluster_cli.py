@@ -16,6 +16,7 @@ from typing import Any
 
 import pytest
 
+from sierra.runners import element
 from tests import projects
 from tests.clusters import Slurm
 from tests.conftest import Simulated
@@ -157,6 +158,24 @@ def test_what_will_never_begin_is_told_in_the_scheduler_s_words(waiting: Waiting
     waiting.slurm.command("scontrol", "requeuehold", job)
     until(lambda: "PENDING" in waiting.slurm.states().values(), "it is held")
     assert "never begins: " in waiting.project.ask("status").stdout
+
+
+@pytest.mark.parametrize(
+    "command", [("run", *QUERY, "--on", "slurm"), ("attach", "{batch}"), ("status",), ("cancel", "{batch}")]
+)
+def test_what_cannot_be_read_now_is_not_thrown_away(waiting: Waiting, command: tuple[str, ...]) -> None:
+    waiting.submit()
+    waiting.open()
+    until(lambda: waiting.alive() == 0, "the jobs end")
+    [folder] = waiting.project.work()
+    later = folder / "results" / "0.a.pack"
+    later.write_bytes(element.line_of({"event": "start", "when": 1}))
+    done = waiting.project.ask(*(word.format(batch=waiting.batch()) for word in command))
+    assert done.returncode == (0 if command == ("status",) else 1)
+    assert "another version of SIERRA" in done.stderr
+    later.unlink()
+    assert waiting.project.ask("run", *QUERY, "--on", "slurm", "--no-figures").returncode == 0
+    assert (waiting.good(), waiting.project.executed().total()) == (6, 6)
 
 
 # interrupted
