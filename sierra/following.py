@@ -102,11 +102,16 @@ class Following:
     def _look(self) -> Look:
         """What has happened; where the runner can't go on, what it had told is recorded first."""
         try:
-            return self._runner.look()
+            look = self._runner.look()
         except SierraError:
-            self._over = True
             self._flush()
             raise
+        if look.wrong is not None:
+            self._over = True
+            self._take(look)
+            self._flush()
+            raise look.wrong
+        return look
 
     def _take(self, look: Look) -> None:
         for result in look.results:

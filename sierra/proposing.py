@@ -31,7 +31,7 @@ def proposal(plan: Plan, store: Store | None, runner: str) -> Proposal | None:
 
     Raises ConfigError.
     """
-    found = runners.scheduled(runner, plan.project.config.runners)
+    found = runners.scheduler_of(runner, plan.project.config.runners)
     count = sum(not state.good for state in states(plan, store).values())
     if found is None or not count:
         return None

@@ -116,7 +116,8 @@ class Simulated:
     def start(self, *words: str, **more: Any) -> subprocess.Popen[str]:
         """`sierra WORDS`, begun."""
         command = [str(Path(sys.executable).with_name("sierra")), *words]
-        return subprocess.Popen(command, cwd=self.folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **more)
+        pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+        return subprocess.Popen(command, cwd=self.folder, text=True, **{**pipes, **more})
 
     def ask(self, *words: str) -> subprocess.CompletedProcess[str]:
         """`sierra WORDS`, to its end; what it says has no traceback in it."""

@@ -12,7 +12,22 @@ import pytest
 
 from tests.projects import CONFIG, SIERRA, make, quick, sierra
 
-COMMANDS = ("init", "run", "replay", "ls", "show", "files", "sql", "stats", "figures", "doctor", "schema")
+COMMANDS = (
+    "init",
+    "run",
+    "status",
+    "attach",
+    "cancel",
+    "replay",
+    "ls",
+    "show",
+    "files",
+    "sql",
+    "stats",
+    "figures",
+    "doctor",
+    "schema",
+)
 RICH = """
 [controllers.fast]
 changes = [{ set = "//swarm/@controller", value = "fast" }]

@@ -15,10 +15,6 @@ from sierra.runners.conformance import Trial
 from sierra.runners.schedulers import Request, State, Task
 from sierra.runners.schedulers.slurm import Slurm
 from tests import clusters
-<<<<<<< HEAD
-from tests.users import a_user, called_as
-=======
->>>>>>> h/pbs
 
 pytestmark = pytest.mark.real
 
@@ -29,22 +25,6 @@ def test_it_conforms(name: str, slurm: clusters.Slurm, tmp_path: Path) -> None:
     conformance.check(schedulers.find(name)(ClusterTable()), tmp_path)
 
 
-<<<<<<< HEAD
-@pytest.mark.slow
-def test_it_conforms_without_rights(slurm: clusters.Slurm, require: Callable[..., str]) -> None:
-    require("useradd")
-    with a_user(f"sierra-test-{os.getpid()}", ids=False) as user:
-
-        def check() -> None:
-            os.environ.update(slurm.environment)
-            (user.home / "trials").mkdir()
-            conformance.check(Slurm(ClusterTable()), user.home / "trials")
-
-        called_as(user, check)
-
-
-=======
->>>>>>> h/pbs
 class Splitting(Slurm):
     """A scheduler that takes a command for a line of a shell."""
 

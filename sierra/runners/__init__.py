@@ -15,7 +15,7 @@ from typing import Any, Protocol
 
 from sierra import plugins
 from sierra.config import ClusterTable
-from sierra.errors import ConfigError
+from sierra.errors import ConfigError, SierraError
 from sierra.model import Job, Needed, Result
 from sierra.paths import SessionPaths
 from sierra.provenance.program import Kind, Programs
@@ -58,6 +58,8 @@ class Look:
     """Elements that wait for a node."""
     copies: tuple[Result, ...] = ()
     """Runs that were executed once more than was asked; without a directory."""
+    wrong: SierraError | None = None
+    """Why nothing more will come although runs are missing; it is raised then. Asking again would end the same way."""
 
 
 class Runner(Protocol):
@@ -91,7 +93,7 @@ class Runner(Protocol):
         A result's directory is its reader's from then on, to be removed. What was lost (a node, a job that nobody knows) is
         started again in here, a bounded number of times; then its runs have failed.
 
-        Raises Missing where the runner itself cannot go on (a full disk, no worker); asking again goes on then.
+        Raises SierraError where the runner itself cannot go on (a full disk, no worker); asking again goes on then.
         """
         ...
 
@@ -110,7 +112,7 @@ def find(name: str, tables: Mapping[str, ClusterTable] | None = None) -> Callabl
 
     Raises ConfigError where there is none.
     """
-    found = scheduled(name, tables)
+    found = scheduler_of(name, tables)
     if found is None:
         return partial(_runner(name), table=ClusterTable())
     from sierra.runners.cluster import Cluster
@@ -120,7 +122,7 @@ def find(name: str, tables: Mapping[str, ClusterTable] | None = None) -> Callabl
     return made
 
 
-def scheduled(name: str, tables: Mapping[str, ClusterTable] | None = None) -> tuple[str, ClusterTable] | None:
+def scheduler_of(name: str, tables: Mapping[str, ClusterTable] | None = None) -> tuple[str, ClusterTable] | None:
     """The scheduler of the cluster of that name, and what the project says of it; None where the name is another runner's.
 
     Raises ConfigError where there is none of that name.

@@ -187,11 +187,11 @@ class Cluster:
         notes, self._notes = tuple(self._notes), []
         alive = not self._over or bool(results)
         if not alive:
-            if self._wrong is not None:
-                raise self._wrong
             rows += [("attempts", self._row(track, track.attempt)) for track in self._tracks.values() if track.attempt]
         running = sum(len(track.begun) for track in self._tracks.values() if self._lives(track))
-        return Look(tuple(results), running, alive, tuple(rows), notes, len(self._queued), tuple(copies))
+        return Look(
+            tuple(results), running, alive, tuple(rows), notes, len(self._queued), tuple(copies), None if alive else self._wrong
+        )
 
     def _go_on(self, came: bool) -> None:
         """Find out what lives, where it is time to, and do what follows from that."""
