@@ -15,6 +15,7 @@ from sierra.runners.conformance import Trial
 from sierra.runners.schedulers import Request, State, Task
 from sierra.runners.schedulers.slurm import Slurm
 from tests import clusters
+from tests.users import a_user, called_as
 
 pytestmark = pytest.mark.real
 
@@ -23,6 +24,19 @@ pytestmark = pytest.mark.real
 @pytest.mark.parametrize("name", ["slurm", "pbs"])
 def test_it_conforms(name: str, slurm: clusters.Slurm, tmp_path: Path) -> None:
     conformance.check(schedulers.find(name)(ClusterTable()), tmp_path)
+
+
+@pytest.mark.slow
+def test_it_conforms_without_rights(slurm: clusters.Slurm, require: Callable[..., str]) -> None:
+    require("useradd")
+    with a_user(f"sierra-test-{os.getpid()}", ids=False) as user:
+
+        def check() -> None:
+            os.environ.update(slurm.environment)
+            (user.home / "trials").mkdir()
+            conformance.check(Slurm(ClusterTable()), user.home / "trials")
+
+        called_as(user, check)
 
 
 class Splitting(Slurm):
