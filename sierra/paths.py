@@ -2,7 +2,7 @@
 
 $XDG_CONFIG_HOME/sierra/config.toml a user's own defaults
 $XDG_CACHE_HOME/sierra/             what can be found out again: digests.json, versions.json, images.json,
-                                    engines.json, apptainer/
+                                    engines.json, clusters.json, apptainer/
 $XDG_STATE_HOME/sierra/             reports of faults; what was asked at the SQL prompt
 PROJECT/sierra.toml
 PROJECT/sierra.lock                 what the names of images stand for; committed with the project
@@ -15,7 +15,8 @@ PROJECT/.sierra/work/<session>/     what executes now; gone once it is recorded
     <number>/                       one run: input files, stdout, stderr, home/ tmp/ output/
     source/                         the code, where it is not executed from the project itself
     asking.json  submission.json  worker.py  element.py  machine.py  element.json  cancelled
-    elements/<index>.jobs  elements/<index>.failed  results/<index>.<attempt>.pack  logs/  sent/<number>.json
+    elements/<index>.jobs  elements/<index>.failed  results/<index>.<attempt>.pack
+    results/probe.<attempt>.pack  logs/  sent/<number>.json
                                     on a cluster: what was submitted, and what came of it; see sierra.runners.element
 PROJECT/.sierra/images/<id>/        what is in an image, and its files as apptainer runs them; made again from the image
     image.json  files.jsonl  rootfs.sqfs  rootfs.<user>/
@@ -263,6 +264,11 @@ def user_images() -> Path:
 def user_engines() -> Path:
     """The file of what engines can do here; it need not be there."""
     return _user("XDG_CACHE_HOME", ".cache") / "engines.json"
+
+
+def user_clusters() -> Path:
+    """The file of clusters whose nodes were found to be fine; it need not be there."""
+    return _user("XDG_CACHE_HOME", ".cache") / "clusters.json"
 
 
 def user_apptainer() -> Path:

@@ -312,14 +312,26 @@ def test_a_run_that_outlives_its_element_every_time_has_failed(gated: Gated) -> 
 
 
 def test_jobs_that_end_well_without_having_done_anything_are_not_believed(gated: Gated) -> None:
+    lazy = gated.root.with_name("lazy")
+    lazy.write_text('#!/bin/sh\ncase "$*" in *--probe*) exec python3 "$@" ;; esac\n')
+    lazy.chmod(0o755)
     config = gated.root / "sierra.toml"
-    config.write_text(config.read_text() + 'python = "true"\nattempts = 2\n')
+    config.write_text(config.read_text() + f'python = "{lazy}"\nattempts = 2\n')
     told = ended(gated.ask(), 3)
-    assert "was executed 2 times and ended before any run had" in told
-    config.write_text(config.read_text().replace('python = "true"\n', ""))
+    assert "was executed 2 times and ended before any run had: COMPLETED" in told
+    config.write_text(config.read_text().replace(f'python = "{lazy}"\n', ""))
     gated.open()
     ended(gated.ask())
     is_whole(gated.project)
+
+
+def test_a_probe_that_says_nothing_ends_all_before_anything_begins(gated: Gated) -> None:
+    config = gated.root / "sierra.toml"
+    config.write_text(config.read_text() + 'python = "true"\n')
+    told = ended(gated.ask(), 3)
+    assert "nodes can't execute this, and say nothing (COMPLETED)" in told
+    assert gated.begun() == []
+    at_rest(gated.slurm, gated.project)
 
 
 @pytest.mark.parametrize(

@@ -34,6 +34,7 @@ from sierra.provenance import environment, machine
 from sierra.runners import Look, Work, element, schedulers, submission
 from sierra.runners.dealing import deal
 from sierra.runners.packs import Attempt, Ended, Event, Finished, Pack, Started, Trouble
+from sierra.runners.probe import Probe
 from sierra.runners.schedulers import State, Task
 from sierra.runners.sizing import size
 from sierra.runners.submission import Submission
@@ -50,6 +51,8 @@ QUIET_S = 3.0
 """How long an element that the scheduler does not know must have recorded nothing, before it is taken for gone."""
 LATE_S = 60.0
 """How long a network file system may take to show what was written."""
+UNHEARD = 3
+"""How many times in a row the scheduler must not know a probe that has recorded nothing, before it is taken for failed."""
 FULL_S = 30.0
 """Until a scheduler that takes no more jobs is tried again."""
 STOPPING_S = 60.0
@@ -126,13 +129,18 @@ class Cluster:
             for module in (worker, element, machine):
                 shutil.copyfile(str(module.__file__), session.root / Path(str(module.__file__)).name)
             write_whole(session.element_settings, json.dumps(self._settings(work, session)).encode())
-        made = Submission(
-            self.name, self._kind, version, self._table.model_dump(mode="json"), work.batch, counts, dict(work.around)
-        )
+        probed = Probe(self.name, self._table, session).is_needed()
+        table = self._table.model_dump(mode="json")
+        made = Submission(self.name, self._kind, version, table, work.batch, counts, dict(work.around), probed)
         made.save(session)
-        self._begin(made, session, frozenset())
         self._scheduler = schedulers.find(self._kind)(self._table)
-        self._hand_over(tuple(range(len(counts))), "")
+        self._begin(made, session, frozenset())
+        job = self._scheduler.submit(self._probe.request()) if probed else ""
+        try:
+            self._hand_over(tuple(range(len(counts))), "", after=job)
+        except SierraError:
+            self._cancel()
+            raise
 
     def _settings(self, work: Work, session: SessionPaths) -> dict[str, Any]:
         return {
@@ -154,13 +162,16 @@ class Cluster:
     def _begin(self, made: Submission, session: SessionPaths, recorded: AbstractSet[str]) -> None:
         self._made, self._session = made, session
         self._name = submission.name_of(session)
+        self._probe = Probe(self.name, self._table, session)
+        self._probing = made.probed
+        self._unheard = 0
         self._shares = [Share(count, tries=1) for count in made.counts]
         self._tracks: dict[str, Track] = {}
         self._ended: set[bytes] = set()
         self._recorded = {bytes.fromhex(execution) for execution in recorded}
         self._temporary = tempfile.TemporaryDirectory(prefix="sierra-")
         self._number = 0
-        self._poll = Poll(self._scheduler, self._name)
+        self._poll = Poll(self._scheduler)
         self._due = time.monotonic() + FIRST_POLL_S
         self._pause = FIRST_POLL_S
         self._read_at = 0.0
@@ -203,12 +214,17 @@ class Cluster:
             return
         if came:
             self._pause = FIRST_POLL_S
-        if now >= self._due and self._poll.ask():
+        if self._probing:
+            self._probing = not self._is_fine()
+        if now >= self._due and self._poll.ask(self._probe.name if self._probing and self._stopping is None else self._name):
             self._due = float("inf")
         if (answer := self._poll.answer()) is not None:
             self._pause = min(self._pause * 1.5, LAST_POLL_S)
             self._due = now + self._pause
-            self._hear(answer.tasks)
+            if answer.name == self._name:
+                self._hear(answer.tasks)
+            else:
+                self._hear_of_probe(answer.tasks)
         if self._stopping is not None and now - self._stopping > STOPPING_S:
             self._note(f"{self._name}: {self._kind} does not say that it has ended; it was asked to")
             self._over = True
@@ -241,6 +257,31 @@ class Cluster:
         if any(self._shares[index].gone > 1 for index in gone):
             refresh(self._session.results)
             self._lost([index for index in gone if self._is_quiet(self._shares[index])])
+
+    def _is_fine(self) -> bool:
+        """Whether the probe, or an element that has begun since, says that nodes can execute elements."""
+        try:
+            return bool(self._tracks) or self._probe.is_fine()
+        except Missing as error:
+            self._end(error)
+            return True
+
+    def _hear_of_probe(self, tasks: tuple[Task, ...] | None) -> None:
+        """What the scheduler says of the probe, as long as it has said nothing itself."""
+        if tasks is None:
+            self._hear(None)
+        if tasks is None or self._stopping is not None or not self._probing:
+            return
+        self._unstick([task for task in tasks if task.state is State.STUCK])
+        living = [task for task in tasks if task.state in (State.QUEUED, State.RUNNING)]
+        self._queued = {0} if any(task.state is State.QUEUED for task in living) else set()
+        self._unheard = 0 if living else self._unheard + 1
+        self._due = min(self._due, time.monotonic() + FIRST_POLL_S)
+        if self._unheard > 1:
+            refresh(self._session.results)
+            self._probing = not self._is_fine()
+            if self._probing and self._unheard > UNHEARD:
+                self._end(self._probe.gone(next((task.reason for task in tasks if task.reason), "")))
 
     def _is_quiet(self, share: Share) -> bool:
         return share.gone > 1 and time.monotonic() - share.grew > QUIET_S
@@ -275,7 +316,7 @@ class Cluster:
         for index in indices:
             share = self._shares[index]
             self._given_up_before(index)
-            word = share.word or self._last_line(index) or "nobody says by what"
+            word = share.word or submission.last_line(self._session, str(index)) or "nobody says by what"
             self._give_up_on(index, [one for one, times in share.begun.items() if times >= self._table.attempts], word)
             if not share.missing:
                 continue
@@ -305,28 +346,28 @@ class Cluster:
         except SierraError as error:
             self._end(error)
 
-    def _hand_over(self, indices: tuple[int, ...], why: str) -> None:
+    def _hand_over(self, indices: tuple[int, ...], why: str, after: str = "") -> None:
         """Submit elements; those that are too many now are submitted later. Raises what the scheduler refuses."""
         number = len(list(self._session.sent.iterdir()))
         intent = submission.intent(indices, why)
         submission.note(self._session, number, intent)
-        request = submission.request(self._session, self._name, indices, self._table.python)
+        request = replace(submission.request(self._session, self._name, indices, self._table.python), after=after)
         self._due = time.monotonic() + FIRST_POLL_S
         try:
             job = self._scheduler.submit(request)
         except Full as error:
-            self._put_off(number, indices, why, error)
+            self._put_off(number, indices, why, error, after)
         except Missing as error:
             self._note(f"{error}; whether it has taken the job will be seen")
         else:
             submission.note(self._session, number, replace(intent, job=job))
 
-    def _put_off(self, number: int, indices: tuple[int, ...], why: str, error: Full) -> None:
+    def _put_off(self, number: int, indices: tuple[int, ...], why: str, error: Full, after: str) -> None:
         """Try half of them, and the others later; or all later."""
         (self._session.sent / f"{number}.json").unlink()
         half = len(indices) // 2
         if half:
-            self._hand_over(indices[:half], why)
+            self._hand_over(indices[:half], why, after)
         else:
             self._note(f"{error}; tried again every {FULL_S:g} s")
         for index in indices[half:]:
@@ -344,6 +385,8 @@ class Cluster:
         """Have jobs, or elements, ended; where nobody can be asked to, that is tried again with the next question."""
         self._deaf = False
         try:
+            if self._probing and elements is None:
+                self._scheduler.cancel(self._probe.name)
             self._scheduler.cancel(self._name, elements)
         except Missing as error:
             self._deaf = True
@@ -358,15 +401,6 @@ class Cluster:
         if text not in self._said:
             self._said.add(text)
             self._notes.append(text)
-
-    def _last_line(self, index: int) -> str:
-        """The last that the element's newest log says."""
-        logs = sorted(self._session.logs.glob(f"*[._]{index}.out"), key=lambda file: file.stat().st_mtime)
-        for log in reversed(logs):
-            said = log.read_bytes()[-4096:].decode("utf-8", "replace").strip().splitlines()
-            if said:
-                return said[-1]
-        return ""
 
     # ------------------------------------------------------------ reading
 
@@ -528,35 +562,36 @@ class Cluster:
 class Answer:
     """What a scheduler has answered."""
 
-    def __init__(self, tasks: tuple[Task, ...] | None) -> None:
+    def __init__(self, name: str, tasks: tuple[Task, ...] | None) -> None:
+        self.name = name
         self.tasks = tasks
 
 
 class Poll:
     """Questions to a scheduler, one at a time, in another thread: one that is out of reach takes its time to say so."""
 
-    def __init__(self, scheduler: schedulers.Scheduler, name: str) -> None:
-        self._scheduler, self._name = scheduler, name
+    def __init__(self, scheduler: schedulers.Scheduler) -> None:
+        self._scheduler = scheduler
         self._thread: threading.Thread | None = None
         self._answers: list[Answer] = []
 
-    def ask(self) -> bool:
-        """Ask, where no question is open."""
+    def ask(self, name: str) -> bool:
+        """Ask for the jobs of a name, where no question is open."""
         if self._thread is not None and self._thread.is_alive():
             return False
-        self._thread = threading.Thread(target=self._look, daemon=True)
+        self._thread = threading.Thread(target=self._look, args=(name,), daemon=True)
         self._thread.start()
         return True
 
     def answer(self) -> Answer | None:
         return self._answers.pop() if self._answers else None
 
-    def _look(self) -> None:
+    def _look(self, name: str) -> None:
         try:
-            tasks = self._scheduler.look(self._name)
+            tasks = self._scheduler.look(name)
         except (SierraError, OSError):
             tasks = None
-        self._answers.append(Answer(tasks))
+        self._answers.append(Answer(name, tasks))
 
 
 def jobs_of(session: SessionPaths, index: int) -> Iterator[tuple[str, str]]:

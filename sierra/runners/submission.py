@@ -48,6 +48,8 @@ class Submission:
     """The runs of each element."""
     around: Mapping[str, Any]
     """The row of `environments` of the submitting process."""
+    probed: bool = False
+    """Whether a probe goes before all elements."""
 
     @property
     def cluster(self) -> ClusterTable:
@@ -70,10 +72,20 @@ def name_of(session: SessionPaths) -> str:
     return f"sierra-{session.root.name[:NAMED]}"
 
 
-def request(session: SessionPaths, name: str, elements: tuple[int, ...], python: str) -> Request:
+def request(session: SessionPaths, name: str, elements: tuple[int, ...], python: str, *options: str) -> Request:
     """The array job that executes these elements."""
-    command = (python, "-I", "-S", str(session.root / "element.py"), str(session.root))
+    command = (python, "-I", "-S", str(session.root / "element.py"), str(session.root), *options)
     return Request(name, f"sierra {session.root.name}", elements, session.root, session.logs, command)
+
+
+def last_line(session: SessionPaths, index: str) -> str:
+    """The last that the newest log of an element says; empty where none says anything."""
+    logs = sorted(session.logs.glob(f"*[._]{index}.out"), key=lambda file: file.stat().st_mtime)
+    for log in reversed(logs):
+        said = log.read_bytes()[-4096:].decode("utf-8", "replace").strip().splitlines()
+        if said:
+            return said[-1]
+    return ""
 
 
 def sent(session: SessionPaths) -> list[Sent]:
