@@ -137,6 +137,8 @@ class Following:
             elif self._submitted and not self._over:
                 self._session.leave()
             raise
+        finally:
+            self._runner.close()
 
     def _give_up(self) -> None:
         self._session.recorded = False

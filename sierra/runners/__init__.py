@@ -101,6 +101,10 @@ class Runner(Protocol):
         """Start nothing more and end what runs; `look` tells the end of those too. May be called again."""
         ...
 
+    def close(self) -> None:
+        """Give back what this process holds, once all results are recorded; what lives on, lives on. May be called again."""
+        ...
+
 
 def needed(programs: Programs) -> tuple[Needed, ...]:
     """The files among what runs depend on. Of what a Python has installed, the files are too many to be asked for."""

@@ -77,8 +77,10 @@ class Share:
     grew: float = 0.0
     begun: dict[str, int] = field(default_factory=dict)
     """Executions that have not ended, and how many times they were begun."""
+    trouble: str = ""
+    """Why the last attempt could not go on, as it said."""
     word: str = ""
-    """The last that was said of why it ended: by itself, or by the scheduler."""
+    """How it ended, as the scheduler says."""
     node: str = ""
 
     @property
@@ -115,6 +117,8 @@ class Cluster:
         self._kind = scheduler
         self._table = table
         self._scheduler = schedulers.find(scheduler)(table)
+        self._folder = Path(tempfile.gettempdir(), "none")
+        """Of this host, for the files of runs, until they are recorded."""
 
     # ------------------------------------------------------------ beginning
 
@@ -169,7 +173,10 @@ class Cluster:
         self._tracks: dict[str, Track] = {}
         self._ended: set[bytes] = set()
         self._recorded = {bytes.fromhex(execution) for execution in recorded}
-        self._temporary = tempfile.TemporaryDirectory(prefix="sierra-")
+        prefix = f"sierra-taken-{session.root.name}-"
+        for left in Path(tempfile.gettempdir()).glob(f"{prefix}*"):  # by one who followed before, and was killed
+            worker.remove(str(left))
+        self._folder = Path(tempfile.mkdtemp(prefix=prefix))
         self._number = 0
         self._poll = Poll(self._scheduler)
         self._due = time.monotonic() + FIRST_POLL_S
@@ -185,6 +192,9 @@ class Cluster:
         self._stopping: float | None = None
         self._over = self._deaf = False
         self._wrong: SierraError | None = None
+
+    def close(self) -> None:
+        worker.remove(str(self._folder))
 
     # ------------------------------------------------------------ looking
 
@@ -316,7 +326,7 @@ class Cluster:
         for index in indices:
             share = self._shares[index]
             self._given_up_before(index)
-            word = share.word or submission.last_line(self._session, str(index)) or "nobody says by what"
+            word = self._why(index)
             self._give_up_on(index, [one for one, times in share.begun.items() if times >= self._table.attempts], word)
             if not share.missing:
                 continue
@@ -332,6 +342,12 @@ class Cluster:
             if share.missing:
                 self._again[index] = word
 
+    def _why(self, index: int) -> str:
+        """Why an element is gone: by its own words, and the scheduler's."""
+        share = self._shares[index]
+        told = share.trouble or submission.last_line(self._session, str(index))
+        return f"{told} ({share.word})" if told and share.word else told or share.word or "nobody says by what"
+
     def _submit_again(self) -> None:
         words = list(dict.fromkeys(self._again.values()))
         count = len(self._again)
@@ -341,6 +357,7 @@ class Cluster:
         for index in indices:
             share = self._shares[index]
             share.tries, share.progress, share.gone = share.tries + 1, share.done, 0
+            share.trouble = share.word = ""
         try:
             self._hand_over(indices, why)
         except SierraError as error:
@@ -424,7 +441,7 @@ class Cluster:
                     case Ended():
                         self._take(track, event, results, copies)
                     case Trouble():
-                        track.trouble = self._shares[track.element].word = event.reason
+                        track.trouble = self._shares[track.element].trouble = event.reason
                     case Finished():
                         track.finished, track.ended = True, event.time
                 if len(results) >= AT_ONCE:
@@ -462,7 +479,7 @@ class Cluster:
         if key not in self._ended and key not in self._recorded:
             self._number += 1
             try:
-                result = track.pack.extract(event, Path(self._temporary.name, str(self._number)))
+                result = track.pack.extract(event, self._folder / str(self._number))
             except Damaged:
                 track.late.append((time.monotonic(), event))
                 return
@@ -551,7 +568,7 @@ class Cluster:
             if execution in wanted:
                 times = max(share.begun.pop(execution), share.tries)
                 reason = f"its element was cut off {times} times while it ran: {word}"
-                self._failed.append(failed(run, execution, share.node, now, reason, self._temporary.name))
+                self._failed.append(failed(run, execution, share.node, now, reason, self._folder))
                 self._ended.add(bytes.fromhex(execution))
                 share.done += 1
         with disk_errors(self._session.root), self._session.given_up(index).open("a") as file:
@@ -603,9 +620,9 @@ def jobs_of(session: SessionPaths, index: int) -> Iterator[tuple[str, str]]:
                 yield job["execution"], job["run"]
 
 
-def failed(run: str, execution: str, node: str, now: float, reason: str, folder: str) -> Result:
+def failed(run: str, execution: str, node: str, now: float, reason: str, folder: Path) -> Result:
     """The result of a run that nobody has a result of."""
-    return Result(run, execution, f"{folder}/none", now, now, None, None, None, None, None, None, node, 0, (), reason)
+    return Result(run, execution, str(folder / "none"), now, now, None, None, None, None, None, None, node, 0, (), reason)
 
 
 def refresh(folder: Path) -> None:

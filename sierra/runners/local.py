@@ -90,6 +90,9 @@ class Local:
         if self._process is not None and self._process.poll() is None:
             self._process.terminate()
 
+    def close(self) -> None:
+        pass
+
     def _check(self, process: subprocess.Popen[bytes]) -> None:
         """Raise what went wrong, once the worker has ended and all that it recorded has been read."""
         ending = _ending(process)
