@@ -17,6 +17,7 @@ import shutil
 import tempfile
 import threading
 import time
+import weakref
 from collections.abc import Iterable, Iterator, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field, replace
@@ -169,7 +170,8 @@ class Cluster:
         self._tracks: dict[str, Track] = {}
         self._ended: set[bytes] = set()
         self._recorded = {bytes.fromhex(execution) for execution in recorded}
-        self._temporary = tempfile.TemporaryDirectory(prefix="sierra-")
+        self._unpacked = Path(tempfile.mkdtemp(prefix="sierra-"))
+        weakref.finalize(self, shutil.rmtree, self._unpacked, ignore_errors=True)
         self._number = 0
         self._poll = Poll(self._scheduler)
         self._due = time.monotonic() + FIRST_POLL_S
@@ -462,7 +464,7 @@ class Cluster:
         if key not in self._ended and key not in self._recorded:
             self._number += 1
             try:
-                result = track.pack.extract(event, Path(self._temporary.name, str(self._number)))
+                result = track.pack.extract(event, self._unpacked / str(self._number))
             except Damaged:
                 track.late.append((time.monotonic(), event))
                 return
@@ -551,7 +553,7 @@ class Cluster:
             if execution in wanted:
                 times = max(share.begun.pop(execution), share.tries)
                 reason = f"its element was cut off {times} times while it ran: {word}"
-                self._failed.append(failed(run, execution, share.node, now, reason, self._temporary.name))
+                self._failed.append(failed(run, execution, share.node, now, reason, str(self._unpacked)))
                 self._ended.add(bytes.fromhex(execution))
                 share.done += 1
         with disk_errors(self._session.root), self._session.given_up(index).open("a") as file:
