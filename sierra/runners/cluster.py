@@ -612,11 +612,12 @@ class Poll:
 
 
 def jobs_of(session: SessionPaths, index: int) -> Iterator[tuple[str, str]]:
-    """Execution and run of each job of an element."""
+    """Execution and run of each job of an element; see `sierra.runners.element.jobs` for the format."""
     with gzip.open(session.jobs(index), "rt", encoding="utf-8") as lines:
+        common = json.loads(next(lines))["common"]
         for line in lines:
-            job = json.loads(line)
-            if "common" not in job:
+            job = {**common, **json.loads(line)}
+            if "end" not in job:
                 yield job["execution"], job["run"]
 
 
