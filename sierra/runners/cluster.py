@@ -27,7 +27,6 @@ from typing import Any
 from sierra import worker
 from sierra.config import ClusterTable
 from sierra.errors import Damaged, Full, Missing, SierraError
-from sierra.hashing import short
 from sierra.model import Result
 from sierra.paths import SessionPaths, write_whole
 from sierra.provenance import environment, machine
@@ -346,7 +345,9 @@ class Cluster:
         """Why an element is gone: by its own words, and the scheduler's."""
         share = self._shares[index]
         told = share.trouble or submission.last_line(self._session, str(index))
-        return f"{told} ({share.word})" if told and share.word else told or share.word or "nobody says by what"
+        if not told or (share.word and share.word in told):
+            return share.trouble or share.word or "nobody says by what"
+        return f"{told} ({share.word})" if share.word else told
 
     def _submit_again(self) -> None:
         words = list(dict.fromkeys(self._again.values()))
@@ -564,6 +565,7 @@ class Cluster:
         if not executions:
             return
         share, wanted, now = self._shares[index], set(executions), time.time()
+        times = 0
         for execution, run in jobs_of(self._session, index):
             if execution in wanted:
                 times = max(share.begun.pop(execution), share.tries)
@@ -573,7 +575,8 @@ class Cluster:
                 share.done += 1
         with disk_errors(self._session.root), self._session.given_up(index).open("a") as file:
             file.writelines(f"{execution}\n" for execution in executions)
-        self._note(f"{len(wanted)} of {share.count} runs of element {index} have failed: {word} ({short(executions[0])})")
+        which = "a run" if len(wanted) == 1 else f"{len(wanted)} runs"
+        self._note(f"{which} of element {index} failed, cut off {times} times: {word}")
 
 
 class Answer:
