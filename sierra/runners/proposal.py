@@ -29,6 +29,10 @@ DEFAULTS = {
     "attempts": "the default",
 }
 
+FIRST = (
+    "where nodes were not tried out within a day, the elements wait (a dependency in the script) for one small task that does"
+)
+
 
 @dataclass(frozen=True, slots=True)
 class Setting:
@@ -85,7 +89,7 @@ def propose(
     `work` is the folder of sessions; `beside` are files and bytes that are there however the batch is dealt out. Where the
     scheduler can't be reached, all is told but for what the site allows. Raises ConfigError for what is refused.
     """
-    notes: list[str] = []
+    notes = [FIRST]
     version, bounds = _site(scheduler, table, notes)
     sized = size(count, seconds, table, bounds)
     asked = table.model_copy(update={"wall": sized.wall_s})
