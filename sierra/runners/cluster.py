@@ -354,7 +354,7 @@ class Cluster:
         count = len(self._again)
         indices, why = tuple(sorted(self._again)), few(words, 2)
         self._again = {}
-        self._note(f"{count} {'element has' if count == 1 else 'elements have'} been submitted again: {why}")
+        self._note(f"{count} {'element is' if count == 1 else 'elements are'} submitted again: {why}")
         for index in indices:
             share = self._shares[index]
             share.tries, share.progress, share.gone = share.tries + 1, share.done, 0
@@ -381,11 +381,13 @@ class Cluster:
             submission.note(self._session, number, replace(intent, job=job))
 
     def _put_off(self, number: int, indices: tuple[int, ...], why: str, error: Full, after: str) -> None:
-        """Try half of them, and the others later; or all later."""
+        """Try half of them, and the others later; or all later. Raises where the site takes not even one, and has none yet."""
         (self._session.sent / f"{number}.json").unlink()
         half = len(indices) // 2
         if half:
             self._hand_over(indices[:half], why, after)
+        elif not any(submission.jobs(self._session)):
+            raise error
         else:
             self._note(f"{error}; tried again every {FULL_S:g} s")
         for index in indices[half:]:
