@@ -138,6 +138,7 @@ def _cancel(store: Store, row: Standing, say: Say) -> Cancelled:
     if session is None and paths.submission.exists():
         session, ending = _asked_to_end(store, paths)
     if session is not None:
+        paths.cancelled.touch()  # whatever cannot be read of it then, its jobs end
         attach(store, session, replace(DEAF, say=say), lambda: False, detach=True)
     done, failed = counted(store, [row.session])[row.session]
     return Cancelled(row.session, row.batch, done, failed, row.runs - done, ending)

@@ -144,7 +144,7 @@ class Project:
             fail_fast,
             watch=watch or (lambda progress: None),
             say=say or (lambda text: None),
-            leave=leave or (lambda: True),
+            leave=leave if leave and not detach else lambda: True,
             detach=detach,
         )
         store = Store.create(self.paths.store)

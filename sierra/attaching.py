@@ -9,6 +9,7 @@ from sierra import asked, runners
 from sierra.following import Ears, Following, noted
 from sierra.model import Status
 from sierra.record import Context, Recorder, find_odd
+from sierra.runners import Runner
 from sierra.runners.submission import Submission
 from sierra.sessions import Session
 from sierra.store import Store
@@ -40,8 +41,7 @@ def attach(store: Store, session: Session, ears: Ears, leave: Callable[[], bool]
         ears.took(run, status)
 
     try:
-        context, made = Context.load(session.paths.context), Submission.load(session.paths)
-        runner = runners.find(made.runner, {made.runner: made.cluster})(1)
+        context, runner = _submitted(session)
         recorder = Recorder(store, session.paths, context)
         with noted(detach) as signals:
             following = Following(runner, recorder, store, session, replace(ears, took=took), leave=leave)
@@ -54,3 +54,13 @@ def attach(store: Store, session: Session, ears: Ears, leave: Callable[[], bool]
         return Attached(context.batch, len(done), failed, following.left, bool(signals) and not detach, notes)
     finally:
         session.close()
+
+
+def _submitted(session: Session) -> tuple[Context, Runner]:
+    """What was submitted, and its runner. Where that can't be had here and now, the session is left as it is."""
+    try:
+        context, made = Context.load(session.paths.context), Submission.load(session.paths)
+        return context, runners.find(made.runner, {made.runner: made.cluster})(1)
+    except BaseException:
+        session.leave()
+        raise

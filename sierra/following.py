@@ -69,8 +69,8 @@ class Following:
         """The same with what another process has submitted."""
         self._submitted = True
         with self._giving_up():
-            rows = self._store.rows("SELECT execution FROM executions WHERE session = $s", s=self._session.id)
-            self._runner.resume(self._session.paths, {row["execution"] for row in rows})
+            rows = self._store.rows("SELECT execution, attempt FROM executions WHERE session = $s", s=self._session.id)
+            self._runner.resume(self._session.paths, {row["execution"]: row["attempt"] for row in rows})
             self._follow(signals, enough)
 
     def _follow(self, signals: Sequence[int], enough: Callable[[], bool]) -> None:

@@ -14,6 +14,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import shutil
 import signal
 import stat
 import time
@@ -274,13 +275,15 @@ class Recorder:
         return [(one.result.run, one.status, one.reason or "") for one in judged if one.status is not Status.OK]
 
     def _compared(self) -> Iterator[dict[str, Any]]:
-        """The copies, each compared with what is recorded of its execution."""
+        """The copies that are not recorded yet, each compared with what is recorded of its execution."""
         if not self._copies:
             return
         recorded = {one.result.execution: result_hash(one.result.outputs) for one in self._pending}
         rows = self._store.rows("SELECT execution, result FROM executions WHERE session = $s", s=self._context.session)
         recorded |= {row["execution"]: row["result"] for row in rows}
-        for copy in self._copies:
+        told = self._store.rows(COPIES, s=self._context.session)
+        known = {(row["execution"], row["attempt"]) for row in told}
+        for copy in (one for one in self._copies if (one.execution, one.attempt) not in known):
             result = result_hash(copy.outputs)
             same = recorded.get(copy.execution) == result
             self._copied, self._unlike = self._copied + 1, self._unlike + (not same)
@@ -291,7 +294,7 @@ class Recorder:
         if self._folder is not None:
             self._folder.mkdir(parents=True, exist_ok=True)
             with contextlib.suppress(FileNotFoundError):
-                folder.rename(self._folder / short(result.run))
+                shutil.move(folder, self._folder / short(result.run))
         discard(folder)
 
     def notes(self) -> list[str]:
@@ -724,6 +727,7 @@ SELECT a.output, a.form, count(DISTINCT a.execution) AS executions
 FROM artifacts a WHERE a.kind = 'table' AND a.execution IN (SELECT execution FROM good)
 GROUP BY ALL ORDER BY ALL
 """
+COPIES = "SELECT c.execution, c.attempt FROM copies c JOIN executions e USING (execution) WHERE e.session = $s"
 ANY_TABLE = "SELECT 1 FROM artifacts WHERE kind = 'table' LIMIT 1"
 PLACES = "SELECT run, min(ordinal) AS ordinal FROM members WHERE batch = $batch GROUP BY run"
 SIBLINGS = """

@@ -306,7 +306,7 @@ def _execute(
             leave=lambda: False,
         )
         following.execute(work, signals)
-    return bad(), bool(signals)
+    return bad(), bool(signals) or session.paths.cancelled.exists()
 
 
 def _leave(session: SessionPaths, kept: Path | None) -> None:

@@ -212,6 +212,7 @@ def _remove(store: StorePaths, paths: SessionPaths) -> None:
     if not worker.is_folder(str(paths.root)):
         return
     with contextlib.suppress(OSError):
+        paths.submission.unlink(missing_ok=True)  # first: half of what was submitted is not to be gone on with
         for entry in paths.root.iterdir():
             if worker.is_folder(str(entry)):
                 worker.remove(str(entry))

@@ -28,6 +28,7 @@ VARIABLES = (
     *("ARGOS_PLUGIN_PATH", "ROS_DISTRO", "ROS_VERSION", "RMW_IMPLEMENTATION", "AMENT_PREFIX_PATH", "GZ_VERSION"),
 )
 """Names (or patterns) of variables that are recorded."""
+LOADED = "LOADEDMODULES"
 RELEVANT = (
     *("cpu_flags", "machine", "cpu", "libc", "gpus", "container", "os", "kernel", "variables", "modules", "sierra", "python"),
     *("distributions", "locale", "timezone", "cores", "memory", "limits", "host"),
@@ -44,8 +45,8 @@ def capture(version: str, record: Sequence[str] = ()) -> dict[str, Any]:
         "locale": next((os.environ[name] for name in ("LC_ALL", "LC_CTYPE", "LANG") if os.environ.get(name)), "C"),
         "timezone": os.environ.get("TZ") or machine["timezone"],
         "limits": json.dumps(machine["limits"], sort_keys=True),
-        "modules": [name for name in os.environ.get("LOADEDMODULES", "").split(":") if name],
-        "variables": json.dumps(_variables(recorded(record)), sort_keys=True),
+        "modules": [name for name in os.environ.get(LOADED, "").split(":") if name],
+        "variables": json.dumps(_variables((*VARIABLES, *record)), sort_keys=True),
         "python": platform.python_version(),
         "sierra": version,
         "distributions": _distributions(),
@@ -62,15 +63,15 @@ def elsewhere(around: Mapping[str, Any], machine: Mapping[str, Any], variables: 
         "timezone": variables.get("TZ") or machine["timezone"],
         "locale": next((variables[name] for name in ("LC_ALL", "LC_CTYPE", "LANG") if variables.get(name)), "C"),
         "limits": json.dumps(machine["limits"], sort_keys=True),
-        "modules": [name for name in variables.get("LOADEDMODULES", "").split(":") if name],
-        "variables": json.dumps({name: variables[name] for name in sorted(variables) if name != "LOADEDMODULES"}),
+        "modules": [name for name in variables.get(LOADED, "").split(":") if name],
+        "variables": json.dumps({name: variables[name] for name in sorted(variables) if name != LOADED}),
     }
     return {"environment": digest("environment", found), **found}
 
 
 def recorded(record: Sequence[str]) -> tuple[str, ...]:
-    """Names (or patterns) of all variables that are recorded; `record` are further ones."""
-    return (*VARIABLES, *record)
+    """Names (or patterns) of all variables that another host is to tell for `elsewhere`; `record` are further ones."""
+    return (*VARIABLES, LOADED, *record)
 
 
 def _variables(patterns: Sequence[str]) -> dict[str, str]:

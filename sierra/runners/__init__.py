@@ -8,7 +8,6 @@ come as entry points of the group `sierra.runners`, each naming a class that ful
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, Protocol
@@ -80,10 +79,10 @@ class Runner(Protocol):
         """
         ...
 
-    def resume(self, session: SessionPaths, recorded: AbstractSet[str]) -> None:
+    def resume(self, session: SessionPaths, recorded: Mapping[str, str | None]) -> None:
         """Take over, instead of `submit`, what another process has submitted, however far that came.
 
-        `recorded` are the executions that the store has: `look` does not tell of them. Only where `stays`.
+        `recorded` are the executions that the store has, with their attempts: `look` does not tell of them. Only where `stays`.
         """
         ...
 

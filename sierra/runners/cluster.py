@@ -11,14 +11,14 @@ that was begun `attempts` times and never ended has failed.
 
 from __future__ import annotations
 
+import contextlib
 import gzip
 import json
 import shutil
 import tempfile
 import threading
 import time
-from collections.abc import Iterable, Iterator, Sequence
-from collections.abc import Set as AbstractSet
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -126,6 +126,7 @@ class Cluster:
         sized = size(work.count, work.seconds, self._table, bounds)
         self._table = self._table.model_copy(update={"wall": sized.wall_s})
         with disk_errors(session.root):
+            forget(session)
             session.results.mkdir()
             session.logs.mkdir()
             counts = deal(work.jobs, sized.elements, session)
@@ -137,7 +138,7 @@ class Cluster:
         made = Submission(self.name, self._kind, version, table, work.batch, counts, dict(work.around), probed)
         made.save(session)
         self._scheduler = schedulers.find(self._kind)(self._table)
-        self._begin(made, session, frozenset())
+        self._begin(made, session, {})
         job = self._scheduler.submit(self._probe.request()) if probed else ""
         try:
             self._hand_over(tuple(range(len(counts))), "", after=job)
@@ -154,7 +155,7 @@ class Cluster:
             "record": list(work.record),
         }
 
-    def resume(self, session: SessionPaths, recorded: AbstractSet[str]) -> None:
+    def resume(self, session: SessionPaths, recorded: Mapping[str, str | None]) -> None:
         made = Submission.load(session)
         self._table = made.cluster
         self._scheduler = schedulers.find(self._kind)(self._table)
@@ -162,7 +163,7 @@ class Cluster:
         if session.cancelled.exists():
             self.stop()
 
-    def _begin(self, made: Submission, session: SessionPaths, recorded: AbstractSet[str]) -> None:
+    def _begin(self, made: Submission, session: SessionPaths, recorded: Mapping[str, str | None]) -> None:
         self._made, self._session = made, session
         self._name = submission.name_of(session)
         self._probe = Probe(self.name, self._table, session)
@@ -171,7 +172,7 @@ class Cluster:
         self._shares = [Share(count, tries=1) for count in made.counts]
         self._tracks: dict[str, Track] = {}
         self._ended: set[bytes] = set()
-        self._recorded = {bytes.fromhex(execution) for execution in recorded}
+        self._recorded = {bytes.fromhex(execution): attempt for execution, attempt in recorded.items()}
         prefix = f"sierra-taken-{session.root.name}-"
         for left in Path(tempfile.gettempdir()).glob(f"{prefix}*"):  # by one who followed before, and was killed
             worker.remove(str(left))
@@ -203,9 +204,12 @@ class Cluster:
         if len(results) < AT_ONCE:
             results += self._failed
             self._failed = []
+            was_over = self._over
             self._go_on(bool(results))
+            if self._over and not was_over:
+                self._read_on(rows, results, copies)
         notes, self._notes = tuple(self._notes), []
-        alive = not self._over or bool(results)
+        alive = not self._over or bool(results) or any(track.late for track in self._tracks.values())
         if not alive:
             rows += [("attempts", self._row(track, track.attempt)) for track in self._tracks.values() if track.attempt]
         running = sum(len(track.begun) for track in self._tracks.values() if self._lives(track))
@@ -391,6 +395,7 @@ class Cluster:
         else:
             self._note(f"{error}; tried again every {FULL_S:g} s")
         for index in indices[half:]:
+            self._shares[index].tries -= 1
             self._again[index] = why or "the site took no more jobs at first"
         self._again_at = time.monotonic() + FULL_S
 
@@ -423,6 +428,14 @@ class Cluster:
             self._notes.append(text)
 
     # ------------------------------------------------------------ reading
+
+    def _read_on(self, rows: list[tuple[str, dict[str, Any]]], results: list[Result], copies: list[Result]) -> None:
+        """Read what was written until nothing lived any more."""
+        refresh(self._session.results)
+        self._read_at = 0.0
+        more, others = self._read(rows)
+        results += more
+        copies += others
 
     def _read(self, rows: list[tuple[str, dict[str, Any]]]) -> tuple[list[Result], list[Result]]:
         """What packs have since the last time: results, and copies of such as were taken before."""
@@ -487,7 +500,7 @@ class Cluster:
                 track.late.append((time.monotonic(), event))
                 return
             results.append(self._of(track, result))
-        elif key in self._ended:
+        elif self._recorded.get(key, "") != track.pack.attempt:
             copies.append(self._of(track, event.result))
         track.begun.discard(execution)
         track.runs += 1
@@ -631,9 +644,17 @@ def failed(run: str, execution: str, node: str, now: float, reason: str, folder:
     return Result(run, execution, str(folder / "none"), now, now, None, None, None, None, None, None, node, 0, (), reason)
 
 
+def forget(session: SessionPaths) -> None:
+    """Remove what was submitted before in the same session, and is recorded: others have given more runs back meanwhile."""
+    session.submission.unlink(missing_ok=True)
+    session.cancelled.unlink(missing_ok=True)
+    for folder in (session.results, session.logs, session.sent, session.jobs(0).parent):
+        worker.remove(str(folder))
+
+
 def refresh(folder: Path) -> None:
-    """Make a network file system look again at what is in a folder: by changing it."""
-    with tempfile.TemporaryFile(dir=folder):
+    """Make a network file system look again at what is in a folder: by changing it, where there is room for that."""
+    with contextlib.suppress(OSError), tempfile.TemporaryFile(dir=folder):
         pass
 
 

@@ -9,8 +9,7 @@ import os
 import subprocess
 import sys
 import threading
-from collections.abc import Iterable
-from collections.abc import Set as AbstractSet
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict
 from functools import lru_cache
 from pathlib import Path
@@ -51,7 +50,7 @@ class Local:
         )
         threading.Thread(target=self._feed, args=(work.jobs, self._process), daemon=True).start()
 
-    def resume(self, session: SessionPaths, recorded: AbstractSet[str]) -> None:
+    def resume(self, session: SessionPaths, recorded: Mapping[str, str | None]) -> None:
         raise NotImplementedError("what ran here ended with the process that started it")
 
     def _feed(self, jobs: Iterable[Job], process: subprocess.Popen[bytes]) -> None:

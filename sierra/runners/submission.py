@@ -14,6 +14,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from sierra.config import ClusterTable
+from sierra.errors import Damaged
 from sierra.paths import SessionPaths, write_whole
 from sierra.runners.schedulers import Request, Task
 from sierra.store.segments import disk_errors
@@ -63,8 +64,15 @@ class Submission:
 
     @classmethod
     def load(cls, session: SessionPaths) -> Submission:
-        fields = json.loads(session.submission.read_text())
-        return cls(**{**fields, "counts": tuple(fields["counts"])})
+        """Raises FileNotFoundError, and Damaged where another version of SIERRA has written it."""
+        text = session.submission.read_text()
+        try:
+            fields = json.loads(text)
+            made = cls(**{**fields, "counts": tuple(fields["counts"])})
+            made.cluster  # noqa: B018 - it is validated
+        except (TypeError, ValueError, LookupError) as error:
+            raise Damaged(f"{session.submission}: was written by another version of SIERRA; go on with that one") from error
+        return made
 
 
 def name_of(session: SessionPaths) -> str:

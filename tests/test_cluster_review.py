@@ -1,0 +1,316 @@
+"""What could go silently wrong on a cluster, each as a claim: mostly over a scheduler that misbehaves when it is told to."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import os
+import pty
+import select
+import signal
+import subprocess
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar
+
+import pytest
+
+import sierra
+from sierra import worker
+from sierra.api import Project
+from sierra.asking import Progress
+from sierra.config import ClusterTable
+from sierra.errors import ConfigError, Full, SierraError
+from sierra.runners import cluster, schedulers
+from sierra.runners.schedulers import Bounds, Request, State, Task
+from sierra.sessions import Session
+from sierra.store import Store
+from tests.clusters import Slurm
+from tests.conftest import Simulated
+
+QUERY = ("size=1,2,3",)
+PRINTS = r"printf 't,v\n1,1\n2,4\n' > swarm.csv"
+
+
+class Here:
+    """A scheduler whose only node is this host, and that can be told to misbehave."""
+
+    name = "here"
+    tasks: ClassVar[list[tuple[str, str, int, subprocess.Popen[bytes]]]] = []
+    requests: ClassVar[list[Request]] = []
+    numbers: ClassVar[Iterator[int]] = itertools.count(1)
+    full: ClassVar[int] = 0
+    """How many more submissions it has no room for."""
+    cancelled: ClassVar[Callable[[], None] | None] = None
+    """What is done instead of ending what is cancelled."""
+
+    def __init__(self, table: ClusterTable) -> None:
+        pass
+
+    def version(self) -> str:
+        return "here 1"
+
+    def bounds(self) -> Bounds:
+        return Bounds()
+
+    def script(self, request: Request) -> str:
+        return ""
+
+    def submit(self, request: Request) -> str:
+        if Here.full and request.name.startswith("sierra-"):
+            Here.full -= 1
+            raise Full("there is no room")
+        return self.start(request)
+
+    @staticmethod
+    def start(request: Request) -> str:
+        job = str(next(Here.numbers))
+        Here.requests.append(request)
+        for element in request.elements:
+            environment = {"PATH": os.environ["PATH"], "TMPDIR": str(request.folder)}
+            with (request.logs / f"{job}_{element}.out").open("wb") as log:
+                argv = (*request.command, str(element))
+                process = subprocess.Popen(argv, stdout=log, stderr=log, env=environment, start_new_session=True)
+            Here.tasks.append((request.name, job, element, process))
+        return job
+
+    def look(self, name: str) -> tuple[Task, ...] | None:
+        return tuple(
+            Task(job, element, State.RUNNING if process.poll() is None else State.ENDED)
+            for called, job, element, process in Here.tasks
+            if called == name
+        )
+
+    def cancel(self, name: str, elements: Sequence[int] | None = None) -> None:
+        if Here.cancelled is not None:
+            Here.cancelled()
+            return
+        for called, _, element, process in Here.tasks:
+            if called == name and (elements is None or element in elements):
+                process.terminate()
+
+
+@dataclass
+class Clustered:
+    """A project that has this cluster."""
+
+    simulated: Simulated
+    gate: Path
+
+    @property
+    def project(self) -> Project:
+        return sierra.open(self.simulated.folder)
+
+    def session(self) -> Path:
+        [found] = self.simulated.work()
+        return found
+
+    def until(self, condition: Callable[[], Any]) -> None:
+        give_up = time.monotonic() + 30
+        while not condition():
+            assert time.monotonic() < give_up, "waited in vain"
+            time.sleep(0.02)
+
+    def rows(self, text: str) -> list[dict[str, Any]]:
+        return self.simulated.sql(text)
+
+
+@pytest.fixture
+def clustered(
+    simulate: Callable[..., Simulated], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[Callable[..., Clustered]]:
+    monkeypatch.setitem(schedulers.SHIPPED, "here", f"{__name__}:Here")
+    monkeypatch.setattr(Here, "full", 0)
+    monkeypatch.setattr(Here, "cancelled", None)
+
+    def make(script: str = PRINTS, *, elements: int = 1) -> Clustered:
+        made = simulate(script.replace("{gate}", str(tmp_path / "gate")))
+        config = made.folder / "sierra.toml"
+        config.write_text(config.read_text() + f"[runners.here]\nelements = {elements}\n")
+        return Clustered(made, tmp_path / "gate")
+
+    yield make
+    for _, _, _, process in Here.tasks:
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+    Here.tasks.clear()
+    Here.requests.clear()
+
+
+WAITS = 'while [ ! -e "{gate}" ] && [ ! -e "{gate}.$SIERRA_RUN_ID" ]; do sleep 0.02; done; ' + PRINTS
+
+
+# leaving
+
+
+def test_who_detaches_on_a_terminal_is_not_asked_whether_to(simulate: Callable[..., Simulated], slurm: Slurm) -> None:
+    project = simulate()
+    terminal, theirs = pty.openpty()
+    process = project.start(
+        "run", *QUERY, "--runs", "1", "--on", "slurm", "--detach", stdin=theirs, stdout=theirs, stderr=theirs
+    )
+    os.close(theirs)
+    said = ""
+    while "[D/c]" not in said and select.select([terminal], [], [], 30)[0]:
+        try:
+            said += os.read(terminal, 65536).decode()
+        except OSError:  # it has ended
+            break
+    os.close(terminal)
+    assert "detach or cancel?" not in said
+    assert process.wait(30) == 0
+
+
+# nothing is thrown away
+
+
+def test_a_session_whose_scheduler_is_not_installed_here_is_kept(
+    clustered: Callable[..., Clustered], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = clustered(WAITS)
+    made.project.run(*QUERY, runs=1, runner="here", detach=True, figures=False)
+    session = made.session()
+    with monkeypatch.context() as patch:
+        patch.delitem(schedulers.SHIPPED, "here")
+        with pytest.raises(ConfigError, match="scheduler"):
+            made.project.attach(session.name, figures=False)
+        made.project.status()
+    assert (session / "submission.json").exists()
+    made.gate.touch()
+    assert made.project.attach(session.name, figures=False).missing == 0
+
+
+def test_what_ends_while_it_is_cancelled_is_kept(clustered: Callable[..., Clustered], monkeypatch: pytest.MonkeyPatch) -> None:
+    made = clustered(WAITS)
+    made.project.run(*QUERY, runs=1, runner="here", detach=True, figures=False)
+    made.simulated.until_executed(1)
+    monkeypatch.setattr(cluster, "READ_S", 60.0)
+    monkeypatch.setattr(Here, "cancelled", made.gate.touch)
+    look = Here.look
+
+    def late(self: Here, name: str) -> tuple[Task, ...] | None:
+        made.until(lambda: all(process.poll() is not None for *_, process in Here.tasks))
+        return look(self, name)
+
+    monkeypatch.setattr(Here, "look", late)
+    [done] = made.project.cancel(made.session().name)
+    assert (done.kept, done.missing) == (3, 0)
+
+
+def test_half_of_a_session_that_is_removed_is_no_submission(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    session = Session(Store.create(tmp_path / "store").paths)
+    for number in range(8):
+        (session.paths.root / f"folder{number}").mkdir()
+    session.paths.submission.write_text("{}")
+
+    def killed(folder: str) -> None:
+        raise SystemExit
+
+    with monkeypatch.context() as patch:
+        patch.setattr(worker, "remove", killed)
+        with pytest.raises(SystemExit):
+            session.close()
+    assert session.paths.root.exists()
+    assert not session.paths.submission.exists()
+
+
+def test_what_cannot_be_read_is_cancelled_all_the_same(clustered: Callable[..., Clustered]) -> None:
+    from sierra.runners import element
+
+    made = clustered(WAITS)
+    made.project.run(*QUERY, runs=1, runner="here", detach=True, figures=False)
+    made.simulated.until_executed(1)
+    session = made.session()
+    (session / "results" / "0.other.pack").write_bytes(element.line_of({"event": "end", "told": "otherwise"}))
+    with pytest.raises(SierraError, match="another version"):
+        made.project.cancel(session.name)
+    made.until(lambda: all(process.poll() is not None for *_, process in Here.tasks))
+    assert session.exists()
+
+
+# what is executed, and how often
+
+
+def test_a_site_without_room_makes_no_run_fail(clustered: Callable[..., Clustered], monkeypatch: pytest.MonkeyPatch) -> None:
+    made = clustered('if [ ! -e "{gate}" ]; then touch "{gate}"; sleep 60; fi; ' + PRINTS)
+    monkeypatch.setattr(cluster, "FULL_S", 0.1)
+    monkeypatch.setattr(Here, "full", 5)
+    cut: list[int] = []
+
+    def watch(progress: Progress) -> None:
+        if made.gate.exists() and not cut:
+            cut.append(Here.tasks[-1][-1].pid)
+            os.killpg(cut[0], signal.SIGKILL)
+
+    summary = made.project.run(*QUERY, runs=1, runner="here", watch=watch, figures=False)
+    assert cut
+    assert (summary.failed, summary.executed) == (0, 3), summary.failures
+
+
+def test_what_others_give_back_is_executed_too(clustered: Callable[..., Clustered]) -> None:
+    made = clustered()
+    project = made.project
+    other = Session(Store.create(project.paths.store).paths)
+    other.claim({project.plan(*QUERY, runs=1).batch.runs[0].id})
+
+    def watch(progress: Progress) -> None:
+        if progress.elsewhere:
+            other.close()
+
+    summary = project.run(*QUERY, runs=1, runner="here", watch=watch, figures=False)
+    assert (summary.executed, summary.failed, summary.missing) == (3, 0, 0)
+    assert made.simulated.work() == []
+
+
+def test_a_copy_is_recorded_once_however_often_it_is_read(clustered: Callable[..., Clustered]) -> None:
+    made = clustered(WAITS)
+    project = made.project
+    project.run(*QUERY, runs=1, runner="here", detach=True, figures=False)
+    Here.start(Here.requests[-1])
+    made.simulated.until_executed(2)
+    [first] = set(made.simulated.executed())
+    made.gate.with_name(f"gate.{first}").touch()
+    made.simulated.until_executed(4)
+    for _ in range(3):
+        time.sleep(0.5)
+        project.status()
+    assert made.rows("SELECT count(*) AS n FROM copies") == [{"n": 1}]
+    made.gate.touch()
+    project.attach(made.session().name, figures=False)
+    assert made.rows(f"SELECT count(*) AS n FROM copies WHERE run = '{first}'") == [{"n": 1}]
+    assert made.rows("SELECT 1 FROM copies c JOIN executions e USING (execution) WHERE c.attempt = e.attempt") == []
+
+
+# replays
+
+
+def test_a_replay_that_is_cancelled_from_elsewhere_is_no_verdict(clustered: Callable[..., Clustered]) -> None:
+    made = clustered(WAITS)
+    made.gate.touch()
+    batch = made.project.run(*QUERY, runs=1, figures=False).batch
+    made.gate.unlink()
+
+    def watch(progress: Progress) -> None:
+        if progress.running and (made.session() / "submission.json").exists():
+            (made.session() / "cancelled").touch()
+
+    answer = made.project.replay(batch, runner="here", watch=watch)
+    assert answer.interrupted
+    assert made.rows("SELECT * FROM replays") == []
+
+
+def test_what_a_replay_leaves_is_kept_from_another_file_system(
+    clustered: Callable[..., Clustered], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = clustered()
+    batch = made.project.run(*QUERY, runs=1, figures=False).batch
+    if Path("/dev/shm").stat().st_dev == made.simulated.folder.stat().st_dev:
+        pytest.skip("needs two file systems")
+    monkeypatch.setattr(tempfile, "tempdir", "/dev/shm")
+    answer = made.project.replay(batch, runner="here", keep=True)
+    assert answer.kept is not None
+    assert len(list(answer.kept.glob("*/output/swarm.csv"))) == 3
