@@ -240,13 +240,19 @@ class Asking:
     def _wait(self, wanted: AbstractSet[str]) -> bool:
         """Other sessions execute what is wanted: until one of them ends, or has recorded something; whether to go on then.
 
-        What is on a cluster, and nobody follows, is followed here.
+        What is on a cluster, and nobody follows (any more), is followed here.
         """
-        if self._join(wanted):
-            return True
-        if self._how.detach:
+        session = self._adopted(wanted)
+        if session is None and self._how.detach:
             self._how.say(f"{len(wanted)} runs are executed by other processes already; they are not waited for")
             return False
+        session = session or self._until_free(wanted)
+        if session is not None:
+            self._join(session, wanted)
+        return True
+
+    def _until_free(self, wanted: AbstractSet[str]) -> Session | None:
+        """Wait; a session on a cluster whose follower has died meanwhile."""
         known = len(self.store.segments())
         with noted() as signals:
             while not signals and sessions.others(self.session.store, self.session.id) & wanted:
@@ -255,22 +261,27 @@ class Asking:
                 recovery.finish_dead(self.store)
                 if len(self.store.segments()) != known:
                     break
+                if (session := self._adopted(wanted)) is not None:
+                    return session
         self.interrupted = bool(signals)
-        return True
+        return None
 
-    def _join(self, wanted: AbstractSet[str]) -> bool:
-        """Follow a session on a cluster that has claimed some of these; whether there was one that nobody follows."""
+    def _adopted(self, wanted: AbstractSet[str]) -> Session | None:
+        """A session on a cluster that has claimed some of these, and that nobody follows: taken over."""
         for paths in sessions.submitted(self.session.store):
-            mine = sessions.claims(paths) & wanted
-            session = Session.adopted(self.session.store, paths) if mine else None
+            session = Session.adopted(self.session.store, paths) if sessions.claims(paths) & wanted else None
             if session is not None:
-                self._how.say(f"{len(mine)} runs have been submitted before ({paths.root.name}); they are followed")
-                attached = attach(self.store, session, self._hearing(mine), self._how.leave, detach=self._how.detach)
-                self.notes += attached.notes
-                self.left += [paths] if attached.left else []
-                self.interrupted = attached.interrupted
-                return True
-        return False
+                return session
+        return None
+
+    def _join(self, session: Session, wanted: AbstractSet[str]) -> None:
+        """Follow what was submitted before."""
+        mine = sessions.claims(session.paths) & wanted
+        self._how.say(f"{len(mine)} runs have been submitted before ({session.id}); they are followed")
+        attached = attach(self.store, session, self._hearing(mine), self._how.leave, detach=self._how.detach)
+        self.notes += attached.notes
+        self.left += [session.paths] if attached.left else []
+        self.interrupted = attached.interrupted
 
     def _hearing(self, runs: set[str]) -> Ears:
         """Who hears of what is followed for these runs: that they become fewer."""

@@ -8,10 +8,10 @@ that nobody executes again what only waits to be recorded.
 What was submitted to a cluster lives on without a process. Such a session (it has `submission.json`) does not die with its
 process: it is unattended then, until somebody takes it over, and whoever asks for its runs does.
 
-Where a file system has no locks, claims are not heeded, and a session has died once its owner's process is gone, as
-far as its own host can tell: `owner.0` names the process that made it, `owner.1` the one that finishes it because
-that has died, and so on. Each is created by one process alone. An owner of what is on a cluster may be on another host: it
-touches its file now and then, and has died when it has not for a while.
+Where a file system has no locks, claims are not heeded, but for those on a cluster, and a session has died once its owner's
+process is gone, as far as its own host can tell: `owner.0` names the process that made it, `owner.1` the one that finishes it
+because that has died, and so on. Each is created by one process alone. An owner of what is on a cluster may be on another
+host: it touches its file now and then, and has died when it has not for a while.
 """
 
 from __future__ import annotations
@@ -90,7 +90,7 @@ class Session:
     def claim(self, runs: set[str]) -> set[str]:
         """Claim those of `runs` that no other session has claimed; the ones that were free."""
         with exclusively(self.store) as alone:
-            free = runs - _claimed(self.store, self.id) if alone else runs
+            free = runs - _claimed(self.store, self.id, submitted=not alone)
             with disk_errors(self.paths.root):
                 self.paths.claims.write_text(json.dumps(sorted(free)))
         return free
@@ -107,7 +107,7 @@ class Session:
 def others(store: StorePaths, own: str) -> set[str]:
     """The runs that other sessions have claimed. Those of one that has died are its own until it is finished."""
     with exclusively(store) as alone:
-        return _claimed(store, own) if alone else set()
+        return _claimed(store, own, submitted=not alone)
 
 
 @contextlib.contextmanager
@@ -199,10 +199,11 @@ def holder(paths: SessionPaths) -> str:
     return "another process"
 
 
-def _claimed(store: StorePaths, own: str) -> set[str]:
+def _claimed(store: StorePaths, own: str, *, submitted: bool) -> set[str]:
+    """What other sessions have claimed; or only those that are on a cluster."""
     claimed: set[str] = set()
     for paths in all_of(store):
-        if paths.root.name != own:
+        if paths.root.name != own and (not submitted or paths.submission.exists()):
             claimed |= claims(paths)
     return claimed
 
