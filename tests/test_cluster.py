@@ -158,6 +158,7 @@ def test_attempts_say_where_and_with_what_runs_were_executed(tmp_path: Path, slu
     assert rows(sierra.open(root), same) == [{"n": 8}]
 
 
+@pytest.mark.slow
 def test_code_may_change_while_runs_wait(gated: Gated) -> None:
     asking = gated.ask()
     gated.until_begun(3)
@@ -180,6 +181,7 @@ def test_what_is_submitted_lives_on_without_its_submitter(gated: Gated, number: 
     at_rest(gated.slurm, gated.project)
 
 
+@pytest.mark.slow
 def test_a_submitter_that_died_before_it_knew_the_job_finds_it_by_its_name(gated: Gated) -> None:
     asking = gated.ask()
     gated.until_begun(3)
@@ -193,6 +195,7 @@ def test_a_submitter_that_died_before_it_knew_the_job_finds_it_by_its_name(gated
     assert len(gated.begun()) == 8
 
 
+@pytest.mark.slow
 def test_a_submitter_that_died_before_anything_was_handed_over_is_followed_by_another(gated: Gated) -> None:
     asking = gated.ask()
     gated.until_begun(3)
@@ -207,6 +210,7 @@ def test_a_submitter_that_died_before_anything_was_handed_over_is_followed_by_an
     is_whole(gated.project)
 
 
+@pytest.mark.slow
 def test_two_that_ask_for_the_same_execute_it_once(gated: Gated) -> None:
     first = gated.ask()
     gated.until_begun(3)
@@ -219,6 +223,7 @@ def test_two_that_ask_for_the_same_execute_it_once(gated: Gated) -> None:
     assert len(gated.begun()) == 8
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("which", ["one element", "all"])
 def test_what_somebody_cancels_is_submitted_again(gated: Gated, which: str) -> None:
     asking = gated.ask()
@@ -231,6 +236,7 @@ def test_what_somebody_cancels_is_submitted_again(gated: Gated, which: str) -> N
     at_rest(gated.slurm, gated.project)
 
 
+@pytest.mark.slow
 def test_a_node_that_loses_power_costs_what_was_in_flight(gated: Gated) -> None:
     asking = gated.ask()
     gated.until_begun(3)
@@ -279,6 +285,7 @@ def test_a_controller_that_dies_loses_nothing(gated: Gated) -> None:
     assert len(gated.begun()) == 8
 
 
+@pytest.mark.slow
 def test_an_element_that_is_requeued_goes_on_where_it_was(gated: Gated) -> None:
     asking = gated.ask()
     gated.until_begun(3)
@@ -293,6 +300,7 @@ def test_an_element_that_is_requeued_goes_on_where_it_was(gated: Gated) -> None:
     assert rows(gated.project, "SELECT element, cut FROM attempts WHERE state = 'cut off'") == [{"element": 0, "cut": 1}]
 
 
+@pytest.mark.slow
 def test_a_run_that_outlives_its_element_every_time_has_failed(gated: Gated) -> None:
     config = gated.root / "sierra.toml"
     config.write_text(config.read_text() + "attempts = 2\n")
@@ -312,6 +320,7 @@ def test_a_run_that_outlives_its_element_every_time_has_failed(gated: Gated) -> 
     is_whole(gated.project, 2, executions=4)
 
 
+@pytest.mark.slow
 def test_jobs_that_end_well_without_having_done_anything_are_not_believed(gated: Gated) -> None:
     lazy = gated.root.with_name("lazy")
     lazy.write_text('#!/bin/sh\ncase "$*" in *--probe*) exec python3 "$@" ;; esac\n')
@@ -335,6 +344,7 @@ def test_a_probe_that_says_nothing_ends_all_before_anything_begins(gated: Gated)
     at_rest(gated.slurm, gated.project)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("line", "words"),
     [
@@ -358,6 +368,7 @@ def test_what_the_site_does_not_have_is_said_in_a_line(gated: Gated, line: str, 
     assert set(gated.slurm.states().values()) <= {"CANCELLED", "FAILED", "COMPLETED"}
 
 
+@pytest.mark.slow
 def test_forgotten_jobs_are_no_lost_runs(tmp_path: Path, require: Callable[..., str], monkeypatch: pytest.MonkeyPatch) -> None:
     from tests import clusters
 
@@ -390,6 +401,7 @@ def test_the_secrets_of_the_submitters_shell_do_not_travel(
     assert not any(b"leak" in text for text in texts)
 
 
+@pytest.mark.slow
 def test_a_replay_on_slurm_of_runs_from_here_is_identical_and_the_other_way_round(tmp_path: Path, slurm: Slurm) -> None:
     root = projects.make(tmp_path / "project", projects.CONFIG + CLUSTER)
     projects.commit(root)
@@ -404,6 +416,7 @@ def test_a_replay_on_slurm_of_runs_from_here_is_identical_and_the_other_way_roun
     at_rest(slurm, project)
 
 
+@pytest.mark.slow
 def test_what_has_finished_can_be_recorded_by_a_job_too(gated: Gated) -> None:
     left = projects.sierra(gated.root, "run", "population_size.Log8", "--on", "slurm", "--detach")
     assert left.returncode == 0, left.stderr

@@ -11,6 +11,7 @@ import sierra
 from tests import containers, projects
 from tests.clusters import Slurm
 
+pytestmark = [pytest.mark.slow, pytest.mark.real]
 CLUSTER = "\n[runners.slurm]\nelements = 2\nattempts = 1\n"
 
 
