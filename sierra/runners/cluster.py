@@ -139,9 +139,13 @@ class Cluster:
         made.save(session)
         self._scheduler = schedulers.find(self._kind)(self._table)
         self._begin(made, session, {})
-        job = self._scheduler.submit(self._probe.request()) if probed else ""
+        self._hand_all_over()
+
+    def _hand_all_over(self) -> None:
+        """Submit the probe, if there is to be one, and all elements."""
+        job = self._scheduler.submit(self._probe.request()) if self._made.probed else ""
         try:
-            self._hand_over(tuple(range(len(counts))), "", after=job)
+            self._hand_over(tuple(range(len(self._shares))), "", after=job)
         except SierraError:
             self._cancel()
             raise
@@ -162,6 +166,8 @@ class Cluster:
         self._begin(made, session, recorded)
         if session.cancelled.exists():
             self.stop()
+        elif not any(session.sent.iterdir()):  # who made it died before
+            self._hand_all_over()
 
     def _begin(self, made: Submission, session: SessionPaths, recorded: Mapping[str, str | None]) -> None:
         self._made, self._session = made, session
