@@ -107,6 +107,8 @@ class Slurm:
             if answer := SUBMITTED.search(out):
                 return answer[1]
             raise Missing(f"sbatch does not say which job it made, but {_line(out + err)!r}; whether there is one is not known")
+        if not err.strip():
+            raise Missing(f"sbatch ended with status {status} and said nothing")
         raise refusal(err)
 
     def look(self, name: str) -> tuple[Task, ...] | None:
