@@ -174,7 +174,7 @@ class Cluster:
         self._name = submission.name_of(session)
         self._probe = Probe(self.name, self._table, session)
         self._probing = made.probed
-        self._unheard = 0
+        self._unheard = self._probes = 0
         self._shares = [Share(count, tries=1) for count in made.counts]
         self._tracks: dict[str, Track] = {}
         self._ended: set[bytes] = set()
@@ -300,7 +300,19 @@ class Cluster:
             refresh(self._session.results)
             self._probing = not self._is_fine()
             if self._probing and self._unheard > UNHEARD:
-                self._end(self._probe.gone(next((task.reason for task in tasks if task.reason), "")))
+                self._lost_probe(tasks)
+
+    def _lost_probe(self, tasks: tuple[Task, ...]) -> None:
+        """The probe is gone, and has recorded nothing. One that nobody knows anything of (any more) is submitted again."""
+        wrong = self._probe.gone(next((task.reason for task in tasks if task.reason), ""))
+        self._unheard, self._probes = 0, self._probes + 1
+        if tasks or self._probes >= self._table.attempts or submission.last_line(self._session, "0"):
+            self._end(wrong)
+            return
+        try:
+            self._scheduler.submit(self._probe.request())
+        except SierraError as error:
+            self._end(error)
 
     def _is_quiet(self, share: Share) -> bool:
         return share.gone > 1 and time.monotonic() - share.grew > QUIET_S
