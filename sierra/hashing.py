@@ -16,6 +16,7 @@ from typing import Any
 import rfc8785
 
 CHUNK = 1 << 20
+PLAIN = json.JSONEncoder(sort_keys=True, separators=(",", ":"), ensure_ascii=False)
 
 
 def canonical(value: Any) -> bytes:
@@ -28,7 +29,7 @@ def canonical_plain(value: Any) -> bytes:
 
     (Python's JSON differs from RFC 8785 only in how floats are written and keys outside the BMP are ordered.)
     """
-    return json.dumps(value, sort_keys=True, separators=(",", ":"), ensure_ascii=False).encode()
+    return PLAIN.encode(value).encode()
 
 
 def sha256(data: bytes) -> str:
@@ -59,6 +60,11 @@ def digest(kind: str, fields: Mapping[str, Any], *, version: int = 1) -> str:
     `kind` and `version` name the record's format; `fields` holds JSON types only.
     """
     return sha256(canonical({"sierra": kind, "format": version, **fields}))
+
+
+def digest_plain(kind: str, fields: Mapping[str, str]) -> str:
+    """The same id as `digest`, many times as fast, of texts alone."""
+    return sha256(canonical_plain({"sierra": kind, "format": 1, **fields}))
 
 
 def merkle(kind: str, members: Iterable[str], fields: Mapping[str, Any] | None = None) -> str:

@@ -19,7 +19,7 @@ from sierra import worker
 from sierra.config import Project
 from sierra.engines import INSIDE, PROJECT, PYTHON, Box, Engine, Mount, Process
 from sierra.errors import ConfigError
-from sierra.hashing import digest
+from sierra.hashing import digest_plain
 from sierra.images import Image
 from sierra.model import Client, Job, Limits, Recipe, Run
 from sierra.paths import RUN_HOME, RUN_OUTPUT, RUN_TMP
@@ -164,21 +164,28 @@ class Maker:
         if not box:
             self._environment["PATH"] = search_path(self._environment)
         self._shared = self._container() if box and box.shared else None
+        self._same: dict[str, tuple[str, ...]] = {}
 
     def job(self, run: Run, files: tuple[tuple[str, bytes], ...]) -> Job:
         """The job that executes a run in this session."""
-        execution = digest("execution", {"session": self._environment["SIERRA_SESSION"], "run": run.id})
-        values = {
-            "input": f"{self._here}/{files[0][0]}",
-            "output": f"{self._here}/{RUN_OUTPUT}",
-            "run": self._here,
-            "seed": str(run.seed),
-        }
-        own = {"SIERRA_RUN_ID": run.id, "SIERRA_SEED": str(run.seed), "SIERRA_EXECUTION": execution}
-        argv = self._fill(self._recipe.command, values)
+        execution = digest_plain("execution", {"session": self._environment["SIERRA_SESSION"], "run": run.id})
+        seed = str(run.seed)
+        own = {"SIERRA_RUN_ID": run.id, "SIERRA_SEED": seed, "SIERRA_EXECUTION": execution}
+        argv = self._argv(files[0][0], seed)
         variables = {**self._environment, **own}
         client = self._shared or self._contained(argv, variables)
         return Job(run.id, execution, argv, variables, files, self._bounds, client, shared=self._shared is not None)
+
+    def _argv(self, file: str, seed: str) -> tuple[str, ...]:
+        """The command of a run; what does not depend on its seed is made once."""
+        if (same := self._same.get(file)) is not None:
+            return same
+        here = self._here
+        values = {"input": f"{here}/{file}", "output": f"{here}/{RUN_OUTPUT}", "run": here, "seed": seed}
+        argv = self._fill(self._recipe.command, values)
+        if not any("{seed}" in word for word in self._recipe.command):
+            self._same[file] = argv
+        return argv
 
     def _fill(self, words: Iterable[str], values: Mapping[str, str] | None = None) -> tuple[str, ...]:
         return fill(words, self._root, {**self._placed, **(values or {})}, project=self._project)

@@ -13,7 +13,7 @@ import sierra
 from sierra.config import Output, Success
 from sierra.containment import Containment
 from sierra.engines import Abilities, Box, Client, Mount, Process, Uncontained
-from sierra.hashing import digest, merkle
+from sierra.hashing import digest, digest_plain, merkle
 from sierra.images import Image, Kind
 from sierra.model import OutputFile, Recipe
 from sierra.plans import Plan
@@ -232,3 +232,8 @@ def test_an_isolation_is_what_it_has_always_been_in_any_session() -> None:
     assert (row["isolation"], row["argv"]) == (ISOLATION, ["fake", "--cid={run}/id", "--session=", "sim"])
     assert Containment(Engine(), able, replace(box, session="t")).row == row
     assert Containment(Engine(), able).row is None
+
+
+def test_ids_of_texts_alone_are_the_same_by_the_quick_way() -> None:
+    fields = {"session": "0f3a", "run": GOLDEN["run"], "text": 'ü "\\\n\x7f\u2028'}
+    assert digest_plain("execution", fields) == digest("execution", fields)

@@ -128,13 +128,14 @@ def _difference(job: Job, common: Job, templates: Mapping[str, _Template]) -> di
     """What a job does not have in common with another of its session, whose files are `templates`."""
     if job.environment.keys() != common.environment.keys() or (job.client is None) != (common.client is None):
         raise ValueError(f"run {job.run} is not executed like run {common.run}: other variables, or another engine")
-    own = dict(job.environment.items() - common.environment.items())
+    shared = common.environment
+    own = {name: value for name, value in job.environment.items() if shared[name] != value}
     record: dict[str, Any] = {"run": job.run, "execution": job.execution, "environment": own}
     if job.argv != common.argv:
         record["argv"] = job.argv
     if job.files != common.files:
         record["files"] = {name: templates[name].difference(content) for name, content in job.files}
-    if job.limits != common.limits or job.client != common.client or job.shared != common.shared:
+    if job.limits is not common.limits or job.client is not common.client or job.shared != common.shared:
         whole = local.record(replace(job, files=()))
         record.update((name, whole[name]) for name in ("limits", "client", "shared") if name in whole)
     return record

@@ -5,7 +5,7 @@ busy machine spoils both alike. Nothing is asserted; the promise beside each rat
 
     make bench                 all but the slow ones
     .venv/bin/python tests/bench/run.py runs recording     some of them
-    .venv/bin/python tests/bench/run.py --slow             100,000 runs too
+    .venv/bin/python tests/bench/run.py --slow             what takes long, too
 """
 
 from __future__ import annotations
@@ -39,11 +39,11 @@ TEMPLATE = '<experiment seed="1"><swarm count="3"/></experiment>\n'
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("which", nargs="*", help=f"some of: {', '.join(BENCHES)}")
-    parser.add_argument("--slow", action="store_true", help="100,000 runs too")
+    parser.add_argument("--slow", action="store_true", help="100,000 runs too, and what else takes long")
     arguments = parser.parse_args()
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
     for name, bench in BENCHES.items():
-        if name in arguments.which or (not arguments.which and (arguments.slow or name != "many")):
+        if name in arguments.which or (not arguments.which and (arguments.slow or name not in SLOW)):
             with tempfile.TemporaryDirectory(prefix="sierra-bench-") as folder:
                 bench(Path(folder))
 
@@ -374,6 +374,17 @@ def containers(folder: Path) -> None:
     subprocess.run([sys.executable, str(HERE / "bench_containers.py")], check=True)
 
 
+def clusters(folder: Path, *more: str) -> None:
+    """Batches on a SLURM of its own against jobs written by hand; in a process of their own."""
+    del folder
+    subprocess.run([sys.executable, str(HERE / "bench_clusters.py"), *more], check=True)
+
+
+def large_clusters(folder: Path) -> None:
+    """What takes long of that: an array without packing, and 100,000 runs."""
+    clusters(folder, "--slow")
+
+
 def schema_of(table: str) -> tuple[list[str], list[object]]:
     """A recorded table's columns and their types."""
     from sierra.store.tables import arrow_schema
@@ -393,8 +404,11 @@ BENCHES: dict[str, Callable[[Path], None]] = {
     "fsck": fsck,
     "figures": figures,
     "containers": containers,
+    "clusters": clusters,
     "many": many,
+    "large_clusters": large_clusters,
 }
+SLOW = ("many", "large_clusters")
 
 if __name__ == "__main__":
     main()

@@ -1,0 +1,216 @@
+"""Clusters: what packing saves and costs, on a real SLURM with one node of two cores.
+
+    python tests/bench/bench_clusters.py [runs] [--slow]
+
+The job that SIERRA is compared with is written by hand: it loops over the same program with xargs, a folder and two files each.
+Both are measured from their submission, SIERRA's to the last run's record, the job to its last line. `--slow`: the same as an
+array of one element a run (over 40 s), and what 100,000 runs take.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shutil
+import signal
+import statistics
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(ROOT))
+SIERRA = str(Path(sys.executable).with_name("sierra"))
+TOML = """
+template = "template.xml"
+command = "/bin/true {input}"
+seed = "/experiment/@seed"
+[variables]
+population_size = "//swarm/@count"
+"""
+TEMPLATE = '<experiment seed="1"><swarm count="3"/></experiment>\n'
+EACH = 'mkdir "$1" && cd "$1" && /bin/true "$1" >stdout 2>stderr'
+LOOP = f"""#!/bin/sh
+seq %d | xargs -P2 -n1 sh -c '{EACH}' sh
+touch done
+"""
+ARRAY = f"""#!/bin/sh
+sh -c '{EACH}' sh "$SLURM_ARRAY_TASK_ID"
+touch "done-$SLURM_ARRAY_TASK_ID"
+"""
+BARE = """#!/bin/sh
+seq %d | xargs -P2 -n1 /bin/true
+touch done
+"""
+TIMES = 5
+FOLLOWED_S = 60.0
+
+
+def main() -> None:
+    from tests import clusters
+
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("runs", nargs="?", type=int, default=1000)
+    parser.add_argument("--slow", action="store_true", help="what takes long, instead of the others")
+    arguments = parser.parse_args()
+    if os.geteuid() != 0 or not all(shutil.which(name, path=os.environ["PATH"] + clusters.SBIN) for name in clusters.PROGRAMS):
+        print("clusters: a SLURM can't be started here (as root, on Debian: make system)")
+        return
+    with clusters.folder() as folder, clusters.Slurm(folder, nodes=1, cpus=2) as cluster:
+        os.environ.update(cluster.environment)
+        if arguments.slow:
+            array(folder, arguments.runs)
+            many(folder, 100_000)
+        else:
+            packed(folder, arguments.runs)
+            idle(folder)
+
+
+def packed(folder: Path, runs: int) -> None:
+    """A batch of runs that do nothing, on two slots, against one job that loops over them."""
+    for elements, cpus in ((1, 2), (2, 1)):
+        here = project(folder / f"{elements}x{cpus}", f"elements = {elements}\ncpus = {cpus}\n")
+        both = [(asked(here, runs), submitted(folder / "loop", LOOP % runs, "-c2")) for _ in range(TIMES)]
+        ours = statistics.median(recorded for (recorded, _), _ in both)
+        say(f"{runs} runs of true, {elements} x {cpus} cores / a job of xargs -P2", ours, median(both), "at most 1.5")
+        print(f"  all of sierra run: {statistics.median(whole for (_, whole), _ in both):.2f} s", flush=True)
+    bare = statistics.median(submitted(folder / "loop", BARE % runs, "-c2") for _ in range(TIMES))
+    print(f"  that job without folders and files of its own for each: {bare:.2f} s", flush=True)
+
+
+def median(both: list[tuple[tuple[float, float], float]]) -> float:
+    return statistics.median(theirs for _, theirs in both)
+
+
+def array(folder: Path, runs: int) -> None:
+    """What is not to be done: an element for each run."""
+    ours = submitted(folder / "array", ARRAY, "-c1", f"--array=0-{runs - 1}", count=runs)
+    theirs = submitted(folder / "loop", LOOP % runs, "-c2")
+    say(f"{runs} runs of true, an array of so many / a job of xargs -P2", ours, theirs, "what packing avoids")
+
+
+def asked(here: Path, runs: int) -> tuple[float, float]:
+    """Seconds from the submission of a batch that nobody has asked for yet to its last record, and those of all of it."""
+    shutil.rmtree(here / ".sierra", ignore_errors=True)
+    began = time.time()
+    with subprocess.Popen(words(runs), cwd=here, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) as process:
+        handed_over = wait(lambda: handed(here), process)
+        said = process.communicate()[1].decode()
+    returned = time.time() - began
+    if process.returncode != 0 or handed_over is None:
+        sys.exit(f"sierra run: exit status {process.returncode}: {said}")
+    recorded = max(file.parent.stat().st_ctime for file in here.glob(".sierra/segments/*/executions.parquet"))
+    return recorded - handed_over, returned
+
+
+def words(runs: int, *more: str) -> list[str]:
+    return [SIERRA, "run", "population_size=1,2,3,4", "--runs", str(runs // 4), "--on", "slurm", "--no-figures", *more]
+
+
+def handed(here: Path) -> float | None:
+    """When a job was handed over, as far as that was yet."""
+    return next((file.stat().st_mtime for file in here.glob(".sierra/work/*/sent/0.json")), None)
+
+
+def wait(there: Callable[[], float | None], process: subprocess.Popen[bytes]) -> float | None:
+    while (found := there()) is None and process.poll() is None:
+        time.sleep(0.005)
+    return found
+
+
+def submitted(folder: Path, script: str, *options: str, count: int = 1) -> float:
+    """Seconds from the submission of a job to its last line, or to that of the last of so many elements."""
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir()
+    began = time.time()
+    subprocess.run(["sbatch", "--quiet", "--output=/dev/null", *options], input=script, text=True, check=True, cwd=folder)
+    while len(done := list(folder.glob("done*"))) < count:
+        time.sleep(0.02 if count == 1 else 0.5)
+    return max(file.stat().st_mtime for file in done) - began
+
+
+def project(folder: Path, cluster: str) -> Path:
+    folder.mkdir()
+    (folder / "sierra.toml").write_text(f"{TOML}[runners.slurm]\n{cluster}")
+    (folder / "template.xml").write_text(TEMPLATE)
+    return folder
+
+
+def say(what: str, ours: float, theirs: float, promise: str) -> None:
+    told = f"  ({promise})" if promise else ""
+    print(f"{what:58} {ours:8.2f} s  {theirs:8.2f} s  ratio {ours / theirs:5.2f}{told}", flush=True)
+
+
+def many(folder: Path, runs: int) -> None:
+    """What submitting so many runs takes, and recording them; and what lies on the shared side in between."""
+    here = project(folder / "many", "cpus = 2\n")
+    own = files(here)
+    began = time.time()
+    peak = peak_of(words(runs, "--detach"), here)
+    whole = time.time() - began
+    [session] = [path for path in here.glob(".sierra/work/*") if path.is_dir()]
+    submission = (session / "sent" / "0.json").stat().st_mtime - (session / "context.json").stat().st_mtime
+    print(f"{runs} runs, --detach: {whole:.1f} s, of which submitting {submission:.1f} s  (under 5 s)")
+    print(f"  peak memory of sierra {peak:.0f} MB  (under 200 MB)", flush=True)
+    while subprocess.run(["squeue", "--noheader"], capture_output=True, check=True).stdout:
+        time.sleep(2)
+    print(f"  executed after {time.time() - began:.0f} s; files beside the project's own: {files(here) - own}  (at most 100)")
+    began = time.time()
+    peak = peak_of([SIERRA, "attach", session.name, "--no-figures"], here)
+    told = f"recorded by sierra attach in {time.time() - began:.0f} s, peak memory {peak:.0f} MB"
+    print(f"  {told}; files then: {files(here) - own}", flush=True)
+
+
+def idle(folder: Path) -> None:
+    """What following costs while nothing begins: questions to the scheduler, and time of a core."""
+    subprocess.run(["sbatch", "--quiet", "-c2", "--output=/dev/null", "--wrap=sleep 1000"], check=True)
+    here = project(folder / "idle", "")
+    log = counted(folder / "counted")
+    around = {**os.environ, "PATH": f"{folder / 'counted'}:{os.environ['PATH']}"}
+    pipes = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    with subprocess.Popen(words(1000), cwd=here, env=around, **pipes) as process:  # type: ignore[call-overload]
+        wait(lambda: handed(here), process)
+        time.sleep(5)
+        asked, used = len(log.read_text().splitlines()), cpu_of(process.pid)
+        time.sleep(FOLLOWED_S)
+        asked, used = len(log.read_text().splitlines()) - asked, cpu_of(process.pid) - used
+        process.send_signal(signal.SIGTERM)
+    subprocess.run(["scancel", "--user=root"], check=True)
+    what = f"following an idle queue for {FOLLOWED_S:.0f} s"
+    print(f"{what}: {asked} calls of the scheduler's commands, {100 * used / FOLLOWED_S:.2f} % of a core  (under 1 %)")
+
+
+def counted(folder: Path) -> Path:
+    """Commands of SLURM that write down each call; the file that they write to."""
+    folder.mkdir()
+    log = folder / "calls"
+    log.touch()
+    for name in ("sbatch", "squeue", "scancel", "scontrol"):
+        (folder / name).write_text(f'#!/bin/sh\necho {name} >> "{log}"\nexec "{shutil.which(name)}" "$@"\n')
+        (folder / name).chmod(0o755)
+    return log
+
+
+def cpu_of(pid: int) -> float:
+    """Seconds of a core that a process, and what it has waited for, have used."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return sum(int(field) for field in fields[11:15]) / os.sysconf("SC_CLK_TCK")
+
+
+def peak_of(argv: list[str], here: Path) -> float:
+    """MB that a command has taken at most; it has to end well."""
+    process = subprocess.Popen(argv, cwd=here, stdout=subprocess.DEVNULL)
+    _, status, usage = os.wait4(process.pid, 0)
+    if status != 0:
+        sys.exit(f"{' '.join(argv)}: ended with {status}")
+    return usage.ru_maxrss / 1024
+
+
+def files(folder: Path) -> int:
+    return sum(len(names) for _, _, names in os.walk(folder))
+
+
+if __name__ == "__main__":
+    main()
