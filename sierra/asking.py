@@ -135,7 +135,7 @@ class Asking:
         """Execute these runs; how many executions, of these or of earlier ones, were found to be unlike their siblings."""
         runner = self._runner()
         root, programs = self._snapshot() if runner.stays else (self._code(), self.plan.programs)
-        contained = self._contain(root)
+        contained = self._contain(root, elsewhere=runner.stays)
         self._context = replace(self._context, **contained.context)
         self._context.save(self.session.paths.context)
         self._claimed |= wanted
@@ -147,7 +147,7 @@ class Asking:
             ears = Ears(self._took, self._tell, self._how.say)
             following = Following(runner, recorder, self.store, self.session, ears, leave=self._how.leave)
             work = Work(
-                self._jobs(wanted, root, contained),
+                self._jobs(wanted, root, contained, self.session.paths.worker if runner.stays else None),
                 len(wanted),
                 self.plan.batch.id,
                 (*needed(programs), *contained.needed),
@@ -180,7 +180,7 @@ class Asking:
         if status is not Status.OK:
             self.failed.add(run)
 
-    def _contain(self, root: Path) -> Containment:
+    def _contain(self, root: Path, *, elsewhere: bool) -> Containment:
         """What contains the runs, ready."""
         if self.containment is None:
             plan = self.plan
@@ -194,11 +194,12 @@ class Asking:
                 project=plan.project.root,
                 store=self.store.paths,
                 session=self.session.id,
+                elsewhere=elsewhere,
             )
             self.notes += self.containment.notes
         return self.containment
 
-    def _jobs(self, wanted: AbstractSet[str], root: Path, contained: Containment) -> Iterator[Job]:
+    def _jobs(self, wanted: AbstractSet[str], root: Path, contained: Containment, script: Path | None) -> Iterator[Job]:
         plan = self.plan
         maker = jobs.Maker(
             plan.batch.recipe,
@@ -209,6 +210,7 @@ class Asking:
             plan.project.root,
             image=plan.image,
             box=contained.box,
+            script=script,
         )
         sent: set[str] = set()
         for run, files in plan.inputs.files(plan.batch, lambda run: run.id in wanted):

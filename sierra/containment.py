@@ -22,6 +22,8 @@ from sierra.provenance.digests import Digests
 from sierra.provenance.program import Kind, Program, Programs
 
 NETWORK, GPU, DEVICE, MOUNT = "network", "gpu", "device ", "mount "
+MOUNTS = "{mount}"
+"""What the name of a file begins with that is mounted."""
 WATCHED = frozenset(("memory",))
 """Limits that the worker watches over where the engine does not enforce them."""
 NVIDIA = Path("/proc/driver/nvidia")
@@ -74,7 +76,7 @@ def data(named: Programs, container: Container, project: Path) -> Programs:
                 found = digests.of(str(path))
             else:
                 continue
-            mounted.append(Program(f"{{mount}}{Path(target, path.relative_to(root))}", str(path), found, Kind.FILE))
+            mounted.append(Program(f"{MOUNTS}{Path(target, path.relative_to(root))}", str(path), found, Kind.FILE))
     digests.save()
     own = (one for one in named.all if one.name.startswith("{project}/"))
     return Programs((*own, *mounted), named.notes)
@@ -105,14 +107,18 @@ class Containment:
 
     @property
     def needed(self) -> tuple[Needed, ...]:
-        """The image, where it is a file that must be the same wherever runs execute."""
-        reference = self.box.reference if self.box else ""
-        if not Path(reference).is_absolute() or not Path(reference).is_file():
+        """What must be wherever runs execute: devices, and the image where it is a file."""
+        if self.box is None:
             return ()
+        devices = tuple(Needed("[container] devices", path) for path in self.box.devices)
+        driver = (Needed("[container] gpu", str(NVIDIA)),) if self.box.gpu else ()
+        reference = self.box.reference
+        if not Path(reference).is_absolute() or not Path(reference).is_file():
+            return (*devices, *driver)
         digests = Digests()
         found = digests.of(reference)
         digests.save()
-        return (Needed("the image", reference, found),)
+        return (*devices, *driver, Needed("the image", reference, found))
 
     def close(self) -> None:
         """Remove all containers that are left."""
@@ -158,9 +164,11 @@ def contain(
     project: Path,
     store: StorePaths,
     session: str,
+    elsewhere: bool = False,
 ) -> Containment:
     """Make all ready that containers of runs need; `code` is the folder of it, `container` what the project says now.
 
+    Runs that execute `elsewhere` use the devices of those hosts, which look for them (`Containment.needed`).
     Raises Missing where the image or the engine can't be had, or a mount is not there.
     """
     if image is None or engine.name == "none":
@@ -177,7 +185,8 @@ def contain(
     if shared and not inside.program(PYTHON):
         shared = False
         notes.append(f'isolation = "worker" needs {PYTHON} in the image, which it lacks: each run has a container of its own')
-    _check_devices(recipe)
+    if not elsewhere:
+        _check_devices(recipe)
     box = Box(
         image=image,
         reference=reference,

@@ -140,8 +140,11 @@ class Maker:
         *,
         image: Image | None = None,
         box: Box | None = None,
+        script: Path | None = None,
     ) -> None:
         """`root` is where the code is, `project` where the user has it; `box` is what contains the runs, if anything does.
+
+        `script` is the worker where runs execute, if that is not where SIERRA has it.
 
         With an `image` and without a box, runs have the image's variables on this machine.
         """
@@ -150,6 +153,7 @@ class Maker:
         self._engine = engine
         self._bounds = bounds
         self._box = box
+        self._script = script or Path(worker.__file__)
         self._here = _IN_RUN if box and not box.shared else HERE
         self._placed = {"project": PROJECT if box else str(root)}
         self._placed["python"] = PYTHON if image else sys.executable
@@ -205,7 +209,7 @@ class Maker:
     def _container(self) -> Client:
         """What starts a container for the runs of a slot, with the worker in it."""
         runs, script = f"{INSIDE}/runs", f"{INSIDE}/worker.py"
-        own = (Mount(f"{HERE}/{worker.RUNS}", runs, writable=True), Mount(str(Path(worker.__file__)), script))
+        own = (Mount(f"{HERE}/{worker.RUNS}", runs, writable=True), Mount(str(self._script), script))
         variables = {name: self._environment[name] for name in ("PATH", "SIERRA_SESSION")} | {"HOME": runs, "TMPDIR": "/tmp"}  # noqa: S108
         argv = (PYTHON, "-I", "-S", script, runs, "1", "-")
         process = Process(argv, variables, own, runs, interactive=True)

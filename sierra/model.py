@@ -333,7 +333,8 @@ class Needed:
 
     name: str
     path: str
-    sha256: str
+    sha256: str = ""
+    """Empty: it is enough that it is there."""
 
 
 class Status(StrEnum):

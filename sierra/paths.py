@@ -210,6 +210,11 @@ class SessionPaths:
         return self.root / "cancelled"
 
     @property
+    def worker(self) -> Path:
+        """What executes runs, for hosts that do not have SIERRA."""
+        return self.root / "worker.py"
+
+    @property
     def element_settings(self) -> Path:
         """What all elements have in common."""
         return self.root / "element.json"

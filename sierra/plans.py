@@ -70,7 +70,8 @@ class Plan:
         """What makes a copy of the code as it is; `content` is that of a file which git does not have, by git's hash."""
         manifest = self.source.manifest if self.source else b""
         used = tuple((program.name, program.kind) for program in self.programs.all)
-        return Checkout(self.project.root, self.batch.recipe, manifest, used, content)
+        mounted = Programs(tuple(program for program in self.programs.all if program.name.startswith(containment.MOUNTS)))
+        return Checkout(self.project.root, self.batch.recipe, manifest, used, content, mounted)
 
 
 def ask(

@@ -119,6 +119,7 @@ def replay(
             project=project.root,
             store=store.paths,
             session=session.id,
+            elsewhere=runner.stays,
         )
         notes = (
             *record.notes,
@@ -148,6 +149,7 @@ def replay(
             project.root,
             image=image,
             box=contained.box,
+            script=session.paths.worker if runner.stays else None,
         )
         made = {job.run: job for job in _jobs(record, store, maker)}
         work = Work(

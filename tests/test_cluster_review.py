@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import gzip
 import itertools
 import os
 import pty
@@ -23,15 +24,17 @@ from sierra import worker
 from sierra.api import Project
 from sierra.asking import Progress
 from sierra.config import ClusterTable
-from sierra.errors import ConfigError, Full, SierraError
+from sierra.errors import ConfigError, Full, Missing, SierraError
 from sierra.runners import cluster, schedulers
 from sierra.runners.schedulers import Bounds, Request, State, Task
 from sierra.sessions import Session
 from sierra.store import Store
+from tests import containers
 from tests.clusters import Slurm
 from tests.conftest import Simulated
 
 QUERY = ("size=1,2,3",)
+CLUSTER = "\n[runners.here]\nelements = 1\n"
 PRINTS = r"printf 't,v\n1,1\n2,4\n' > swarm.csv"
 
 
@@ -43,7 +46,7 @@ class Here:
     requests: ClassVar[list[Request]] = []
     numbers: ClassVar[Iterator[int]] = itertools.count(1)
     full: ClassVar[int] = 0
-    """How many more submissions it has no room for."""
+    """How many more submissions it has no room for, of all but the first element."""
     cancelled: ClassVar[Callable[[], None] | None] = None
     """What is done instead of ending what is cancelled."""
 
@@ -60,7 +63,7 @@ class Here:
         return ""
 
     def submit(self, request: Request) -> str:
-        if Here.full and request.name.startswith("sierra-"):
+        if Here.full and request.elements[-1] > 0:
             Here.full -= 1
             raise Full("there is no room")
         return self.start(request)
@@ -119,26 +122,28 @@ class Clustered:
 
 
 @pytest.fixture
-def clustered(
-    simulate: Callable[..., Simulated], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> Iterator[Callable[..., Clustered]]:
+def here(monkeypatch: pytest.MonkeyPatch) -> Iterator[type[Here]]:
     monkeypatch.setitem(schedulers.SHIPPED, "here", f"{__name__}:Here")
     monkeypatch.setattr(Here, "full", 0)
     monkeypatch.setattr(Here, "cancelled", None)
-
-    def make(script: str = PRINTS, *, elements: int = 1) -> Clustered:
-        made = simulate(script.replace("{gate}", str(tmp_path / "gate")))
-        config = made.folder / "sierra.toml"
-        config.write_text(config.read_text() + f"[runners.here]\nelements = {elements}\n")
-        return Clustered(made, tmp_path / "gate")
-
-    yield make
+    yield Here
     for _, _, _, process in Here.tasks:
         with contextlib.suppress(ProcessLookupError):
             os.killpg(process.pid, signal.SIGKILL)
         process.wait()
     Here.tasks.clear()
     Here.requests.clear()
+
+
+@pytest.fixture
+def clustered(simulate: Callable[..., Simulated], here: type[Here], tmp_path: Path) -> Callable[..., Clustered]:
+    def make(script: str = PRINTS, *, elements: int = 1) -> Clustered:
+        made = simulate(script.replace("{gate}", str(tmp_path / "gate")))
+        config = made.folder / "sierra.toml"
+        config.write_text(config.read_text() + CLUSTER.replace("1", str(elements)))
+        return Clustered(made, tmp_path / "gate")
+
+    return make
 
 
 WAITS = 'while [ ! -e "{gate}" ] && [ ! -e "{gate}.$SIERRA_RUN_ID" ]; do sleep 0.02; done; ' + PRINTS
@@ -236,7 +241,9 @@ def test_what_cannot_be_read_is_cancelled_all_the_same(clustered: Callable[..., 
 
 
 def test_a_site_without_room_makes_no_run_fail(clustered: Callable[..., Clustered], monkeypatch: pytest.MonkeyPatch) -> None:
-    made = clustered('if [ ! -e "{gate}" ]; then touch "{gate}"; sleep 60; fi; ' + PRINTS)
+    which = 'if [ "$SIERRA_RUN_ID" = "$(cat "{gate}.which")" ] && [ ! -e "{gate}" ]; then touch "{gate}"; sleep 60; fi; '
+    made = clustered(which + PRINTS, elements=2)
+    made.gate.with_name("gate.which").write_text(made.project.plan(*QUERY, runs=1).batch.runs[1].id)
     monkeypatch.setattr(cluster, "FULL_S", 0.1)
     monkeypatch.setattr(Here, "full", 5)
     cut: list[int] = []
@@ -285,6 +292,25 @@ def test_a_copy_is_recorded_once_however_often_it_is_read(clustered: Callable[..
     assert made.rows("SELECT 1 FROM copies c JOIN executions e USING (execution) WHERE c.attempt = e.attempt") == []
 
 
+@pytest.mark.slow
+def test_a_program_that_changes_under_way_has_made_no_result(clustered: Callable[..., Clustered]) -> None:
+    made = clustered()
+    tool = made.simulated.folder.with_name("tool.sh")
+    tool.write_text(WAITS.replace("{gate}", str(made.gate)))
+    config = made.simulated.folder / "sierra.toml"
+    config.write_text(config.read_text().replace('"sim.sh"', '"../tool.sh"'))
+
+    def watch(progress: Progress) -> None:
+        if progress.running and not made.gate.exists():
+            tool.with_name("new").write_text(PRINTS.replace("4", "5"))
+            tool.with_name("new").replace(tool)
+            made.gate.touch()
+
+    with pytest.raises(SierraError, match="is another than on the host that submitted"):
+        made.project.run(*QUERY, runs=1, runner="here", watch=watch, figures=False)
+    assert made.rows("SELECT * FROM executions") == []
+
+
 # replays
 
 
@@ -314,3 +340,46 @@ def test_what_a_replay_leaves_is_kept_from_another_file_system(
     answer = made.project.replay(batch, runner="here", keep=True)
     assert answer.kept is not None
     assert len(list(answer.kept.glob("*/output/swarm.csv"))) == 3
+
+
+# containers
+
+
+@pytest.fixture
+def contained(here: type[Here], tmp_path: Path, require: Callable[..., str]) -> Callable[..., Project]:
+    require("busybox-static, as /bin/busybox", there=containers.BUSYBOX.exists())
+    require("mksquashfs")
+    require("apptainer")
+
+    def make(image: Callable[[Path], Path], *more: str) -> Project:
+        folder = containers.make(tmp_path / "project", image(tmp_path), 'engine = "apptainer"', *more)
+        with (folder / "sierra.toml").open("a") as file:
+            file.write(CLUSTER + "attempts = 1\n")
+        return sierra.open(folder)
+
+    return make
+
+
+def test_what_is_mounted_is_there_on_nodes_too(contained: Callable[..., Project], tmp_path: Path) -> None:
+    (tmp_path / "maps").mkdir()
+    (tmp_path / "maps" / "map").write_text("5\n")
+    project = contained(containers.busybox, f'mounts = {{ "/data" = "{tmp_path}/maps" }}')
+    summary = project.run("population_size=1", runner="here", figures=False)
+    assert (summary.executed, summary.failed) == (2, 0)
+
+
+def test_nothing_of_sierra_is_needed_on_nodes_by_a_container_for_all_runs(contained: Callable[..., Project]) -> None:
+    project = contained(containers.python, 'isolation = "worker"')
+    project.run("population_size=1", runner="here", detach=True, figures=False)
+    [jobs] = project.paths.store.glob("work/*/elements/0.jobs")
+    assert worker.__file__ not in gzip.decompress(jobs.read_bytes()).decode()
+    assert project.attach(jobs.parent.parent.name, figures=False).failed == 0
+
+
+def test_nodes_say_themselves_that_they_lack_a_device(contained: Callable[..., Project]) -> None:
+    if Path("/proc/driver/nvidia").exists():
+        pytest.skip("there is a driver of NVIDIA's here")
+    project = contained(containers.busybox, "gpu = true")
+    with pytest.raises(Missing, match=r"\[container\] gpu: /proc/driver/nvidia: No such file"):
+        project.run("population_size=1", runner="here", figures=False)
+    assert project.store.rows("SELECT * FROM executions") == []

@@ -353,7 +353,7 @@ class Cluster:
                 continue
             if share.done > share.progress:
                 share.tries = 0
-            if share.tries >= self._table.attempts and share.begun:
+            if share.tries >= self._table.attempts and share.begun and not share.trouble:
                 self._give_up_on(index, list(share.begun), word)
                 share.tries = 0
             elif share.tries >= self._table.attempts:

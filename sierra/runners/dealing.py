@@ -36,7 +36,7 @@ def deal(jobs: Iterable[Job], elements: int, session: SessionPaths) -> tuple[int
     shares = [_Share(session.jobs(number)) for number in range(elements)]
     buffered = packed = 0
     with disk_errors(session.root):
-        session.jobs(0).parent.mkdir(exist_ok=True)
+        session.jobs(0).parent.mkdir(mode=0o700, exist_ok=True)  # variables of runs are nobody else's business
         for number, job in enumerate(jobs):
             buffered += shares[number % elements].add(job)
             if buffered > BUFFERED:

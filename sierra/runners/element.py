@@ -37,9 +37,10 @@ sends its SIGTERM to all processes of a task, and a run that heeds it may look a
 packed that ended less than HOLD_S before this process was asked.
 
 Before anything executes, every file that `needs` names is hashed, once: where it is another than on the host that submitted,
-that is the trouble, and nothing executes. SIGTERM ends what runs, with the grace time that jobs have, a second one without.
-Where FOLDER, or the attempt's own pack, has been removed, nobody waits for the results any more: what runs is ended. Exit
-status 0: finished; 1: asked to end; 3: trouble, which is said on stderr too.
+that is the trouble, and nothing executes. Where it becomes another later, no run is packed that has ended since.
+SIGTERM ends what runs, with the grace time that jobs have, a second one without. Where FOLDER, or the attempt's own pack, has
+been removed, nobody waits for the results any more: what runs is ended. Exit status 0: finished; 1: asked to end; 3: trouble,
+which is said on stderr too.
 
     python3 -I -S FOLDER/element.py FOLDER --probe INDEX
 
@@ -113,7 +114,7 @@ class Settings(NamedTuple):
     scratch: Optional[str]
     """A folder of the node, with `$NAME` or `${NAME}` of its environment; None: $SLURM_TMPDIR, $TMPDIR or /tmp."""
     needs: List[Dict[str, str]]
-    """Files that must be as they are where it was submitted: `name`, `path`, `sha256`."""
+    """Files that must be as they are where it was submitted: `name`, `path`, `sha256` (empty: it must be there)."""
     record: List[str]
     """Names, or patterns, of variables to record."""
 
@@ -487,18 +488,32 @@ def new_pack(folder: str, index: str, told: Event) -> Pack:
         return pack
 
 
-def check_needs(needs: List[Dict[str, str]]) -> None:
-    """Raises Trouble where a file is not as it is where it was submitted."""
-    for need in needs:
-        digest = hashlib.sha256()
-        try:
-            with open(need["path"], "rb", buffering=0) as file:
-                for chunk in iter(lambda: file.read(CHUNK), b""):
-                    digest.update(chunk)
-        except OSError as error:
-            raise Trouble("%s: %s: %s" % (need["name"], need["path"], error.strerror)) from error
-        if digest.hexdigest() != need["sha256"]:
-            raise Trouble("%s: %s is another than on the host that submitted" % (need["name"], need["path"]))
+class Needs:
+    """The files that must be, and stay, as they are where it was submitted."""
+
+    def __init__(self, needs: List[Dict[str, str]]) -> None:
+        self._needs = needs
+        self._seen: Dict[str, Tuple[int, ...]] = {}
+
+    def check(self) -> None:
+        """Raises Trouble where one is not; what seems untouched since the last time is not read again."""
+        for need in self._needs:
+            try:
+                found = os.stat(need["path"])
+                seen = (found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns, found.st_ctime_ns)
+                if self._seen.get(need["path"]) != seen and need["sha256"] not in ("", digest_of(need["path"])):
+                    raise Trouble("%s: %s is another than on the host that submitted" % (need["name"], need["path"]))
+            except OSError as error:
+                raise Trouble("%s: %s: %s" % (need["name"], need["path"], error.strerror)) from error
+            self._seen[need["path"]] = seen
+
+
+def digest_of(path: str) -> str:
+    digest = hashlib.sha256()
+    with open(path, "rb", buffering=0) as file:
+        for chunk in iter(lambda: file.read(CHUNK), b""):
+            digest.update(chunk)
+    return digest.hexdigest()
 
 
 @contextlib.contextmanager
@@ -607,13 +622,14 @@ class Journal:
 class Execution:
     """The worker at work, and what it says on the way into the pack."""
 
-    def __init__(self, folder: str, scratch: str, pack: Pack, asked: Asked, worker: Any) -> None:
+    def __init__(self, folder: str, scratch: str, pack: Pack, asked: Asked, worker: Any, needs: Needs) -> None:
         self._cancelled = os.path.join(folder, "cancelled")
         self._program = os.path.join(folder, "worker.py")
         self._scratch = scratch
         self._pack = pack
         self._asked = asked
         self._worker = worker
+        self._needs = needs
         self._journal = Journal(os.path.join(scratch, "journal.jsonl"))
         self._held: Deque[Tuple[float, Event]] = deque()
         self._ended = 0
@@ -680,6 +696,8 @@ class Execution:
         """Pack what is held for long enough; nothing more once this process is asked to end."""
         if self._stopping or self._process.returncode == 1:
             self._held.clear()
+        if self._held and now - self._held[0][0] >= HOLD_S:
+            self._needs.check()
         while self._held and now - self._held[0][0] >= HOLD_S and not self._asked.times:
             read, event = self._held.popleft()
             if event["event"] == "start":
@@ -794,12 +812,14 @@ def attempt(folder: str, index: int, asked: Asked, *, probing: bool) -> bool:
     results = os.path.join(folder, "results")
     pack = new_pack(results, "probe" if probing else str(index), said_of(settings, index, machine.facts(), slots))
     try:
-        check_needs(settings.needs)
+        needs = Needs(settings.needs)
+        needs.check()
         with scratch(settings, worker.remove) as (own, lock):
             if not probing:
                 named = os.path.join(folder, "elements", str(index))
                 done = executed(results, str(index), pack.path) | given_up(named + ".failed")
-                if not Execution(folder, own, pack, asked, worker).run(slots, settings.session, named + ".jobs", done, lock):
+                execution = Execution(folder, own, pack, asked, worker, needs)
+                if not execution.run(slots, settings.session, named + ".jobs", done, lock):
                     pack.sync(float("inf"))
                     return False
         pack.add({"event": "finished", "time": time.time()})
