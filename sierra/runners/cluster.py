@@ -475,7 +475,7 @@ class Cluster:
                     case Ended():
                         self._take(track, event, results, copies)
                     case Trouble():
-                        track.trouble = self._shares[track.element].trouble = event.reason
+                        self._failed_by(track, event)
                     case Finished():
                         track.finished, track.ended = True, event.time
                 if len(results) >= AT_ONCE:
@@ -505,6 +505,15 @@ class Cluster:
         if bytes.fromhex(event.execution) not in self._ended:
             begun = self._shares[track.element].begun
             begun[event.execution] = begun.get(event.execution, 0) + 1
+
+    def _failed_by(self, track: Track, event: Trouble) -> None:
+        """Why an attempt could not go on; where a disk was full, its runs count as not begun."""
+        share = self._shares[track.element]
+        track.trouble = share.trouble = event.reason
+        for execution in track.begun & share.begun.keys() if event.full else ():
+            share.begun[execution] -= 1
+            if not share.begun[execution]:
+                del share.begun[execution]
 
     def _take(self, track: Track, event: Ended, results: list[Result], copies: list[Result]) -> None:
         """One run that has ended: the first time that it is seen, it is the run's."""

@@ -29,7 +29,7 @@ it but in the writer's memory. A record that can't be written whole is taken bac
     end         a run has ended, by itself or by a limit: all fields of sierra.model.Result but `directory`, `attempt`
                 and `environment`; `files`: a list of [path, bytes, sha256], in the order of the payload: `stdout`, `stderr`
                 (left out where empty), and `output/…` for each of the outputs; `size`: all of it
-    trouble     why the attempt could not go on, in a line: reason
+    trouble     why the attempt could not go on, in a line: reason; and full: whether that is a disk without room
     finished    all that was missing has been executed: time
 
 A run that was interrupted (the task was asked to end, by a time limit or by somebody) has a start and no end. A scheduler
@@ -229,10 +229,10 @@ class Pack:
         with contextlib.suppress(OSError):
             os.ftruncate(self._file, size)
 
-    def say(self, reason: str) -> None:
+    def say(self, reason: str, *, full: bool) -> None:
         """Record the trouble, if there is room for it."""
         with contextlib.suppress(OSError):
-            self.add({"event": "trouble", "reason": reason})
+            self.add({"event": "trouble", "reason": reason, "full": full})
             self.sync(float("inf"))
 
     def is_gone(self) -> bool:
@@ -708,6 +708,7 @@ class Execution:
     def _take_end(self, event: Event) -> None:
         directory = event.pop("directory")
         if event["stopped"] != "interrupted":
+            check_room(self._scratch)  # else the run may have failed for it, or not have noticed
             self._pack_run(event, directory)
             self._ended += 1
         if self._is_own(directory):
@@ -766,9 +767,17 @@ class Execution:
         if code == 0 and self._ended != self._feeder.sent:
             raise Trouble("of %d runs, the worker has told of %d" % (self._feeder.sent, self._ended))
         if code not in (0, 1):
+            check_room(self._scratch)
             lines = self._said.decode("utf-8", "replace").strip().splitlines()
             raise Trouble(": ".join(["the worker ended with %s" % (code if code > 0 else "signal %d" % -code), *lines[-1:]]))
         return code == 0
+
+
+def check_room(folder: str) -> None:
+    """Raises OSError where a file system has no room left."""
+    found = os.statvfs(folder)
+    if found.f_bavail == 0 or (found.f_files and found.f_favail == 0):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), folder)
 
 
 def is_small(event: Event) -> bool:
@@ -826,7 +835,7 @@ def attempt(folder: str, index: int, asked: Asked, *, probing: bool) -> bool:
         pack.sync(float("inf"))
         return True
     except Exception as error:
-        pack.say(reason_of(error))
+        pack.say(reason_of(error), full=getattr(error, "errno", None) in (errno.ENOSPC, errno.EDQUOT))
         raise
 
 

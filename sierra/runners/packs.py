@@ -70,6 +70,8 @@ class Trouble:
     """The attempt could not go on."""
 
     reason: str
+    full: bool = False
+    """Whether a disk had no room: no run is to blame."""
 
 
 @dataclass(frozen=True, slots=True)
