@@ -1,0 +1,396 @@
+"""What may go wrong on a real SLURM beside: memory, disks, clocks, time limits, preemption, locks, and who submits."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from sierra import processes
+from tests import clusters, projects
+from tests.clusters import Slurm
+from tests.test_cluster import CLUSTER, WAITING, Gated, at_rest, ended, is_whole, rows, until
+
+pytestmark = pytest.mark.slow
+
+ASK = ("population_size.Log8", "--on", "slurm", "--no-figures")
+HUNGRY = """\
+import sys, time
+import xml.etree.ElementTree as ET
+
+count = int(ET.parse(sys.argv[1]).getroot().find("swarm").get("count"))
+with open({log!r}, "a") as log:
+    print(count, file=log, flush=True)
+if count == 4:
+    eaten = b"1" * 400_000_000
+    time.sleep(60)
+with open("swarm.csv", "w") as file:
+    print("tick,coverage", file=file)
+    print(0, count, sep=",", file=file)
+"""
+"""A simulator that takes far more memory than others for some of its inputs."""
+
+LARGE = """\
+import os
+
+with open("swarm.csv", "w") as file:
+    print("tick,coverage", file=file)
+    print(0, 1, sep=",", file=file)
+with open("noise", "wb") as file:
+    file.write(os.urandom(1_000_000))
+with open({log!r}, "a") as log:
+    print(os.environ["SIERRA_RUN_ID"], file=log, flush=True)
+"""
+"""A simulator that leaves much."""
+
+
+@pytest.fixture
+def gate(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Callable[..., Gated]]:
+    """Makes a project whose runs end once a gate is open; `table` is added to what it says of the cluster."""
+    made: list[Gated] = []
+
+    def gate(table: str = "", *, on: Slurm | None = None, root: Path = tmp_path / "project", simulator: str = WAITING) -> Gated:
+        text = simulator.format(log=str(root.with_name("log")), gate=str(root.with_name("gate")))
+        projects.make(root, projects.CONFIG + CLUSTER + table, simulator=text)
+        made.append(Gated(root, on or request.getfixturevalue("slurm"), []))
+        return made[-1]
+
+    yield gate
+    for one in made:
+        one.open()
+        for asking in one.asked:
+            asking.kill()
+            asking.communicate()
+
+
+@pytest.fixture
+def start(require: Callable[..., str], monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., Slurm]]:
+    """Starts a cluster of the test's own."""
+    clusters.needed(require)
+    with contextlib.ExitStack() as stack:
+
+        def start(**more: Any) -> Slurm:
+            cluster = stack.enter_context(Slurm(stack.enter_context(clusters.folder()), **more))
+            for name, value in cluster.environment.items():
+                monkeypatch.setenv(name, value)
+            return cluster
+
+        yield start
+
+
+@pytest.fixture
+def mounted(tmp_path: Path, require: Callable[..., str]) -> Iterator[Callable[[str], Path]]:
+    """Makes a disk of a size; a cluster that is started afterwards has it too."""
+    made: list[Path] = []
+
+    def mounted(size: str) -> Path:
+        folder = tmp_path / f"disk of {size}"
+        folder.mkdir()
+        mount = ["mount", "-t", "tmpfs", "-o", f"size={size}", "none", str(folder)]
+        require("mounts", there=subprocess.run(mount, check=False, capture_output=True).returncode == 0)
+        made.append(folder)
+        return folder
+
+    yield mounted
+    for folder in made:
+        subprocess.run(["umount", "--lazy", str(folder)], check=False)
+
+
+@pytest.fixture
+def instead(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Path]:
+    """Puts a script in the place of a program, for one of its calls; `"$real"` is the program."""
+
+    def instead(name: str, script: str, call: int = 1) -> Path:
+        folder = tmp_path / "programs"
+        folder.mkdir()
+        count = f'call=1; until mkdir "{folder}/call $call" 2>/dev/null; do call=$((call + 1)); done'
+        passed = f'[ "$1" != --version ] || exec "$real" "$@"; {count}; [ "$call" -eq {call} ] || exec "$real" "$@"'
+        (folder / name).write_text(f"#!/bin/sh\nreal={shutil.which(name)}\n{passed}\n{script}\n")
+        (folder / name).chmod(0o755)
+        monkeypatch.setenv("PATH", f"{folder}:{os.environ['PATH']}")
+        monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))  # so that there is a probe
+        return folder / f"call {call}"
+
+    return instead
+
+
+def test_a_run_over_its_limit_of_memory_fails_on_a_node_and_no_other_does(gate: Callable[..., Gated]) -> None:
+    gated = gate('[limits]\nmemory = "200 MB"\n', simulator=HUNGRY)
+    told = ended(gated.ask(), 1)
+    assert "Traceback" not in told
+    found = rows(gated.project, "SELECT status, reason, count(*) AS n FROM executions GROUP BY ALL ORDER BY status")
+    assert [(row["status"], row["n"]) for row in found] == [("memory", 2), ("ok", 6)]
+    at_rest(gated.slurm, gated.project)
+
+
+def test_what_slurm_kills_for_its_memory_has_failed_and_takes_nothing_with_it(
+    gate: Callable[..., Gated], start: Callable[..., Slurm]
+) -> None:
+    watched = {
+        "JobAcctGatherType": "jobacct_gather/linux",
+        "JobAcctGatherFrequency": "1",
+        "JobAcctGatherParams": "OverMemoryKill",
+        "SelectTypeParameters": "CR_CPU_Memory",
+    }
+    gated = gate('memory = "200 MB"\nattempts = 2\n', on=start(settings=watched), simulator=HUNGRY)
+    told = ended(gated.ask(), 1)
+    assert "cut off 2 times" in told
+    found = rows(
+        gated.project, "SELECT status, min(reason) AS reason, count(*) AS n FROM executions GROUP BY status ORDER BY status"
+    )
+    assert [row["status"] for row in found] == ["failed", "ok"]
+    assert [row["n"] for row in found] == [2, 6]
+    assert "Exceeded job memory limit" in found[0]["reason"]
+    config = gated.root / "sierra.toml"
+    config.write_text(config.read_text().replace('memory = "200 MB"', 'memory = "2 GB"'))
+    at_rest(gated.slurm, gated.project)
+
+
+def test_a_full_disk_of_a_node_is_said_and_room_completes_the_batch(
+    gate: Callable[..., Gated], start: Callable[..., Slurm], mounted: Callable[[str], Path]
+) -> None:
+    disk = mounted("500k")
+    gated = gate(f"scratch = '{disk}'\nattempts = 2\n", on=start(), simulator=LARGE)
+    config = gated.root / "sierra.toml"
+    config.write_text(config.read_text().replace("elements = 3", "elements = 1"))
+    told = ended(gated.ask(), 3)
+    assert "ended before any run had: n1: " in told
+    assert "No space left on device" in told
+    assert len([line for line in told.splitlines() if line.startswith("sierra:")]) == 1
+    assert rows(gated.project, "SELECT * FROM executions") == []
+    subprocess.run(["mount", "-o", "remount,size=100m", str(disk)], check=True)
+    for node in gated.slurm.names:
+        assert node
+    ended(gated.ask())
+    is_whole(gated.project)
+    at_rest(gated.slurm, gated.project)
+    assert list(disk.iterdir()) == []
+
+
+def test_a_full_shared_disk_is_said_and_room_completes_the_batch(
+    gate: Callable[..., Gated], start: Callable[..., Slurm], mounted: Callable[[str], Path]
+) -> None:
+    disk = mounted("5m")
+    gated = gate("attempts = 2\n", on=start(), root=disk / "project", simulator=LARGE)
+    told = ended(gated.ask(), 3)
+    assert len([line for line in told.splitlines() if line.startswith("sierra:")]) == 1
+    subprocess.run(["mount", "-o", "remount,size=100m", str(disk)], check=True)
+    ended(gated.ask())
+    is_whole(gated.project)
+    at_rest(gated.slurm, gated.project)
+
+
+def test_a_disk_that_is_full_when_results_are_recorded_loses_none(
+    gate: Callable[..., Gated], start: Callable[..., Slurm], mounted: Callable[[str], Path]
+) -> None:
+    disk = mounted("20m")
+    gated = gate(on=start(), root=disk / "project")
+    ended(gated.ask(*ASK[:1], "--detach"))
+    gated.until_begun(3)
+    gated.open()
+    until(lambda: set(gated.slurm.states().values()) == {"COMPLETED"}, "all is executed")
+    with contextlib.suppress(OSError):
+        (disk / "filler").write_bytes(bytes(21_000_000))
+    told = ended(gated.ask(), 3)
+    assert len([line for line in told.splitlines() if line.startswith("sierra:")]) == 1
+    (disk / "filler").unlink()
+    ended(gated.ask())
+    is_whole(gated.project)
+    assert len(gated.begun()) == 8
+
+
+AHEAD = """\
+#define _GNU_SOURCE
+#include <dlfcn.h>
+#include <time.h>
+
+int clock_gettime(clockid_t clock, struct timespec *told)
+{
+    int (*real)(clockid_t, struct timespec *) = dlsym(RTLD_NEXT, "clock_gettime");
+    int done = real(clock, told);
+    if (clock == CLOCK_REALTIME)
+        told->tv_sec += 3600;
+    return done;
+}
+"""
+"""A clock that is an hour ahead."""
+
+
+def test_times_of_a_node_whose_clock_is_wrong_are_right(
+    gate: Callable[..., Gated], tmp_path: Path, require: Callable[..., str]
+) -> None:
+    source, library, python = tmp_path / "ahead.c", tmp_path / "ahead.so", tmp_path / "python"
+    source.write_text(AHEAD)
+    subprocess.run([require("gcc"), "-shared", "-fPIC", "-o", library, source, "-ldl"], check=True)
+    python.write_text(f'#!/bin/sh\nexec env LD_PRELOAD={library} python3 "$@"\n')
+    python.chmod(0o755)
+    gated = gate(f"python = '{python}'\n")
+    gated.open()
+    before = time.time()
+    ended(gated.ask())
+    after = time.time()
+    is_whole(gated.project)
+    [found] = rows(gated.project, "SELECT epoch(min(started)) AS first, epoch(max(ended)) AS last FROM executions")
+    assert before - 1 < found["first"] <= found["last"] < after + 1
+    for row in rows(gated.project, "SELECT clock, epoch(started) AS started, epoch(ended) AS ended FROM attempts"):
+        assert row["clock"] == pytest.approx(3600, abs=2)
+        assert before - 1 < row["started"] <= row["ended"] < after + 1
+
+
+def test_an_element_at_its_time_limit_is_continued_by_another(gate: Callable[..., Gated]) -> None:
+    gated = gate()
+    asking = gated.ask()
+    gated.until_begun(3)
+    job = gated.job()
+    for element in range(3):
+        gated.slurm.command("scontrol", "update", f"jobid={job}_{element}", "EndTime=now+2")
+    until(lambda: "TIMEOUT" in gated.slurm.states().values(), "the limit is hit", 70)
+    gated.open()
+    told = ended(asking)
+    assert "TIMEOUT" in told
+    is_whole(gated.project)
+    at_rest(gated.slurm, gated.project)
+
+
+def test_what_is_preempted_goes_on_where_it_was(gate: Callable[..., Gated], start: Callable[..., Slurm]) -> None:
+    partitions = (
+        "PartitionName=low Nodes=ALL Default=YES MaxTime=60 State=UP PriorityTier=1 PreemptMode=REQUEUE",
+        "PartitionName=high Nodes=ALL MaxTime=60 State=UP PriorityTier=9 PreemptMode=OFF",
+    )
+    preempting = {"PreemptType": "preempt/partition_prio", "PreemptMode": "REQUEUE"}
+    gated = gate(on=start(settings=preempting, partitions=partitions))
+    asking = gated.ask()
+    gated.until_begun(3)
+    high = gated.slurm.command("sbatch", "--parsable", "-p", "high", "-N3", "--exclusive", "-o/dev/null", "--wrap=sleep 1")
+    gated.slurm.until(high, "COMPLETED")
+    gated.slurm.release_requeued()
+    gated.until_begun(6)
+    gated.open()
+    ended(asking)
+    is_whole(gated.project)
+    assert len(gated.begun()) == 8 + 3
+    assert rows(gated.project, "SELECT count(*) AS n FROM attempts WHERE state = 'cut off' AND cut = 1") == [{"n": 3}]
+    at_rest(gated.slurm, gated.project)
+
+
+@pytest.mark.parametrize("when", ["before", "after"])
+@pytest.mark.parametrize("call", [1, 2], ids=["the probe", "the batch"])
+def test_a_submitter_that_is_killed_around_sbatch_leaves_nothing_behind(
+    gate: Callable[..., Gated], instead: Callable[..., Path], when: str, call: int
+) -> None:
+    gated = gate()
+    real = '"$real" "$@" > /dev/null' if when == "after" else ":"
+    called = instead("sbatch", f"{real}; kill -9 $PPID", call)
+    ended(gated.ask(), -signal.SIGKILL)
+    assert called.exists()
+    gated.open()
+    ended(gated.ask())
+    is_whole(gated.project)
+    assert len(gated.begun()) == 8
+    at_rest(gated.slurm, gated.project)
+
+
+@pytest.mark.parametrize("when", ["before", "after"])
+def test_a_controller_that_dies_while_jobs_are_submitted_loses_none(
+    gate: Callable[..., Gated], start: Callable[..., Slurm], instead: Callable[..., Path], when: str
+) -> None:
+    gated = gate(on=start())
+    killed = gated.root.with_name("killed")
+    wait = f'until [ -e "{killed}" ]; do sleep 0.05; done'
+    called = instead(
+        "sbatch", f'{wait}; exec "$real" "$@"' if when == "before" else f'"$real" "$@" > /dev/null; {wait}; exit 1', 2
+    )
+    asking = gated.ask()
+    until(called.exists, "sbatch is called")
+    if when == "after":
+        until(lambda: len(gated.slurm.states()) > 3, "all is submitted")
+    gated.slurm.kill_controller()
+    killed.touch()
+    time.sleep(10)
+    gated.slurm.start_controller()
+    gated.open()
+    ended(asking)
+    is_whole(gated.project)
+    at_rest(gated.slurm, gated.project)
+    assert len(gated.begun()) == 8
+
+
+def test_two_login_nodes_that_ask_at_once_submit_once(gate: Callable[..., Gated]) -> None:
+    gated = gate()
+    askings = [gated.ask(), gated.ask()]
+    gated.until_begun(3)
+    gated.open()
+    for asking in askings:
+        ended(asking)
+    is_whole(gated.project)
+    assert len(gated.begun()) == 8
+    at_rest(gated.slurm, gated.project)
+
+
+def test_who_waits_for_another_goes_on_where_that_one_is_killed(gate: Callable[..., Gated]) -> None:
+    gated = gate()
+    first = gated.ask()
+    gated.until_begun(3)
+    second = gated.ask()
+    time.sleep(3)
+    first.kill()
+    ended(first, -signal.SIGKILL)
+    gated.open()
+    ended(second)
+    is_whole(gated.project)
+    assert len(gated.begun()) == 8
+    at_rest(gated.slurm, gated.project)
+
+
+def test_a_session_folder_that_is_removed_by_hand_ends_what_runs(gate: Callable[..., Gated]) -> None:
+    gated = gate()
+    asking = gated.ask()
+    gated.until_begun(3)
+    [folder] = (path for path in gated.root.glob(".sierra/work/*") if path.is_dir())
+    shutil.rmtree(folder)
+    until(lambda: not processes.marked({f"SIERRA_SESSION={folder.name}".encode()}), "no process is left")
+    told = ended(asking, 3)
+    assert len([line for line in told.splitlines() if line.startswith("sierra:")]) == 1
+    until(lambda: not set(gated.slurm.states().values()) & {"PENDING", "RUNNING", "COMPLETING"}, "no job is left")
+    gated.open()
+    ended(gated.ask())
+    is_whole(gated.project)
+
+
+WITHOUT_LOCKS = """
+import errno, fcntl
+def flock(descriptor, how):
+    raise OSError(errno.ENOLCK, "No locks available")
+fcntl.flock = flock
+from sierra.cli import main
+main()
+"""
+
+
+def test_what_is_detached_on_a_file_system_without_locks_is_joined(gate: Callable[..., Gated], tmp_path: Path) -> None:
+    gated = gate()
+    program = tmp_path / "without_locks.py"
+    program.write_text(WITHOUT_LOCKS)
+
+    def ask(*words: str) -> str:
+        command = [sys.executable, str(program), "run", *ASK, *words]
+        pipe = subprocess.PIPE
+        return ended(subprocess.Popen(command, cwd=gated.root, stdout=pipe, stderr=pipe, text=True))
+
+    ask("--detach")
+    gated.until_begun(3)
+    ask("--detach")
+    gated.open()
+    ask()
+    is_whole(gated.project)
+    assert len(gated.begun()) == 8
+    at_rest(gated.slurm, gated.project)
