@@ -53,6 +53,13 @@ with open({log!r}, "a") as log:
 """A simulator that leaves much."""
 
 
+def why(gated: Gated) -> str:
+    """What `sierra why` says of the last batch."""
+    done = projects.sierra(gated.root, "why", gated.project.batches[-1]["batch"])
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
 @pytest.fixture
 def gate(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Callable[..., Gated]]:
     """Makes a project whose runs end once a gate is open; `table` is added to what it says of the cluster."""
@@ -257,6 +264,7 @@ def test_an_element_at_its_time_limit_is_continued_by_another(gate: Callable[...
     gated.open()
     told = ended(asking)
     assert "TIMEOUT" in told
+    assert "TIMEOUT" in why(gated)
     is_whole(gated.project)
     at_rest(gated.slurm, gated.project)
 
@@ -279,6 +287,7 @@ def test_what_is_preempted_goes_on_where_it_was(gate: Callable[..., Gated], star
     is_whole(gated.project)
     assert len(gated.begun()) == 8 + 3
     assert rows(gated.project, "SELECT count(*) AS n FROM attempts WHERE state = 'cut off' AND cut = 1") == [{"n": 3}]
+    assert "elements were cut off 3 times, with 3 of its runs in flight, which were begun again" in why(gated)
     at_rest(gated.slurm, gated.project)
 
 
@@ -394,3 +403,21 @@ def test_what_is_detached_on_a_file_system_without_locks_is_joined(gate: Callabl
     is_whole(gated.project)
     assert len(gated.begun()) == 8
     at_rest(gated.slurm, gated.project)
+
+
+def test_who_asks_at_once_without_locks_executes_twice_and_why_says_so(gate: Callable[..., Gated], tmp_path: Path) -> None:
+    gated = gate()
+    program = tmp_path / "without_locks.py"
+    program.write_text(WITHOUT_LOCKS)
+    command = [sys.executable, str(program), "run", *ASK]
+    pipe = subprocess.PIPE
+    askings = [subprocess.Popen(command, cwd=gated.root, stdout=pipe, stderr=pipe, text=True) for _ in range(2)]
+    gated.until_begun(3)
+    gated.open()
+    for asking in askings:
+        ended(asking)
+    twice = len(gated.begun()) == 16
+    is_whole(gated.project, executions=16 if twice else 8)
+    at_rest(gated.slurm, gated.project)
+    if twice:
+        assert "another asking" in why(gated)

@@ -104,6 +104,8 @@ def _print_event(event: Event, answer: Why, *, because: bool) -> None:
         if cause.new and because:
             for line in answer.new_because.get(event.batch, ()):
                 print(f"    {readable(line)}")
+    for line in event.more:
+        print(f"  {readable(line)}")
     if len(event.causes) > LINES:
         print(f"  and for {len(event.causes) - LINES} more reasons (--json has them all)")
 

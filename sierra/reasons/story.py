@@ -51,6 +51,8 @@ class Event:
     ended: bool
     """Whether it came to its end, and was recorded as an asking."""
     causes: tuple[Cause, ...]
+    more: tuple[str, ...] = ()
+    """Why runs were begun, or executed, more often than was asked, on a cluster."""
 
 
 EXECUTED = """
@@ -73,16 +75,31 @@ best AS (
            'reason': reason, 'doubted': doubted}, (worth, ended)) AS best
     FROM earlier GROUP BY execution
 )
-SELECT m.*, b.worth, b.best FROM mine m LEFT JOIN best b USING (execution)
+SELECT m.*, b.worth, b.best, EXISTS (
+    SELECT 1 FROM mine o WHERE o.run = m.run AND o.purpose = 'run' AND o.session <> m.session AND o.ended > m.started
+        AND (o.started, o.execution) < (m.started, m.execution)
+) AS beside
+FROM mine m LEFT JOIN best b USING (execution)
 """
 CAUSES = """
-SELECT session, batch, purpose, worth, best.doubted AS doubted, CASE WHEN worth = 0 THEN best.reason END AS reason,
+SELECT session, batch, purpose, worth, beside, best.doubted AS doubted, CASE WHEN worth = 0 THEN best.reason END AS reason,
        CASE WHEN worth = 1 THEN best.reading END AS was_reading, CASE WHEN worth = 2 THEN best.programs END AS was_programs,
        CASE WHEN worth = 1 THEN reading END AS reading, CASE WHEN worth = 2 THEN programs END AS programs,
        count(*) AS executions, count(*) FILTER (status <> 'ok') AS failed, min(started) AS started,
        arg_min(execution, (started, execution)) AS execution, arg_min(run, (started, execution)) AS run,
        arg_min(best.prior, (started, execution)) AS prior
 FROM happened GROUP BY ALL ORDER BY executions DESC, execution
+"""
+CUT = """
+WITH mine AS (
+    SELECT DISTINCT a.session, a.element FROM attempts a JOIN executions e USING (attempt) SEMI JOIN wanted USING (run)
+)
+SELECT session, count(*) AS times, sum(cut)::INT AS cut, list(DISTINCT trouble ORDER BY trouble) AS troubles
+FROM attempts SEMI JOIN mine USING (session, element) WHERE state = 'cut off' AND cut > 0 GROUP BY session
+"""
+COPIED = """
+SELECT e.session, count(*) AS copies, count(*) FILTER (NOT same) AS other, min(execution) AS execution
+FROM copies JOIN executions e USING (execution) WHERE e.run IN (SELECT run FROM wanted) GROUP BY e.session
 """
 ASKINGS = """
 SELECT * FROM sessions WHERE list_contains($b, batch) OR list_contains($s, session) ORDER BY started, session
@@ -92,7 +109,7 @@ REPLAYS = "SELECT replay, kind, target, verdict FROM replays WHERE list_contains
 
 def tell(question: Question, batches: Sequence[str]) -> list[Event]:
     """All that happened to the runs in the table `wanted`, and all askings of these batches."""
-    question.views.make(("executions", "findings", "sessions", "replays", "members"))
+    question.views.make(("executions", "findings", "sessions", "replays", "members", "attempts", "copies"))
     question.run(EXECUTED, {"failed": FAILED, "rules": OTHER_RULES, "programs": OTHER_PROGRAMS, "good": GOOD})
     rows = question.sql(CAUSES).to_pylist()
     sessions_of = [row["session"] for row in rows]
@@ -102,7 +119,11 @@ def tell(question: Question, batches: Sequence[str]) -> list[Event]:
     for row in rows:
         by_session.setdefault(row["session"], []).append(row)
     replays = {row["replay"]: row for row in question.sql(REPLAYS, s=list(by_session)).to_pylist()}
-    events = [_event(question, key, those, sessions.get(key), replays.get(key)) for key, those in by_session.items()]
+    more = _more(question)
+    events = [
+        _event(question, key, those, sessions.get(key), replays.get(key), more.get(key, []))
+        for key, those in by_session.items()
+    ]
     return sorted(events, key=lambda event: (event.when is None, event.when))
 
 
@@ -112,6 +133,7 @@ def _event(
     rows: Sequence[Mapping[str, Any]],
     asking: Mapping[str, Any] | None,
     replay: Mapping[str, Any] | None,
+    more: Sequence[str],
 ) -> Event:
     executed = sum(row["executions"] for row in rows)
     failed = sum(row["failed"] for row in rows)
@@ -127,11 +149,28 @@ def _event(
         reused=asking["reused"] if asking else None,
         ended=asking is not None or replay is not None,
         causes=tuple(_cause(question, row, replay) for row in rows),
+        more=tuple(more),
     )
 
 
+def _more(question: Question) -> dict[str, list[str]]:
+    """By session: what was begun, or executed, more often than was asked, and why."""
+    told: dict[str, list[str]] = {}
+    for row in question.sql(CUT).to_pylist():
+        why = few([trouble for trouble in row["troubles"] if trouble], SHOWN) or "nobody says by what"
+        which = f"elements were cut off {row['times']} times" if row["times"] > 1 else "an element was cut off"
+        line = f"{which}, with {row['cut']} of its runs in flight, which were begun again: {why}"
+        told.setdefault(row["session"], []).append(line)
+    for row in question.sql(COPIED).to_pylist():
+        other = f"{row['other']} of them with other results" if row["other"] else "with the same results"
+        which = f"{row['copies']} (as {short(row['execution'])}), {other}"
+        line = f"executed twice, as two copies of an element lived at a time: {which}"
+        told.setdefault(row["session"], []).append(line)
+    return told
+
+
 def _cause(question: Question, row: Mapping[str, Any], replay: Mapping[str, Any] | None) -> Cause:
-    new = row["worth"] is None and row["purpose"] == "run"
+    new = row["worth"] is None and row["purpose"] == "run" and not row["beside"]
     return Cause(row["executions"], _why(question, row, replay), row["execution"], row["run"], new)
 
 
@@ -140,6 +179,8 @@ def _why(question: Question, row: Mapping[str, Any], replay: Mapping[str, Any] |
         of = f" of {replay['kind']} {short(replay['target'])}: {replay['verdict']}" if replay else ", which was not ended"
         return f"a {row['purpose']}{of}"
     match row["worth"]:
+        case None if row["beside"]:
+            return "another asking was executing it at the time, which this one did not know"
         case None:
             return "new"
         case 0 if row["doubted"]:
