@@ -59,7 +59,8 @@ def main() -> None:
         print("clusters: a SLURM can't be started here (as root, on Debian: make system)")
         return
     with clusters.folder() as folder, clusters.Slurm(folder, nodes=1, cpus=2) as cluster:
-        os.environ.update(cluster.environment)
+        os.environ.update(cluster.environment, XDG_CACHE_HOME=str(folder / "cache"))
+        asked(project(folder / "first", "elements = 1\ncpus = 2\n"), 4)  # a day's first batch has nodes looked at before
         if arguments.slow:
             array(folder, arguments.runs)
             many(folder, 100_000)

@@ -1,0 +1,220 @@
+"""The shipped runners hold to the conformance suite, over a real SLURM too; and the suite notices what breaks its claims."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from sierra import runners
+from sierra.config import ClusterTable
+from sierra.model import Job, Limits, Result
+from sierra.paths import SessionPaths
+from sierra.runners import Look, Runner, Work, conformance
+from sierra.runners.cluster import Cluster
+from sierra.runners.conformance import Ordeal
+from sierra.runners.local import Local
+from tests import clusters, pbs
+
+TABLE: dict[str, Any] = {"elements": 2, "cpus": 2}
+
+
+def until(there: Callable[[], bool]) -> None:
+    give_up = time.monotonic() + 30
+    while not there():
+        assert time.monotonic() < give_up, "what was to end runs on"
+        time.sleep(0.05)
+
+
+def local(slots: int) -> Runner:
+    return Local(slots, ClusterTable())
+
+
+def cluster(name: str) -> Callable[[int], Runner]:
+    return runners.find(name, {name: ClusterTable(**TABLE)})
+
+
+def test_local_conforms(tmp_path: Path) -> None:
+    conformance.check_runner(local, tmp_path)
+
+
+@pytest.mark.real
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["slurm", "pbs"])
+def test_a_cluster_conforms(name: str, slurm: clusters.Slurm, tmp_path: Path, require: Callable[..., str]) -> None:
+    require("qsub")
+    conformance.check_runner(cluster(name), tmp_path)
+
+
+@pytest.fixture
+def server(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[pbs.Server]:
+    """A PBS that commands on the PATH speak to; home is a folder of its own."""
+    (tmp_path / "home").mkdir()
+    made = pbs.Server(tmp_path / "server", request.param)
+    monkeypatch.setenv("PATH", f"{made.bin}:{os.environ['PATH']}")
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    yield made
+    made.end()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("server", ["openpbs", "torque"], indirect=True)
+def test_pbs_conforms(server: pbs.Server, tmp_path: Path) -> None:
+    (tmp_path / "trials").mkdir()
+    conformance.check_runner(cluster("pbs"), tmp_path / "trials")
+
+
+class Changed(Local):
+    """A runner that executes other jobs than it is given."""
+
+    def submit(self, work: Work, session: SessionPaths) -> None:
+        super().submit(replace(work, jobs=map(self.changed, work.jobs)), session)
+
+    def changed(self, job: Job) -> Job:
+        return job
+
+
+class Leaking(Changed):
+    """Gives the caller's environment away."""
+
+    def changed(self, job: Job) -> Job:
+        return replace(job, environment={**os.environ, **job.environment})
+
+
+class Splitting(Changed):
+    """Takes a command for a line of a shell."""
+
+    def changed(self, job: Job) -> Job:
+        return replace(job, argv=("sh", "-c", " ".join(job.argv).replace("\0", "$SIERRA_RUN_DIR")))
+
+
+class Lenient(Changed):
+    """Keeps no limits."""
+
+    def changed(self, job: Job) -> Job:
+        return replace(job, limits=Limits())
+
+
+class Retold(Local):
+    """A runner that tells of runs otherwise than they were."""
+
+    def look(self) -> Look:
+        look = super().look()
+        return replace(look, results=tuple(self.told(list(look.results))))
+
+    def told(self, results: list[Result]) -> list[Result]:
+        return results
+
+
+class Repeating(Retold):
+    """Tells of each run twice."""
+
+    def told(self, results: list[Result]) -> list[Result]:
+        return results * 2
+
+
+class Hopeful(Retold):
+    """Tells of no failure."""
+
+    def told(self, results: list[Result]) -> list[Result]:
+        return [replace(result, exit_code=0) for result in results]
+
+
+class Careless(Retold):
+    """Does not hash what runs leave."""
+
+    def told(self, results: list[Result]) -> list[Result]:
+        outputs = [tuple(replace(file, sha256="0" * 64) for file in result.outputs) for result in results]
+        return [replace(result, outputs=files) for result, files in zip(results, outputs, strict=True)]
+
+
+class Slow(Local):
+    """Waits while it looks."""
+
+    def look(self) -> Look:
+        time.sleep(0.5)
+        return super().look()
+
+
+class Deaf(Local):
+    """Cannot be stopped."""
+
+    def stop(self) -> None: ...
+
+
+class Hasty(Deaf):
+    """Says that it has ended as soon as it is stopped."""
+
+    stopped = False
+
+    def stop(self) -> None:
+        self.stopped = True
+
+    def look(self) -> Look:
+        return replace(super().look(), alive=not self.stopped)
+
+
+@pytest.mark.parametrize(
+    ("runner", "claim", "complaint"),
+    [
+        (Leaking, conformance.gives_exactly_the_jobs_environment, "variables are not the job's"),
+        (Splitting, conformance.gives_what_the_job_has, "became|other|unpack|is another"),
+        pytest.param(Lenient, conformance.keeps_the_time_limit, "does not come to an end", marks=pytest.mark.slow),
+        (Repeating, conformance.executes_each_job_once, "14 results of 7 executions"),
+        (Hopeful, conformance.tells_how_each_ended, "exit status 3 became"),
+        (Careless, conformance.keeps_what_runs_leave, "not as it is told of"),
+        (Slow, conformance.looks_at_once, "a look took"),
+        pytest.param(Deaf, conformance.ends_when_stopped, "does not come to an end", marks=pytest.mark.slow),
+        pytest.param(Hasty, conformance.ends_when_stopped, "runs on", marks=pytest.mark.slow),
+    ],
+)
+def test_the_suite_notices(
+    runner: type[Local], claim: Callable[[Ordeal], None], complaint: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(conformance, "PATIENCE_S", 8.0)
+    monkeypatch.setattr(conformance, "AT_ONCE_S", 0.4)
+    ordeal = Ordeal(lambda slots: runner(slots, ClusterTable()), tmp_path)
+    with pytest.raises(AssertionError, match=complaint):
+        claim(ordeal)
+    (ordeal.begun[-1].shared / "go").touch()
+    left = ordeal.begun[-1].runner
+    assert isinstance(left, Local)
+    Local.stop(left)
+    until(lambda: not Local.look(left).alive)
+
+
+class Forgetful(Cluster):
+    """A runner that does not heed what is recorded."""
+
+    def resume(self, session: SessionPaths, recorded: Mapping[str, str | None]) -> None:
+        super().resume(session, {})
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("server", ["openpbs"], indirect=True)
+@pytest.mark.parametrize(
+    ("runner", "claim", "complaint"),
+    [
+        (Forgetful, conformance.goes_on_for_another, "of the 2 runs that were to come, told were"),
+        (Cluster, conformance.ends_with_its_process, "runs on"),
+    ],
+)
+def test_the_suite_notices_of_those_that_stay(
+    runner: type[Cluster],
+    claim: Callable[[Ordeal], None],
+    complaint: str,
+    server: pbs.Server,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(conformance, "PATIENCE_S", 8.0)
+    (tmp_path / "trials").mkdir()
+    ordeal = Ordeal(lambda slots: runner(slots, ClusterTable(**TABLE), name="pbs", scheduler="pbs"), tmp_path / "trials")
+    with pytest.raises(AssertionError, match=complaint):
+        claim(ordeal)
+    ordeal.close()
