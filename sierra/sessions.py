@@ -64,7 +64,7 @@ class Session:
                 return None
             try:
                 made._lock = _locked(paths.lock, wait=False)
-            except BlockingIOError:
+            except (BlockingIOError, PermissionError):  # another user's: their jobs are nobody else's to find, or to end
                 return None
             generation = _take_over(paths) if made._lock is None else 0
             if generation is None:

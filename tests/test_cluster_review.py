@@ -32,6 +32,7 @@ from sierra.store import Store
 from tests import containers
 from tests.clusters import Slurm
 from tests.conftest import Simulated
+from tests.users import a_user, called_as
 
 QUERY = ("size=1,2,3",)
 CLUSTER = "\n[runners.here]\nelements = 1\n"
@@ -204,6 +205,23 @@ def test_what_ends_while_it_is_cancelled_is_kept(clustered: Callable[..., Cluste
     monkeypatch.setattr(Here, "look", late)
     [done] = made.project.cancel(made.session().name)
     assert (done.kept, done.missing) == (3, 0)
+
+
+def test_what_another_user_has_submitted_is_theirs(require: Callable[..., str]) -> None:
+    require("root, to be another user", there=os.geteuid() == 0)
+    require("useradd")
+    with a_user(f"sierra-test-{os.getpid()}", ids=False) as user:
+        store = Store.create(user.home / "store").paths
+        session = Session(store)
+        session.paths.submission.write_text("{}")
+        session.leave()
+        session.close()
+        store.work_lock.chmod(0o666)
+
+        def check() -> None:
+            assert Session.adopted(store, session.paths) is None
+
+        called_as(user, check)
 
 
 def test_half_of_a_session_that_is_removed_is_no_submission(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

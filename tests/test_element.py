@@ -583,6 +583,23 @@ def test_no_path_leads_out_of_a_runs_folder(packed: Pack, tmp_path: Path, path: 
     assert [entry.name for entry in tmp_path.rglob("*")] == ["in"]
 
 
+def test_no_output_is_told_that_is_not_in_the_pack(packed: Pack, tmp_path: Path) -> None:
+    with packed.path.open("rb") as file:
+        ends = [(record, at, after) for record, at, after in element.records(file, 0) if record["event"] == "end"]
+        record, at, after = next(one for one in ends if one[0]["outputs"])
+        file.seek(at)
+        payload = file.read(after - at)
+    record.pop("check", None)
+    hostile = Pack(tmp_path / packed.path.name)
+    hostile.path.write_bytes(element.line_of(record) + payload)
+    assert [type(event) for event in hostile.read()] == [Ended]
+    record["outputs"][0]["path"] = "../../x"
+    hostile = Pack(tmp_path / packed.path.name)
+    hostile.path.write_bytes(element.line_of(record) + payload)
+    with pytest.raises(Damaged):
+        list(hostile.read())
+
+
 def test_an_element_costs_little_beside_its_worker(folder: Folder, tmp_path: Path) -> None:
     folder.deal(many(300, "true"))
     began = time.monotonic()

@@ -121,6 +121,8 @@ def test_a_script_asks_for_nothing_that_is_not_said(request_of: Callable[..., Re
 def test_a_path_that_no_script_can_hold_is_said(request_of: Callable[..., Request]) -> None:
     with pytest.raises(ConfigError, match="without a line feed"):
         scheduler().script(replace(request_of(), folder=Path("/a\nb")))
+    with pytest.raises(ConfigError, match="without a backslash"):
+        scheduler().script(replace(request_of(), logs=Path("/a\\b")))
 
 
 @pytest.mark.parametrize(

@@ -144,7 +144,7 @@ class Slurm:
         yield f"--comment={_quoted(' '.join(request.comment.split()))}"
         yield f"--array={ranges(request.elements)}"
         yield f"--chdir={_quoted(str(request.folder))}"
-        yield f"--output={_quoted(str(request.logs).replace('%', '%%') + '/%A_%a.out')}"
+        yield f"--output={_quoted(_pattern(request.logs) + '/%A_%a.out')}"
         yield "--open-mode=append"
         if request.after:
             yield f"--dependency=afterok:{request.after}"
@@ -220,6 +220,13 @@ def _named(found: Iterable[Task]) -> list[str]:
     for task in found:
         jobs.setdefault(task.job, []).append(task.element or 0)
     return [f"{job}_[{ranges(sorted(set(elements)))}]" for job, elements in jobs.items()]
+
+
+def _pattern(folder: Path) -> str:
+    """A folder's name before a pattern of SLURM's, which a backslash anywhere in it would turn off."""
+    if "\\" in str(folder):
+        raise ConfigError(f"SLURM can't have jobs print into {str(folder)!r}; use a name without a backslash")
+    return str(folder).replace("%", "%%")
 
 
 def _quoted(text: str) -> str:
