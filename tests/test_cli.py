@@ -260,6 +260,12 @@ def test_sql_answers_in_five_formats(answered: Path, tmp_path: Path) -> None:
     assert pq.read_table(tmp_path / "x").to_pylist() == [{"n": 8, "t": "a|b"}]
 
 
+def test_columns_of_one_name_are_told_apart(answered: Path) -> None:
+    ask = "SELECT 6 AS n, 7 AS n, 8 AS n_1, 9 AS n"
+    assert quick(answered, "sql", ask, "-f", "csv").stdout == "n,n_2,n_1,n_3\n6,7,8,9\n"
+    assert quick(answered, "sql", ask).stdout.split() == ["n", "n_2", "n_1", "n_3", "6", "7", "8", "9"]
+
+
 def test_json_has_numbers_that_json_knows(answered: Path) -> None:
     said = quick(
         answered, "sql", "SELECT 1/0 AS i, 'nan'::DOUBLE AS n, sum(number) AS s, 1.5::DECIMAL(3,1) AS d FROM runs", "--json"

@@ -333,7 +333,7 @@ def test_a_dry_run_needs_no_scheduler_but_says_what_it_does_not_know(tmp_path: P
         (tools / program).symlink_to(subprocess.check_output(["which", program], text=True).strip())
     done = projects.sierra(root, "run", "population_size.Log8", "--on", cluster, "-n", environment={"PATH": str(tools)})
     assert done.returncode == 0, done.stderr
-    assert f"on {cluster} ({cluster}): 8 elements of up to 1 runs" in done.stdout
+    assert f"on {cluster} ({cluster}): 8 elements of up to 1 run," in done.stdout
     assert "what the site allows is not known" in done.stderr
 
 

@@ -133,6 +133,8 @@ def _state(one: Standing) -> str:
 
 
 def _cancelled(one: Cancelled) -> str:
+    from sierra.wording import counted
+
     ending = f"; {one.ending} is still ending it" if one.ending else ""
     failed = f" ({one.failed} of them failed)" if one.failed else ""
-    return f"session {one.session}: {one.kept} runs kept{failed}, {one.missing} not executed{ending}"
+    return f"session {one.session}: {counted(one.kept, 'run')} kept{failed}, {one.missing} not executed{ending}"

@@ -27,8 +27,9 @@ def asked() -> bool:
 def lines(left: Sequence[Any], batch: str) -> list[str]:
     """What goes on, a line each (`left`: as `sierra.standing.Standing` has it), and how to get back to it."""
     from sierra.hashing import short
+    from sierra.wording import counted
 
-    told = [f"session {one.session}: {one.elements} elements in {named(one.jobs)} on {one.runner}" for one in left]
+    told = [f"session {one.session}: {counted(one.elements, 'element')} in {named(one.jobs)} on {one.runner}" for one in left]
     return [*told, f"sierra attach {short(batch)} goes on with it, sierra cancel {short(batch)} ends it"]
 
 

@@ -10,6 +10,7 @@ from typing import Any
 
 from sierra.asking import Progress
 from sierra.cli import leaving
+from sierra.wording import counted
 
 PLAIN_S = 5.0
 
@@ -100,7 +101,7 @@ def text(progress: Progress, seconds: float) -> str:
     if progress.running:
         parts.append(f"{progress.running} running")
     if progress.queued:
-        parts.append(f"{progress.queued} {'element' if progress.queued == 1 else 'elements'} queued")
+        parts.append(f"{counted(progress.queued, 'element')} queued")
     if progress.elsewhere:
         parts.append(f"{progress.elsewhere} in another session")
     if progress.done and seconds > 0:

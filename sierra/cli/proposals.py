@@ -28,11 +28,12 @@ def show(proposal: Proposal, *, explain: bool, script: bool) -> None:
 def _lines(proposal: Proposal) -> Iterator[str]:
     from sierra.cli.keep import size
     from sierra.cli.progress import duration
+    from sierra.wording import counted
 
-    elements = "1 element" if proposal.elements == 1 else f"{proposal.elements} elements"
-    cores = "1 core" if proposal.cpus == 1 else f"{proposal.cpus} cores"
+    elements, runs = counted(proposal.elements, "element"), counted(proposal.longest, "run")
+    cores = counted(proposal.cpus, "core")
     wall = "the site's time" if proposal.wall_s is None else duration(proposal.wall_s)
-    yield f"on {proposal.runner} ({proposal.scheduler}): {elements} of up to {proposal.longest} runs, each {cores} for {wall}"
+    yield f"on {proposal.runner} ({proposal.scheduler}): {elements} of up to {runs}, each {cores} for {wall}"
     most = "" if proposal.most_core_hours is None else f", at most {proposal.most_core_hours:.3g} (all that is asked for)"
     if proposal.core_hours is None:
         yield f"core-hours: nobody knows yet how long runs take{most}"

@@ -7,6 +7,7 @@ no catalogue to get out of step.
 
 from __future__ import annotations
 
+import itertools
 import re
 import secrets
 import tempfile
@@ -198,7 +199,7 @@ class Question:
                 answer = self._answer(text, parameters)
             if answer is None:
                 raise SqlError("that statement has no answer; ask with SELECT, DESCRIBE, SUMMARIZE or SHOW TABLES")
-            return answer.to_arrow_table()
+            return apart(answer.to_arrow_table())
         except duckdb.Error as error:
             raise self._wrong(error) from error
 
@@ -262,6 +263,17 @@ def connect() -> Any:
             "python_enable_replacements": "false",
         },
     )
+
+
+def apart(answer: pa.Table) -> pa.Table:
+    """The same; several columns of one name (`SELECT * FROM runs JOIN executions …`) are named as in a table: run, run_1."""
+    names: list[str] = []
+    for name in answer.column_names:
+        others = (f"{name}_{number}" for number in itertools.count(1))
+        names.append(
+            name if name not in names else next(other for other in others if other not in (*names, *answer.column_names))
+        )
+    return answer.rename_columns(names)
 
 
 def explain(error: Exception) -> str:
