@@ -230,7 +230,11 @@ class Slurm:
 
     def until_idle(self) -> None:
         """Wait until no node has anything to do; nodes that were declared down are used again."""
-        _wait(self._is_idle, f"nodes are not idle; see {self.root}/log", 60)
+        try:
+            _wait(self._is_idle, "nodes are not idle", 60)
+        except AssertionError as error:
+            told = (self.command("sinfo", "-N", "-h", "-o", "%N %T %E"), self.command("squeue", "-h", "-a", "-r", "-t", "all"))
+            raise AssertionError("\n".join((f"{error}; see {self.root}/log", *told))) from None
 
     def _is_idle(self) -> bool:
         states = self.nodes()

@@ -71,7 +71,8 @@ class Gated:
 
     def job(self) -> str:
         """The id of the one job that is there."""
-        [job] = {name.partition("_")[0] for name, state in self.slurm.states().items() if state in ("PENDING", "RUNNING")}
+        listed = self.slurm.command("squeue", "-h", "-t", "PENDING,RUNNING", "-o", "%F %j").splitlines()
+        [job] = {line.split()[0] for line in listed if " sierra-" in line}
         return job
 
     @property
