@@ -32,7 +32,7 @@ with open({log!r}, "a") as log:
     print(count, file=log, flush=True)
 if count == 4:
     eaten = b"1" * 400_000_000
-    time.sleep(60)
+    time.sleep(6)
 with open("swarm.csv", "w") as file:
     print("tick,coverage", file=file)
     print(0, count, sep=",", file=file)
@@ -136,6 +136,7 @@ def test_a_run_over_its_limit_of_memory_fails_on_a_node_and_no_other_does(gate: 
     assert "Traceback" not in told
     found = rows(gated.project, "SELECT status, reason, count(*) AS n FROM executions GROUP BY ALL ORDER BY status")
     assert [(row["status"], row["n"]) for row in found] == [("memory", 2), ("ok", 6)]
+    assert rows(gated.project, "SELECT count(*) AS n FROM attempts") == [{"n": 3}]
     at_rest(gated.slurm, gated.project)
 
 
@@ -159,6 +160,8 @@ def test_what_slurm_kills_for_its_memory_has_failed_and_takes_nothing_with_it(
     assert "Exceeded job memory limit" in found[0]["reason"]
     config = gated.root / "sierra.toml"
     config.write_text(config.read_text().replace('memory = "200 MB"', 'memory = "2 GB"'))
+    ended(gated.ask())
+    is_whole(gated.project, executions=10)
     at_rest(gated.slurm, gated.project)
 
 
