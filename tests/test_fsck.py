@@ -157,6 +157,17 @@ def test_strays_are_named_and_what_is_only_left_is_no_damage(root: Path) -> None
     assert [finding.path for finding in fsck(root).findings if finding.kind is Kind.LEFT] == [".format.123"]
 
 
+def test_what_surrounds_two_askings_may_be_recorded_of_each(root: Path) -> None:
+    """As on a cluster, where it is recorded on its own, before anything was executed: the same bytes for each batch."""
+    for batch in ("0123456789ab", "ba9876543210"):
+        around = root / ".sierra" / "segments" / f"{batch}-"
+        around.mkdir()
+        for table in ("environments", "programs"):
+            shutil.copy(segment_with(root, table) / f"{table}.parquet", around)
+        seal(around)
+    assert fsck(root).sound
+
+
 def test_what_is_concerned_is_said(root: Path) -> None:
     path = segment_with(root, "executions") / "objects.parquet"
     extend(path)

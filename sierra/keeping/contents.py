@@ -24,6 +24,7 @@ from sierra.store.objects import GROUP, ROWS
 from sierra.store.reading import first_line
 from sierra.store.segments import AFTER, MANIFEST, MARK_BYTES, OUTPUT, REPLACES, SUFFIX, Segment, on_disk, out_of_date
 from sierra.store.tables import RECORDED, arrow_schema
+from sierra.store.views import ONCE
 
 NAME = re.compile(r"[0-9a-f]{12}-([0-9a-f]{16})")
 LINE = re.compile(r"([0-9a-f]{64})  ([^/\0]+)")
@@ -70,7 +71,7 @@ def read(paths: StorePaths, tell: Callable[[int], None] = lambda done: None) -> 
             if name in hidden:
                 found.left.append(name)
             twin = suffixes.setdefault(name.partition("-")[2], name)
-            if twin != name:
+            if twin != name and not segment.files.keys() <= ONCE.keys():
                 what = f"the same segment as {twin}, under another name"
                 found.findings.append(Finding(Kind.STRAY, _shown(paths, folder), what))
                 continue
