@@ -215,7 +215,9 @@ class Slurm:
 
     def command(self, *argv: str) -> str:
         """What one of SLURM's commands prints."""
-        done = subprocess.run(argv, env=self._environment(), check=False, timeout=60, capture_output=True, text=True)
+        done = subprocess.run(
+            argv, cwd=self.root, env=self._environment(), check=False, timeout=60, capture_output=True, text=True
+        )
         assert done.returncode == 0, f"{argv}: {done.stderr}"
         return done.stdout.strip()
 

@@ -38,7 +38,7 @@ from sierra.runners.schedulers import State, Task
 from sierra.runners.sizing import size
 from sierra.runners.submission import Submission
 from sierra.store.segments import disk_errors
-from sierra.wording import few
+from sierra.wording import counted, few
 
 AT_ONCE = 256
 """Runs that one look tells of at most."""
@@ -401,6 +401,7 @@ class Cluster:
             self._note(f"{error}; whether it has taken the job will be seen")
         else:
             submission.note(self._session, number, replace(intent, job=job))
+            self._note(f"submitted as {self._kind} job {job} ({self._name}): {counted(len(indices), 'element')}")
 
     def _put_off(self, number: int, indices: tuple[int, ...], why: str, error: Full, after: str) -> None:
         """Try half of them, and the others later; or all later. Raises where the site takes not even one, and has none yet."""
