@@ -240,7 +240,7 @@ class Slurm:
 
     def _is_idle(self) -> bool:
         states = self.nodes()
-        for node in (node for node, state in states.items() if state == "down" and not self._gone(node)):
+        for node in (node for node, state in states.items() if state.startswith(("down", "drain")) and not self._gone(node)):
             with contextlib.suppress(AssertionError):  # it is no longer down
                 self.resume(node)
         return set(states.values()) == {"idle"}
