@@ -333,6 +333,9 @@ class Cluster:
     def _settle(self) -> None:
         """All is recorded: end what may still live, but for what is ending by itself."""
         self._over = True
+        if self._made.probed:  # it may have been requeued, and wait
+            with contextlib.suppress(Missing):
+                self._scheduler.cancel(self._probe.name)
         tasks = self._scheduler.look(self._name) or ()
         ending = {track.element for track in self._tracks.values() if track.finished}
         living = [task for task in tasks if task.state is not State.ENDED]
@@ -429,7 +432,7 @@ class Cluster:
         """Have jobs, or elements, ended; where nobody can be asked to, that is tried again with the next question."""
         self._deaf = False
         try:
-            if self._probing and elements is None:
+            if self._made.probed and elements is None:
                 self._scheduler.cancel(self._probe.name)
             self._scheduler.cancel(self._name, elements)
         except Missing as error:
