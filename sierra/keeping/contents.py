@@ -20,8 +20,8 @@ from sierra.hashing import sha256, unsealed
 from sierra.keeping.findings import Finding, Kind
 from sierra.paths import StorePaths
 from sierra.store import CACHEDIR, FORMAT
+from sierra.store.complaints import first_line
 from sierra.store.objects import GROUP, ROWS
-from sierra.store.reading import first_line
 from sierra.store.segments import AFTER, MANIFEST, MARK_BYTES, OUTPUT, REPLACES, SUFFIX, Segment, on_disk, out_of_date
 from sierra.store.tables import RECORDED, arrow_schema
 from sierra.store.views import ONCE

@@ -28,7 +28,7 @@ from sierra.provenance import source
 from sierra.provenance.program import fingerprint
 from sierra.record import UNREAD
 from sierra.store import Question, read_parquet
-from sierra.store.reading import first_line
+from sierra.store.complaints import first_line
 from sierra.store.tables import RECORDED
 
 Rows = Iterator[dict[str, Any]]

@@ -218,7 +218,8 @@ class Cluster:
         alive = not self._over or bool(results) or any(track.late for track in self._tracks.values())
         if not alive:
             rows += [("attempts", self._row(track, track.attempt)) for track in self._tracks.values() if track.attempt]
-        running = sum(len(track.begun) for track in self._tracks.values() if self._lives(track))
+        last = {track.element: track for track in self._tracks.values()}  # of the attempts at one element, the newest
+        running = sum(len(track.begun) for track in last.values() if self._lives(track))
         return Look(
             tuple(results), running, alive, tuple(rows), notes, len(self._queued), tuple(copies), None if alive else self._wrong
         )
@@ -570,6 +571,12 @@ class Cluster:
         lost = self._alive is not None and track.element not in self._alive
         return not (track.finished or track.trouble or lost or self._over)
 
+    def _ended_by(self, track: Track) -> str | None:
+        """What ended an attempt that has not said so itself."""
+        if self._stopping is not None and self._wrong is None:
+            return "cancelled"
+        return self._shares[track.element].word or None
+
     def _row(self, track: Track, begun: Attempt) -> dict[str, Any]:
         """The attempt as a row of `attempts`."""
         return {
@@ -590,7 +597,7 @@ class Cluster:
             "runs": track.runs,
             "cut": len(track.begun),
             "state": "finished" if track.finished else "cut off",
-            "trouble": track.trouble or (None if track.finished else self._shares[track.element].word or None),
+            "trouble": track.trouble or (None if track.finished else self._ended_by(track)),
             "environment": track.environment,
         }
 

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from sierra.errors import Damaged, Missing, NotFound, SierraError, SqlError
 from sierra.paths import StorePaths, write_whole
+from sierra.store.complaints import explain
 from sierra.store.segments import Segment, Writer, disk_errors, listed
 from sierra.store.sharing import Shared
 from sierra.store.views import Views, outputs, read_parquet, tables_of
@@ -274,13 +275,6 @@ def apart(answer: pa.Table) -> pa.Table:
             name if name not in names else next(other for other in others if other not in (*names, *answer.column_names))
         )
     return answer.rename_columns(names)
-
-
-def explain(error: Exception) -> str:
-    """DuckDB's complaint, in one line."""
-    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-    kept = [line for line in lines if not line.startswith(("LINE ", "^"))]
-    return " ".join(kept)[:400]
 
 
 __all__ = ["Found", "Question", "Store", "connect", "read_parquet"]

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 from sierra.errors import NotFound, SqlError
 from sierra.model import Axis, Value
-from sierra.store import Question, Store, explain, read_parquet
+from sierra.store import Question, Store, read_parquet
+from sierra.store.complaints import explain
 from sierra.store.reading import identifier
 from sierra.store.segments import is_first_part
 from sierra.store.tables import RECORDED

@@ -31,6 +31,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from sierra.errors import Missing
+from sierra.store.complaints import first_line
 from sierra.store.tables import BESIDE_OUTPUTS
 from sierra.wording import few
 
@@ -967,7 +968,3 @@ def _few(names: Iterable[str]) -> str:
 def shown(path: str) -> str:
     """A file's name as text: bytes of it that are no UTF-8 as escapes."""
     return path.encode("utf-8", "backslashreplace").decode()
-
-
-def first_line(error: Exception) -> str:
-    return str(error).splitlines()[0][:200]

@@ -21,8 +21,9 @@ from typing import Any
 from sierra.errors import Damaged, Missing
 from sierra.paths import StorePaths
 from sierra.store import Question, connect
+from sierra.store.complaints import first_line
 from sierra.store.objects import GROUP, ROWS
-from sierra.store.reading import first_line, identifier, quote
+from sierra.store.reading import identifier, quote
 from sierra.store.segments import (
     AFTER,
     MANIFEST,

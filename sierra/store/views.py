@@ -7,7 +7,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from sierra.errors import Damaged
-from sierra.store.reading import column_names, first_line, identifier, quote
+from sierra.store.complaints import first_line
+from sierra.store.reading import column_names, identifier, quote
 from sierra.store.segments import Segment, is_first_part
 from sierra.store.tables import DERIVED, RECORDED
 
