@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import pwd
 import re
@@ -582,20 +583,23 @@ def test_a_batch_is_answered_though_an_element_is_deleted(server: pbs.Server, tm
     root = projects.make(tmp_path / HOSTILE, projects.CONFIG + CLUSTER, simulator=simulator)
     words = (projects.SIERRA, "run", "population_size.Log8", "--on", "pbs", "--no-figures")
     asked = subprocess.Popen(words, cwd=root, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    until(lambda: len(list(root.glob(".sierra/work/*/results/*.pack"))) == 3)
-    subprocess.run(["qdel", "1[1].pbs1"], check=True)
-    until(lambda: (tmp_path / "server" / "2.SC").exists(), 60)
+    until(lambda: len(list(root.glob(".sierra/work/*/results/[0-9]*.pack"))) == 3, 30)
+    [sent] = root.glob(".sierra/work/*/sent/0.json")
+    number = int(json.loads(sent.read_text())["job"].partition("[")[0])  # a probe may have been before it
+    subprocess.run(["qdel", f"{number}[1].pbs1"], check=True)
+    again = tmp_path / "server" / f"{number + 1}.SC"
+    until(again.exists, 60)
     gate.touch()
     out, err = asked.communicate(timeout=60)
     assert asked.returncode == 0, err
     assert "8 runs: 8 executed, 0 reused" in out
     jobs = sierra.open(root).sql("SELECT element, job FROM attempts WHERE state = 'finished' ORDER BY element").to_pylist()
     assert jobs == [
-        {"element": 0, "job": "1[0].pbs1"},
-        {"element": 1, "job": "2.pbs1"},
-        {"element": 2, "job": "1[2].pbs1"},
+        {"element": 0, "job": f"{number}[0].pbs1"},
+        {"element": 1, "job": f"{number + 1}.pbs1"},
+        {"element": 2, "job": f"{number}[2].pbs1"},
     ]
-    text = (tmp_path / "server" / "2.SC").read_text()
+    text = again.read_text()
     assert "SIERRA_ELEMENTS=1" in text
     assert alive(Pbs(ClusterTable()), re.findall("-N (.*)", text)[0]) == set()
 
