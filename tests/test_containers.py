@@ -295,7 +295,8 @@ def test_where_all_that_could_end_it_was_killed_a_container_is_ended_by_the_next
     sleeping: tuple[Path, subprocess.Popen[str], str],
 ) -> None:
     folder, asking, mark = sleeping
-    for pid in (asking.pid, *of(folder, "worker"), *of(folder, "clients")):
+    os.kill(asking.pid, signal.SIGSTOP)  # else it, or the worker once it is gone, may end the runs before they are killed too
+    for pid in (*of(folder, "worker"), *of(folder, "clients"), asking.pid):
         os.kill(pid, signal.SIGKILL)
     asking.wait()
     time.sleep(0.5)
