@@ -65,13 +65,13 @@ class Following:
             self._submitted = True
             self._follow(signals, enough)
 
-    def go_on(self, signals: Sequence[int], *, enough: Callable[[], bool] = lambda: False) -> None:
+    def go_on(self, signals: Sequence[int]) -> None:
         """The same with what another process has submitted."""
         self._submitted = True
         with self._giving_up():
             rows = self._store.rows("SELECT execution, attempt FROM executions WHERE session = $s", s=self._session.id)
             self._runner.resume(self._session.paths, {row["execution"]: row["attempt"] for row in rows})
-            self._follow(signals, enough)
+            self._follow(signals, lambda: False)
 
     def _follow(self, signals: Sequence[int], enough: Callable[[], bool]) -> None:
         alive, told = True, 0

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 
 def few(things: Sequence[str], most: int) -> str:
@@ -14,3 +14,19 @@ def few(things: Sequence[str], most: int) -> str:
 def counted(count: int, noun: str) -> str:
     """So many of them: `1 element`, `2 elements`."""
     return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+
+
+def spans(numbers: Iterable[int]) -> list[tuple[int, int]]:
+    """The first and the last of each row of numbers that follow each other; they come ascending."""
+    found: list[tuple[int, int]] = []
+    for number in numbers:
+        if found and found[-1][1] == number - 1:
+            found[-1] = (found[-1][0], number)
+        else:
+            found.append((number, number))
+    return found
+
+
+def ranges(numbers: Iterable[int], between: str = ",") -> str:
+    """Numbers, ascending, in short: `0-5,7`."""
+    return between.join(f"{first}-{last}" if last > first else f"{first}" for first, last in spans(numbers))

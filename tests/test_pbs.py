@@ -24,6 +24,7 @@ from sierra.runners import conformance
 from sierra.runners.schedulers import Request, State, qstat, qsub
 from sierra.runners.schedulers.pbs import Pbs
 from sierra.runners.schedulers.qsub import Dialect
+from sierra.wording import ranges
 from tests import clusters, pbs, projects
 
 DATA = Path(__file__).parent / "data" / "pbs"
@@ -530,7 +531,7 @@ def test_an_old_torque_is_read() -> None:
 
 @given(st.sets(st.integers(0, 300), min_size=1))
 def test_elements_of_places_are_those_that_were_asked_for(elements: set[int]) -> None:
-    said = qstat.spell(sorted(elements))
+    said = ranges(sorted(elements), "+")
     record = {"Variable_List": f"PBS_O_HOME=/x,{qstat.ELEMENTS}={said}"}
     found = [qstat.element({"id": f"1[{place}].pbs1", **record}) for place in range(len(elements))]
     assert found == sorted(elements)

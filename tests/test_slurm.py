@@ -17,7 +17,8 @@ import pytest
 from sierra.config import ClusterTable
 from sierra.errors import ConfigError, Full, Missing, SierraError
 from sierra.runners.schedulers import Request, State, Task
-from sierra.runners.schedulers.slurm import PATH, Slurm, ranges, refusal, seconds, tasks
+from sierra.runners.schedulers.slurm import PATH, Slurm, refusal, seconds, tasks
+from sierra.wording import ranges
 from tests import clusters
 
 ODD = "a'; echo foo"

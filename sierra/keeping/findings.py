@@ -11,6 +11,7 @@ import pyarrow as pa
 
 from sierra.hashing import short
 from sierra.store import Question
+from sierra.wording import counted, spans
 
 
 class Kind(StrEnum):
@@ -107,7 +108,7 @@ def of(question: Question, executions: Iterable[str] = (), runs: Iterable[str] =
 def _text(
     question: Question, batches: Sequence[str], places: Sequence[tuple[str, str, int, int, str]], ended: int, runs: int
 ) -> str:
-    count = _many(ended, "execution") if ended else _many(runs, "run") if runs else ""
+    count = counted(ended, "execution") if ended else counted(runs, "run") if runs else ""
     parts = []
     for batch in batches[:SHOWN]:
         where = _experiments(question, batch, [row for row in places if row[0] == batch])
@@ -137,19 +138,10 @@ def _values(question: Question, batch: str) -> dict[int, str]:
 
 
 def _ranges(numbers: Sequence[int]) -> str:
-    """Numbers of runs: `runs 3-9, 12`."""
-    spans: list[list[int]] = []
-    for number in sorted(set(numbers)):
-        if spans and number == spans[-1][1] + 1:
-            spans[-1][1] = number
-        else:
-            spans.append([number, number])
-    told = ", ".join(str(a) if a == b else f"{a}–{b}" for a, b in spans[:5]) + (", …" if len(spans) > 5 else "")
+    """Numbers of runs: `runs 3–9, 12`."""
+    found = spans(sorted(set(numbers)))
+    told = ", ".join(str(a) if a == b else f"{a}–{b}" for a, b in found[:5]) + (", …" if len(found) > 5 else "")
     return f"run{'s' if len(set(numbers)) > 1 else ''} {told}"
-
-
-def _many(count: int, what: str) -> str:
-    return f"{count} {what}{'' if count == 1 else 's'}"
 
 
 def worst_first(findings: Iterable[Finding]) -> list[Finding]:

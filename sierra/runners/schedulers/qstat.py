@@ -142,17 +142,6 @@ def element(record: Record) -> int | None:
     return elements[place] if place < len(elements) else None
 
 
-def spell(elements: Iterable[int], between: str = "+") -> str:
-    """Indices in short: `0-5+7`."""
-    runs: list[list[int]] = []
-    for index in elements:
-        if runs and runs[-1][1] == index - 1:
-            runs[-1][1] = index
-        else:
-            runs.append([index, index])
-    return between.join(f"{first}-{last}" if last > first else f"{first}" for first, last in runs)
-
-
 @lru_cache(maxsize=4)
 def _spelled(text: str) -> tuple[int, ...]:
     """What was spelled, nothing where it is damaged; every part of an array says the same."""

@@ -28,7 +28,8 @@ from enum import StrEnum
 from sierra.config import ClusterTable
 from sierra.errors import ConfigError
 from sierra.runners.schedulers import Request
-from sierra.runners.schedulers.qstat import ELEMENTS, spell
+from sierra.runners.schedulers.qstat import ELEMENTS
+from sierra.wording import ranges
 
 MIB = 1 << 20
 
@@ -132,14 +133,14 @@ def _after(request: Request, dialect: Dialect) -> Iterator[str]:
 def _array(request: Request, dialect: Dialect) -> Iterator[str]:
     elements = request.elements
     if dialect is Dialect.SLURM:
-        yield f"#PBS -J {spell(elements, ',')}"
+        yield f"#PBS -J {ranges(elements)}"
     elif len(elements) == 1:
         yield f"#PBS -v {ELEMENTS}={elements[0]}"
     elif dialect is Dialect.TORQUE:
-        yield f"#PBS -t {spell(elements, ',')}"
+        yield f"#PBS -t {ranges(elements)}"
     elif _gaps(request):
         yield f"#PBS -J 0-{len(elements) - 1}"
-        yield f"#PBS -v {ELEMENTS}={spell(elements)}"
+        yield f"#PBS -v {ELEMENTS}={ranges(elements, '+')}"
     else:
         yield f"#PBS -J {elements[0]}-{elements[-1]}"
 

@@ -22,12 +22,12 @@ import shutil
 import subprocess
 import time
 from collections.abc import Iterable, Iterator, Sequence
-from itertools import groupby
 from pathlib import Path
 
 from sierra.config import ClusterTable
 from sierra.errors import ConfigError, Full, Missing, SierraError
 from sierra.runners.schedulers import Bounds, Request, State, Task
+from sierra.wording import ranges
 
 PATIENCE_S = 20.0
 POLL_S = 0.5
@@ -197,12 +197,6 @@ def refusal(said: str) -> SierraError:
     """What it means that sbatch did not take a job, by what it said on standard error."""
     kind = Full if LIMIT.search(said) or BUSY.search(said) else Missing if UNREACHABLE.search(said) else ConfigError
     return kind(f"SLURM: {_line(said)}")
-
-
-def ranges(elements: Sequence[int]) -> str:
-    """Indices, ascending, as SLURM writes them: `0-5,7`."""
-    runs = [list(group) for _, group in groupby(enumerate(elements), lambda pair: pair[1] - pair[0])]
-    return ",".join(f"{run[0][1]}-{run[-1][1]}" if len(run) > 1 else f"{run[0][1]}" for run in runs)
 
 
 def seconds(text: str) -> float | None:
