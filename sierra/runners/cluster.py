@@ -234,8 +234,6 @@ class Cluster:
             return
         if came:
             self._pause = FIRST_POLL_S
-        if self._probing:
-            self._probing = not self._is_fine()
         if now >= self._due and self._poll.ask(self._probe.name if self._probing and self._stopping is None else self._name):
             self._due = float("inf")
         if (answer := self._poll.answer()) is not None:
@@ -256,7 +254,6 @@ class Cluster:
         if tasks is None:
             self._note(f"{self._kind} cannot be reached; what has been recorded is taken, and it is asked again")
             return
-        self._said.discard("")
         living = [task for task in tasks if task.state in (State.QUEUED, State.RUNNING)]
         self._queued = self._elements(task for task in tasks if task.state is State.QUEUED)
         self._alive = self._elements(living)
@@ -486,6 +483,8 @@ class Cluster:
                 if len(results) >= AT_ONCE:
                     return results, copies
             self._take_late(track, results, copies)
+        if self._probing and self._stopping is None:
+            self._probing = not self._is_fine()
         if not results:
             self._read_at = time.monotonic() + READ_S
         return results, copies
