@@ -12,7 +12,7 @@ from sierra import jobs, recovery, sessions
 from sierra.attaching import attach
 from sierra.containment import Containment, contain
 from sierra.errors import Missing
-from sierra.following import Ears, Following, noted
+from sierra.following import Ears, Following
 from sierra.model import Job, Status
 from sierra.paths import SessionPaths
 from sierra.plans import Plan, context
@@ -21,6 +21,7 @@ from sierra.provenance.program import Programs
 from sierra.record import Recorder, find_odd
 from sierra.runners import Runner, Work, needed
 from sierra.sessions import Session
+from sierra.signals import noted
 from sierra.states import seconds, states
 from sierra.store import Store
 

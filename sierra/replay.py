@@ -20,7 +20,7 @@ from sierra.asking import Progress, Watch
 from sierra.config import LoadedProject, Output
 from sierra.containment import Containment, contain
 from sierra.errors import Missing, NotFound, UsageError
-from sierra.following import Ears, Following, noted
+from sierra.following import Ears, Following
 from sierra.hashing import short
 from sierra.metrics import Metric
 from sierra.model import Job, Run, Status
@@ -33,6 +33,7 @@ from sierra.recalled import Recalled
 from sierra.record import Context, Recorder
 from sierra.runners import Runner, Work, needed
 from sierra.sessions import Session
+from sierra.signals import noted
 from sierra.store import Found, Store
 from sierra.store.files import Taken, take, where
 from sierra.verdicts import Compared, OfExperiment, Replay, Tolerances, metric_rows, plain, verdict_rows

@@ -193,11 +193,18 @@ def small_disk(tmp_path: Path, require: Callable[..., str]) -> Iterator[Path]:
     subprocess.run(["umount", "-l", str(folder)], check=True)
 
 
+FILLS_A_SMALL_DISK = """
+import os
+open("swarm.csv", "w").write("tick,x\\n0,1\\n")
+disk = os.statvfs(".")
+with open("b", "wb", buffering=0) as file:
+    while disk.f_blocks * disk.f_frsize < 2_000_000:
+        file.write(bytes(4096))
+"""
+
+
 def test_a_full_disk_ends_the_batch_and_room_completes_it(small_disk: Path) -> None:
-    folder = make(
-        small_disk, simulator='open("swarm.csv", "w").write("tick,x\\n0,1\\n")\nopen("b", "wb").write(bytes(90000))\n'
-    )
-    (folder / "ballast").write_bytes(bytes(400_000))
+    folder = make(small_disk, simulator=FILLS_A_SMALL_DISK)
     ended = sierra(folder, "run", "population_size.Log4", "--no-figures", "-j", "1")
     assert ended.returncode == 3
     assert ended.stderr.count("\n") == 1

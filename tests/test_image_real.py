@@ -370,6 +370,17 @@ def test_an_interrupted_build_leaves_nothing(
     assert listed.stdout == ""
 
 
+def test_a_build_that_is_interrupted_as_it_starts_leaves_nothing(busybox: Project) -> None:
+    folder = busybox.root / "containers" / "sim"
+    folder.mkdir()
+    (folder / "Containerfile").write_text("FROM scratch\n")
+    (folder / "rootfs").write_text("#!/bin/sh\nkill -INT $PPID\nsetsid sleep 8643 &\nsleep 8644\n")
+    (folder / "rootfs").chmod(0o755)
+    assert quick(busybox.root, "image", "build", "containers/sim").returncode == 130
+    assert not any(sleepers("8643"))
+    assert not any(sleepers("8644"))
+
+
 def test_a_full_disk_while_building_is_said(
     project: Project, storages: Storages, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, require: Callable[..., str]
 ) -> None:

@@ -10,12 +10,13 @@ import contextlib
 import json
 import os
 import resource
+import secrets
 import shutil
 import signal
 import subprocess
 import tempfile
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, BinaryIO, cast
@@ -26,11 +27,15 @@ from sierra.images import archive
 from sierra.images.archive import image_of
 from sierra.images.image import Image, Kind, short
 from sierra.paths import user_images
+from sierra.processes import marked
 from sierra.provenance.remembered import Remembered
+from sierra.signals import noted
 
 MOST = 512
 PATIENCE = 20.0
 """Seconds in which a program that was told to end may tidy up."""
+MARK = "SIERRA_BUILD"
+"""A variable of the environment by which what a build has started is known."""
 RACY_NS = 2 * 10**9
 CONFIGURATION = ("storage.conf", "containers.conf")
 FOLDERS = ("/usr/share/containers", "/etc/containers")
@@ -189,25 +194,48 @@ def complaint(said: str) -> str:
     return f"{why} ({lines[-2]})" if why.endswith(("exit status 1", "exit status 2")) and len(lines) > 1 else why
 
 
-def run(command: Sequence[str], *, builds: bool = False, **more: Any) -> subprocess.CompletedProcess[str]:
+def run(
+    command: Sequence[str], *, builds: bool = False, env: Mapping[str, str] | None = None, **more: Any
+) -> subprocess.CompletedProcess[str]:
     """Run a program in a process group of its own; all that it has started is ended where this process is interrupted.
 
     `builds`: it is podman, which would leave running what it builds with. Where that ends first, podman tidies up itself.
     """
-    process = subprocess.Popen(command, stdin=subprocess.DEVNULL, text=True, errors="replace", start_new_session=True, **more)
+    mark = secrets.token_hex(8)
+    process = None
     try:
+        with noted() as signals:
+            process = subprocess.Popen(
+                command,
+                env={**(os.environ if env is None else env), MARK: mark},
+                stdin=subprocess.DEVNULL,
+                text=True,
+                errors="replace",
+                start_new_session=True,
+                **more,
+            )
+        if signals:
+            raise KeyboardInterrupt
         out, err = process.communicate()
     except BaseException:
-        started = {pid: worker.birth(pid) for pid in _below(process.pid)}
+        if process is not None:
+            _stop(process, mark, builds=builds)
+        raise
+    return subprocess.CompletedProcess(command, process.returncode, out, err)
+
+
+def _stop(process: subprocess.Popen[str], mark: str, *, builds: bool) -> None:
+    """End a program and all that it has started: what has left its group or lost its parent is known by the mark."""
+    started = _births(_below(process.pid))
+    with process:
         if builds and _end(started, process.pid):
             _wait(process)
         _signal(process.pid, signal.SIGTERM)
         _wait(process)
         _signal(process.pid, signal.SIGKILL)
-        _end(started, process.pid)
-        process.wait()
-        raise
-    return subprocess.CompletedProcess(command, process.returncode, out, err)
+    give_up = time.monotonic() + PATIENCE
+    while _end(started | _births(marked({f"{MARK}={mark}".encode()})), process.pid) and time.monotonic() < give_up:
+        time.sleep(0.01)
 
 
 def _wait(process: subprocess.Popen[str]) -> None:
@@ -220,15 +248,28 @@ def _signal(group: int, number: signal.Signals) -> None:
         os.killpg(group, number)
 
 
-def _end(started: Mapping[int, float | None], group: int) -> bool:
+def _end(started: Mapping[int, int | None], group: int) -> bool:
     """Kill those of these processes that are not of the group; whether there were any."""
-    others = [
-        pid for pid, born in started.items() if born is not None and worker.birth(pid) == born and os.getpgid(pid) != group
-    ]
+    others = [pid for pid, born in started.items() if born is not None and _lives(pid, born) and _group(pid) != group]
     for pid in others:
         with contextlib.suppress(ProcessLookupError):
             os.kill(pid, signal.SIGKILL)
     return bool(others)
+
+
+def _births(pids: Iterable[int]) -> dict[int, int | None]:
+    return {pid: worker.birth(pid) for pid in pids}
+
+
+def _lives(pid: int, born: int) -> bool:
+    return worker.birth(pid) == born and worker.stat_of(pid)[:1] not in ([], [b"Z"])
+
+
+def _group(pid: int) -> int | None:
+    try:
+        return os.getpgid(pid)
+    except ProcessLookupError:
+        return None
 
 
 def _below(pid: int) -> Iterator[int]:
