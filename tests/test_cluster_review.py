@@ -25,7 +25,7 @@ from sierra.api import Project
 from sierra.asking import Progress
 from sierra.config import ClusterTable
 from sierra.errors import ConfigError, Full, Missing, SierraError
-from sierra.runners import cluster, schedulers
+from sierra.runners import cluster, harvest, schedulers
 from sierra.runners.schedulers import Bounds, Request, State, Task
 from sierra.sessions import Session
 from sierra.store import Store
@@ -194,7 +194,7 @@ def test_what_ends_while_it_is_cancelled_is_kept(clustered: Callable[..., Cluste
     made = clustered(WAITS)
     made.project.run(*QUERY, runs=1, runner="here", detach=True, figures=False)
     made.simulated.until_executed(1)
-    monkeypatch.setattr(cluster, "READ_S", 60.0)
+    monkeypatch.setattr(harvest, "READ_S", 60.0)
     monkeypatch.setattr(Here, "cancelled", made.gate.touch)
     look = Here.look
 
