@@ -127,10 +127,6 @@ class Rewriting:
         if any(writer.folder.iterdir()):
             self._writers.append((group.segments[0].batch, writer))
 
-    def leave_out(self, segments: Iterable[Segment]) -> None:
-        """Segments of which nothing stays."""
-        self._replaced += segments
-
     def publish(self) -> None:
         """Put all that was written in the place of what it replaces."""
         if not self._replaced:
