@@ -262,13 +262,16 @@ def _take_over(paths: SessionPaths) -> int | None:
     generation = 0
     while paths.owner(generation + 1).exists():
         generation += 1
+    file = paths.owner(generation)
     try:
-        owner = json.loads(paths.owner(generation).read_text())
-    except (OSError, json.JSONDecodeError):
+        owner = json.loads(file.read_text())
+    except json.JSONDecodeError:  # it is being written, or who began to has died
+        owner = None
+    except OSError:
         return None
-    known = owner["born"] is not None and owner["where"] == _where()
-    gone = known and owner != _process(owner["pid"])
-    if gone or (paths.submission.exists() and (paths.left(generation).exists() or _is_silent(paths.owner(generation)))):
+    gone = owner and owner["born"] is not None and owner["where"] == _where() and owner != _process(owner["pid"])
+    beats = owner is None or paths.submission.exists()
+    if gone or paths.left(generation).exists() or (beats and _is_silent(file)):
         return generation + 1 if _own(paths, generation + 1) else None
     return None
 

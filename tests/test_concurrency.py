@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import fcntl
+import os
 import subprocess
 import sys
 import threading
@@ -181,8 +182,27 @@ def test_where_a_file_system_has_no_locks_claims_are_not_heeded(tmp_path: Any, m
         assert found == []
 
 
+def test_where_a_file_system_has_no_locks_an_owner_that_could_not_sign_has_died(
+    tmp_path: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def flock(descriptor: int, how: int) -> None:
+        raise OSError(errno.ENOSYS, "Function not implemented")
+
+    monkeypatch.setattr(fcntl, "flock", flock)
+    store = StorePaths(tmp_path)
+    owner = sessions.Session(store).paths.owner(0)
+    owner.write_text("")
+    with sessions.dead(store) as found:
+        assert found == [], "it may be about to sign"
+    os.utime(owner, (1, 1))
+    with sessions.dead(store) as found:
+        assert [paths.owner(0) for paths in found] == [owner]
+    assert sessions.all_of(store) == []
+
+
 WITHOUT_LOCKS = """
-import errno, fcntl
+import errno
+import os, fcntl
 def flock(descriptor, how):
     raise OSError(errno.ENOLCK, "No locks available")
 fcntl.flock = flock
