@@ -15,7 +15,7 @@ PROJECT/.sierra/work/<session>/     what executes now; gone once it is recorded
     <number>/                       one run: input files, stdout, stderr, home/ tmp/ output/
     source/                         the code, where it is not executed from the project itself
     asking.json  submission.json  worker.py  element.py  machine.py  element.json  cancelled
-    elements/<index>.jobs  elements/<index>.failed  results/<index>.<attempt>.pack
+    elements/<index>.{jobs,failed,alone}  results/<index>.<attempt>.pack
     results/probe.<attempt>.pack  logs/  sent/<number>.json
                                     on a cluster: what was submitted, and what came of it; see sierra.runners.element
 PROJECT/.sierra/images/<id>/        what is in an image, and its files as apptainer runs them; made again from the image
@@ -225,6 +225,10 @@ class SessionPaths:
     def given_up(self, element: int) -> Path:
         """Executions of an element that are not to be begun again, a line each."""
         return self.root / "elements" / f"{element}.failed"
+
+    def alone(self, element: int) -> Path:
+        """Executions of an element that are executed by themselves, before all others, a line each."""
+        return self.root / "elements" / f"{element}.alone"
 
     @property
     def results(self) -> Path:

@@ -234,11 +234,33 @@ def test_two_copies_of_an_element_do_not_disturb_each_other(folder: Folder, tmp_
     assert set(folder.ended()) == {f"run{n}" for n in range(10)}
 
 
+def test_what_may_be_dangerous_is_executed_by_itself_before_all_others(folder: Folder, tmp_path: Path) -> None:
+    log = tmp_path / "log"
+    folder.deal(many(5, f"echo begin $NAME >> '{log}'; sleep 0.1; echo end $NAME >> '{log}'"))
+    folder.set(slots=4)
+    folder.paths.alone(0).write_text("run3\nrun1\n")
+    assert folder.run()[0] == 0
+    assert log.read_text().splitlines()[:4] == ["begin run3", "end run3", "begin run1", "end run1"]
+    assert Counter(event.execution for event in folder.events(Started)) == Counter(f"run{n}" for n in range(5))
+    assert set(folder.ended()) == {f"run{n}" for n in range(5)}
+    assert list(folder.scratch.iterdir()) == []
+
+
+def test_what_ends_its_element_at_once_is_known_to_have_begun_where_it_executes_alone(folder: Folder) -> None:
+    kills = "read -r _ _ _ element _ < /proc/$PPID/stat; kill -9 $element $PPID"
+    folder.deal([*many(2, "true"), job("killer", kills)])
+    folder.paths.alone(0).write_text("killer\n")
+    assert folder.run()[0] == -signal.SIGKILL
+    assert [event.execution for event in folder.events(Started)] == ["killer"]
+    assert folder.ended() == {}
+
+
 def test_one_that_is_asked_to_end_ends_what_runs_and_says_of_no_run_that_it_ended(folder: Folder) -> None:
     folder.deal([job("quick", "true"), job("long", "trap 'exit 0' TERM; sleep 60 & wait"), job("never", "true")])
     folder.set(slots=1)
     process = folder.start()
     folder.until_started(2)
+    until(folder.ended)
     process.terminate()
     assert process.wait(PATIENCE_S) == 1
     assert sorted(folder.ended()) == ["quick"]

@@ -8,6 +8,8 @@ nodes and login nodes share: this one, `worker.py`, which executes, and `machine
     element.json            what all elements of the session have in common: see `Settings`
     elements/INDEX.jobs     the element's jobs: gzip (of several members, perhaps), lines of JSON; see `jobs`
     elements/INDEX.failed   where it is there, executions, one a line, that were begun too often: they are not begun again
+    elements/INDEX.alone    where it is there, executions, one a line, that may be what ended earlier attempts: each is executed
+                            with the element for itself, one after the other, before all others
     results/INDEX.<attempt>.pack    what one attempt at the element has recorded
     cancelled               where it is there, nothing more is begun, and what runs is ended
 
@@ -34,7 +36,8 @@ it but in the writer's memory. A record that can't be written whole is taken bac
 
 A run that was interrupted (the task was asked to end, by a time limit or by somebody) has a start and no end. A scheduler
 sends its SIGTERM to all processes of a task, and a run that heeds it may look as if it had ended by itself. So nothing is
-packed that ended less than HOLD_S before this process was asked.
+packed that ended less than HOLD_S before this process was asked. What has begun is packed at once, and what executes alone
+before it begins: it may end all that there is at once.
 
 Before anything executes, every file that `needs` names is hashed, once: where it is another than on the host that submitted,
 that is the trouble, and nothing executes. Where it becomes another later, no run is packed that has ended since.
@@ -67,7 +70,8 @@ import tempfile
 import threading
 import time
 from collections import deque
-from typing import Any, BinaryIO, Deque, Dict, Iterable, Iterator, List, NamedTuple, Optional, Set, Tuple
+from functools import partial
+from typing import Any, BinaryIO, Callable, Deque, Dict, Iterable, Iterator, List, NamedTuple, Optional, Set, Tuple
 
 # No `from __future__ import annotations`: to a Python before 3.7, that were an error, and no line that says what is needed.
 
@@ -256,13 +260,13 @@ def executed(folder: str, index: str, own: str) -> Set[bytes]:
     return found
 
 
-def given_up(path: str) -> Set[bytes]:
-    """Executions that are not to be begun again."""
+def listed(path: str) -> List[str]:
+    """The executions in a list, in order; none where there is no list."""
     try:
         with open(path) as file:
-            return {short(line.strip()) for line in file}
+            return [line.strip() for line in file]
     except FileNotFoundError:
-        return set()
+        return []
 
 
 def is_sound(file: BinaryIO, at: int, files: List[File]) -> bool:
@@ -330,10 +334,10 @@ def content_of(file: Any, common: Optional[str]) -> str:
 class Feeder(threading.Thread):
     """Sends the worker what is missing, but only so many runs ahead that large outputs do not pile up on the node."""
 
-    def __init__(self, path: str, without: Set[bytes], ahead: int, pipe: Any, write: Any) -> None:
+    def __init__(self, path: str, wanted: Callable[[str], bool], ahead: int, pipe: Any, write: Any) -> None:
         super().__init__(daemon=True)
         self._path = path
-        self._without = without
+        self._wanted = wanted
         self._pipe = pipe
         self._write = write
         self.permits = threading.Semaphore(ahead)
@@ -343,7 +347,7 @@ class Feeder(threading.Thread):
     def run(self) -> None:
         try:
             for job in jobs(self._path):
-                if short(job["execution"]) not in self._without:
+                if self._wanted(job["execution"]):
                     self.permits.acquire()
                     self._send(job)
                     self.sent += 1
@@ -622,7 +626,13 @@ class Journal:
 class Execution:
     """The worker at work, and what it says on the way into the pack."""
 
-    def __init__(self, folder: str, scratch: str, pack: Pack, asked: Asked, worker: Any, needs: Needs) -> None:
+    def __init__(
+        self, folder: str, session: str, lock: int, pack: Pack, asked: Asked, worker: Any, needs: Needs, scratch: str
+    ) -> None:
+        """`scratch`: a folder of the node, which is made; `lock`: what the worker holds as long as it lives."""
+        os.mkdir(scratch)
+        self._session = session
+        self._lock = lock
         self._cancelled = os.path.join(folder, "cancelled")
         self._program = os.path.join(folder, "worker.py")
         self._scratch = scratch
@@ -632,23 +642,24 @@ class Execution:
         self._needs = needs
         self._journal = Journal(os.path.join(scratch, "journal.jsonl"))
         self._held: Deque[Tuple[float, Event]] = deque()
+        self._begun = ""
         self._ended = 0
         self._stopping = False
         self._look_at = 0.0
 
-    def run(self, slots: int, session: str, path: str, without: Set[bytes], lock: int) -> bool:
-        """Execute the jobs of a file; whether all were. Raises Trouble, OSError where that is not to be had."""
+    def run(self, slots: int, path: str, wanted: Callable[[str], bool]) -> bool:
+        """Execute the wanted jobs of a file; whether all were. Raises Trouble, OSError where that is not to be had."""
         self._process = subprocess.Popen(
             [sys.executable, "-I", "-S", "-X", "utf8", self._program, self._scratch, str(slots)],
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,
             bufsize=0,
-            env={**os.environ, "SIERRA_SESSION": session},
-            pass_fds=(lock,),
+            env={**os.environ, "SIERRA_SESSION": self._session},
+            pass_fds=(self._lock,),
             start_new_session=True,
         )
-        self._feeder = Feeder(path, without, AHEAD + slots * AHEAD_EACH, self._process.stdin, self._worker.write_all)
+        self._feeder = Feeder(path, wanted, AHEAD + slots * AHEAD_EACH, self._process.stdin, self._worker.write_all)
         self._feeder.start()
         try:
             self._follow()
@@ -664,15 +675,30 @@ class Execution:
             now = time.monotonic()
             self._heed(now)
             for event in events:
-                self._held.append((now, event))
-                if is_small(event):
-                    self._feeder.permits.release()
+                self._hear(now, event)
             self._take(now)
             self._pack.sync(now)
             if over and not events and not self._held:
                 return
             pause = BUSY_S if events or self._held else min(IDLE_S, 1.2 * pause)
             time.sleep(pause)
+
+    def _hear(self, now: float, event: Event) -> None:
+        """Say at once what has begun; hold what has ended."""
+        if event["event"] == "end":
+            self._held.append((now, event))
+            if is_small(event):
+                self._feeder.permits.release()
+        elif not (self._stopping or self._asked.times):
+            self.begin(event["execution"])
+
+    def begin(self, execution: str, *, now: bool = False) -> None:
+        """Record that a run begins, once; with `now`, on the disk."""
+        if execution != self._begun:
+            self._pack.add({"event": "start", "execution": execution, "time": time.time()})
+        self._begun = execution
+        if now:
+            self._pack.sync(float("inf"))
 
     def _heed(self, now: float) -> None:
         """End the worker where that is asked for, or where nobody waits any more."""
@@ -699,11 +725,7 @@ class Execution:
         if self._held and now - self._held[0][0] >= HOLD_S:
             self._needs.check()
         while self._held and now - self._held[0][0] >= HOLD_S and not self._asked.times:
-            read, event = self._held.popleft()
-            if event["event"] == "start":
-                self._pack.add({"event": "start", "execution": event["execution"], "time": time.time() - (now - read)})
-            else:
-                self._take_end(event)
+            self._take_end(self._held.popleft()[1])
 
     def _take_end(self, event: Event) -> None:
         directory = event.pop("directory")
@@ -824,19 +846,30 @@ def attempt(folder: str, index: int, asked: Asked, *, probing: bool) -> bool:
         needs = Needs(settings.needs)
         needs.check()
         with scratch(settings, worker.remove) as (own, lock):
-            if not probing:
-                named = os.path.join(folder, "elements", str(index))
-                done = executed(results, str(index), pack.path) | given_up(named + ".failed")
-                execution = Execution(folder, own, pack, asked, worker, needs)
-                if not execution.run(slots, settings.session, named + ".jobs", done, lock):
-                    pack.sync(float("inf"))
-                    return False
+            named = os.path.join(folder, "elements", str(index))
+            done = executed(results, str(index), pack.path) | {short(one) for one in listed(named + ".failed")}
+            execution = partial(Execution, folder, settings.session, lock, pack, asked, worker, needs)
+            if not probing and not execute(named, done, slots, own, execution):
+                pack.sync(float("inf"))
+                return False
         pack.add({"event": "finished", "time": time.time()})
         pack.sync(float("inf"))
         return True
     except Exception as error:
         pack.say(reason_of(error), full=getattr(error, "errno", None) in (errno.ENOSPC, errno.EDQUOT))
         raise
+
+
+def execute(named: str, done: Set[bytes], slots: int, scratch: str, execution: Callable[[str], Execution]) -> bool:
+    """Execute what is not done of an element, first what may be dangerous to others, by itself; whether all was."""
+    for number, one in enumerate(listed(named + ".alone")):
+        if short(one) not in done:
+            done.add(short(one))
+            alone = execution(os.path.join(scratch, "alone%d" % number))
+            alone.begin(one, now=True)
+            if not alone.run(1, named + ".jobs", one.__eq__):
+                return False
+    return execution(os.path.join(scratch, "runs")).run(slots, named + ".jobs", lambda one: short(one) not in done)
 
 
 def reason_of(error: BaseException) -> str:
