@@ -154,7 +154,7 @@ CREATE TABLE sessions (
     "ended" TIMESTAMP WITH TIME ZONE,  -- when it was answered
     "runner" VARCHAR,  -- where runs were executed
     "engine" VARCHAR,  -- what contained them
-    "slots" BIGINT,  -- runs at a time [1]
+    "slots" BIGINT,  -- runs at a time; on a cluster, cores of all elements together, and NULL where it submitted none [1]
     "executed" BIGINT,  -- runs executed [1]
     "again" BIGINT,  -- of these, runs that had been executed before [1]
     "reused" BIGINT,  -- runs whose recorded execution was good [1]

@@ -13,6 +13,7 @@ from sierra.model import Batch
 from sierra.paths import SessionPaths, write_whole
 from sierra.plans import Plan, context
 from sierra.provenance import source
+from sierra.runners.submission import Submission
 from sierra.sessions import Session
 from sierra.store import Question, Store
 from sierra.store.objects import Objects
@@ -78,22 +79,22 @@ def keep(plan: Plan, store: Store, session: SessionPaths) -> None:
 
 
 def close(
-    plan: Plan, store: Store, session: Session, counts: Mapping[str, Any], *, started: datetime, runner: str, slots: int
+    plan: Plan, store: Store, session: Session, counts: Mapping[str, Any], *, started: datetime, runner: str, slots: int | None
 ) -> None:
-    """Record how an asking went, with what was around it."""
-    record = _row(plan, session, started, runner, slots)
+    """Record how an asking went, with what was around it. `slots` is None where others than this process execute."""
+    record = _row(plan, session, started, runner, slots or _allotted(session.paths))
     writer = store.writer(session.paths.segment, plan.batch.id)
     writer.rows("sessions", [record | {"ended": datetime.now(UTC)} | {name: counts[name] for name in COUNTS}])
     _write_around(plan, writer, executed=bool(counts["executed"]))
     store.publish(writer)
 
 
-def prepare(plan: Plan, store: Store, session: Session, *, started: datetime, runner: str, slots: int) -> None:
+def prepare(plan: Plan, store: Store, session: Session, *, started: datetime, runner: str) -> None:
     """The same for an asking whose process may be gone when it is answered: all but how it went, which `finish` records."""
     writer = store.writer(session.paths.segment, plan.batch.id)
     _write_around(plan, writer, executed=True)
     store.publish(writer)
-    record = {"runs": len({run.id for run in plan.batch.runs}), **_row(plan, session, started, runner, slots)}
+    record = {"runs": len({run.id for run in plan.batch.runs}), **_row(plan, session, started, runner, None)}
     with disk_errors(session.paths.root):
         write_whole(session.paths.asking, json.dumps(record, default=datetime.isoformat).encode())
 
@@ -107,6 +108,7 @@ def finish(store: Store, session: Session, *, interrupted: bool) -> None:
     [went] = store.rows(WENT, s=session.id)
     counts = {**went, "reused": runs - claimed, "missing": claimed - went["executed"], "interrupted": interrupted}
     record |= {"started": datetime.fromisoformat(record["started"]), "ended": datetime.now(UTC)}
+    record["slots"] = _allotted(session.paths)
     writer = store.writer(session.paths.segment, record["batch"])
     writer.rows("sessions", [record | counts])
     store.publish(writer)
@@ -120,7 +122,16 @@ SELECT count(*) AS executed, count(*) FILTER (NOT good) AS failed, count(*) FILT
 """
 
 
-def _row(plan: Plan, session: Session, started: datetime, runner: str, slots: int) -> dict[str, Any]:
+def _allotted(session: SessionPaths) -> int | None:
+    """How many runs execute at a time of what a session has submitted, once all its elements do; None where it has nothing."""
+    try:
+        made = Submission.load(session)
+    except FileNotFoundError:
+        return None
+    return len(made.counts) * made.cluster.cpus
+
+
+def _row(plan: Plan, session: Session, started: datetime, runner: str, slots: int | None) -> dict[str, Any]:
     """What is known of an asking before it is answered."""
     now = context(plan)
     return {

@@ -30,6 +30,7 @@ from pydantic import (
     model_validator,
 )
 
+from sierra import directives
 from sierra.errors import ConfigError, Missing
 from sierra.paths import CONFIG, PYPROJECT
 
@@ -329,7 +330,9 @@ class ClusterTable(Table):
     )
     gpus: PositiveInt | None = Field(None, description="graphics processors of an element")
     modules: tuple[Line, ...] = Field((), description="environment modules to load before anything else")
-    directives: tuple[Line, ...] = Field((), description="further lines, as they stand after `#SBATCH` or `#PBS`")
+    directives: tuple[Line, ...] = Field(
+        (), description="further lines, as they stand after `#SBATCH` or `#PBS`: what no setting is for"
+    )
     python: str = Field("python3", min_length=1, description="a Python 3.8 or newer on the nodes")
     scratch: str | None = Field(
         None,
@@ -337,6 +340,15 @@ class ClusterTable(Table):
         description="folder on the node for runs, as in `$TMPDIR/x`; where absent, $SLURM_TMPDIR, $TMPDIR or /tmp",
     )
     attempts: PositiveInt = Field(3, description="times that a run is begun, or an element without one, before it has failed")
+
+
+def _submittable(tables: Mapping[str, ClusterTable]) -> Mapping[str, ClusterTable]:
+    """Clusters whose further lines contradict nothing that SIERRA says itself."""
+    for name, table in tables.items():
+        for line in table.directives:
+            if why := directives.complaint(table.scheduler or name, line):
+                raise ValueError(f"directive {line!r} of {name!r} can't be added: {why}")
+    return tables
 
 
 class Source(Table):
@@ -496,7 +508,7 @@ class Project(Table):
     queries: Mapping[Name, QueryTable] = Field(default_factory=dict, description="research queries, by name")
     figures: Mapping[Name, Figure] = Field(default_factory=dict, description="figures, by name")
     platforms: Mapping[str, Mapping[str, Any]] = Field(default_factory=dict, description="options of platforms, by name")
-    runners: Mapping[str, ClusterTable] = Field(
+    runners: Annotated[Mapping[str, ClusterTable], AfterValidator(_submittable)] = Field(
         default_factory=dict, description="clusters for `--on`, by name: `slurm`, `pbs`, or one of your own with a `scheduler`"
     )
 

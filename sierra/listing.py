@@ -91,6 +91,7 @@ def _batch(question: Question, found: Found) -> dict[str, Any]:
     row["failures"] = _failures(question, found.id, row["experiments"], row["axes"])
     row["nondeterminism"] = question.sql(NONDETERMINISM, b=found.id, r=None).to_pylist()
     row["replays"] = question.sql(REPLAYS, b=found.id).to_pylist()
+    row["attempts"] = question.sql(ATTEMPTS_OF_BATCH, b=found.id).to_pylist()
     row["sessions"] = question.sql("SELECT * FROM sessions WHERE batch = $b ORDER BY ended", b=found.id).to_pylist()
     return row
 
@@ -105,6 +106,18 @@ NONDETERMINISM = """
 SELECT run, executions, results, verdict, programs FROM nondeterminism
 WHERE run = $r OR run IN (SELECT run FROM members WHERE batch = $b) ORDER BY run
 """
+TOLD = "a.element, a.job, a.node, a.started, a.ended, a.runs, a.cut, a.state, a.trouble"
+ATTEMPTS_OF_BATCH = f"""
+SELECT session, {TOLD} FROM attempts a WHERE batch = $b ORDER BY state = 'finished', element, started
+"""  # noqa: S608 - of our own parts
+"""On clusters, each time that an element of a batch was executed: those that were cut off first."""
+ATTEMPTS_OF_RUN = f"""
+WITH mine AS (SELECT attempt FROM executions WHERE run = $r AND (execution = $e OR $e IS NULL))
+SELECT session, {TOLD}, attempt IN (SELECT attempt FROM mine) AS executed
+FROM attempts a SEMI JOIN (SELECT session, element FROM attempts SEMI JOIN mine USING (attempt)) USING (session, element)
+ORDER BY started
+"""  # noqa: S608 - of our own parts
+"""The same of the elements that a run was executed in, and in which of these attempts it was."""
 REPLAYS = "SELECT replay, started, kind, target, runs, verdict FROM replays WHERE batch = $b ORDER BY ended"
 
 
@@ -199,6 +212,7 @@ def _run(question: Question, found: Found) -> dict[str, Any]:
     row["executions"] = question.sql(
         "SELECT * EXCLUDE (run) FROM executions WHERE run = $r ORDER BY ended", r=found.id
     ).to_pylist()
+    row["attempts"] = question.sql(ATTEMPTS_OF_RUN, r=found.id, e=None).to_pylist()
     row["nondeterminism"] = question.sql(NONDETERMINISM, b=None, r=found.id).to_pylist()
     row["verdicts"] = question.sql(VERDICTS, r=found.id).to_pylist()
     files = recorded(question, take(question, found))
@@ -215,6 +229,7 @@ WHERE v.run = $r ORDER BY r.ended, v.path
 def _execution(question: Question, found: Found) -> dict[str, Any]:
     [row] = question.sql("SELECT * FROM executions WHERE execution = $e", e=found.id).to_pylist()
     row = _without_nulls(row)
+    row["attempts"] = question.sql(ATTEMPTS_OF_RUN, r=row["run"], e=found.id).to_pylist()
     row["artifacts"] = question.sql(
         "SELECT * EXCLUDE (execution, run) FROM artifacts WHERE execution = $e ORDER BY path", e=found.id
     ).to_pylist()

@@ -91,14 +91,16 @@ def run(plan: Plan, store: Store, how: How) -> Summary:
     try:
         if not asked.is_kept(plan, store):
             asked.keep(plan, store, session.paths)
-        if make().stays:
-            asked.prepare(plan, store, session, started=began, runner=how.runner, slots=how.slots)
+        stays = make().stays
+        if stays:
+            asked.prepare(plan, store, session, started=began, runner=how.runner)
         find_odd(store, session.paths, context(plan, session.id))
         asking = Asking(plan, store, session, make, how)
         asking.answer()
         summary = _sum_up(asking)
         if session.paths not in asking.left:
-            asked.close(plan, store, session, asdict(summary), started=began, runner=how.runner, slots=how.slots)
+            slots = None if stays else how.slots
+            asked.close(plan, store, session, asdict(summary), started=began, runner=how.runner, slots=slots)
         return summary
     finally:
         session.close()

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     pass
 
 SHOWN_REASONS = 10
-AT_MOST = {"nondeterminism": 10, "verdicts": 20}
+AT_MOST = {"attempts": 20, "nondeterminism": 10, "verdicts": 20}
 """Rows of tables that may be as long as a batch."""
 
 

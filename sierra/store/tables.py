@@ -220,7 +220,12 @@ RECORDED = {
             ("ended", TIME, "when it was answered"),
             ("runner", TEXT, "where runs were executed"),
             ("engine", TEXT, "what contained them"),
-            ("slots", INT, "runs at a time", "1"),
+            (
+                "slots",
+                INT,
+                "runs at a time; on a cluster, cores of all elements together, and NULL where it submitted none",
+                "1",
+            ),
             ("executed", INT, "runs executed", "1"),
             ("again", INT, "of these, runs that had been executed before", "1"),
             ("reused", INT, "runs whose recorded execution was good", "1"),

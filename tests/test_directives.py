@@ -1,0 +1,87 @@
+"""Lines that a project adds to those of a cluster's jobs: what breaks them, or has a setting of its own, is refused at once."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests import projects
+
+SLURM = [
+    ("--dependency=afterok:1", "SIERRA has elements wait itself"),
+    ("-d singleton", "SIERRA has elements wait itself"),
+    ("--dep=afterok:1", "SIERRA has elements wait itself"),
+    ("--array=0-3", "elements = N"),
+    ("--mail-type=FAIL --array 0-3", "elements = N"),
+    ("-a0-3", "elements = N"),
+    ("-ko nowhere", "what elements print is shown"),
+    ("--output=/tmp/x", "what elements print is shown"),
+    ("-e /tmp/x", "what elements print is shown"),
+    ("--parsable", "SIERRA reads what the command answers"),
+    ("--test-only", "SIERRA reads what the command answers"),
+    ("--wait", "SIERRA follows its jobs itself"),
+    ("-HW", "SIERRA follows its jobs itself"),
+    ("--export=ALL", "[environment]"),
+    ("-J mine", "by the name that it gives them"),
+    ("--time=10", "use wall = SECONDS"),
+    ("-t 10", "use wall = SECONDS"),
+    ("--mem=4G", "use memory"),
+    ("-c4", "use cpus = N"),
+    ("--ntasks=4", "one task on one node"),
+    ("--partition short", "use partition"),
+    ("mail-type=FAIL", "should be as it stands after #SBATCH, as in --mail-type=FAIL"),
+    ("#SBATCH --nice", "should be as it stands after #SBATCH"),
+]
+PBS = [
+    ("-J 0-3", "elements = N"),
+    ("-t 0-3", "elements = N"),
+    ("-o /tmp/x", "what elements print is shown"),
+    ("-e /tmp/x", "what elements print is shown"),
+    ("-V", "[environment]"),
+    ("-v A=1", "[environment]"),
+    ("-W depend=afterok:1", "SIERRA has elements wait itself"),
+    ("-W umask=22,depend=afterok:1", "SIERRA has elements wait itself"),
+    ("-Wblock=true", "SIERRA follows its jobs itself"),
+    ("-N mine", "by the name that it gives them"),
+    ("-l walltime=1:00:00", "use wall = SECONDS"),
+    ("-lselect=1:ncpus=4", "use cpus, memory and gpus"),
+    ("-q long", "use partition"),
+    ("#PBS -m abe", "should be as it stands after #PBS, as in -l place=excl"),
+]
+
+
+@pytest.mark.parametrize(
+    ("scheduler", "line", "instead"), [*(("slurm", *one) for one in SLURM), *(("pbs", *one) for one in PBS)]
+)
+def test_what_sierra_says_itself_is_refused_with_what_to_use_instead(
+    tmp_path: Path, scheduler: str, line: str, instead: str
+) -> None:
+    root = projects.make(tmp_path / "project", f"{projects.CONFIG}[runners.{scheduler}]\ndirectives = ['{line}']\n")
+    done = projects.quick(root, "run", "noise=1")  # before anything is asked of a cluster
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1
+    assert f"directive {line!r} of " in done.stderr
+    assert instead in done.stderr
+
+
+def test_a_cluster_of_another_name_is_held_to_the_same(tmp_path: Path) -> None:
+    table = '[runners.big]\nscheduler = "slurm"\ndirectives = ["--wait"]\n'
+    done = projects.quick(projects.make(tmp_path / "project", projects.CONFIG + table), "run", "noise=1")
+    assert (done.returncode, "directive '--wait' of 'big' can't be added: SIERRA follows" in done.stderr) == (2, True)
+
+
+@pytest.mark.parametrize(
+    ("scheduler", "line"),
+    [
+        *(("slurm", line) for line in ("--mail-type=FAIL --mail-user=a@b", "--exclude=n1", "--nodelist=n1", "--no-requeue")),
+        *(("slurm", line) for line in ("--gres=gpu:a100:2", "--mem-bind=local", "--time-min=5", "-x n1", "--exclusive", "-H")),
+        *(("slurm", line) for line in ("--wait-all-nodes=1", "--nice  # --wait", "--reservation=course")),
+        *(("pbs", line) for line in ("-l place=excl", "-m abe", "-W group_list=ants", "-P project", "-p 5", "-l vmem=4gb")),
+        ("lsf", "-J mine"),
+    ],
+)
+def test_what_no_setting_is_for_is_added(tmp_path: Path, scheduler: str, line: str) -> None:
+    root = projects.make(tmp_path / "project", f"{projects.CONFIG}[runners.{scheduler}]\ndirectives = ['{line}']\n")
+    done = projects.quick(root, "run", "noise=1", "-n")
+    assert done.returncode == 0, done.stderr
