@@ -15,9 +15,10 @@ import signal
 import socket
 import subprocess
 import tempfile
-import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
+
+from tests.waiting import until
 
 SBIN = ":/usr/sbin:/sbin"
 PROGRAMS = ("munged", "slurmctld", "slurmd", "sbatch", "unshare", "nsenter", "setpriv")
@@ -128,7 +129,7 @@ class Slurm:
         files = (f"--pid-file={key}/pid", f"--log-file={key}/log", f"--seed-file={key}/seed")
         munge = self.root / "munge.sock"
         self._spawn("munged", "munged", "-F", f"--socket={munge}", f"--key-file={key}/munge.key", *files, "--num-threads=4")
-        _wait(munge.exists, "munged does not start", 10)
+        until(munge.exists, "munged listens", 10)
         self._start("slurmctld", "slurmctld", "-D")
         for name in self.names:
             self.start_node(name)
@@ -165,7 +166,7 @@ class Slurm:
         """The daemon alone dies: the node's jobs live on, and SLURM will think that they are lost."""
         for pid in self._slurmd(node):
             os.kill(pid, signal.SIGKILL)
-        _wait(lambda: not self._slurmd(node), f"slurmd of {node} does not end", 10)
+        until(lambda: not self._slurmd(node), f"slurmd of {node} has ended", 10)
 
     def start_slurmd(self, node: str) -> None:
         """The daemon alone comes back, on a node that is on."""
@@ -196,7 +197,7 @@ class Slurm:
 
     def until_requeued(self) -> None:
         """Wait until a job waits for its start after it was requeued."""
-        _wait(lambda: "BeginTime" in self.command("squeue", "-h", "-a", "-o", "%r"), "nothing is requeued", 30)
+        until(lambda: "BeginTime" in self.command("squeue", "-h", "-a", "-o", "%r"), "a job is requeued", 30)
 
     def heal(self) -> None:
         """No jobs, and all nodes idle, whatever was done to it."""
@@ -232,11 +233,12 @@ class Slurm:
 
     def until_idle(self) -> None:
         """Wait until no node has anything to do; nodes that were declared down are used again."""
-        try:
-            _wait(self._is_idle, "nodes are not idle", 60)
-        except AssertionError as error:
+
+        def seen() -> str:
             told = (self.command("sinfo", "-N", "-h", "-o", "%N %T %E"), self.command("squeue", "-h", "-a", "-r", "-t", "all"))
-            raise AssertionError("\n".join((f"{error}; see {self.root}/log", *told))) from None
+            return "\n".join((f"nodes are idle; see {self.root}/log", *told))
+
+        until(self._is_idle, seen, 60)
 
     def _is_idle(self) -> bool:
         states = self.nodes()
@@ -253,7 +255,7 @@ class Slurm:
             said = [state for name, state in self.states(job).items() if one in (None, name)]
             return bool(said) and set(said) <= set(states)
 
-        _wait(reached, f"job {job} is not {' or '.join(states)}", seconds)
+        until(reached, f"job {job} is {' or '.join(states)}", seconds)
 
     # processes
 
@@ -272,7 +274,7 @@ class Slurm:
     def _start(self, name: str, *argv: str) -> None:
         """Start the controller; it is asked only once it listens, as its clients try for seconds otherwise."""
         self._spawn(name, *argv)
-        _wait(lambda: _listens(self._ports[0]) or self._gone(name), f"{name} does not start", 20)
+        until(lambda: _listens(self._ports[0]) or self._gone(name), f"{name} listens", 20)
         assert not self._gone(name), f"{name} has ended; see {self.root}/log"
 
     def _kill(self, name: str, number: signal.Signals = signal.SIGKILL) -> None:
@@ -338,10 +340,3 @@ def _listens(port: int) -> bool:
 
 def _children(pid: int) -> list[int]:
     return [int(word) for word in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
-
-
-def _wait(condition: Callable[[], bool], otherwise: str, seconds: float) -> None:
-    give_up = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < give_up, otherwise
-        time.sleep(0.05)

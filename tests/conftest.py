@@ -10,7 +10,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -21,6 +20,7 @@ from hypothesis import settings
 
 from sierra.store import Store
 from tests import clusters, projects, stores
+from tests.waiting import until
 
 # A shell that starts the tests in the background makes them, and all that they start, ignore these.
 signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -72,6 +72,24 @@ def require() -> Callable[..., str]:
         pytest.skip(f"needs {what}")
 
     return require
+
+
+@pytest.fixture
+def disk(require: Callable[..., str]) -> Iterator[Callable[[Path, str], Path]]:
+    """Makes a folder a disk of a size (`1m`), empty and in memory, until the test ends; or gives that disk another size."""
+    made: list[Path] = []
+
+    def disk(folder: Path, size: str) -> Path:
+        folder.mkdir(exist_ok=True)
+        options = f"remount,size={size}" if folder in made else f"size={size}"
+        mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", options, "none", folder], check=False, capture_output=True)
+        require("the right to mount a disk", there=mounted.returncode == 0)
+        made.append(folder)
+        return folder
+
+    yield disk
+    for folder in set(made):
+        subprocess.run(["umount", "--lazy", folder], check=True)
 
 
 @pytest.fixture(scope="session")
@@ -145,10 +163,8 @@ class Simulated:
 
     def until_executed(self, count: int, process: subprocess.Popen[str] | None = None) -> None:
         """Wait until so many runs have been begun, or the process has ended."""
-        give_up = time.monotonic() + 60
-        while self.executed().total() < count and (process is None or process.poll() is None):
-            assert time.monotonic() < give_up, "waited in vain"
-            time.sleep(0.005)
+        begun = self.executed
+        until(lambda: begun().total() >= count or (process and process.poll() is not None), f"{count} runs begin")
 
     def work(self) -> list[Path]:
         """The sessions that have left something."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import signal
 import subprocess
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -14,6 +13,7 @@ import pytest
 from tests import containers
 from tests.projects import SIERRA
 from tests.test_containers import ENDED, ENDS, RUN, TOLD, isolated, rows, says, what_is_told
+from tests.waiting import until
 
 pytestmark = pytest.mark.real
 ENGINE = 'engine = "apptainer"'
@@ -81,10 +81,8 @@ def sleeping(tmp_path: Path, busybox: Path) -> Iterator[tuple[Path, subprocess.P
     folder = containers.make(tmp_path / "project", busybox, ENGINE, simulator=f"{containers.SIMULATOR}sleep {mark}\n")
     words = [str(SIERRA), "run", "population_size=1", "--no-figures", "-j2"]
     asking = subprocess.Popen(words, cwd=folder, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
-    give_up = time.monotonic() + 60
-    while len(list(containers.sleepers(mark))) < 2:
-        assert time.monotonic() < give_up, asking.poll()
-        time.sleep(0.05)
+    until(lambda: len(list(containers.sleepers(mark))) >= 2 or asking.poll() is not None, "two runs sleep")
+    assert asking.poll() is None
     yield folder, asking, mark
     asking.kill()
     asking.communicate()
@@ -116,10 +114,7 @@ def test_whatever_is_killed_no_container_is_left(sleeping: tuple[Path, subproces
             os.kill(pid, signal.SIGKILL)
     said, _ = asking.communicate(timeout=60)
     assert asking.returncode == {"sierra": -9, "worker": 3, "clients": 1, "interrupted": 130}[killed], said
-    give_up = time.monotonic() + 20
-    while found := list(containers.sleepers(mark)):
-        assert time.monotonic() < give_up, found
-        time.sleep(0.1)
+    until(lambda: not list(containers.sleepers(mark)), "nothing is left", 20)
     (folder / "sim.sh").write_text(containers.SIMULATOR)
     assert "2 executed" in says(folder, "run", "population_size=1", "--no-figures")
 

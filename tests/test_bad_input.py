@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -181,18 +179,6 @@ def test_a_failed_run_is_a_result(tmp_path: Path) -> None:
     assert "population_size=2" in ended.stdout
 
 
-@pytest.fixture
-def small_disk(tmp_path: Path, require: Callable[..., str]) -> Iterator[Path]:
-    """A file system of one megabyte."""
-    folder = tmp_path / "small"
-    folder.mkdir()
-    mount = ["mount", "-t", "tmpfs", "-o", "size=1m", "none", str(folder)]
-    there = os.geteuid() == 0 and subprocess.run(mount, check=False, capture_output=True).returncode == 0
-    require("the right to mount", there=there)
-    yield folder
-    subprocess.run(["umount", "-l", str(folder)], check=True)
-
-
 FILLS_A_SMALL_DISK = """
 import os
 open("swarm.csv", "w").write("tick,x\\n0,1\\n")
@@ -203,13 +189,13 @@ with open("b", "wb", buffering=0) as file:
 """
 
 
-def test_a_full_disk_ends_the_batch_and_room_completes_it(small_disk: Path) -> None:
-    folder = make(small_disk, simulator=FILLS_A_SMALL_DISK)
+def test_a_full_disk_ends_the_batch_and_room_completes_it(tmp_path: Path, disk: Callable[[Path, str], Path]) -> None:
+    folder = make(disk(tmp_path / "small", "1m"), simulator=FILLS_A_SMALL_DISK)
     ended = sierra(folder, "run", "population_size.Log4", "--no-figures", "-j", "1")
     assert ended.returncode == 3
     assert ended.stderr.count("\n") == 1
     assert "No space left on device" in ended.stderr
-    subprocess.run(["mount", "-o", "remount,size=30m", str(folder)], check=True)
+    disk(folder, "30m")
     assert sierra(folder, "run", "population_size.Log4", "--no-figures").returncode == 0
     counted = sierra(folder, "sql", "SELECT count(*) runs, count(DISTINCT run) FROM executions", "-f", "csv")
     assert counted.stdout.splitlines()[1] == "6,6"

@@ -4,130 +4,24 @@ from __future__ import annotations
 
 import os
 import signal
-import subprocess
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 import sierra
-from sierra import processes
-from sierra.api import Project
 from tests import projects
+from tests.batches import CLUSTER, Gated, at_rest, ended, is_whole, rows
 from tests.clusters import Slurm
-
-CLUSTER = """
-[runners.slurm]
-elements = 3
-"""
-WAITING = """\
-import os, sys, time
-import xml.etree.ElementTree as ET
-
-arena = ET.parse(sys.argv[1]).getroot()
-count = int(arena.find("swarm").get("count"))
-with open("swarm.csv", "w") as file:
-    print("tick,coverage", file=file)
-    print(0, count, sep=",", file=file)
-with open({log!r}, "a") as log:
-    print(os.environ["SIERRA_RUN_ID"], file=log, flush=True)
-while not os.path.exists({gate!r}):
-    time.sleep(0.02)
-"""
-"""A simulator that says that it has begun, and goes on once a gate is open."""
-
-
-@dataclass
-class Gated:
-    """A project whose runs end once a gate is open."""
-
-    root: Path
-    slurm: Slurm
-    asked: list[subprocess.Popen[str]]
-
-    @property
-    def gate(self) -> Path:
-        return self.root.with_name("gate")
-
-    def open(self) -> None:
-        self.gate.touch()
-
-    def begun(self) -> list[str]:
-        """The runs that were begun, each as often as it was."""
-        log = self.root.with_name("log")
-        return log.read_text().split() if log.exists() else []
-
-    def ask(self, *words: str) -> subprocess.Popen[str]:
-        command = [projects.SIERRA, "run", *(words or ("population_size.Log8",)), "--on", "slurm", "--no-figures"]
-        pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "stdin": subprocess.DEVNULL}
-        self.asked.append(subprocess.Popen(command, cwd=self.root, text=True, **pipes))  # type: ignore[call-overload]
-        return self.asked[-1]
-
-    def until_begun(self, count: int) -> None:
-        until(lambda: len(self.begun()) >= count, f"{count} runs begin")
-
-    def job(self) -> str:
-        """The id of the one job that is there."""
-        listed = self.slurm.command("squeue", "-h", "-t", "PENDING,RUNNING", "-o", "%F %j").splitlines()
-        [job] = {line.split()[0] for line in listed if " sierra-" in line}
-        return job
-
-    @property
-    def project(self) -> Project:
-        return sierra.open(self.root)
+from tests.waiting import until
 
 
 @pytest.fixture
 def gated(tmp_path: Path, slurm: Slurm) -> Iterator[Gated]:
-    root = tmp_path / "project"
-    simulator = WAITING.format(log=str(tmp_path / "log"), gate=str(tmp_path / "gate"))
-    projects.make(root, projects.CONFIG + CLUSTER, simulator=simulator)
-    made = Gated(root, slurm, [])
+    made = Gated.make(tmp_path / "project", slurm)
     yield made
-    made.open()
-    for asking in made.asked:
-        asking.kill()
-        asking.communicate()
-
-
-def until(there: Callable[[], bool], what: str, seconds: float = 60) -> None:
-    give_up = time.monotonic() + seconds
-    while not there():
-        assert time.monotonic() < give_up, f"waited in vain until {what}"
-        time.sleep(0.05)
-
-
-def ended(process: subprocess.Popen[str], code: int = 0) -> str:
-    """What a command printed on standard error, once it has ended as it should."""
-    out, err = process.communicate(timeout=100)
-    assert "Traceback" not in err, err
-    assert "fault in SIERRA" not in err, err
-    assert process.returncode == code, out + err
-    return err
-
-
-def rows(project: Project, text: str) -> list[dict[str, Any]]:
-    found: list[dict[str, Any]] = project.sql(text).to_pylist()
-    return found
-
-
-def is_whole(project: Project, runs: int = 8, executions: int | None = None) -> None:
-    """Every run has one good execution that counts, no run was executed more often, and nothing is left of a session."""
-    [found] = rows(project, "SELECT count(*) AS runs, count(*) FILTER (status = 'ok') AS good FROM runs")
-    assert found == {"runs": runs, "good": runs}
-    [found] = rows(project, "SELECT count(*) AS n, count(DISTINCT execution) AS d FROM executions WHERE purpose = 'run'")
-    assert found == {"n": executions or runs, "d": executions or runs}
-    assert [path for path in (project.root / ".sierra" / "work").iterdir() if path.is_dir()] == []
-
-
-def at_rest(slurm: Slurm, project: Project) -> None:
-    """Nothing runs on: neither jobs nor processes."""
-    until(lambda: set(slurm.states().values()) & {"PENDING", "RUNNING", "COMPLETING"} == set(), "no job is left")
-    sessions = {row["session"] for row in rows(project, "SELECT DISTINCT session FROM executions")}
-    until(lambda: not processes.marked({f"SIERRA_SESSION={one}".encode() for one in sessions}), "no process is left")
+    made.close()
 
 
 def test_a_batch_on_slurm_is_what_it_is_here(tmp_path: Path, slurm: Slurm) -> None:

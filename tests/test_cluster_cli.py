@@ -9,7 +9,6 @@ import re
 import select
 import signal
 import subprocess
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -20,6 +19,7 @@ from sierra.runners import element
 from tests import projects
 from tests.clusters import Slurm
 from tests.conftest import Simulated
+from tests.waiting import until
 
 QUERY = ("size=1,2,3", "--runs", "2")
 WAITS = """
@@ -352,10 +352,3 @@ def test_a_runner_that_is_not_there_is_an_error_that_names_those_that_are(tmp_pa
         done = projects.sierra(root, "run", "population_size.Log8", "--on", "bog", *more)
         assert done.returncode == 2
         assert "unknown runner 'bog'; known are local, slurm, pbs, big" in done.stderr
-
-
-def until(condition: Callable[[], bool], what: str, seconds: float = 30.0) -> None:
-    give_up = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < give_up, f"waited in vain: {what}"
-        time.sleep(0.1)

@@ -17,8 +17,9 @@ import pytest
 
 from sierra import processes
 from tests import clusters, projects
+from tests.batches import WAITING, Gated, at_rest, ended, is_whole, rows
 from tests.clusters import Slurm
-from tests.test_cluster import CLUSTER, WAITING, Gated, at_rest, ended, is_whole, rows, until
+from tests.waiting import until
 
 pytestmark = pytest.mark.slow
 
@@ -66,17 +67,12 @@ def gate(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Callable[..
     made: list[Gated] = []
 
     def gate(table: str = "", *, on: Slurm | None = None, root: Path = tmp_path / "project", simulator: str = WAITING) -> Gated:
-        text = simulator.format(log=str(root.with_name("log")), gate=str(root.with_name("gate")))
-        projects.make(root, projects.CONFIG + CLUSTER + table, simulator=text)
-        made.append(Gated(root, on or request.getfixturevalue("slurm"), []))
+        made.append(Gated.make(root, on or request.getfixturevalue("slurm"), table, simulator=simulator))
         return made[-1]
 
     yield gate
     for one in made:
-        one.open()
-        for asking in one.asked:
-            asking.kill()
-            asking.communicate()
+        one.close()
 
 
 @pytest.fixture
@@ -92,24 +88,6 @@ def start(require: Callable[..., str], monkeypatch: pytest.MonkeyPatch) -> Itera
             return cluster
 
         yield start
-
-
-@pytest.fixture
-def mounted(tmp_path: Path, require: Callable[..., str]) -> Iterator[Callable[[str], Path]]:
-    """Makes a disk of a size; a cluster that is started afterwards has it too."""
-    made: list[Path] = []
-
-    def mounted(size: str) -> Path:
-        folder = tmp_path / f"disk of {size}"
-        folder.mkdir()
-        mount = ["mount", "-t", "tmpfs", "-o", f"size={size}", "none", str(folder)]
-        require("mounts", there=subprocess.run(mount, check=False, capture_output=True).returncode == 0)
-        made.append(folder)
-        return folder
-
-    yield mounted
-    for folder in made:
-        subprocess.run(["umount", "--lazy", str(folder)], check=False)
 
 
 @pytest.fixture
@@ -166,10 +144,10 @@ def test_what_slurm_kills_for_its_memory_has_failed_and_takes_nothing_with_it(
 
 
 def test_a_full_disk_of_a_node_is_said_and_room_completes_the_batch(
-    gate: Callable[..., Gated], start: Callable[..., Slurm], mounted: Callable[[str], Path]
+    gate: Callable[..., Gated], start: Callable[..., Slurm], disk: Callable[[Path, str], Path], tmp_path: Path
 ) -> None:
-    disk = mounted("500k")
-    gated = gate(f"scratch = '{disk}'\nattempts = 2\n", on=start(), simulator=LARGE)
+    scratch = disk(tmp_path / "node's own", "500k")
+    gated = gate(f'scratch = "{scratch}"\nattempts = 2\n', on=start(), simulator=LARGE)
     config = gated.root / "sierra.toml"
     config.write_text(config.read_text().replace("elements = 3", "elements = 1"))
     told = ended(gated.ask(), 3)
@@ -177,42 +155,40 @@ def test_a_full_disk_of_a_node_is_said_and_room_completes_the_batch(
     assert "No space left on device" in told
     assert len([line for line in told.splitlines() if line.startswith("sierra:")]) == 1
     assert rows(gated.project, "SELECT * FROM executions") == []
-    subprocess.run(["mount", "-o", "remount,size=100m", str(disk)], check=True)
-    for node in gated.slurm.names:
-        assert node
+    disk(scratch, "100m")
     ended(gated.ask())
     is_whole(gated.project)
     at_rest(gated.slurm, gated.project)
-    assert list(disk.iterdir()) == []
+    assert list(scratch.iterdir()) == []
 
 
 def test_a_full_shared_disk_is_said_and_room_completes_the_batch(
-    gate: Callable[..., Gated], start: Callable[..., Slurm], mounted: Callable[[str], Path]
+    gate: Callable[..., Gated], start: Callable[..., Slurm], disk: Callable[[Path, str], Path], tmp_path: Path
 ) -> None:
-    disk = mounted("5m")
-    gated = gate("attempts = 2\n", on=start(), root=disk / "project", simulator=LARGE)
+    shared = disk(tmp_path / "shared", "5m")
+    gated = gate("attempts = 2\n", on=start(), root=shared / "project", simulator=LARGE)
     told = ended(gated.ask(), 3)
     assert len([line for line in told.splitlines() if line.startswith("sierra:")]) == 1
-    subprocess.run(["mount", "-o", "remount,size=100m", str(disk)], check=True)
+    disk(shared, "100m")
     ended(gated.ask())
     is_whole(gated.project)
     at_rest(gated.slurm, gated.project)
 
 
 def test_a_disk_that_is_full_when_results_are_recorded_loses_none(
-    gate: Callable[..., Gated], start: Callable[..., Slurm], mounted: Callable[[str], Path]
+    gate: Callable[..., Gated], start: Callable[..., Slurm], disk: Callable[[Path, str], Path], tmp_path: Path
 ) -> None:
-    disk = mounted("20m")
-    gated = gate(on=start(), root=disk / "project")
+    shared = disk(tmp_path / "shared", "20m")
+    gated = gate(on=start(), root=shared / "project")
     ended(gated.ask(*ASK[:1], "--detach"))
     gated.until_begun(3)
     gated.open()
     until(lambda: set(gated.slurm.states().values()) == {"COMPLETED"}, "all is executed")
     with contextlib.suppress(OSError):
-        (disk / "filler").write_bytes(bytes(21_000_000))
+        (shared / "filler").write_bytes(bytes(21_000_000))
     told = ended(gated.ask(), 3)
     assert len([line for line in told.splitlines() if line.startswith("sierra:")]) == 1
-    (disk / "filler").unlink()
+    (shared / "filler").unlink()
     ended(gated.ask())
     is_whole(gated.project)
     assert len(gated.begun()) == 8

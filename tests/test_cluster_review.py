@@ -33,6 +33,7 @@ from tests import containers
 from tests.clusters import Slurm
 from tests.conftest import Simulated
 from tests.users import a_user, called_as
+from tests.waiting import until
 
 QUERY = ("size=1,2,3",)
 CLUSTER = "\n[runners.here]\nelements = 1\n"
@@ -111,12 +112,6 @@ class Clustered:
     def session(self) -> Path:
         [found] = self.simulated.work()
         return found
-
-    def until(self, condition: Callable[[], Any]) -> None:
-        give_up = time.monotonic() + 30
-        while not condition():
-            assert time.monotonic() < give_up, "waited in vain"
-            time.sleep(0.02)
 
     def rows(self, text: str) -> list[dict[str, Any]]:
         return self.simulated.sql(text)
@@ -199,7 +194,7 @@ def test_what_ends_while_it_is_cancelled_is_kept(clustered: Callable[..., Cluste
     look = Here.look
 
     def late(self: Here, name: str) -> tuple[Task, ...] | None:
-        made.until(lambda: all(process.poll() is not None for *_, process in Here.tasks))
+        until(lambda: all(process.poll() is not None for *_, process in Here.tasks))
         return look(self, name)
 
     monkeypatch.setattr(Here, "look", late)
@@ -251,7 +246,7 @@ def test_what_cannot_be_read_is_cancelled_all_the_same(clustered: Callable[..., 
     (session / "results" / "0.other.pack").write_bytes(element.line_of({"event": "end", "told": "otherwise"}))
     with pytest.raises(SierraError, match="another version"):
         made.project.cancel(session.name)
-    made.until(lambda: all(process.poll() is not None for *_, process in Here.tasks))
+    until(lambda: all(process.poll() is not None for *_, process in Here.tasks))
     assert session.exists()
 
 

@@ -16,6 +16,7 @@ import pytest
 
 from tests import containers, images
 from tests.projects import SIERRA, quick, sierra
+from tests.waiting import until
 
 pytestmark = pytest.mark.real
 RUN = ("run", "population_size=1,2", "--no-figures", "-j2")
@@ -236,10 +237,8 @@ def sleeping(tmp_path: Path, python: Path, request: pytest.FixtureRequest) -> It
     asking = subprocess.Popen(
         words, cwd=folder, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, start_new_session=True
     )
-    give_up = time.monotonic() + 60
-    while len(list(containers.sleepers(mark))) < 2:
-        assert time.monotonic() < give_up, asking.poll()
-        time.sleep(0.05)
+    until(lambda: len(list(containers.sleepers(mark))) >= 2 or asking.poll() is not None, "two runs sleep")
+    assert asking.poll() is None
     yield folder, asking, mark
     asking.kill()
     asking.communicate()
@@ -261,10 +260,7 @@ def of(folder: Path, what: str) -> list[int]:
 
 
 def await_none(folder: Path, mark: str, seconds: float = 20) -> None:
-    give_up = time.monotonic() + seconds
-    while found := list(containers.sleepers(mark)) + containers.left(folder):
-        assert time.monotonic() < give_up, found
-        time.sleep(0.1)
+    until(lambda: not list(containers.sleepers(mark)) + containers.left(folder), "nothing is left", seconds)
 
 
 @pytest.mark.parametrize("sleeping", ["run", "worker"], indirect=True)

@@ -31,8 +31,8 @@ from sierra.provenance import machine
 from sierra.runners import element
 from sierra.runners.dealing import deal
 from sierra.runners.packs import Attempt, Ended, Finished, Pack, Started, Trouble
+from tests.waiting import PATIENCE_S, until
 
-PATIENCE_S = 60.0
 SCRIPTS = {"worker.py": worker, "element.py": element, "machine.py": machine}
 
 
@@ -112,13 +112,6 @@ class Folder:
             if process.poll() is None:
                 process.kill()
             process.communicate()
-
-
-def until(there: Callable[[], Any]) -> None:
-    give_up = time.monotonic() + PATIENCE_S
-    while not there():
-        assert time.monotonic() < give_up, "waited in vain"
-        time.sleep(0.01)
 
 
 @pytest.fixture
@@ -439,41 +432,32 @@ def test_a_program_that_is_not_there_is_a_result(folder: Folder) -> None:
     assert "could not be started" in (folder.ended()["missing"].result.error or "")
 
 
-@contextlib.contextmanager
-def small_disk(path: Path, require: Any) -> Iterator[None]:
-    mount = ["mount", "-t", "tmpfs", "-o", "size=3m", "none", str(path)]
-    mounted = subprocess.run(mount, check=False, capture_output=True).returncode == 0
-    require("the right to mount a small disk", there=mounted)
-    try:
-        yield
-    finally:
-        subprocess.run(["umount", "--lazy", str(path)], check=True)
-
-
-def test_a_full_shared_disk_is_said_and_what_is_packed_is_whole(folder: Folder, tmp_path: Path, require: Any) -> None:
+def test_a_full_shared_disk_is_said_and_what_is_packed_is_whole(
+    folder: Folder, tmp_path: Path, disk: Callable[[Path, str], Path]
+) -> None:
     folder.deal(many(20, "head -c 400000 /dev/urandom > out"))
-    with small_disk(folder.paths.results, require):
-        code, said = folder.run()
-        assert (code, "No space left on device" in said, said.count("\n")) == (3, True, 1)
-        (pack,) = folder.packs()
-        ended = [event for event in pack.read() if isinstance(event, Ended)]
-        assert 0 < len(ended) < 20
-        for number, one in enumerate(ended):
-            pack.extract(one, tmp_path / f"taken{number}")
-        assert list(folder.scratch.iterdir()) == []
-        subprocess.run(["mount", "-o", "remount,size=60m", str(folder.paths.results)], check=True)
-        assert folder.run()[0] == 0
-        assert Counter(one.result.execution for one in folder.events(Ended)) == Counter(f"run{n}" for n in range(20))
+    disk(folder.paths.results, "3m")
+    code, said = folder.run()
+    assert (code, "No space left on device" in said, said.count("\n")) == (3, True, 1)
+    (pack,) = folder.packs()
+    ended = [event for event in pack.read() if isinstance(event, Ended)]
+    assert 0 < len(ended) < 20
+    for number, one in enumerate(ended):
+        pack.extract(one, tmp_path / f"taken{number}")
+    assert list(folder.scratch.iterdir()) == []
+    disk(folder.paths.results, "60m")
+    assert folder.run()[0] == 0
+    assert Counter(one.result.execution for one in folder.events(Ended)) == Counter(f"run{n}" for n in range(20))
 
 
-def test_a_full_disk_of_the_node_is_said(folder: Folder, require: Any) -> None:
+def test_a_full_disk_of_the_node_is_said(folder: Folder, disk: Callable[[Path, str], Path]) -> None:
     folder.deal([job(f"run{n}", "true", files=(("in", os.urandom(2_000_000)),)) for n in range(4)])
-    with small_disk(folder.scratch, require):
-        (folder.scratch / "others").write_bytes(bytes(2_000_000))
-        code, said = folder.run()
-        assert (code, "No space left on device" in said, said.count("\n")) == (3, True, 1)
-        assert "No space left" in folder.events(Trouble)[0].reason
-        assert [path.name for path in folder.scratch.iterdir()] == ["others"]
+    disk(folder.scratch, "3m")
+    (folder.scratch / "others").write_bytes(bytes(2_000_000))
+    code, said = folder.run()
+    assert (code, "No space left on device" in said, said.count("\n")) == (3, True, 1)
+    assert "No space left" in folder.events(Trouble)[0].reason
+    assert [path.name for path in folder.scratch.iterdir()] == ["others"]
 
 
 def test_a_worker_that_is_killed_is_trouble_and_leaves_nothing(folder: Folder) -> None:

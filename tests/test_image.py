@@ -10,7 +10,7 @@ import shutil
 import subprocess
 import tarfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -503,21 +503,12 @@ def test_without_podman_a_tag_is_no_image(project: Project, monkeypatch: pytest.
     assert quick(project.root, "image", "pin", "sim.tar").returncode == 0
 
 
-@pytest.fixture
-def small_disk(tmp_path: Path, require: Callable[..., str]) -> Iterator[Path]:
-    """A file system of one megabyte."""
-    folder = tmp_path / "small"
-    folder.mkdir()
-    mount = ["mount", "-t", "tmpfs", "-o", "size=1m", "none", str(folder)]
-    there = os.geteuid() == 0 and subprocess.run(mount, check=False, capture_output=True).returncode == 0
-    require("the right to mount", there=there)
-    yield folder
-    subprocess.run(["umount", "-l", str(folder)], check=True)
-
-
-def test_a_full_disk_is_said_and_nothing_is_left(small_disk: Path, tmp_path: Path, require: Callable[..., str]) -> None:
+def test_a_full_disk_is_said_and_nothing_is_left(
+    disk: Callable[[Path, str], Path], tmp_path: Path, require: Callable[..., str]
+) -> None:
     require("mksquashfs")
-    project = sierra.open(projects.make(small_disk / "p"))
+    small = disk(tmp_path / "small", "1m")
+    project = sierra.open(projects.make(small / "p"))
     path = made.docker_archive(tmp_path / "sim.tar", [made.layer(("noise", os.urandom(3_000_000)))])
     image = project.pin(str(path)).image
     with pytest.raises(Missing, match="No space left on device") as said:
@@ -525,10 +516,10 @@ def test_a_full_disk_is_said_and_nothing_is_left(small_disk: Path, tmp_path: Pat
     assert "\n" not in str(said.value)
     left = {one.name for one in (project.root / ".sierra" / "images").rglob("*") if one.is_file()}
     assert left == {"image.json", "files.jsonl"}
-    done = quick(project.root, "image", "export", str(path), str(small_disk / "out.tar"))
+    done = quick(project.root, "image", "export", str(path), str(small / "out.tar"))
     assert (done.returncode, done.stderr.count("\n")) == (3, 1)
     assert "No space left on device" in done.stderr
-    assert list(small_disk.glob("*out.tar*")) == []
+    assert list(small.glob("*out.tar*")) == []
 
 
 def test_exported_files_are_read_again(project: Project, tmp_path: Path) -> None:

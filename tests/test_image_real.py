@@ -25,6 +25,7 @@ from tests import images as made
 from tests import projects
 from tests.containers import sleepers
 from tests.projects import quick
+from tests.waiting import until
 
 pytestmark = pytest.mark.real
 RECIPES = Path(__file__).parents[1] / "containers"
@@ -329,13 +330,6 @@ def test_what_is_recorded_of_an_image_goes_with_the_last_run_in_it(busybox: Proj
     project.remove(batches[1].batch)
     assert project.sql("SELECT count(*) AS n FROM images").to_pylist() == [{"n": 0}]
     assert project.sql("SELECT count(*) AS n FROM objects").to_pylist() == [{"n": 0}]
-
-
-def until(there: Callable[[], bool]) -> None:
-    give_up = time.monotonic() + 60
-    while not there():
-        assert time.monotonic() < give_up, "waited in vain"
-        time.sleep(0.05)
 
 
 @pytest.mark.parametrize(

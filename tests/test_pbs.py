@@ -9,7 +9,6 @@ import re
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -26,6 +25,7 @@ from sierra.runners.schedulers.pbs import Pbs
 from sierra.runners.schedulers.qsub import Dialect
 from sierra.wording import ranges
 from tests import clusters, pbs, projects
+from tests.waiting import until
 
 DATA = Path(__file__).parent / "data" / "pbs"
 HOSTILE = "a'; echo foo"
@@ -67,13 +67,6 @@ def ask(tmp_path: Path) -> Callable[..., Request]:
         return Request(name, "a batch,\nof runs", elements, folder, folder / "logs", ("sh", "-c", line, "sh"), after)
 
     return ask
-
-
-def until(true: Callable[[], bool], seconds: float = 20) -> None:
-    give_up = time.monotonic() + seconds
-    while not true():
-        assert time.monotonic() < give_up, "waited in vain"
-        time.sleep(0.05)
 
 
 def alive(scheduler: Pbs, name: str = NAME) -> set[int | None]:
@@ -584,12 +577,12 @@ def test_a_batch_is_answered_though_an_element_is_deleted(server: pbs.Server, tm
     root = projects.make(tmp_path / HOSTILE, projects.CONFIG + CLUSTER, simulator=simulator)
     words = (projects.SIERRA, "run", "population_size.Log8", "--on", "pbs", "--no-figures")
     asked = subprocess.Popen(words, cwd=root, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    until(lambda: len(list(root.glob(".sierra/work/*/results/[0-9]*.pack"))) == 3, 30)
+    until(lambda: len(list(root.glob(".sierra/work/*/results/[0-9]*.pack"))) == 3)
     [sent] = root.glob(".sierra/work/*/sent/0.json")
     number = int(json.loads(sent.read_text())["job"].partition("[")[0])  # a probe may have been before it
     subprocess.run(["qdel", f"{number}[1].pbs1"], check=True)
     again = tmp_path / "server" / f"{number + 1}.SC"
-    until(again.exists, 60)
+    until(again.exists)
     gate.touch()
     out, err = asked.communicate(timeout=60)
     assert asked.returncode == 0, err

@@ -20,15 +20,9 @@ from sierra.runners.cluster import Cluster
 from sierra.runners.conformance import Ordeal
 from sierra.runners.local import Local
 from tests import clusters, pbs
+from tests.waiting import until
 
 TABLE: dict[str, Any] = {"elements": 2, "cpus": 2}
-
-
-def until(there: Callable[[], bool]) -> None:
-    give_up = time.monotonic() + 30
-    while not there():
-        assert time.monotonic() < give_up, "what was to end runs on"
-        time.sleep(0.05)
 
 
 def local(slots: int) -> Runner:
@@ -185,7 +179,7 @@ def test_the_suite_notices(
     left = ordeal.begun[-1].runner
     assert isinstance(left, Local)
     Local.stop(left)
-    until(lambda: not Local.look(left).alive)
+    until(lambda: not Local.look(left).alive, "what was to end has ended")
 
 
 class Forgetful(Cluster):

@@ -17,8 +17,7 @@ import pytest
 
 from sierra.cli.prompt import is_complete
 from tests.projects import SIERRA, make, quick, sierra
-
-PATIENCE_S = 60.0
+from tests.waiting import PATIENCE_S
 
 
 @pytest.fixture(scope="module")

@@ -22,9 +22,9 @@ from typing import Any
 import pytest
 
 from sierra import worker
+from tests.waiting import PATIENCE_S, until
 
 PROGRAM = str(Path(worker.__file__))
-PATIENCE_S = 20.0
 
 
 def job(*argv: str, name: str = "one", limits: dict[str, Any] | None = None, **more: Any) -> dict[str, Any]:
@@ -126,21 +126,6 @@ def execute(start: Callable[..., Worker]) -> Callable[..., dict[str, Any]]:
         return end
 
     return execute
-
-
-def until(there: Callable[[], Any], patience: float = PATIENCE_S) -> None:
-    """Wait for something to come true."""
-    give_up = time.monotonic() + patience
-    while not _quietly(there):
-        assert time.monotonic() < give_up, "waited in vain"
-        time.sleep(0.01)
-
-
-def _quietly(there: Callable[[], Any]) -> Any:
-    try:
-        return there()
-    except OSError:
-        return False
 
 
 def marked(mark: str, but: int = 0) -> list[int]:
@@ -444,7 +429,7 @@ process.stdin.write({text!r}.encode()); process.stdin.flush(); process.wait()
     until(lambda: b"start" in (folder / "journal.jsonl").read_bytes())
     os.kill(parent.pid, number)
     parent.wait()
-    until(lambda: not marked(mark), 5)
+    until(lambda: not marked(mark), seconds=20)
     last = json.loads((folder / "journal.jsonl").read_text().splitlines()[-1])
     assert last["stopped"] == "interrupted"
 
@@ -544,11 +529,11 @@ def test_ten_thousand_runs_stay_linear_and_small(start: Callable[..., Worker]) -
     count = 10_000
     sending = threading.Thread(target=worker.send, args=([job("/no/such/program", name=str(n)) for n in range(count)]))
     sending.start()
-    until(lambda: len(worker.events("end")) >= count // 10, 60)
+    until(lambda: len(worker.events("end")) >= count // 10)
     began = time.monotonic()
-    until(lambda: (worker.folder / str(count // 2)).exists(), 60)
+    until(lambda: (worker.folder / str(count // 2)).exists())
     half = time.monotonic() - began
-    until(lambda: (worker.folder / str(count)).exists(), 60)
+    until(lambda: (worker.folder / str(count)).exists())
     whole = time.monotonic() - began
     sending.join()
     peak = int(Path(f"/proc/{worker.process.pid}/status").read_text().split("VmHWM:")[1].split()[0])

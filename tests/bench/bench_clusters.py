@@ -20,17 +20,11 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+from idle import project
+
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 SIERRA = str(Path(sys.executable).with_name("sierra"))
-TOML = """
-template = "template.xml"
-command = "/bin/true {input}"
-seed = "/experiment/@seed"
-[variables]
-population_size = "//swarm/@count"
-"""
-TEMPLATE = '<experiment seed="1"><swarm count="3"/></experiment>\n'
 EACH = 'mkdir "$1" && cd "$1" && /bin/true "$1" >stdout 2>stderr'
 LOOP = f"""#!/bin/sh
 seq %d | xargs -P2 -n1 sh -c '{EACH}' sh
@@ -60,7 +54,7 @@ def main() -> None:
         return
     with clusters.folder() as folder, clusters.Slurm(folder, nodes=1, cpus=2) as cluster:
         os.environ.update(cluster.environment, XDG_CACHE_HOME=str(folder / "cache"))
-        asked(project(folder / "first", "elements = 1\ncpus = 2\n"), 4)  # a day's first batch has nodes looked at before
+        asked(clustered(folder / "first", "elements = 1\ncpus = 2\n"), 4)  # a day's first batch has nodes looked at before
         if arguments.slow:
             array(folder, arguments.runs)
             many(folder, 100_000)
@@ -72,7 +66,7 @@ def main() -> None:
 def packed(folder: Path, runs: int) -> None:
     """A batch of runs that do nothing, on two slots, against one job that loops over them."""
     for elements, cpus in ((1, 2), (2, 1)):
-        here = project(folder / f"{elements}x{cpus}", f"elements = {elements}\ncpus = {cpus}\n")
+        here = clustered(folder / f"{elements}x{cpus}", f"elements = {elements}\ncpus = {cpus}\n")
         both = [(asked(here, runs), submitted(folder / "loop", LOOP % runs, "-c2")) for _ in range(TIMES)]
         ours = statistics.median(recorded for (recorded, _), _ in both)
         say(f"{runs} runs of true, {elements} x {cpus} cores / a job of xargs -P2", ours, median(both), "at most 1.5")
@@ -132,11 +126,8 @@ def submitted(folder: Path, script: str, *options: str, count: int = 1) -> float
     return max(file.stat().st_mtime for file in done) - began
 
 
-def project(folder: Path, cluster: str) -> Path:
-    folder.mkdir()
-    (folder / "sierra.toml").write_text(f"{TOML}[runners.slurm]\n{cluster}")
-    (folder / "template.xml").write_text(TEMPLATE)
-    return folder
+def clustered(folder: Path, table: str) -> Path:
+    return project(folder, f"[runners.slurm]\n{table}")
 
 
 def say(what: str, ours: float, theirs: float, promise: str) -> None:
@@ -146,7 +137,7 @@ def say(what: str, ours: float, theirs: float, promise: str) -> None:
 
 def many(folder: Path, runs: int) -> None:
     """What submitting so many runs takes, and recording them; and what lies on the shared side in between."""
-    here = project(folder / "many", "cpus = 2\n")
+    here = clustered(folder / "many", "cpus = 2\n")
     own = files(here)
     began = time.time()
     peak = peak_of(words(runs, "--detach"), here)
@@ -167,7 +158,7 @@ def many(folder: Path, runs: int) -> None:
 def idle(folder: Path) -> None:
     """What following costs while nothing begins: questions to the scheduler, and time of a core."""
     subprocess.run(["sbatch", "--quiet", "-c2", "--output=/dev/null", "--wrap=sleep 1000"], check=True)
-    here = project(folder / "idle", "")
+    here = clustered(folder / "idle", "")
     log = counted(folder / "counted")
     around = {**os.environ, "PATH": f"{folder / 'counted'}:{os.environ['PATH']}"}
     pipes = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}

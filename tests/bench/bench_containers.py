@@ -18,17 +18,11 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+from idle import project
+
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 SIERRA = str(Path(sys.executable).with_name("sierra"))
-TOML = """
-template = "template.xml"
-command = "true {input}"
-seed = "/experiment/@seed"
-[variables]
-population_size = "//swarm/@count"
-"""
-TEMPLATE = '<experiment seed="1"><swarm count="3"/></experiment>\n'
 TIMES = 3
 
 
@@ -41,23 +35,20 @@ def main() -> None:
         archive = containers.busybox(folder)
         for engine in ("podman", "apptainer"):
             if shutil.which(engine):
-                here = project(folder / engine, f'[container]\nimage = "{archive}"\nengine = "{engine}"\n')
+                here = contained(folder / engine, f'[container]\nimage = "{archive}"\nengine = "{engine}"\n')
                 ours = seconds_of(lambda here=here: ask(here, runs))  # type: ignore[misc]
                 theirs = loop(here, engine, runs, folder / f"{engine}-loop")
                 say(f"{runs} runs of true in {engine} / a loop of {engine}, both -j2", *in_turn(ours, theirs), "at most 1.1")
         if shutil.which("podman") and containers.PYTHON.exists():
-            shared = project(folder / "shared", f'[container]\nimage = "{containers.python(folder)}"\nisolation = "worker"\n')
-            plain = project(folder / "plain", "")
+            shared = contained(folder / "shared", f'[container]\nimage = "{containers.python(folder)}"\nisolation = "worker"\n')
+            plain = project(folder / "plain", command="true {input}")
             both = in_turn(seconds_of(lambda: ask(shared, 10 * runs)), seconds_of(lambda: ask(plain, 10 * runs)))
             say(f"{10 * runs} runs of true, a container a slot / none", *both, "at most 3")
 
 
-def project(folder: Path, container: str) -> Path:
-    folder.mkdir()
-    (folder / "sierra.toml").write_text(TOML + container)
-    (folder / "template.xml").write_text(TEMPLATE)
-    if container:
-        subprocess.run([SIERRA, "image", "pin"], cwd=folder, check=True, stdout=subprocess.DEVNULL)
+def contained(folder: Path, container: str) -> Path:
+    project(folder, container, command="true {input}")
+    subprocess.run([SIERRA, "image", "pin"], cwd=folder, check=True, stdout=subprocess.DEVNULL)
     return folder
 
 

@@ -24,16 +24,10 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
+from idle import project
+
 HERE = Path(__file__).resolve().parent
 SIERRA = str(Path(sys.executable).with_name("sierra"))
-TOML = """
-template = "template.xml"
-command = "/bin/true {input}"
-seed = "/experiment/@seed"
-[variables]
-population_size = "//swarm/@count"
-"""
-TEMPLATE = '<experiment seed="1"><swarm count="3"/></experiment>\n'
 
 
 def main() -> None:
@@ -69,14 +63,6 @@ def quietly(*argv: str, cwd: Path | None = None, code: int = 0) -> None:
     done = subprocess.run(argv, cwd=cwd, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, check=False)
     if done.returncode != code:
         sys.exit(f"{' '.join(argv)}: exit status {done.returncode}: {done.stderr.decode()}")
-
-
-def project(folder: Path) -> Path:
-    """A project whose simulator does nothing."""
-    folder.mkdir()
-    (folder / "sierra.toml").write_text(TOML)
-    (folder / "template.xml").write_text(TEMPLATE)
-    return folder
 
 
 def xargs(folder: Path, count: int) -> None:
@@ -130,7 +116,7 @@ def provenance(folder: Path) -> None:
     quietly(SIERRA, "run", "population_size=1,2,3,4", "--runs", "250", "-j2", "--no-figures", cwd=here)
     wall = time.perf_counter() - began
     for command in ("/bin/true {input}", "{python} sim.py {input}"):
-        (here / "sierra.toml").write_text(TOML.replace("/bin/true {input}", command))
+        project(here, command=command)
         for state in ("cold", "warm"):
             cache = folder / "cache" if state == "warm" else folder / "no cache"
             shutil.rmtree(folder / "no cache", ignore_errors=True)

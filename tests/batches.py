@@ -1,0 +1,118 @@
+"""Batches on a real SLURM: one that is held up by a gate, and what must hold of any in the end."""
+
+from __future__ import annotations
+
+import subprocess
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import sierra
+from sierra import processes
+from sierra.api import Project
+from tests import projects
+from tests.clusters import Slurm
+from tests.waiting import until
+
+CLUSTER = """
+[runners.slurm]
+elements = 3
+"""
+WAITING = """\
+import os, sys, time
+import xml.etree.ElementTree as ET
+
+arena = ET.parse(sys.argv[1]).getroot()
+count = int(arena.find("swarm").get("count"))
+with open("swarm.csv", "w") as file:
+    print("tick,coverage", file=file)
+    print(0, count, sep=",", file=file)
+with open({log!r}, "a") as log:
+    print(os.environ["SIERRA_RUN_ID"], file=log, flush=True)
+while not os.path.exists({gate!r}):
+    time.sleep(0.02)
+"""
+"""A simulator that says that it has begun, and goes on once a gate is open."""
+
+
+@dataclass
+class Gated:
+    """A project whose runs end once a gate is open."""
+
+    root: Path
+    slurm: Slurm
+    asked: list[subprocess.Popen[str]] = field(default_factory=list)
+
+    @classmethod
+    def make(cls, root: Path, slurm: Slurm, table: str = "", *, simulator: str = WAITING) -> Gated:
+        """Such a project in a folder that is made; `table` is added to what it says of the cluster."""
+        text = simulator.format(log=str(root.with_name("log")), gate=str(root.with_name("gate")))
+        return cls(projects.make(root, projects.CONFIG + CLUSTER + table, simulator=text), slurm)
+
+    @property
+    def gate(self) -> Path:
+        return self.root.with_name("gate")
+
+    def open(self) -> None:
+        self.gate.touch()
+
+    def begun(self) -> list[str]:
+        """The runs that were begun, each as often as it was."""
+        log = self.root.with_name("log")
+        return log.read_text().split() if log.exists() else []
+
+    def ask(self, *words: str) -> subprocess.Popen[str]:
+        command = [projects.SIERRA, "run", *(words or ("population_size.Log8",)), "--on", "slurm", "--no-figures"]
+        pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "stdin": subprocess.DEVNULL}
+        self.asked.append(subprocess.Popen(command, cwd=self.root, text=True, **pipes))  # type: ignore[call-overload]
+        return self.asked[-1]
+
+    def until_begun(self, count: int) -> None:
+        until(lambda: len(self.begun()) >= count, f"{count} runs begin")
+
+    def job(self) -> str:
+        """The id of the one job that is there."""
+        listed = self.slurm.command("squeue", "-h", "-t", "PENDING,RUNNING", "-o", "%F %j").splitlines()
+        [job] = {line.split()[0] for line in listed if " sierra-" in line}
+        return job
+
+    @property
+    def project(self) -> Project:
+        return sierra.open(self.root)
+
+    def close(self) -> None:
+        """Let the runs end, and end who asked."""
+        self.open()
+        for asking in self.asked:
+            asking.kill()
+            asking.communicate()
+
+
+def ended(process: subprocess.Popen[str], code: int = 0) -> str:
+    """What a command printed on standard error, once it has ended as it should."""
+    out, err = process.communicate(timeout=100)
+    assert "Traceback" not in err, err
+    assert "fault in SIERRA" not in err, err
+    assert process.returncode == code, out + err
+    return err
+
+
+def rows(project: Project, text: str) -> list[dict[str, Any]]:
+    found: list[dict[str, Any]] = project.sql(text).to_pylist()
+    return found
+
+
+def is_whole(project: Project, runs: int = 8, executions: int | None = None) -> None:
+    """Every run has one good execution that counts, no run was executed more often, and nothing is left of a session."""
+    [found] = rows(project, "SELECT count(*) AS runs, count(*) FILTER (status = 'ok') AS good FROM runs")
+    assert found == {"runs": runs, "good": runs}
+    [found] = rows(project, "SELECT count(*) AS n, count(DISTINCT execution) AS d FROM executions WHERE purpose = 'run'")
+    assert found == {"n": executions or runs, "d": executions or runs}
+    assert [path for path in (project.root / ".sierra" / "work").iterdir() if path.is_dir()] == []
+
+
+def at_rest(slurm: Slurm, project: Project) -> None:
+    """Nothing runs on: neither jobs nor processes."""
+    until(lambda: set(slurm.states().values()) & {"PENDING", "RUNNING", "COMPLETING"} == set(), "no job is left")
+    sessions = {row["session"] for row in rows(project, "SELECT DISTINCT session FROM executions")}
+    until(lambda: not processes.marked({f"SIERRA_SESSION={one}".encode() for one in sessions}), "no process is left")

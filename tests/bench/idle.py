@@ -1,0 +1,22 @@
+"""The project that is measured: its simulator does nothing."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+TOML = """
+template = "template.xml"
+command = "/bin/true {input}"
+seed = "/experiment/@seed"
+[variables]
+population_size = "//swarm/@count"
+"""
+TEMPLATE = '<experiment seed="1"><swarm count="3"/></experiment>\n'
+
+
+def project(folder: Path, more: str = "", *, command: str = "/bin/true {input}") -> Path:
+    """Such a project in a folder that is made, unless it is there; `more` is added to its sierra.toml."""
+    folder.mkdir(exist_ok=True)
+    (folder / "sierra.toml").write_text(TOML.replace("/bin/true {input}", command) + more)
+    (folder / "template.xml").write_text(TEMPLATE)
+    return folder
