@@ -339,7 +339,9 @@ class ClusterTable(Table):
         min_length=1,
         description="folder on the node for runs, as in `$TMPDIR/x`; where absent, $SLURM_TMPDIR, $TMPDIR or /tmp",
     )
-    attempts: PositiveInt = Field(3, description="times that a run is begun, or an element without one, before it has failed")
+    attempts: PositiveInt = Field(
+        3, description="times that a run is begun, the last one alone, or an element without any, before it has failed"
+    )
 
 
 def _submittable(tables: Mapping[str, ClusterTable]) -> Mapping[str, ClusterTable]:

@@ -203,7 +203,7 @@ def test_a_run_that_outlives_its_element_every_time_has_failed(gated: Gated) -> 
     for count in (2, 4):
         gated.until_begun(count)
         time.sleep(1)  # what began just before its element was asked to end is not told of
-        gated.slurm.command("scancel", gated.job())
+        gated.slurm.command("scancel", "--me")
         until(lambda: not {"RUNNING", "PENDING"} & set(gated.slurm.states().values()), "it is cancelled", 20)
     told = ended(asking, 1)
     assert "cut off 2 times" in told

@@ -143,6 +143,30 @@ def test_what_slurm_kills_for_its_memory_has_failed_and_takes_nothing_with_it(
     at_rest(gated.slurm, gated.project)
 
 
+def test_what_takes_its_element_down_is_found_and_the_runs_beside_it_complete(
+    gate: Callable[..., Gated], start: Callable[..., Slurm]
+) -> None:
+    watched = {
+        "JobAcctGatherType": "jobacct_gather/linux",
+        "JobAcctGatherFrequency": "1",
+        "JobAcctGatherParams": "OverMemoryKill",
+        "SelectTypeParameters": "CR_CPU_Memory",
+    }
+    slow = HUNGRY.replace("if count == 4:", "time.sleep(1 + count)\nif count == 4:")
+    gated = gate('memory = "300 MB"\nattempts = 2\ncpus = 4\n', on=start(settings=watched), simulator=slow)
+    config = gated.root / "sierra.toml"
+    config.write_text(config.read_text().replace("elements = 3", "elements = 1"))
+    told = ended(gated.ask("population_size.Log8", "--runs", "1"), 1)
+    assert "may be what ended it: executed one by one now" in told
+    found = rows(gated.project, "SELECT e.status, reason FROM executions e JOIN runs USING (run) ORDER BY population_size")
+    assert [row["status"] for row in found] == ["ok", "ok", "failed", "ok"], found
+    assert "cut off 2 times" in found[2]["reason"]
+    begun = [int(one) for one in gated.begun()]
+    assert begun.count(4) == 2
+    assert begun.index(8) != len(begun) - 1
+    at_rest(gated.slurm, gated.project)
+
+
 def test_a_full_disk_of_a_node_is_said_and_room_completes_the_batch(
     gate: Callable[..., Gated], start: Callable[..., Slurm], disk: Callable[[Path, str], Path], tmp_path: Path
 ) -> None:

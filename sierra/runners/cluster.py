@@ -6,13 +6,16 @@ case: see what is recorded, ask whether anything lives, submit again what is mis
 
 An element that is gone with runs missing is submitted again as long as it gets on. One that ends without having executed
 anything, `attempts` times in a row, ends all: something is wrong with the cluster or the project, and no run is to blame. A run
-that was begun `attempts` times and never ended has failed.
+that was begun `attempts` times and never ended has failed, if it was cut off while it had the element for itself: of several at
+a time, one may take the element down (by its memory, say), and the others with it, so that those in flight are executed one by
+one the last time. Where it was the element's time that was over, a run has failed that had all of it.
 """
 
 from __future__ import annotations
 
 import contextlib
 import json
+import re
 import shutil
 import threading
 import time
@@ -46,6 +49,8 @@ UNHEARD = 3
 FULL_S = 30.0
 """Until a scheduler that takes no more jobs is tried again."""
 STOPPING_S = 60.0
+TIMED = re.compile(r"time ?limit|timeout|walltime", re.IGNORECASE)
+"""In words on how an element ended: its time was over."""
 RELAUNCHED = "launch failed"
 """What schedulers say of a job that they could not begin, though it can: it is submitted again."""
 
@@ -294,20 +299,28 @@ class Cluster:
             share = self._shares[index]
             self._harvest.given_up_before(index)
             word = self._why(index)
-            self._harvest.give_up_on(index, [one for one, times in share.begun.items() if times >= self._table.attempts], word)
+            if share.done > share.progress:
+                share.tries = 0
+            timed = bool(TIMED.search(word))
+            cut = self._harvest.cut_late(index) if timed else self._harvest.cut_alone(index)
+            guilty = [one for one in self._suspects(share, self._table.attempts) if one in cut]
+            self._harvest.give_up_on(index, guilty, word)
             if not share.missing:
                 continue
             if share.done > share.progress:
                 share.tries = 0
-            if share.tries >= self._table.attempts and share.begun and not share.trouble:
-                self._harvest.give_up_on(index, list(share.begun), word)
-                share.tries = 0
-            elif share.tries >= self._table.attempts:
+            suspects = [] if timed else self._suspects(share, self._table.attempts - 1)
+            if share.tries >= self._table.attempts * (2 if suspects else 1):
                 times = f"{share.tries} times" if share.tries > 1 else "once"
                 self._end(Missing(f"element {index} was executed {times} and ended before any run had: {word}"))
                 return
-            if share.missing:
-                self._again[index] = word
+            self._harvest.isolate(index, suspects)
+            self._again[index] = word
+
+    def _suspects(self, share: Share, times: int) -> list[str]:
+        """The runs that were cut off so often; or at all, where the element ended so often, got nowhere and said nothing."""
+        stuck = share.tries >= times and not share.trouble
+        return [one for one, begun in share.begun.items() if stuck or begun >= times]
 
     def _why(self, index: int) -> str:
         """Why an element is gone: by its own words, and the scheduler's."""

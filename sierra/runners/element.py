@@ -27,7 +27,7 @@ it but in the writer's memory. A record that can't be written whole is taken bac
     attempt     first, once: attempt, session, element, job, node, started, slots, cpus, memory (bytes), gpus, allocation (the
                 scheduler's variables), facts (`machine.facts`), variables (those that `record` names), python, clock (seconds
                 that the node's clock is ahead of the shared file system's)
-    start       a run has begun: execution, time
+    start       a run has begun: execution, time; and alone: where it has the element for itself
     end         a run has ended, by itself or by a limit: all fields of sierra.model.Result but `directory`, `attempt`
                 and `environment`; `files`: a list of [path, bytes, sha256], in the order of the payload: `stdout`, `stderr`
                 (left out where empty), and `output/…` for each of the outputs; `size`: all of it
@@ -692,12 +692,13 @@ class Execution:
         elif not (self._stopping or self._asked.times):
             self.begin(event["execution"])
 
-    def begin(self, execution: str, *, now: bool = False) -> None:
-        """Record that a run begins, once; with `now`, on the disk."""
+    def begin(self, execution: str, *, alone: bool = False) -> None:
+        """Record that a run begins, once; that one will begin `alone`, on the disk."""
         if execution != self._begun:
-            self._pack.add({"event": "start", "execution": execution, "time": time.time()})
+            event = {"event": "start", "execution": execution, "time": time.time()}
+            self._pack.add({**event, "alone": True} if alone else event)
         self._begun = execution
-        if now:
+        if alone:
             self._pack.sync(float("inf"))
 
     def _heed(self, now: float) -> None:
@@ -866,7 +867,7 @@ def execute(named: str, done: Set[bytes], slots: int, scratch: str, execution: C
         if short(one) not in done:
             done.add(short(one))
             alone = execution(os.path.join(scratch, "alone%d" % number))
-            alone.begin(one, now=True)
+            alone.begin(one, alone=True)
             if not alone.run(1, named + ".jobs", one.__eq__):
                 return False
     return execution(os.path.join(scratch, "runs")).run(slots, named + ".jobs", lambda one: short(one) not in done)

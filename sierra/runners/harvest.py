@@ -19,11 +19,12 @@ from typing import Any
 from sierra import worker
 from sierra.errors import Damaged
 from sierra.model import Result
-from sierra.paths import SessionPaths
+from sierra.paths import SessionPaths, write_whole
 from sierra.provenance import environment
 from sierra.runners.packs import Attempt, Ended, Event, Finished, Pack, Started, Trouble
 from sierra.runners.submission import Submission
 from sierra.store.segments import disk_errors
+from sierra.wording import counted
 
 AT_ONCE = 256
 """Runs that one look tells of at most."""
@@ -74,6 +75,10 @@ class Track:
     ahead: float = 0.0
     """Seconds to take from the node's times."""
     begun: set[str] = field(default_factory=set)
+    first: set[str] = field(default_factory=set)
+    """Runs that began before any had ended: nothing of the attempt's time had gone by."""
+    alone: set[str] = field(default_factory=set)
+    """Runs that had the element for themselves."""
     finished: bool = False
     trouble: str | None = None
     late: list[tuple[float, Ended]] = field(default_factory=list)
@@ -179,6 +184,10 @@ class Harvest:
 
     def _started(self, track: Track, event: Started) -> None:
         track.begun.add(event.execution)
+        if not track.runs:
+            track.first.add(event.execution)
+        if event.alone:
+            track.alone.add(event.execution)
         track.ended = event.time
         if bytes.fromhex(event.execution) not in self._ended:
             begun = self.shares[track.element].begun
@@ -280,6 +289,26 @@ class Harvest:
                 self._ended.add(key)
                 share.begun.pop(execution, None)
                 share.done += 1
+
+    def cut_alone(self, index: int) -> set[str]:
+        """Runs of an element that were cut off while they had it for themselves."""
+        return {one for track in self._tracks.values() if track.element == index for one in track.begun & track.alone}
+
+    def cut_late(self, index: int) -> set[str]:
+        """Runs that were cut off by the end of the element's last attempt, and had begun with it."""
+        tracks = [track for track in self._tracks.values() if track.element == index and track.attempt]
+        last = max(tracks, key=lambda track: track.attempt.started if track.attempt else 0.0, default=None)
+        return last.begun & last.first if last else set()
+
+    def isolate(self, index: int, executions: Sequence[str]) -> None:
+        """Have these, and no others, executed one by one when the element is submitted again."""
+        alone = self._session.alone(index)
+        if executions:
+            with disk_errors(self._session.root):
+                write_whole(alone, "".join(f"{one}\n" for one in executions).encode())
+            self._note(f"{counted(len(executions), 'run')} of element {index} may be what ended it: executed one by one now")
+        else:
+            alone.unlink(missing_ok=True)
 
     def give_up_on(self, index: int, executions: Sequence[str], word: str) -> None:
         """These executions were begun as many times as they may be, and never ended: their runs have failed."""

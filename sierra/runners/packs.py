@@ -51,6 +51,8 @@ class Started:
 
     execution: str
     time: float
+    alone: bool = False
+    """Whether it has the element for itself."""
 
 
 @dataclass(frozen=True, slots=True)
