@@ -92,9 +92,9 @@ def _ears(store: Store, row: Standing, watch: Watch, say: Say) -> Ears:
     before, failed = counted(store, [row.session])[row.session]
     done: dict[str, Status] = {}
 
-    def tell(running: int, queued: int) -> None:
+    def tell(running: int, queued: int, waits: str) -> None:
         bad = sum(status is not Status.OK for status in done.values())
-        watch(Progress(row.runs, before, len(done), failed + bad, running, queued=queued))
+        watch(Progress(row.runs, before, len(done), failed + bad, running, queued=queued, waits=waits))
 
     return Ears(done.__setitem__, tell, say)
 

@@ -40,6 +40,8 @@ class Progress:
     elsewhere: int = 0
     queued: int = 0
     """Elements of a cluster's jobs that wait for a node."""
+    waits: str = ""
+    """Why they wait, in the scheduler's words."""
 
 
 Watch = Callable[[Progress], None]
@@ -290,11 +292,11 @@ class Asking:
         """Who hears of what is followed for these runs: that they become fewer."""
         to_come = set(runs)
 
-        def tell(running: int, queued: int) -> None:
-            self._tell(running, queued, elsewhere=len(to_come))
+        def tell(running: int, queued: int, waits: str) -> None:
+            self._tell(running, queued, waits, elsewhere=len(to_come))
 
         return Ears(lambda run, status: to_come.discard(run), tell, self._how.say)
 
-    def _tell(self, running: int, queued: int = 0, elsewhere: int = 0) -> None:
+    def _tell(self, running: int, queued: int = 0, waits: str = "", elsewhere: int = 0) -> None:
         done = len(self._claimed) - len(self._open)
-        self._how.watch(Progress(self._total, self.reused, done, len(self.failed), running, elsewhere, queued))
+        self._how.watch(Progress(self._total, self.reused, done, len(self.failed), running, elsewhere, queued, waits))

@@ -20,12 +20,12 @@ POLL_S = 0.05
 
 @dataclass(frozen=True, slots=True)
 class Ears:
-    """Who hears of what happens: of each run as it ends (and again if recording finds fault with it), of how many are running
-    and how many elements wait, of what the user should know at once.
+    """Who hears of what happens: of each run as it ends (and again if recording finds fault with it), of how many are running,
+    how many elements wait and why, of what the user should know at once.
     """
 
     took: Callable[[str, Status], None]
-    tell: Callable[[int, int], None]
+    tell: Callable[[int, int, str], None]
     say: Callable[[str], None] = lambda text: None
 
 
@@ -78,7 +78,7 @@ class Following:
             self._take(look)
             if self._recorder.due():
                 self._flush()
-            self._ears.tell(look.running, look.queued)
+            self._ears.tell(look.running, look.queued, look.waits)
             self._session.beat()
             if len(signals) > told or (enough() and not told):
                 if self._runner.stays and len(signals) > told and self._leave():
@@ -95,7 +95,7 @@ class Following:
         self._flush()
         if self.left:
             self._session.leave()
-        self._ears.tell(0, 0)
+        self._ears.tell(0, 0, "")
 
     def _look(self) -> Look:
         """What has happened; where the runner can't go on, what it had told is recorded first."""

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+from sierra import sessions
 from sierra.containment import limits
+from sierra.errors import Damaged
 from sierra.paths import STORE, WORK
+from sierra.standing import submitted
 from sierra.store import Found, Question, Store
 from sierra.store.files import recorded, take
 
@@ -46,7 +50,8 @@ def batches(store: Store) -> list[dict[str, Any]]:
     `failed` and `missing` are runs without a good execution, tried or not; where the last asking ended well, both are 0 and
     nothing is counted again, unless records were rewritten since: executions may have been removed. `nondeterministic` are
     runs that gave other bytes when executed again, with the same programs, and beyond what the project declares to be
-    volatile or within tolerance.
+    volatile or within tolerance. `clusters` are the sessions that were submitted for a batch and are not closed yet; what they
+    stand like, `sierra.standing` asks the schedulers.
     """
     with store.ask() as question:
         rewritten = any(segment.replaces for segment in question.segments)
@@ -60,13 +65,26 @@ def batches(store: Store) -> list[dict[str, Any]]:
         repeated = [row["batch"] for row in rows if row.pop("repeated")]
         found = question.sql(UNLIKE, batches=repeated).to_pylist() if repeated else []
         unlike = {row["batch"]: row["runs"] for row in found}
+    there = _on_clusters(store)
     for row in rows:
+        row["clusters"] = there.get(row["batch"], [])
         row["nondeterministic"] = unlike.get(row["batch"], 0)
         count = counted.get(row["batch"])
         if count is not None:
             row["failed"] = count["failed"]
             row["missing"] = row["runs"] - count["good"] - count["failed"]
     return rows
+
+
+def _on_clusters(store: Store) -> dict[str, list[dict[str, Any]]]:
+    """By batch, what was submitted to clusters and is there still, as far as that is known here."""
+    found: dict[str, list[dict[str, Any]]] = {}
+    for paths in sessions.submitted(store.paths):
+        with contextlib.suppress(Damaged):  # another version's: it is that one's to go on with
+            if one := submitted(paths):
+                told = {name: getattr(one, name) for name in ("session", "runner", "jobs", "elements", "runs", "since")}
+                found.setdefault(one.batch, []).append(told)
+    return found
 
 
 def show(store: Store, prefix: str) -> dict[str, Any]:

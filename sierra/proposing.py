@@ -10,6 +10,7 @@ from sierra.paths import ProjectPaths, StorePaths
 from sierra.plans import Plan
 from sierra.provenance import source
 from sierra.runners.proposal import Proposal, propose
+from sierra.standing import claimed
 from sierra.states import seconds, states
 from sierra.store import Store
 
@@ -27,12 +28,14 @@ SELECT sum(size) / (SELECT count(*) FROM those) AS bytes FROM artifacts SEMI JOI
 
 
 def proposal(plan: Plan, store: Store | None, runner: str) -> Proposal | None:
-    """What is missing of a plan, as that runner's cluster would be asked for it; None where it has none, or nothing is missing.
+    """What is missing of a plan, as that runner's cluster would be asked for it; None where it has none, or nothing is missing
+    that is not on a cluster already.
 
     Raises ConfigError.
     """
     found = runners.scheduler_of(runner, plan.project.config.runners)
-    count = sum(not state.good for state in states(plan, store).values())
+    missing = {run for run, state in states(plan, store).items() if not state.good}
+    count = len(missing - (claimed(store).keys() if store and missing else set()))
     if found is None or not count:
         return None
     scheduler, table = found

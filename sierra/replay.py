@@ -297,17 +297,13 @@ def _execute(
     def bad() -> dict[str, Status]:
         return {run: status for run, status in done.items() if status is not Status.OK}
 
+    def tell(running: int, queued: int, waits: str) -> None:
+        watch(Progress(work.count, 0, len(done), len(bad()), running, queued=queued, waits=waits))
+
     with noted() as signals:
-        following = Following(
-            runner,
-            Recorder(store, session.paths, context, kept, doubt),
-            store,
-            session,
-            Ears(
-                took, lambda running, queued: watch(Progress(work.count, 0, len(done), len(bad()), running, queued=queued)), say
-            ),
-            leave=lambda: False,
-        )
+        ears = Ears(took, tell, say)
+        recorder = Recorder(store, session.paths, context, kept, doubt)
+        following = Following(runner, recorder, store, session, ears, leave=lambda: False)
         following.execute(work, signals)
     return bad(), bool(signals) or session.paths.cancelled.exists()
 

@@ -1,12 +1,14 @@
 """What the project has on clusters: each session that was submitted and is not closed yet, and how it stands.
 
-What has finished of those that nobody follows is recorded first. A scheduler is asked once for each session.
+`standing` records first what has finished of those that nobody follows; `seen` writes nothing. A scheduler is asked once for
+each session, and once more while all of it waits for the small task that tries nodes out.
 """
 
 from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from collections.abc import Set as AbstractSet
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -25,7 +27,10 @@ from sierra.store import PREFIX, Store
 
 AT_ONCE = 8
 """Questions to schedulers at a time: one that is out of reach takes its time to say so."""
-DEAF = Ears(lambda run, status: None, lambda running, queued: None)
+PROBED = "nodes are tried out first"
+ON_CLUSTER = "on a cluster now: followed, not executed again"
+"""What asking again does to a run that was submitted before."""
+DEAF = Ears(lambda run, status: None, lambda running, queued, waits: None)
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,6 +56,8 @@ class Standing:
     queued: int | None = None
     """Elements that wait for a node, by the scheduler's word; None where it can't be reached. So `running`."""
     running: int | None = None
+    waits: str = ""
+    """Why they wait, in the scheduler's words; empty where it does not say."""
     stuck: str | None = None
     """Why elements will never begin, in the scheduler's words."""
     attended: str | None = None
@@ -72,6 +79,21 @@ def standing(store: Store, prefix: str | None = None, say: Callable[[str], None]
     counts = counted(store, [row.session for row in rows])
     rows = [replace(row, done=counts[row.session][0], failed=counts[row.session][1]) for row in rows]
     return sorted(rows, key=lambda row: (row.since, row.session))
+
+
+def seen(store: Store, runs: AbstractSet[str]) -> list[Standing]:
+    """The same of all that was submitted with some of these runs, as it is now; nothing is recorded, `done` counts what is."""
+    those = (paths for paths in sessions.submitted(store.paths) if not runs.isdisjoint(sessions.claims(paths)))
+    found = [row for paths in those if (row := submitted(paths))]
+    with ThreadPoolExecutor(AT_ONCE) as pool:
+        rows = list(pool.map(partial(_asked, store), found))
+    counts = counted(store, [row.session for row in rows])
+    return [replace(row, done=counts[row.session][0], failed=counts[row.session][1]) for row in rows]
+
+
+def claimed(store: Store) -> dict[str, str]:
+    """The runs that were submitted to clusters, and the session of each; what is recorded of them counts all the same."""
+    return {run: paths.root.name for paths in sessions.submitted(store.paths) for run in sessions.claims(paths)}
 
 
 def named(store: Store, prefix: str | None) -> list[SessionPaths]:
@@ -157,16 +179,29 @@ def _asked(store: Store, row: Standing) -> Standing:
     paths = store.paths.session(row.session)
     try:
         made = Submission.load(paths)
-        tasks = schedulers.find(made.scheduler)(made.cluster).look(submission.name_of(paths))
+        scheduler = schedulers.find(made.scheduler)(made.cluster)
+        tasks = scheduler.look(submission.name_of(paths))
+        if tasks is None:
+            return row
+        by = {state: [task for task in tasks if task.state is state] for state in State}
+        before = made.probed and by[State.QUEUED] and not by[State.RUNNING]
+        probing = (before and scheduler.look(submission.name_of(paths, "probe"))) or ()
     except FileNotFoundError:
         return replace(row, queued=0, running=0, ended=True)
     except SierraError:
-        tasks = None
-    if tasks is None:
         return row
-    by = {state: [task for task in tasks if task.state is state] for state in State}
     queued, running = (len(submission.elements(paths, by[state])) for state in (State.QUEUED, State.RUNNING))
-    return replace(row, queued=queued, running=running, stuck=_stuck(by[State.STUCK]))
+    stuck = [task for task in (*tasks, *probing) if task.state is State.STUCK]
+    return replace(row, queued=queued, running=running, waits=_waits(tasks, probing), stuck=_stuck(stuck))
+
+
+def _waits(tasks: tuple[Task, ...], probing: tuple[Task, ...]) -> str:
+    """Why elements wait: for the probe, as long as that lives, which may wait itself."""
+    if any(task.state is State.RUNNING for task in probing):
+        return PROBED
+    if any(task.state is State.QUEUED for task in probing):
+        return ": ".join(filter(None, (PROBED, submission.waits(probing))))
+    return submission.waits(tasks)
 
 
 def _stuck(tasks: list[Task]) -> str | None:

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import re
+import signal
+import subprocess
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -21,6 +24,64 @@ def waiting(simulate: Callable[..., Simulated], tmp_path: Path, slurm: Slurm) ->
     config = project.folder / "sierra.toml"
     config.write_text(config.read_text() + "[runners.slurm]\nelements = 3\ncpus = 2\n")
     return Waiting(project, gate, slurm)
+
+
+def later(waiting: Waiting) -> None:
+    """Have jobs wait: for an hour, as SLURM is told."""
+    config = waiting.project.folder / "sierra.toml"
+    config.write_text(config.read_text() + 'directives = ["--begin=now+1hour"]\n')
+
+
+# while it is there
+
+
+def test_status_says_why_elements_wait_in_the_scheduler_s_words(waiting: Waiting) -> None:
+    later(waiting)
+    waiting.submit()
+    [now] = waiting.status()
+    assert (now["queued"], now["running"], now["stuck"]) == (3, 0, None)
+    assert now["waits"].endswith("BeginTime")
+    assert re.search(r"  3 queued \((.*: )?BeginTime\)  ", waiting.project.ask("status").stdout)
+
+
+def test_who_follows_is_told_why_elements_wait(waiting: Waiting) -> None:
+    later(waiting)
+    asking = waiting.project.start("run", *QUERY, "--on", "slurm", stdin=subprocess.DEVNULL)
+    said = ""
+    while "BeginTime" not in said:
+        said = asking.stderr.readline()
+        assert said, "it has ended"
+    asking.send_signal(signal.SIGINT)
+    waiting.project.end_of(asking)
+    assert re.fullmatch(r"0/6 runs, [13] elements? queued \(BeginTime\)\n", said)
+
+
+def test_what_is_on_a_cluster_is_told_by_all_that_speak_of_the_batch(waiting: Waiting) -> None:
+    left = waiting.submit()
+    waiting.project.until_executed(6)
+    where = rf"on slurm now, job {left['jobs'][0]} \(session {left['session'][:8]}\): 3 running"
+    for words in (("why", waiting.batch()), ("run", *QUERY, "-n"), ("run", *QUERY, "-n", "--explain")):
+        said = waiting.project.ask(*words).stdout
+        assert re.search(f"^{where}$", said, re.MULTILINE), said
+    listed = waiting.project.ask("ls").stdout
+    assert f"on slurm now (job {left['jobs'][0]})" in listed
+    [row] = json.loads(waiting.project.ask("ls", "--json").stdout)
+    assert row["clusters"] == [{name: left[name] for name in ("session", "runner", "jobs", "elements", "runs", "since")}]
+    assert (
+        "asking again now:\n  6 runs: on a cluster now: followed, not executed again\n"
+        in waiting.project.ask("why", waiting.batch()).stdout
+    )
+    assert len(waiting.project.work()) == 1, "nothing is recorded, or taken over, by who only asks"
+
+
+def test_a_dry_run_does_not_propose_what_is_on_a_cluster_already(waiting: Waiting) -> None:
+    waiting.submit()
+    told = json.loads(waiting.project.ask("run", "size=1,2,3,4", "--runs", "2", "--on", "slurm", "-n", "--json").stdout)
+    assert (told["runs"], told["to_execute"], told["on_clusters"], told["reused"]) == (8, 2, 6, 0)
+    assert told["proposal"]["runs"] == 2
+    again = waiting.project.ask("run", *QUERY, "--on", "slurm", "-n").stdout
+    assert "0 of 6 runs would execute, 6 are on a cluster, and would be followed" in again
+    assert "#SBATCH" not in again
 
 
 # once it is recorded
@@ -48,7 +109,8 @@ def test_show_says_where_runs_were_executed_and_how_often_that_was_cut_off(waiti
     waiting.slurm.release_requeued()
     waiting.project.until_executed(8, asking)
     waiting.open()
-    assert waiting.project.end_of(asking).returncode == 0
+    done = waiting.project.end_of(asking)
+    assert done.returncode == 0, done.stderr
     shown = json.loads(waiting.project.ask("show", waiting.batch(), "--json").stdout)["attempts"]
     assert [(one["element"], one["state"]) for one in shown] == [(0, "cut off"), *((n, "finished") for n in range(3))]
     [execution] = waiting.project.sql(
@@ -59,7 +121,8 @@ def test_show_says_where_runs_were_executed_and_how_often_that_was_cut_off(waiti
         assert (first["state"], first["cut"], first["executed"]) == ("cut off", 2, False)
         assert (second["state"], second["trouble"], second["executed"]) == ("finished", None, True)
         assert second["node"] in waiting.slurm.names
-        assert second["job"] == first["job"] == f"{job}_0"
+        assert first["job"] == f"{job}_0"
+        assert second["job"] == f"{job}_0", done.stderr + repr(first)
         text = waiting.project.ask("show", one[:12]).stdout
         assert "attempts:" in text
         assert "cut off" in text

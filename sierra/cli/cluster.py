@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 if TYPE_CHECKING:
     from sierra.adopting import Cancelled
-    from sierra.standing import Standing
-
-COLUMNS = ("batch", "query", "session", "runner", "jobs", "elements", "done", "failed", "runs", "state", "followed by", "since")
 
 
 def status(
@@ -23,21 +19,23 @@ def status(
 ) -> None:
     """Say what is on clusters, and how it stands.
 
-    What has finished of that is recorded first, where no other process follows. The scheduler is asked once.
+    What has finished of that is recorded first, where no other process follows. The scheduler is asked once for each session,
+    how many elements are queued (and why, in its words) and how many are running. A session that is gone has ended with runs
+    missing: sierra attach submits them again.
 
     \b
     Examples:
       sierra status
       sierra status 774d --json
     """
-    from sierra.cli import opened
-    from sierra.cli.output import note, print_json, table
+    from sierra.cli import opened, standings
+    from sierra.cli.output import note, print_json
 
     found = opened.project().status(prefix, say=note)
     if as_json:
         print_json([asdict(one) for one in found])
     elif found:
-        table(COLUMNS, [_row(one) for one in found], right=("elements", "done", "failed", "runs"))
+        standings.show(found)
     else:
         print("nothing is on a cluster" if prefix is None else f"nothing of {prefix} is on a cluster")
 
@@ -93,43 +91,6 @@ def cancel(
         return
     for one in done:
         print(_cancelled(one))
-
-
-def _row(one: Standing) -> Sequence[Any]:
-    from sierra.cli.output import readable
-    from sierra.hashing import short
-    from sierra.wording import few
-
-    return (
-        short(one.batch),
-        readable(one.query or "(a replay)"),
-        one.session,
-        one.runner,
-        few(one.jobs, 3) or "not known",
-        one.elements,
-        one.done,
-        one.failed,
-        one.runs,
-        readable(_state(one)),
-        one.attended or "",
-        one.since,
-    )
-
-
-def _state(one: Standing) -> str:
-    """How its elements stand, in a few words."""
-    if one.ended:
-        return "ended"
-    words = ["cancelled"] if one.cancelled else []
-    if one.queued is None:
-        words.append("unreachable")
-    elif one.queued or one.running:
-        words += [f"{count} {what}" for count, what in ((one.queued, "queued"), (one.running, "running")) if count]
-    elif not one.stuck:
-        words.append("gone; sierra attach goes on with what is missing" if not one.attended else "gone")
-    if one.stuck:
-        words.append(f"never begins: {one.stuck}")
-    return ", ".join(words)
 
 
 def _cancelled(one: Cancelled) -> str:

@@ -114,7 +114,10 @@ def _print_failures(failures: Sequence[Mapping[str, Any]]) -> None:
 
 
 def _state(row: dict[str, Any]) -> str:
+    from sierra.cli import leaving
+
     parts = [f"{row[name]} {name}" for name in ("failed", "missing") if row[name]] or ["complete"]
+    parts += [f"on {one['runner']} now ({leaving.named(one['jobs'])})" for one in row["clusters"]]
     if row["nondeterministic"]:
         parts.append(f"{row['nondeterministic']} not deterministic")
     return ", ".join(parts)

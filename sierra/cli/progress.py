@@ -101,7 +101,8 @@ def text(progress: Progress, seconds: float) -> str:
     if progress.running:
         parts.append(f"{progress.running} running")
     if progress.queued:
-        parts.append(f"{counted(progress.queued, 'element')} queued")
+        why = f" ({progress.waits})" if progress.waits else ""
+        parts.append(f"{counted(progress.queued, 'element')} queued{why}")
     if progress.elsewhere:
         parts.append(f"{progress.elsewhere} in another session")
     if progress.done and seconds > 0:

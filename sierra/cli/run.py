@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -12,7 +11,6 @@ import typer
 if TYPE_CHECKING:
     from sierra.api import Project
     from sierra.plans import Plan
-    from sierra.states import State
 
 
 def run(
@@ -122,6 +120,8 @@ def run(
 
 def _preview(project: Project, plan: Plan, *, explain: bool, as_json: bool) -> dict[str, Any]:
     """What would execute, and (with `explain`) why."""
+    from sierra import standing
+    from sierra.cli import standings
     from sierra.cli.output import table
     from sierra.explain import other_programs, why_new
     from sierra.hashing import short
@@ -129,15 +129,20 @@ def _preview(project: Project, plan: Plan, *, explain: bool, as_json: bool) -> d
 
     store = project.stored()
     states = states_of(plan, store)
-    todo = sum(not state.good for state in states.values())
-    reasons = Counter(state.why for state in states.values())
+    missing = {run for run, state in states.items() if not state.good}
+    there = missing & standing.claimed(store).keys() if store and missing else set()
+    now = standing.seen(store, there) if store and there else []
+    todo = len(missing) - len(there)
+    reasons = Counter(standing.ON_CLUSTER if run in there else state.why for run, state in states.items())
     told: dict[str, Any] = {
         "batch": plan.batch.id,
         "query": plan.text,
         "experiments": len(plan.batch.experiments),
         "runs": len(states),
         "to_execute": todo,
-        "reused": len(states) - todo,
+        "reused": len(states) - len(missing),
+        "on_clusters": len(there),
+        "clusters": [asdict(one) for one in now],
         "reasons": dict(reasons),
         "notes": list(plan.notes),
         "new_because": why_new(plan, store) if explain and reasons["new"] else [],
@@ -148,7 +153,11 @@ def _preview(project: Project, plan: Plan, *, explain: bool, as_json: bool) -> d
         return told
     print(f"batch {short(plan.batch.id)}: {plan.text}")
     axes = [axis.name for axis in plan.batch.axes]
-    rows = [_row(experiment.values, [states[run.id] for run in experiment.runs]) for experiment in plan.batch.experiments]
+    here = missing - there
+    rows = [
+        [*experiment.values.values(), len(experiment.runs), sum(run.id in here for run in experiment.runs)]
+        for experiment in plan.batch.experiments
+    ]
     table([*axes, "runs", "to execute"], rows, right=["runs", "to execute"])
     if explain:
         for reason, count in reasons.most_common():
@@ -156,7 +165,10 @@ def _preview(project: Project, plan: Plan, *, explain: bool, as_json: bool) -> d
         for line in (*told["new_because"], *told.get("other_programs", ())):
             print(f"  {line}")
     else:
-        print(f"{todo} of {len(states)} runs would execute")
+        beside = f", {len(there)} are on a cluster, and would be followed" if there else ""
+        print(f"{todo} of {len(states)} runs would execute{beside}")
+    for line in standings.lines(now):
+        print(line)
     return told
 
 
@@ -169,7 +181,3 @@ def _again(project: Project, plan: Plan) -> dict[str, Any]:
     if why:
         note(f"this was asked before, and executes again: {'; '.join(why)}")
     return {"new_because": why} if why else {}
-
-
-def _row(values: Mapping[str, Any], states: list[State]) -> list[Any]:
-    return [*values.values(), len(states), sum(not state.good for state in states)]

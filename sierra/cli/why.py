@@ -48,6 +48,7 @@ def why(
 
 
 def _print(answer: Why) -> None:
+    from sierra.cli import standings
     from sierra.cli.output import readable
     from sierra.hashing import short
 
@@ -70,6 +71,8 @@ def _print(answer: Why) -> None:
         print(f"  batch {short(one.batch)}: {_standing(one)}{readable(one.why)}")
     if len(answer.standings) > LINES:
         print(f"  and {len(answer.standings) - LINES} more (--json has them all)")
+    for line in standings.lines(answer.clusters):
+        print(line)
     print("asking again now:")
     for line in answer.again:
         print(f"  {readable(line)}")

@@ -11,6 +11,8 @@ from sierra.hashing import short
 from sierra.reasons.again import again
 from sierra.reasons.standing import Standing, standings
 from sierra.reasons.story import Event, tell
+from sierra.standing import Standing as OnCluster
+from sierra.standing import seen
 from sierra.store import Found, Question, Store
 from sierra.store.files import where
 
@@ -42,6 +44,8 @@ class Why:
     standings: tuple[Standing, ...]
     again: tuple[str, ...]
     """What asking again would do to these runs."""
+    clusters: tuple[OnCluster, ...] = ()
+    """What is on clusters now with some of these runs."""
 
 
 def why(project: LoadedProject, store: Store, prefix: str) -> Why:
@@ -55,11 +59,14 @@ def why(project: LoadedProject, store: Store, prefix: str) -> Why:
             story = [event for event in story if event.session == _session(question, found.id)]
         stands = tuple(standings(question, batches))
         [(wanted,)] = question.run("SELECT count(*) FROM wanted")
-        only = None if found.kind == "batch" else {row[0] for row in question.run("SELECT run FROM wanted")}
+        these = {row[0] for row in question.run("SELECT run FROM wanted")}
+        only = None if found.kind == "batch" else these
         firsts = dict.fromkeys(event.batch for event in story if any(cause.new for cause in event.causes))
         before = {batch: _before(question, batch) for batch in list(firsts)[:BATCHES]}
     because = {batch: tuple(_because(project, store, batch, earlier)) for batch, earlier in before.items()}
-    return Why(found, wanted, tuple(story), because, stands, tuple(again(project, store, batches[0], only)))
+    return Why(
+        found, wanted, tuple(story), because, stands, tuple(again(project, store, batches[0], only)), tuple(seen(store, these))
+    )
 
 
 def _runs(question: Question, found: Found) -> list[str]:

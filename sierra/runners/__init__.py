@@ -55,6 +55,8 @@ class Look:
     """What the user should know, now."""
     queued: int = 0
     """Elements that wait for a node."""
+    waits: str = ""
+    """Why they wait, in the scheduler's words; empty where it does not say."""
     copies: tuple[Result, ...] = ()
     """Runs that were executed once more than was asked; without a directory."""
     wrong: SierraError | None = None

@@ -130,6 +130,7 @@ class Cluster:
         self._due = time.monotonic() + FIRST_POLL_S
         self._pause = FIRST_POLL_S
         self._queued: set[int] = set()
+        self._waits = ""
         self._alive: set[int] | None = None
         self._notes: list[str] = []
         self._said: set[str] = set()
@@ -163,7 +164,7 @@ class Cluster:
             rows += harvest.attempts("cancelled" if self._stopping is not None and self._wrong is None else None)
         running = 0 if self._over else harvest.running(self._alive)
         wrong = None if alive else self._wrong
-        return Look(tuple(results), running, alive, tuple(rows), notes, len(self._queued), tuple(copies), wrong)
+        return Look(tuple(results), running, alive, tuple(rows), notes, len(self._queued), self._waits, tuple(copies), wrong)
 
     def _read(self) -> tuple[list[Result], list[Result]]:
         """What packs have since the last time; and whether another process cancels, or the probe has said its word."""
@@ -206,6 +207,7 @@ class Cluster:
             return
         living = [task for task in tasks if task.state in (State.QUEUED, State.RUNNING)]
         self._queued = self._elements(task for task in tasks if task.state is State.QUEUED)
+        self._waits = submission.waits(tasks)
         self._alive = self._elements(living)
         for task in tasks:
             if task.state is State.ENDED and task.element is not None and task.reason:
@@ -242,6 +244,7 @@ class Cluster:
         self._unstick([task for task in tasks if task.state is State.STUCK])
         living = [task for task in tasks if task.state in (State.QUEUED, State.RUNNING)]
         self._queued = {0} if any(task.state is State.QUEUED for task in living) else set()
+        self._waits = submission.waits(tasks)
         self._unheard = 0 if living else self._unheard + 1
         self._due = min(self._due, time.monotonic() + FIRST_POLL_S)
         if self._unheard > 1:

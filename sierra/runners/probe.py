@@ -30,7 +30,7 @@ class Probe:
         self._session = session
         self._table = table
         self._key = digest("cluster", {"runner": runner, "table": _told(table), "device": os.stat(session.root).st_dev})  # noqa: PTH116
-        self.name = f"probe-{session.root.name[: submission.NAMED]}"
+        self.name = submission.name_of(session, "probe")
 
     def is_needed(self) -> bool:
         """Whether nobody has found out lately that it would be fine."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import time
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -16,11 +17,14 @@ from typing import Any
 from sierra.config import ClusterTable
 from sierra.errors import Damaged
 from sierra.paths import SessionPaths, write_whole
-from sierra.runners.schedulers import Request, Task
+from sierra.runners.schedulers import Request, State, Task
 from sierra.store.segments import disk_errors
+from sierra.wording import few
 
 NAMED = 8
 """Digits of a session's id in the name of its jobs."""
+SHOWN_REASONS, LONGEST = 2, 70
+"""Reasons why elements wait that are told of, and letters of each."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,9 +79,9 @@ class Submission:
         return made
 
 
-def name_of(session: SessionPaths) -> str:
-    """What the jobs of a session are called."""
-    return f"sierra-{session.root.name[:NAMED]}"
+def name_of(session: SessionPaths, what: str = "sierra") -> str:
+    """What the jobs of a session are called; its `probe` has another name than its elements."""
+    return f"{what}-{session.root.name[:NAMED]}"
 
 
 def request(session: SessionPaths, name: str, elements: tuple[int, ...], python: str, *options: str) -> Request:
@@ -110,6 +114,13 @@ def note(session: SessionPaths, number: int, one: Sent) -> None:
 
 def intent(elements: tuple[int, ...], why: str) -> Sent:
     return Sent(elements, time.time(), why)
+
+
+def waits(tasks: Iterable[Task]) -> str:
+    """Why tasks are queued, as the scheduler says it, in short and the most frequent first; empty where it does not."""
+    words = Counter(task.reason for task in tasks if task.state is State.QUEUED and task.reason)
+    told = [word if len(word) <= LONGEST else f"{word[: LONGEST - 1]}…" for word, _ in words.most_common()]
+    return few(told, SHOWN_REASONS)
 
 
 def _read(file: Any) -> dict[str, Any]:
