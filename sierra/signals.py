@@ -1,11 +1,22 @@
-"""Signals that ask this process to end."""
+"""Signals that ask this process to end: by Ctrl-C, by another process, or because its terminal is gone."""
 
 from __future__ import annotations
 
 import contextlib
+import os
 import signal
+import stat
 import threading
 from collections.abc import Iterator
+
+ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+
+def heed() -> None:
+    """Have each of them end this process as Ctrl-C does; but those that whoever started it has it ignore (nohup)."""
+    for number in ENDING:
+        if signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, _interrupt)
 
 
 @contextlib.contextmanager
@@ -18,12 +29,34 @@ def noted(already: bool = False) -> Iterator[list[int]]:
     if threading.current_thread() is not threading.main_thread():
         yield noted
         return
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+
+    def note(number: int, frame: object) -> None:
+        _hang_up(number)
+        noted.append(number)
+
+    before = {number: signal.getsignal(number) for number in ENDING}
     heeded = {number: handler for number, handler in before.items() if handler not in (signal.SIG_IGN, None)}
     for number in heeded:
-        signal.signal(number, lambda got, _: noted.append(got))
+        signal.signal(number, note)
     try:
         yield noted
     finally:
         for number, handler in heeded.items():
             signal.signal(number, handler)
+
+
+def _interrupt(number: int, frame: object) -> None:
+    _hang_up(number)
+    raise KeyboardInterrupt
+
+
+def _hang_up(number: int) -> None:
+    """Where the terminal is gone: neither write to it nor read from it any more, which fails."""
+    if number != signal.SIGHUP:
+        return
+    nothing = os.open(os.devnull, os.O_RDWR)
+    for descriptor in range(3):
+        with contextlib.suppress(OSError):
+            if stat.S_ISCHR(os.fstat(descriptor).st_mode):
+                os.dup2(nothing, descriptor)
+    os.close(nothing)

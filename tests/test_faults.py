@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import pty
 import random
 import signal
 import subprocess
@@ -13,6 +14,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+
+from tests import projects
 
 ASKED = ("run", "size.Log8", "--runs", "6", "-j", "2", "--no-figures")
 RUNS = 24
@@ -112,6 +115,20 @@ def test_an_interrupted_asking_keeps_what_had_finished(simulate: Simulate, numbe
     assert project.quick(*ASKED).returncode == 0
     assert_complete(project)
     assert {run for run, n in project.executed().items() if n > 1} & good == set()
+
+
+def test_an_asking_whose_terminal_is_closed_keeps_what_had_finished(simulate: Simulate) -> None:
+    project = simulate()
+    terminal, theirs = pty.openpty()
+    words = ["setsid", "--ctty", str(projects.SIERRA), *ASKED]
+    sierra = subprocess.Popen(words, cwd=project.folder, stdin=theirs, stdout=theirs, stderr=theirs)
+    os.close(theirs)
+    project.until_executed(8, sierra)
+    os.close(terminal)
+    assert sierra.wait(60) == 130
+    assert (project.work(), project.left_running()) == ([], [])
+    [counted] = project.sql("SELECT count(*) FILTER (status = 'ok') AS good, count(*) AS n FROM executions")
+    assert 6 <= counted["good"] == counted["n"] < RUNS
 
 
 def test_interrupting_twice_does_not_wait_for_the_grace_time(simulate: Simulate) -> None:

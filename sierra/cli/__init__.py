@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import os
-import signal
 import sys
 from typing import Any, NoReturn
 
+from sierra import signals
 from sierra.cli.app import app
 from sierra.errors import SierraError
 
 
 def main() -> NoReturn:
     """The program `sierra`. Ends with the exit codes of `sierra.errors`; no traceback reaches a user."""
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    signals.heed()
     try:
         code = app(standalone_mode=False, prog_name="sierra")
     except SierraError as error:

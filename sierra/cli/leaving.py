@@ -19,6 +19,8 @@ def asked() -> bool:
     except KeyboardInterrupt:
         print(file=sys.stderr)
         return True
+    except OSError:  # the terminal is gone
+        return True
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
