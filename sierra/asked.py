@@ -20,7 +20,7 @@ from sierra.store.objects import Objects
 from sierra.store.segments import Writer, disk_errors
 from sierra.store.tables import arrow_schema
 
-AT_A_TIME = 10_000
+AT_A_TIME = 4_096
 """Members that are in memory as rows."""
 COUNTS = ("executed", "again", "reused", "failed", "missing", "interrupted")
 

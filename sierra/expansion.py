@@ -31,6 +31,8 @@ class Expansion:
         self._platform = platform
         self._recipe = recipe
         self.recipe_id = digest("recipe", recipe.preimage())
+        self._numbers = tuple(range(design.query.runs))
+        self._names: dict[tuple[str, ...], tuple[str, ...]] = {}
         if any(cell.stream for cell in design.cells):
             _check_streams(max(cell.stream for cell in design.cells), design.query.runs)
 
@@ -51,15 +53,18 @@ class Expansion:
 
     def _experiment(self, cell: Cell) -> Experiment:
         render = self._renderer(cell)
-        runs = tuple(self._run(cell, render, number) for number in range(self._design.query.runs))
+        runs = tuple(self._run(cell, render, number) for number in self._numbers)
         values = {axis.name: cell.values[axis.name] for axis in self._design.axes}
         shown = {name: exact(value) for name, value in values.items()}
         return Experiment(merkle("experiment", (run.id for run in runs), {"values": shown}), cell.ordinal, values, runs)
 
     def _run(self, cell: Cell, render: Renderer, number: int) -> Run:
         seed = self._seed(cell, number)
-        inputs = tuple((name, sha256(content)) for name, content in self._files(cell, render, number, seed))
-        return Run(run_id(self.recipe_id, inputs, seed), cell.ordinal, number, seed, inputs)
+        inputs = [(name, sha256(content)) for name, content in self._files(cell, render, number, seed)]
+        names = tuple(name for name, _ in inputs)
+        digests = bytes.fromhex("".join(digest for _, digest in inputs))
+        identity = run_id(self.recipe_id, inputs, seed)
+        return Run(identity, cell.ordinal, number, seed, self._names.setdefault(names, names), digests)
 
     def _renderer(self, cell: Cell) -> Renderer:
         return self._template.changed(cell.changes, cell.values).per_run(self._design.per_run)

@@ -252,8 +252,16 @@ class Run:
     number: int
     """Counts from 0 within the experiment."""
     seed: int
-    inputs: tuple[tuple[str, str], ...]
-    """Name and SHA-256 of each input file."""
+    names: tuple[str, ...]
+    """Its input files; one tuple for all runs of a batch, which may be 100,000 in memory."""
+    digests: bytes
+    """Their SHA-256, 32 bytes each."""
+
+    @property
+    def inputs(self) -> tuple[tuple[str, str], ...]:
+        """Name and SHA-256 of each input file."""
+        digests = (self.digests[at : at + 32].hex() for at in range(0, len(self.digests), 32))
+        return tuple(zip(self.names, digests, strict=True))
 
 
 @dataclass(frozen=True, slots=True)

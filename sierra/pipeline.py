@@ -109,8 +109,10 @@ def run(plan: Plan, store: Store, how: How) -> Summary:
 def _sum_up(asking: Asking) -> Summary:
     """Count by what the store says now."""
     plan, store = asking.plan, asking.store
-    now = {run: state for run, state in states(plan, store).items() if not state.good}
-    bad = set(now)
+    now = states(plan, store)
+    for run in [run for run, state in now.items() if state.good]:
+        del now[run]
+    bad = now.keys()
     failed = bad & (asking.attempted | asking.failed)
     return _summary(
         plan,
@@ -118,7 +120,7 @@ def _sum_up(asking: Asking) -> Summary:
         executed=asking.attempted,
         again=asking.again,
         failed=failed,
-        missing=bad - failed,
+        missing=bad - failed if failed else bad,
         tried={run for run, state in now.items() if state.worth == FAILED} | failed,
         interrupted=asking.interrupted,
         left=tuple(paths.root.name for paths in asking.left),
@@ -139,8 +141,9 @@ def _summary(
     left: tuple[str, ...] = (),
     notes: tuple[str, ...] = (),
 ) -> Summary:
-    """What is told of an asking that executed some runs; what is neither `failed` nor `missing` is good.
+    """What is told of an asking that executed some runs; what is neither `failed` nor `missing` (nor both) is good.
 
+    What is `missing` was not `executed`.
     `tried` are those of them that have failed, now or earlier.
     """
     runs = len({run.id for run in plan.batch.runs})
@@ -151,12 +154,12 @@ def _summary(
         runs=runs,
         executed=len(executed),
         again=len(again),
-        reused=runs - len(executed | failed | missing),
+        reused=runs - len(executed | failed) - len(missing),
         failed=len(failed),
         missing=len(missing),
         interrupted=interrupted,
         left=left,
-        counts=tuple(_counts(plan.batch, failed | missing, tried)),
+        counts=tuple(_counts(plan.batch, failed | missing if failed else missing, tried)),
         failures=tuple(_failures(plan, store, failed)) if failed else (),
         notes=(*plan.notes, *dict.fromkeys(notes)),
     )

@@ -196,13 +196,13 @@ def plan(project: LoadedProject, store: Store, prefix: str, *, contained: str | 
 def _batch(store: Store, row: Mapping[str, Any], recipe: Recipe) -> Batch:
     """A batch as its records have it."""
     with store.ask(row["batch"]) as question:
-        names = _one(question, "SELECT files FROM recipes WHERE recipe = $r", r=row["recipe"])["files"]
+        names = tuple(_one(question, "SELECT files FROM recipes WHERE recipe = $r", r=row["recipe"])["files"])
         cells = question.sql("SELECT * FROM experiments WHERE batch = $b ORDER BY ordinal", b=row["batch"]).to_pylist()
         question.views.make(("members",))
         runs: dict[int, list[Run]] = {}
         for ordinal, number, run, seed, first, others in question.each(MEMBERS, {"b": row["batch"]}):
-            inputs = tuple(zip(names, (first, *(others or ())), strict=True))
-            runs.setdefault(ordinal, []).append(Run(run, ordinal, number, seed, inputs))
+            digests = bytes.fromhex("".join((first, *(others or ()))))
+            runs.setdefault(ordinal, []).append(Run(run, ordinal, number, seed, names, digests))
     experiments = tuple(
         Experiment(
             cell["experiment"], cell["ordinal"], {axis: cell[axis] for axis in row["axes"]}, tuple(runs[cell["ordinal"]])

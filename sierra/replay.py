@@ -273,7 +273,7 @@ def _other_machine(store: Store, record: _Record, around: Mapping[str, Any]) -> 
 def _jobs(record: _Record, store: Store, maker: jobs.Maker) -> Iterator[Job]:
     """A job for each run, with the inputs that are recorded."""
     for taken, files in recalled.inputs(store, {one.run: one for one in record.runs}.values()):
-        yield maker.job(Run(taken.run, taken.ordinal, taken.number, record.seeds[taken.run], ()), files)
+        yield maker.job(Run(taken.run, taken.ordinal, taken.number, record.seeds[taken.run], (), b""), files)
 
 
 def _execute(

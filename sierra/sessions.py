@@ -88,11 +88,12 @@ class Session:
                 self.paths.left(self._generation).touch()
 
     def claim(self, runs: set[str]) -> set[str]:
-        """Claim those of `runs` that no other session has claimed; the ones that were free."""
+        """Claim those of `runs` that no other session has claimed; the ones that were free (the same set, where all are)."""
         with exclusively(self.store) as alone:
-            free = runs - _claimed(self.store, self.id, submitted=not alone)
-            with disk_errors(self.paths.root):
-                self.paths.claims.write_text(json.dumps(sorted(free)))
+            claimed = _claimed(self.store, self.id, submitted=not alone)
+            free = runs - claimed if claimed else runs
+            with disk_errors(self.paths.root), self.paths.claims.open("w") as file:
+                json.dump(sorted(free), file)
         return free
 
     def close(self) -> None:

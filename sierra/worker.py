@@ -14,6 +14,11 @@ starts the program in a session (and so a process group) of its own with `output
 enforces the limits, and hashes what was left in `output`. In argv and environment, the character NUL stands
 for the run's folder.
 
+A job with `used` in it lets a short run do without folders that are made and removed, which may take longer than itself: where
+a run has left little, and has not touched more of its folder than the outputs and its logs, its `end` says that it is `spare`.
+Whoever does not need it any more may have its number be the `used` of a later job (else it is null), for which what was touched
+is made anew. A folder is spare only where nothing lives that its run has started.
+
 What happened is appended to FOLDER/journal.jsonl, a line for each event: `start` (process id and its start
 time, so that an orphan can be recognised) and `end` (sierra.model.Result). A line that is cut short was never
 written. The exit status is 0 where all jobs have been executed, 1 where the worker was asked to stop, and 3
@@ -352,6 +357,7 @@ class Worker:
         self.failure: str | None = None
         self.numbers = itertools.count(1 + max([int(name) for name in os.listdir(folder) if name.isdigit()], default=0))
         self.lock = threading.Lock()
+        self.spare: dict[int, Place] = {}
 
     def work(self, stream: TextIO) -> bool:
         """Execute all jobs that `stream` holds; True if it was read to its end and none was cut off."""
@@ -466,7 +472,7 @@ class Worker:
     def execute(self, job: dict[str, Any], slot: int) -> None:
         """One run, from its folder to the line in the journal."""
         folder = self.next_folder()
-        prepare(job, folder)
+        place = prepare(job, folder, self.spare.pop(job.get("used") or 0, None))
         began, started = time.time(), time.monotonic()
         try:
             process = start(job, folder)
@@ -490,11 +496,18 @@ class Worker:
         with self.lock:
             del self.running[running.pid]
         running.clean(status)
-        end_orphans(None if running.seal else running.execution, running.pid)  # one with a seal has the container for itself
+        # one with a seal has the container for itself
+        alone = end_orphans(None if running.seal else running.execution, running.pid)
         if running.stopped is None and self.stopping and os.WIFSIGNALED(status):
             running.stopped = "interrupted"
+        spare = alone and place is not None and place.is_spare()
         # with a seal, whoever takes its folder out of the container looks at it
-        left = {"stopped": running.stopped} if running.seal else left_behind(folder, running.limits, running.stopped)
+        left: dict[str, Any] = {"stopped": running.stopped}
+        if not running.seal:
+            left = left_behind(folder, running.limits, running.stopped, spare)
+        if spare and place is not None and not left["error"] and sum(file["bytes"] for file in left["outputs"]) <= CHUNK:
+            self.spare[int(os.path.basename(folder))] = place
+            left["spare"] = True
         self.journal.write(
             self.report(
                 job,
@@ -578,8 +591,78 @@ class Worker:
         return max(0.005, heapq.nsmallest(1, due)[0] - time.monotonic())
 
 
-def prepare(job: dict[str, Any], folder: str) -> None:
-    """Make the run's folder, with its input files. Where that fails, it is the worker that cannot go on."""
+class Place:
+    """A run's folder as it was made, to tell what the run has touched of it."""
+
+    def __init__(self, folder: str, files: list[str]) -> None:
+        self.folder = folder
+        self.files = files
+        self.seen: dict[str, tuple[Any, ...]] = {}
+        self.see("", *FOLDERS, *LOGS, *files)
+
+    def see(self, *names: str) -> None:
+        self.seen.update((name, seen(os.path.join(self.folder, name))) for name in names)
+
+    def touched(self, *names: str) -> list[str]:
+        return [name for name in names if seen(os.path.join(self.folder, name)) != self.seen[name]]
+
+    def is_spare(self) -> bool:
+        """Whether only outputs and logs were touched, and logs are short."""
+        try:
+            sizes = [size_of_file(os.path.join(self.folder, name)) for name in LOGS]
+            return sum(sizes) <= CHUNK and not self.touched("", "home", "tmp", *self.files)
+        except OSError:
+            return False
+
+    def clear(self) -> bool:
+        """Make what was touched anew; False where that can't be."""
+        try:
+            for name in self.touched("output", *LOGS):
+                path = os.path.join(self.folder, name)
+                if name in LOGS:
+                    os.unlink(path)
+                    make_log(path)
+                else:
+                    remove(path)
+                    os.mkdir(path)
+                self.see(name)
+        except OSError:
+            return False
+        return True
+
+    def serve(self, job: dict[str, Any], folder: str) -> None:
+        """Become the folder of another run."""
+        os.rename(self.folder, folder)
+        self.folder = folder
+        for name, content in job["files"].items():
+            with open(os.path.join(folder, name), "wb") as file:
+                file.write(base64.b64decode(content))
+        self.see("", *self.files)
+
+
+def seen(path: str) -> tuple[Any, ...]:
+    """What is another where somebody has touched a folder or a file. (In one tick of its clock, ctime is not.)"""
+    found = os.lstat(path)
+    inside = sorted(os.listdir(path)) if stat.S_ISDIR(found.st_mode) else found.st_size
+    own = (found.st_ino, found.st_mode, found.st_nlink, found.st_uid, found.st_gid, found.st_ctime_ns)
+    return (*own, inside, attributes_of(path))
+
+
+def attributes_of(path: str) -> list[str]:
+    """The names of its extended attributes, rights for others among them."""
+    try:
+        return os.listxattr(path, follow_symlinks=False) if hasattr(os, "listxattr") else []
+    except OSError:  # a file system without
+        return []
+
+
+def prepare(job: dict[str, Any], folder: str, used: Place | None = None) -> Place | None:
+    """Make the run's folder, with its input files, or take one that is spare. Where that fails, the worker cannot go on."""
+    if used is not None:
+        if used.files == list(job["files"]) and used.clear():
+            used.serve(job, folder)
+            return used
+        remove(used.folder)
     os.mkdir(folder)
     for name in FOLDERS:
         os.mkdir(os.path.join(folder, name))
@@ -587,7 +670,12 @@ def prepare(job: dict[str, Any], folder: str) -> None:
         with open(os.path.join(folder, name), "xb") as file:
             file.write(base64.b64decode(content))
     for name in LOGS:
-        os.close(os.open(os.path.join(folder, name), os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644))
+        make_log(os.path.join(folder, name))
+    return Place(folder, list(job["files"])) if "used" in job else None
+
+
+def make_log(path: str) -> None:
+    os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644))
 
 
 def start(job: dict[str, Any], folder: str) -> subprocess.Popen[bytes]:
@@ -658,15 +746,18 @@ def used(usage: Any) -> dict[str, Any]:
     return {"user_s": usage.ru_utime, "system_s": usage.ru_stime, "max_rss_bytes": usage.ru_maxrss * unit}
 
 
-def left_behind(folder: str, limits: dict[str, Any], stopped: str | None) -> dict[str, Any]:
-    """Why a run was stopped (as far as its files tell), and its outputs, or why they cannot be read."""
+def left_behind(folder: str, limits: dict[str, Any], stopped: str | None, spare: bool = False) -> dict[str, Any]:
+    """Why a run was stopped (as far as its files tell), and its outputs, or why they cannot be read.
+
+    What nobody needs any more is removed, but where the folder is spare.
+    """
     allowed = limits.get("output_bytes")
     outputs: list[dict[str, Any]] = []
     error = None
     try:
         if is_folder(folder):  # a link that a run put in its place may lead to anybody's files: hands off
             unlock(folder, 0o700)
-            for name in ("home", "tmp"):
+            for name in () if spare else ("home", "tmp"):
                 remove(os.path.join(folder, name))
             outputs = list(survey(os.path.join(folder, "output")))
             if stopped is None and allowed is not None and size_of(folder) > allowed:
@@ -859,23 +950,25 @@ def birth(pid: int) -> int | None:
     return int(fields[19]) if fields else None
 
 
-def end_orphans(execution: str | None, group: int | None = None) -> None:
-    """Kill what has left its group: orphans of one execution, or (None) all of them.
+def end_orphans(execution: str | None, group: int | None = None) -> bool:
+    """Kill what has left its group: orphans of one execution, or (None) all of them. Whether there are no others either.
 
     Orphans are children of this process's main thread. One whose environment does not say whose it is
     belongs to nobody, and is ended with the worker.
     """
     give_up = time.monotonic() + SETTLE_S
     while time.monotonic() < give_up:
-        mine = [pid for pid in orphans() if execution is None or belongs(pid, execution, group)]
+        found = orphans()
+        mine = [pid for pid in found if execution is None or belongs(pid, execution, group)]
         if not mine:
-            return
+            return not found
         for pid in mine:
             signal_process(pid, signal.SIGKILL)
             try:
                 os.waitpid(pid, 0)
             except ChildProcessError:
                 continue
+    return False
 
 
 def reap() -> None:

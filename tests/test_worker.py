@@ -386,6 +386,53 @@ def test_what_has_left_a_run_that_took_too_long_is_ended(execute: Callable[..., 
     assert marked(mark) == []
 
 
+def test_a_spare_folder_serves_another_run_as_good_as_new(start: Callable[..., Worker]) -> None:
+    worker = start()
+    first = {"in.xml": base64.b64encode(b"a longer one").decode()}
+    worker.send(shell('echo x > out; mkdir -p a/b; chmod 700 .; echo "$NOISE" >&2', name="one", files=first, used=None))
+    until(lambda: len(worker.events("end")) == 1)
+    [end] = worker.events("end")
+    assert end["spare"]
+    place = Path(end["directory"])
+    inode = place.stat().st_ino
+    second = {"in.xml": base64.b64encode(b"short").decode()}
+    # of three empty folders, ls prints but their names and two empty lines
+    look = 'cat ../in.xml; stat -c " %a" .; wc -c < ../stderr; ls -A . "$HOME" "$TMPDIR" | grep -vc :; ls -A ..; echo y > out'
+    worker.send(shell(look, name="two", files=second, used=int(place.name)))
+    assert worker.finish() == 0
+    assert not place.exists()
+    [_, end] = worker.events("end")
+    folder = Path(end["directory"])
+    assert folder.stat().st_ino == inode
+    assert end["exit_code"] == 0
+    assert [file["path"] for file in end["outputs"]] == ["out"]
+    assert (folder / "output" / "out").read_text() == "y\n"
+    said = (folder / "stdout").read_text().split()
+    assert said == ["short", "755", "0", "2", "home", "in.xml", "output", "stderr", "stdout", "tmp"]
+
+
+@pytest.mark.parametrize(
+    "touch",
+    [
+        'echo x > "$HOME/left"',
+        'chmod 777 "$TMPDIR"',
+        'echo x >> "$SIERRA_RUN_DIR/in.xml"',
+        'ln "$SIERRA_RUN_DIR/in.xml" kept',
+        'echo x > "$SIERRA_RUN_DIR/beside"',
+        'rm "$SIERRA_RUN_DIR/stderr"',
+        'rmdir "$HOME"; ln -s / "$HOME"',
+        "env -i setsid sleep 1000 & sleep 0.3",
+        "head -c 3000000 /dev/zero > big",
+    ],
+)
+def test_a_folder_in_which_more_was_touched_serves_nobody(start: Callable[..., Worker], touch: str) -> None:
+    worker = start()
+    files = {"in.xml": base64.b64encode(b"one").decode()}
+    worker.send(shell(touch, files=files, used=None), shell("true", name="two", files=files))
+    assert worker.finish() == 0
+    assert [event.get("spare") for event in worker.events("end")] == [None, None]
+
+
 def test_what_has_even_hidden_whose_it_is_ends_with_the_worker(execute: Callable[..., dict[str, Any]], tmp_path: Path) -> None:
     hidden = tmp_path / "pid"
     code = f'exec env -i setsid -f sh -c \'echo $$ > "{hidden}.new"; mv "{hidden}.new" "{hidden}"; exec sleep 60\''

@@ -22,9 +22,9 @@ from sierra.store.segments import disk_errors
 
 LEVEL = 1
 ENCODER = json.JSONEncoder(separators=(",", ":"))
-BUFFERED = 16 << 20
+BUFFERED = 2 << 20
 """Bytes of lines that wait to be compressed."""
-PACKED = 32 << 20
+PACKED = 4 << 20
 """Bytes, compressed, that wait to be written."""
 
 

@@ -341,6 +341,8 @@ class Feeder(threading.Thread):
         self._pipe = pipe
         self._write = write
         self.permits = threading.Semaphore(ahead)
+        self.spare: Deque[int] = deque()
+        """Folders of runs that are packed, for others; see the worker."""
         self.sent = 0
         self.error: Optional[Trouble] = None
 
@@ -349,6 +351,8 @@ class Feeder(threading.Thread):
             for job in jobs(self._path):
                 if self._wanted(job["execution"]):
                     self.permits.acquire()
+                    if "client" not in job:
+                        job["used"] = self.spare.popleft() if self.spare else None
                     self._send(job)
                     self.sent += 1
             self._send({"end": True})
@@ -383,6 +387,8 @@ def logs_in(root: int) -> Iterator[File]:
     """What a run has printed, where it is anything."""
     for name in LOGS:
         try:
+            if not os.stat(name, dir_fd=root, follow_symlinks=False).st_size:
+                continue
             descriptor = opened(root, name)
         except OSError:
             continue
@@ -729,12 +735,14 @@ class Execution:
             self._take_end(self._held.popleft()[1])
 
     def _take_end(self, event: Event) -> None:
-        directory = event.pop("directory")
+        directory, spare = event.pop("directory"), event.pop("spare", False)
         if event["stopped"] != "interrupted":
             check_room(self._scratch)  # else the run may have failed for it, or not have noticed
             self._pack_run(event, directory)
             self._ended += 1
-        if self._is_own(directory):
+        if spare:
+            self._feeder.spare.append(int(os.path.basename(directory)))
+        elif self._is_own(directory):
             self._remove(directory)
         if not is_small(event):
             self._feeder.permits.release()

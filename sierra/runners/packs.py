@@ -138,25 +138,23 @@ class Pack:
         return Ended(Result(directory="", attempt=self.attempt, **fields), files, at)
 
     def extract(self, ended: Ended, folder: Path) -> Result:
-        """Write a run's files to a folder, which is made; the result with that directory.
+        """Write a run's files to a folder; the result with that directory.
 
-        There is a `stdout`, a `stderr` and an `output` in it, whatever the run left. Raises Damaged where the bytes are not
-        those that were recorded (on a network file system, perhaps not yet) or a path leads elsewhere, Missing where there is
-        no room; no folder is left then.
+        There is no more in it than was packed: no log that is empty, and no folder where the run has left nothing. Raises
+        Damaged where the bytes are not those that were recorded (on a network file system, perhaps not yet) or a path leads
+        elsewhere, Missing where there is no room; no folder is left then.
         """
-        folder.mkdir()
-        try:
-            with disk_errors(folder):
-                self._extract(ended, folder)
-        except BaseException:
-            shutil.rmtree(folder, ignore_errors=True)
-            raise
+        if ended.files:
+            folder.mkdir()
+            try:
+                with disk_errors(folder):
+                    self._extract(ended, folder)
+            except BaseException:
+                shutil.rmtree(folder, ignore_errors=True)
+                raise
         return replace(ended.result, directory=str(folder))
 
     def _extract(self, ended: Ended, folder: Path) -> None:
-        (folder / RUN_OUTPUT).mkdir()
-        for name in (RUN_STDOUT, RUN_STDERR):
-            (folder / name).touch()
         with self.path.open("rb") as pack:
             pack.seek(ended.at)
             for path, size, sha256 in ended.files:

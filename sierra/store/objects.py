@@ -24,7 +24,7 @@ class Objects:
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self._known: set[str] = set()
+        self._known: set[bytes] = set()
         self._rows: list[tuple[str, int, int, bytes]] = []
         self._held = 0
         self._writer: Any = None
@@ -41,9 +41,10 @@ class Objects:
             self._add(digest, size, iter(lambda: file.read(PART), b"") if size else (b"",))
 
     def _add(self, digest: str, size: int, parts: Iterable[bytes]) -> None:
-        if digest in self._known:
+        key = bytes.fromhex(digest[:32])  # half of it: there may be 100,000
+        if key in self._known:
             return
-        self._known.add(digest)
+        self._known.add(key)
         for number, part in enumerate(parts):
             self._rows.append((digest, number, size, part))
             self._held += len(part)
