@@ -85,6 +85,13 @@ def _inner(path: str) -> str:
     return str(PurePosixPath(path))
 
 
+def _on_node(path: str) -> str:
+    """A path that means the same whatever folder a task begins in."""
+    if not path.startswith(("/", "$")):
+        raise ValueError(f"{path!r} should be an absolute path on the node, as in /scratch or $TMPDIR/x")
+    return path
+
+
 def _device(path: str) -> str:
     if not path.startswith("/dev/") or ".." in PurePosixPath(path).parts:
         raise ValueError(f"{path!r} should be a device, as in /dev/dri")
@@ -334,10 +341,10 @@ class ClusterTable(Table):
         (), description="further lines, as they stand after `#SBATCH` or `#PBS`: what no setting is for"
     )
     python: str = Field("python3", min_length=1, description="a Python 3.8 or newer on the nodes")
-    scratch: str | None = Field(
+    scratch: Annotated[str, AfterValidator(_on_node)] | None = Field(
         None,
-        min_length=1,
-        description="folder on the node for runs, as in `$TMPDIR/x`; where absent, $SLURM_TMPDIR, $TMPDIR or /tmp",
+        description="folder on the node for runs, as in `$TMPDIR/x`, made in one that is there; where absent, $SLURM_TMPDIR, "
+        "$TMPDIR or /tmp",
     )
     attempts: PositiveInt = Field(
         3, description="times that a run is begun, the last one alone, or an element without any, before it has failed"
