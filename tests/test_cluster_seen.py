@@ -84,6 +84,17 @@ def test_a_dry_run_does_not_propose_what_is_on_a_cluster_already(waiting: Waitin
     assert "#SBATCH" not in again
 
 
+def test_a_dry_run_speaks_of_the_probe_where_there_will_be_one(
+    waiting: Waiting, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    waiting.open()
+    for said in (True, False):
+        told = waiting.project.ask("run", *QUERY, "speed=1,2", "--on", "slurm", "-n").stderr
+        assert ("nodes were not tried out within a day" in told) == said
+        waiting.project.ask("run", *QUERY, "--on", "slurm", "--no-figures")
+
+
 # once it is recorded
 
 
