@@ -42,6 +42,17 @@ Scalar = str | int | float
 Words = str | tuple[str, ...]
 """A list of texts, or its short form."""
 OptionsT = TypeVar("OptionsT", bound=BaseModel)
+SETTINGS: Mapping[int | str, str] = {
+    **dict.fromkeys(("queue", "partitions"), "partition"),
+    **dict.fromkeys(("time", "walltime", "time_limit"), "wall"),
+    **dict.fromkeys(("ncpus", "ppn", "ntasks", "cpus_per_task", "cores", "procs"), "cpus"),
+    **dict.fromkeys(("nodes", "array", "jobs"), "elements"),
+    **dict.fromkeys(("gres", "ngpus", "gpu"), "gpus"),
+    **dict.fromkeys(("features", "select"), "constraint"),
+    "project": "account",
+    "mem": "memory",
+}
+"""What schedulers call settings of clusters."""
 SYSTEM = ("proc", "sys", "dev", "tmp")
 """Folders of a container that are its own."""
 KINDS = {
@@ -610,6 +621,8 @@ def _written(value: Any) -> str:
 def _nearest(model: type[BaseModel], location: tuple[int | str, ...]) -> str:
     """The known keys of the table that `location` lies in, the most similar first."""
     known = sorted(_keys(model, location[:-1]))
+    if location[0] == "runners" and location[-1] in SETTINGS:
+        return f"; here it is {SETTINGS[location[-1]]!r}"
     close = difflib.get_close_matches(str(location[-1]), known, 1, cutoff=0.5)
     if close:
         return f"; did you mean {close[0]!r}?"

@@ -247,7 +247,7 @@ def test_a_probe_that_says_nothing_ends_all_before_anything_begins(gated: Gated)
         ('python = "/no/python3"', "/no/python3"),
         ("wall = 1e9", "more than the site allows"),
         ("cpus = 4000", "cpus = 4000"),
-        ('scratch = "/nowhere/runs"', "nodes can't execute this: scratch = /nowhere/runs: no folder on n"),
+        ('scratch = "/nowhere/runs"', "scratch = /nowhere/runs: there is no folder to make it in"),
     ],
 )
 def test_what_the_site_does_not_have_is_said_in_a_line(gated: Gated, line: str, words: str) -> None:

@@ -14,7 +14,7 @@ import pytest
 
 from tests.clusters import Slurm
 from tests.conftest import Simulated
-from tests.test_cluster_cli import QUERY, WAITS, Waiting
+from tests.test_cluster_cli import QUERY, WAITS, Waiting, until
 
 
 @pytest.fixture
@@ -71,6 +71,12 @@ def test_what_is_on_a_cluster_is_told_by_all_that_speak_of_the_batch(waiting: Wa
         "asking again now:\n  6 runs: on a cluster now: followed, not executed again\n"
         in waiting.project.ask("why", waiting.batch()).stdout
     )
+    waiting.open()
+    until(lambda: waiting.alive() == 0, "the jobs end")
+    over = (
+        f"on slurm now, job {left['jobs'][0]} (session {left['session'][:8]}): no longer there; sierra status records what has"
+    )
+    assert over in waiting.project.ask("run", *QUERY, "-n").stdout
     assert len(waiting.project.work()) == 1, "nothing is recorded, or taken over, by who only asks"
 
 

@@ -376,7 +376,7 @@ def test_scratch_that_is_not_there_is_not_made_but_for_its_last_folder(folder: F
     for words in (("0",), ("--probe", "0")):
         code, said = folder.run(*words)
         assert code == 3
-        assert f"scratch = {scratch.format(tmp_path)}: no folder on " in said
+        assert f"scratch = {scratch.format(tmp_path)}: there is no folder to make it in" in said
     assert not (tmp_path / "scrach").exists()
     assert not Path("/scrach").exists()
     folder.set(scratch=f"{tmp_path}/scrach")

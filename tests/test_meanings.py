@@ -18,7 +18,16 @@ from tests import pbs, projects
 from tests.clusters import Slurm
 
 ALL = ClusterTable(
-    elements=7, cpus=99, memory=8_000_000_000, wall=3600.0, partition="p", account="a", qos="q", constraint="c", gpus=2
+    elements=7,
+    cpus=99,
+    memory=8_000_000_000,
+    wall=3600.0,
+    partition="p",
+    account="a",
+    qos="q",
+    constraint="c",
+    gpus=2,
+    directives=("-x y",),
 )
 SITE = "the site has partition debug (up to 1:00:00): nodes of 4 cores, 4000 MB, gpu:2, fast"
 
@@ -44,10 +53,11 @@ SITE = "the site has partition debug (up to 1:00:00): nodes of 4 cores, 4000 MB,
         ("Memory specification can not be satisfied", "partition memory"),
         ("Invalid generic resource (gres) specification", "gpus partition"),
         ("Invalid job array specification", "elements"),
+        ("unrecognized option '--nonsense'", "directives"),
     ],
 )
 def test_slurm_s_words_are_about_these_settings(words: str, settings: str) -> None:
-    told = about(words, SLURM, ALL, ())
+    told = about(words, SLURM, ALL, tuple)
     assert told.startswith(f"{words}: ")
     assert re.findall(r"(\w+) = ", told) == settings.split()
 
@@ -65,17 +75,17 @@ def test_slurm_s_words_are_about_these_settings(words: str, settings: str) -> No
         ),
         ("Job exceeds queue resource limits MSG=cannot satisfy queue max walltime requirement", "partition wall"),
         ("illegal -J value", "elements"),
-        ("Unknown resource type  Resource_List.mempo", "constraint"),
+        ("Unknown resource type  Resource_List.mempo", "constraint directives"),
     ],
 )
 def test_pbs_words_are_about_these_settings(words: str, settings: str) -> None:
-    told = about(words, PBS, ALL, ())
+    told = about(words, PBS, ALL, tuple)
     assert told.startswith(f"{words}: ")
     assert re.findall(r"(\w+) = ", told) == settings.split()
 
 
 def test_what_nobody_knows_is_told_as_it_is() -> None:
-    assert about("slurm is tired", SLURM, ALL, ("partition debug",)) == "slurm is tired"
+    assert about("slurm is tired", SLURM, ALL, lambda: ["partition debug"]) == "slurm is tired"
 
 
 @pytest.mark.parametrize(

@@ -554,7 +554,7 @@ def scratch_root(wanted: Optional[str]) -> str:
     filled = re.sub(r"\$(?:\{(\w+)\}|(\w+))", lambda match: value_of(match[1] or match[2], wanted), wanted)
     folder = os.path.abspath(filled)
     if not os.path.isdir(os.path.dirname(folder) if os.path.dirname(folder) != "/" else folder):
-        raise Trouble("scratch = %s: no folder on %s to make it in; name one that is there" % (wanted, os.uname().nodename))
+        raise Trouble("scratch = %s: there is no folder to make it in; name one that is there" % wanted)
     try:
         os.makedirs(folder, exist_ok=True)
     except OSError as error:

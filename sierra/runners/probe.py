@@ -28,6 +28,7 @@ class Probe:
 
     def __init__(self, runner: str, table: ClusterTable, session: SessionPaths) -> None:
         self._session = session
+        self._runner = runner
         self._table = table
         self._key = digest("cluster", {"runner": runner, "table": _told(table), "device": _device(session.root)})
         self.name = submission.name_of(session, "probe")
@@ -57,7 +58,7 @@ class Probe:
         """What is to be said where it has ended and told nothing."""
         said = submission.last_line(self._session, "0")
         if said:
-            return Missing(f"nodes can't execute this: {said}")
+            return Missing(f"nodes can't execute this: {said}; see python and modules in [runners.{self._runner}]")
         where = f"do they see {self._session.root}, as on a shared file system?"
         return Missing(f"nodes can't execute this, and say nothing{f' ({word})' if word else ''}: {where}")
 

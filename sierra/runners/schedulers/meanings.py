@@ -7,13 +7,14 @@ Schedulers say `PartitionConfig`, and not of what. The tables are of what SLURM 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from sierra.config import ClusterTable
 
 PLACE = ("partition", "account", "qos")
+DIRECTIVES = ("directives",)
 SIZE = ("cpus", "memory", "gpus", "constraint")
 
 
@@ -54,7 +55,7 @@ SLURM = (
     _meaning(r"BadConstraints|feature", "no node has these features", "constraint"),
     _meaning(r"generic resource|gres|gpu", "no node has such processors", "gpus", "partition"),
     _meaning(r"job array", "so long an array is not allowed", "elements"),
-    _meaning(r"licen[sc]e|reservation|option|wckey|cluster", "see directives", "directives"),
+    _meaning(r"licen[sc]e|reservation|option|wckey|cluster", "what the directives say", *DIRECTIVES),
 )
 PBS = (
     _meaning(r"unknown queue|queue .*(not enabled|not started)|no default queue", "no such queue now", "partition"),
@@ -71,15 +72,19 @@ PBS = (
 )
 
 
-def about(words: str, meanings: Sequence[Meaning], table: ClusterTable, site: Sequence[str]) -> str:
-    """These words, and what they mean, what was asked for, and what the site has, as far as each is known; in one line."""
+def about(words: str, meanings: Sequence[Meaning], table: ClusterTable, site: Callable[[], Sequence[str]]) -> str:
+    """These words, and what they mean, what was asked for, and what the site has, as far as each is known; in one line.
+
+    The site is asked only where that is about its nodes, or places in a queue.
+    """
     known = next((one for one in meanings if one.words.search(words)), None)
     if known is None:
         return words
     if not known.settings:
         return f"{words}: {known.means}"
     asked = ", ".join(_asked(table, known.settings)) or "nothing, so it is the site's default"
-    there = f"; the site has {'; '.join(site)}" if site else ""
+    has = () if known.settings == DIRECTIVES else site()
+    there = f"; the site has {'; '.join(has)}" if has else ""
     return f"{words}: {known.means}; asked for: {asked}{there}"
 
 

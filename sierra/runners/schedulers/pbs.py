@@ -109,7 +109,7 @@ class Pbs:
     def explain(self, words: str) -> str:
         if self._dialect is Dialect.SLURM:
             return self._slurm.explain(words)
-        return about(words, PBS, self._table, self._site())
+        return about(words, PBS, self._table, self._site)
 
     def _site(self) -> list[str]:
         """The queue that is asked for, or that is the default, and what it allows; or else all queues by name."""

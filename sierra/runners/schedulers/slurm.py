@@ -115,7 +115,7 @@ class Slurm:
         raise self._explained(refusal(err))
 
     def explain(self, words: str) -> str:
-        return about(words, SLURM, self._table, self._site())
+        return about(words, SLURM, self._table, self._site)
 
     def _explained(self, error: SierraError) -> SierraError:
         return ConfigError(self.explain(str(error))) if isinstance(error, ConfigError) else error
