@@ -42,6 +42,17 @@ Scalar = str | int | float
 Words = str | tuple[str, ...]
 """A list of texts, or its short form."""
 OptionsT = TypeVar("OptionsT", bound=BaseModel)
+SETTINGS: Mapping[int | str, str] = {
+    **dict.fromkeys(("queue", "partitions"), "partition"),
+    **dict.fromkeys(("time", "walltime", "time_limit"), "wall"),
+    **dict.fromkeys(("ncpus", "ppn", "ntasks", "cpus_per_task", "cores", "procs"), "cpus"),
+    **dict.fromkeys(("nodes", "array", "jobs"), "elements"),
+    **dict.fromkeys(("gres", "ngpus", "gpu"), "gpus"),
+    **dict.fromkeys(("features", "select"), "constraint"),
+    "project": "account",
+    "mem": "memory",
+}
+"""What schedulers call settings of clusters."""
 SYSTEM = ("proc", "sys", "dev", "tmp")
 """Folders of a container that are its own."""
 KINDS = {
@@ -83,6 +94,13 @@ def _inner(path: str) -> str:
     if parts[:1] != ("/",) or len(parts) < 2 or ".." in parts or parts[:3] == ("/", "run", "sierra") or parts[1] in SYSTEM:
         raise ValueError(f"{path!r} should be a path in the container such as /data (not in {', '.join(SYSTEM)} or run/sierra)")
     return str(PurePosixPath(path))
+
+
+def _on_node(path: str) -> str:
+    """A path that means the same whatever folder a task begins in."""
+    if not path.startswith(("/", "$")):
+        raise ValueError(f"{path!r} should be an absolute path on the node, as in /scratch or $TMPDIR/x")
+    return path
 
 
 def _device(path: str) -> str:
@@ -334,10 +352,10 @@ class ClusterTable(Table):
         (), description="further lines, as they stand after `#SBATCH` or `#PBS`: what no setting is for"
     )
     python: str = Field("python3", min_length=1, description="a Python 3.8 or newer on the nodes")
-    scratch: str | None = Field(
+    scratch: Annotated[str, AfterValidator(_on_node)] | None = Field(
         None,
-        min_length=1,
-        description="folder on the node for runs, as in `$TMPDIR/x`; where absent, $SLURM_TMPDIR, $TMPDIR or /tmp",
+        description="folder on the node for runs, as in `$TMPDIR/x`, made in one that is there; where absent, $SLURM_TMPDIR, "
+        "$TMPDIR or /tmp",
     )
     attempts: PositiveInt = Field(
         3, description="times that a run is begun, the last one alone, or an element without any, before it has failed"
@@ -603,6 +621,8 @@ def _written(value: Any) -> str:
 def _nearest(model: type[BaseModel], location: tuple[int | str, ...]) -> str:
     """The known keys of the table that `location` lies in, the most similar first."""
     known = sorted(_keys(model, location[:-1]))
+    if location[0] == "runners" and location[-1] in SETTINGS:
+        return f"; here it is {SETTINGS[location[-1]]!r}"
     close = difflib.get_close_matches(str(location[-1]), known, 1, cutoff=0.5)
     if close:
         return f"; did you mean {close[0]!r}?"

@@ -192,7 +192,8 @@ def _asked(store: Store, row: Standing) -> Standing:
         return row
     queued, running = (len(submission.elements(paths, by[state])) for state in (State.QUEUED, State.RUNNING))
     stuck = [task for task in (*tasks, *probing) if task.state is State.STUCK]
-    return replace(row, queued=queued, running=running, waits=_waits(tasks, probing), stuck=_stuck(stuck))
+    never = "; ".join(dict.fromkeys(scheduler.explain(task.reason or "it does not say why") for task in stuck)) or None
+    return replace(row, queued=queued, running=running, waits=_waits(tasks, probing), stuck=never)
 
 
 def _waits(tasks: tuple[Task, ...], probing: tuple[Task, ...]) -> str:
@@ -202,7 +203,3 @@ def _waits(tasks: tuple[Task, ...], probing: tuple[Task, ...]) -> str:
     if any(task.state is State.QUEUED for task in probing):
         return ": ".join(filter(None, (PROBED, submission.waits(probing))))
     return submission.waits(tasks)
-
-
-def _stuck(tasks: list[Task]) -> str | None:
-    return "; ".join(dict.fromkeys(task.reason or "it does not say why" for task in tasks)) or None

@@ -379,9 +379,10 @@ def qstat(folder: Path, state: dict[str, Any], words: list[str]) -> None:
         print(folded("Server", HOST, {"default_queue": "workq", **limit, size: state["max_array_size"]}))
         return
     if "-Q" in options:
-        if ids[0] not in state["queues"]:
-            refuse("qstat", f"Unknown queue {ids[0]}", 170)
-        print(folded("Queue", ids[0], {"queue_type": "Execution", "resources_max.walltime": "24:00:00"}))
+        for queue in ids or state["queues"]:
+            if queue not in state["queues"]:
+                refuse("qstat", f"Unknown queue {queue}", 170)
+            print(folded("Queue", queue, {"queue_type": "Execution", "resources_max.walltime": "24:00:00"}))
         return
     status, records = listed(state, ids, torque=torque)
     if "-F" not in options:

@@ -246,7 +246,8 @@ def test_a_probe_that_says_nothing_ends_all_before_anything_begins(gated: Gated)
         ('partition = "nowhere"', "partition"),
         ('python = "/no/python3"', "/no/python3"),
         ("wall = 1e9", "more than the site allows"),
-        ("cpus = 4000", ""),
+        ("cpus = 4000", "cpus = 4000"),
+        ('scratch = "/nowhere/runs"', "scratch = /nowhere/runs: there is no folder to make it in"),
     ],
 )
 def test_what_the_site_does_not_have_is_said_in_a_line(gated: Gated, line: str, words: str) -> None:

@@ -301,10 +301,12 @@ def test_a_dry_run_shows_the_script_that_is_submitted_then(waiting: Waiting) -> 
     submitted = waiting.slurm.command("scontrol", "write", "batch_script", job, "-").splitlines()
     beside = ("#SBATCH --dependency=", "#SBATCH --kill-on-invalid-dep=")
     assert [line for line in submitted if line and not line.startswith(beside)] == expected.splitlines()
-    assert any("a dependency in the script" in note for note in told["notes"])
+    [folder] = waiting.project.work()
+    probed = json.loads((folder / "submission.json").read_text())["probed"]
+    assert any("a dependency in the script" in note for note in told["notes"]) == probed
     assert (told["elements"], told["runs"]) == (left["elements"], left["runs"])
     waiting.project.until_executed(3)
-    files = [path for path in waiting.project.work()[0].rglob("*") if path.is_file()]
+    files = [path for path in folder.rglob("*") if path.is_file()]
     assert abs(told["files"] - len(files)) <= 4, files
 
 

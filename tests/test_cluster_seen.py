@@ -14,7 +14,7 @@ import pytest
 
 from tests.clusters import Slurm
 from tests.conftest import Simulated
-from tests.test_cluster_cli import QUERY, WAITS, Waiting
+from tests.test_cluster_cli import QUERY, WAITS, Waiting, until
 
 
 @pytest.fixture
@@ -71,6 +71,12 @@ def test_what_is_on_a_cluster_is_told_by_all_that_speak_of_the_batch(waiting: Wa
         "asking again now:\n  6 runs: on a cluster now: followed, not executed again\n"
         in waiting.project.ask("why", waiting.batch()).stdout
     )
+    waiting.open()
+    until(lambda: waiting.alive() == 0, "the jobs end")
+    over = (
+        f"on slurm now, job {left['jobs'][0]} (session {left['session'][:8]}): no longer there; sierra status records what has"
+    )
+    assert over in waiting.project.ask("run", *QUERY, "-n").stdout
     assert len(waiting.project.work()) == 1, "nothing is recorded, or taken over, by who only asks"
 
 
@@ -82,6 +88,17 @@ def test_a_dry_run_does_not_propose_what_is_on_a_cluster_already(waiting: Waitin
     again = waiting.project.ask("run", *QUERY, "--on", "slurm", "-n").stdout
     assert "0 of 6 runs would execute, 6 are on a cluster, and would be followed" in again
     assert "#SBATCH" not in again
+
+
+def test_a_dry_run_speaks_of_the_probe_where_there_will_be_one(
+    waiting: Waiting, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    waiting.open()
+    for said in (True, False):
+        told = waiting.project.ask("run", *QUERY, "speed=1,2", "--on", "slurm", "-n").stderr
+        assert ("nodes were not tried out within a day" in told) == said
+        waiting.project.ask("run", *QUERY, "--on", "slurm", "--no-figures")
 
 
 # once it is recorded

@@ -362,10 +362,25 @@ def test_scratch_is_named_by_the_environment_of_the_node(folder: Folder, tmp_pat
     folder.set(scratch="$WHERE/${DEEP}/runs")
     code, said = folder.run(WHERE=str(tmp_path))
     assert (code, "there is no $DEEP" in said) == (3, True)
+    (tmp_path / "down").mkdir()
     assert folder.run(WHERE=str(tmp_path), DEEP="down")[0] == 0
     (pack,) = [pack for pack in folder.packs() if any(isinstance(event, Ended) for event in pack.read())]
     pack.extract(folder.ended()["run0"], tmp_path / "taken")
     assert (tmp_path / "taken/stdout").read_text().startswith(f"{tmp_path}/down/runs/sierra-5e55-")
+
+
+@pytest.mark.parametrize("scratch", ["{}/scrach/runs", "/scrach"])
+def test_scratch_that_is_not_there_is_not_made_but_for_its_last_folder(folder: Folder, tmp_path: Path, scratch: str) -> None:
+    folder.deal(many(1, "true"))
+    folder.set(scratch=scratch.format(tmp_path))
+    for words in (("0",), ("--probe", "0")):
+        code, said = folder.run(*words)
+        assert code == 3
+        assert f"scratch = {scratch.format(tmp_path)}: there is no folder to make it in" in said
+    assert not (tmp_path / "scrach").exists()
+    assert not Path("/scrach").exists()
+    folder.set(scratch=f"{tmp_path}/scrach")
+    assert folder.run()[0] == 0
 
 
 def test_a_run_that_put_links_in_place_of_its_files_gives_nobody_elses(folder: Folder, tmp_path: Path) -> None:

@@ -197,7 +197,7 @@ def test_variables_of_the_callers_shell_change_nothing(
 
 
 def test_a_wrong_queue_is_refused_in_the_schedulers_words(server: pbs.Server, ask: Callable[..., Request]) -> None:
-    with pytest.raises(ConfigError, match=r"qsub refuses: Unknown queue.* \(queue 'nope'\)"):
+    with pytest.raises(ConfigError, match=r"qsub refuses: Unknown queue.*; asked for: partition = 'nope'"):
         Pbs(ClusterTable(partition="nope")).submit(ask())
 
 

@@ -35,7 +35,9 @@ def lines(found: Sequence[Standing]) -> list[str]:
     for one in found:
         follower = f", followed by {one.attended}" if one.attended else ""
         stuck = f": {readable(one.stuck)}" if one.stuck else ""
-        told.append(f"on {one.runner} now, {named(one.jobs)} (session {one.session[:SESSION]}): {state(one)}{follower}{stuck}")
+        over = one.queued == one.running == 0 and not one.stuck
+        how = "no longer there; sierra status records what has finished" if over else state(one)
+        told.append(f"on {one.runner} now, {named(one.jobs)} (session {one.session[:SESSION]}): {how}{follower}{stuck}")
     return told
 
 

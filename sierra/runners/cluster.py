@@ -275,8 +275,8 @@ class Cluster:
             self._cancel(sorted(self._elements(mishaps)))
         wrong = [task for task in stuck if task not in mishaps]
         if wrong:
-            where = f"[runners.{self.name}]"
-            self._end(Missing(f"{self._kind} will never begin job {wrong[0].job}: {wrong[0].reason}; see {where}"))
+            why = self._scheduler.explain(wrong[0].reason)
+            self._end(Missing(f"{self._kind} will never begin job {wrong[0].job}: {why}; see [runners.{self.name}]"))
 
     def _elements(self, tasks: Iterable[Task]) -> set[int]:
         return submission.elements(self._session, tasks) & set(range(len(self._shares)))

@@ -108,6 +108,13 @@ def knows_what_is_allowed(trial: Trial) -> None:
         _holds(bound is None or bound > 0, f"{name} is {bound}")
 
 
+def explains_in_a_line(trial: Trial) -> None:
+    """Its own words stay, whatever is known of them beside."""
+    for words in ("Invalid account", "what nobody has ever said"):
+        told = trial.scheduler.explain(words)
+        _holds(told.startswith(words) and "\n" not in told, f"to explain {words!r} is to say it, and more, in one line")
+
+
 def says_what_it_hands_over(trial: Trial) -> None:
     """A script says its command, is the same when asked again, and has nothing of the environment."""
     os.environ[CANARY] = "a secret canary"
@@ -221,6 +228,7 @@ def cancels_nothing_where_there_is_none(trial: Trial) -> None:
 CLAIMS: tuple[Callable[[Trial], None], ...] = (
     says_its_version,
     knows_what_is_allowed,
+    explains_in_a_line,
     says_what_it_hands_over,
     executes_each_element_once,
     begins_in_its_folder,

@@ -558,11 +558,14 @@ def scratch_root(wanted: Optional[str]) -> str:
             raise Trouble("no folder for runs: none of $SLURM_TMPDIR, $TMPDIR and /tmp can be written to")
         return os.path.abspath(there[0])
     filled = re.sub(r"\$(?:\{(\w+)\}|(\w+))", lambda match: value_of(match[1] or match[2], wanted), wanted)
+    folder = os.path.abspath(filled)
+    if not os.path.isdir(os.path.dirname(folder) if os.path.dirname(folder) != "/" else folder):
+        raise Trouble("scratch = %s: there is no folder to make it in; name one that is there" % wanted)
     try:
-        os.makedirs(filled, exist_ok=True)
+        os.makedirs(folder, exist_ok=True)
     except OSError as error:
-        raise Trouble("scratch = %s: %s: %s" % (wanted, filled, error.strerror)) from error
-    return os.path.abspath(filled)
+        raise Trouble("scratch = %s: %s: %s" % (wanted, folder, error.strerror)) from error
+    return folder
 
 
 def value_of(name: str, wanted: str) -> str:

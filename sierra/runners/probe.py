@@ -7,8 +7,8 @@ was fine is remembered for a day, in the user's cache: for the same cluster, as 
 from __future__ import annotations
 
 import json
-import os
 import time
+from pathlib import Path
 
 from sierra.config import ClusterTable
 from sierra.errors import Missing
@@ -28,8 +28,9 @@ class Probe:
 
     def __init__(self, runner: str, table: ClusterTable, session: SessionPaths) -> None:
         self._session = session
+        self._runner = runner
         self._table = table
-        self._key = digest("cluster", {"runner": runner, "table": _told(table), "device": os.stat(session.root).st_dev})  # noqa: PTH116
+        self._key = digest("cluster", {"runner": runner, "table": _told(table), "device": _device(session.root)})
         self.name = submission.name_of(session, "probe")
 
     def is_needed(self) -> bool:
@@ -57,7 +58,7 @@ class Probe:
         """What is to be said where it has ended and told nothing."""
         said = submission.last_line(self._session, "0")
         if said:
-            return Missing(f"nodes can't execute this: {said}")
+            return Missing(f"nodes can't execute this: {said}; see python and modules in [runners.{self._runner}]")
         where = f"do they see {self._session.root}, as on a shared file system?"
         return Missing(f"nodes can't execute this, and say nothing{f' ({word})' if word else ''}: {where}")
 
@@ -65,6 +66,11 @@ class Probe:
         memory = Remembered(user_clusters(), MOST)
         memory.put(self._key, time.time())
         memory.save()
+
+
+def _device(folder: Path) -> int:
+    """The file system that a folder lies on, or will lie on."""
+    return next(one.stat().st_dev for one in (folder, *folder.parents) if one.exists())
 
 
 def _told(table: ClusterTable) -> object:

@@ -10,6 +10,7 @@ from sierra.config import ClusterTable
 from sierra.errors import Missing
 from sierra.paths import SessionPaths
 from sierra.runners import schedulers, submission
+from sierra.runners.probe import Probe
 from sierra.runners.schedulers import Bounds
 from sierra.runners.sizing import Size, size
 
@@ -30,7 +31,7 @@ DEFAULTS = {
 }
 
 FIRST = (
-    "where nodes were not tried out within a day, the elements wait (a dependency in the script) for one small task that does"
+    "nodes were not tried out within a day: the elements will wait (a dependency in the script) for one small task that does"
 )
 
 
@@ -89,7 +90,7 @@ def propose(
     `work` is the folder of sessions; `beside` are files and bytes that are there however the batch is dealt out. Where the
     scheduler can't be reached, all is told but for what the site allows. Raises ConfigError for what is refused.
     """
-    notes = [FIRST]
+    notes = [FIRST] if Probe(name, table, SessionPaths(work / "SESSION")).is_needed() else []
     version, bounds = _site(scheduler, table, notes)
     sized = size(count, seconds, table, bounds)
     asked = table.model_copy(update={"wall": sized.wall_s})

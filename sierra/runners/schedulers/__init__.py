@@ -118,6 +118,12 @@ class Scheduler(Protocol):
         """
         ...
 
+    def explain(self, words: str) -> str:
+        """The scheduler's words on a request that it refuses, or will never begin, and what they are about: which of the
+        table's settings, and what the site has, as far as these are known. In one line; raises nothing.
+        """
+        ...
+
     def cancel(self, name: str, elements: Sequence[int] | None = None) -> None:
         """Ask that the jobs of that name end (or only these elements of them); idempotent, also where there is none."""
         ...

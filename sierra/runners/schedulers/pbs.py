@@ -32,6 +32,7 @@ from sierra.errors import ConfigError, Full, Missing
 from sierra.paths import write_whole
 from sierra.runners import schedulers
 from sierra.runners.schedulers import Bounds, Request, Scheduler, State, Task, qstat, qsub
+from sierra.runners.schedulers.meanings import PBS, about
 from sierra.runners.schedulers.qsub import Dialect
 
 PATIENCE_S = 20.0
@@ -100,7 +101,27 @@ class Pbs:
             done = self._handed_over(script)
         finally:
             self._forget(request.name)
-        return _taken(done, self._table, waits=bool(request.after))
+        try:
+            return _taken(done, waits=bool(request.after))
+        except ConfigError as error:
+            raise ConfigError(self.explain(str(error))) from None
+
+    def explain(self, words: str) -> str:
+        if self._dialect is Dialect.SLURM:
+            return self._slurm.explain(words)
+        return about(words, PBS, self._table, self._site)
+
+    def _site(self) -> list[str]:
+        """The queue that is asked for, or that is the default, and what it allows; or else all queues by name."""
+        try:
+            name = self._table.partition or _first(_said("qstat", "-B", "-f")).get("default_queue", "")
+            if queue := _queue(name):
+                most = [f"{key.partition('.')[2]} {value}" for key, value in queue.items() if key.startswith("resources_max.")]
+                return [f"queue {name} (up to {', '.join(most)})" if most else f"queue {name}"]
+            names = [one["id"] for one in qstat.text_records(_said("qstat", "-Q", "-f"))]
+            return [f"queues {', '.join(names)}"]
+        except Missing:
+            return []
 
     def look(self, name: str) -> tuple[Task, ...] | None:
         submitted = self._submitted
@@ -228,7 +249,7 @@ def _words(done: subprocess.CompletedProcess[str]) -> str:
     return "; ".join(filter(None, lines))[:500] or f"exit status {done.returncode}"
 
 
-def _taken(done: subprocess.CompletedProcess[str], table: ClusterTable, *, waits: bool) -> str:
+def _taken(done: subprocess.CompletedProcess[str], *, waits: bool) -> str:
     """The job's id in what `qsub` says. Raises as `submit` does."""
     words = _words(done)
     if not done.returncode:
@@ -242,8 +263,7 @@ def _taken(done: subprocess.CompletedProcess[str], table: ClusterTable, *, waits
         raise Missing(f"qsub: {words}")
     if waits and DEPENDENCY.search(words):
         raise Missing(f"qsub: {words}: the job that it waits for is no longer known")
-    asked = [f"{what} {name!r}" for what, name in (("queue", table.partition), ("account", table.account)) if name]
-    raise ConfigError(f"qsub refuses: {words}" + (f" ({', '.join(asked)})" if asked else ""))
+    raise ConfigError(f"qsub refuses: {words}")
 
 
 def _user() -> str:

@@ -27,6 +27,7 @@ from pathlib import Path
 from sierra.config import ClusterTable
 from sierra.errors import ConfigError, Full, Missing, SierraError
 from sierra.runners.schedulers import Bounds, Request, State, Task
+from sierra.runners.schedulers.meanings import SLURM, about
 from sierra.wording import ranges
 
 PATIENCE_S = 20.0
@@ -37,6 +38,8 @@ KEPT = ("SLURM_CONF",)
 
 LOOK = "%F|%K|%T|%N|%r"
 """The array's job id, the index, the state, the node, the reason: that is free text, and so the last."""
+KINDS, SHOWN_KINDS = "%P|%a|%l|%c|%m|%G|%f", 4
+"""Partition (`*`: the default), whether it is up, its time limit, and of its nodes cores, MB, resources, features."""
 SEEN = re.compile(r"^(\d+)\|([^|]*)\|([A-Z_]+)\|([^|]*)\|(.*)$", re.MULTILINE)
 
 ENDED = frozenset({"BOOT_FAIL", "CANCELLED", "COMPLETED", "DEADLINE", "FAILED", "LAUNCH_FAILED", "NODE_FAIL"}) | frozenset(
@@ -109,7 +112,25 @@ class Slurm:
             raise Missing(f"sbatch does not say which job it made, but {_line(out + err)!r}; whether there is one is not known")
         if not err.strip():
             raise Missing(f"sbatch ended with status {status} and said nothing")
-        raise refusal(err)
+        raise self._explained(refusal(err))
+
+    def explain(self, words: str) -> str:
+        return about(words, SLURM, self._table, self._site)
+
+    def _explained(self, error: SierraError) -> SierraError:
+        return ConfigError(self.explain(str(error))) if isinstance(error, ConfigError) else error
+
+    def _site(self) -> list[str]:
+        """The partitions that are asked for (or the default one), by kinds of nodes; where they are not there, all by name."""
+        try:
+            told = _answer("sinfo", "--noheader", "--all", f"--format={KINDS}")
+        except Missing:
+            return []
+        kinds = [line.split("|", 6) for line in told.splitlines() if line.count("|") >= 6]
+        asked = self._table.partition.split(",") if self._table.partition else []
+        chosen = [kind for kind in kinds if (kind[0].rstrip("*") in asked if asked else kind[0].endswith("*"))]
+        names = dict.fromkeys(kind[0].rstrip("*") for kind in kinds)
+        return [_kind(*kind) for kind in chosen[:SHOWN_KINDS]] or [f"partitions {', '.join(names)}"]
 
     def look(self, name: str) -> tuple[Task, ...] | None:
         asked = (
@@ -206,6 +227,13 @@ def seconds(text: str) -> float | None:
         return None
     days, hours, minutes, rest = (int(part or 0) for part in match.groups())
     return float(((days * 24 + hours) * 60 + minutes) * 60 + rest)
+
+
+def _kind(partition: str, state: str, limit: str, cores: str, megabytes: str, resources: str, features: str) -> str:
+    """Nodes of one kind in a partition."""
+    more = [text for text in (resources, features) if text != "(null)"]
+    nodes = ", ".join((f"nodes of {cores} cores", f"{megabytes} MB", *more))
+    return f"partition {partition.rstrip('*')} ({'' if state == 'up' else f'{state}, '}up to {limit}): {nodes}"
 
 
 def _named(found: Iterable[Task]) -> list[str]:
