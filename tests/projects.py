@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import io
 import os
 import subprocess
@@ -10,7 +11,12 @@ import sys
 from collections.abc import Mapping
 from pathlib import Path
 
+import typer.main
+
 from sierra import cli
+
+typer.main.get_command = functools.cache(typer.main.get_command)
+"""Else each command within this process would make all commands anew, which takes as long as what many of them do."""
 
 SIERRA = Path(sys.executable).with_name("sierra")
 
