@@ -254,7 +254,11 @@ class Cluster:
             self._hear(None)
         if tasks is None or self._stopping is not None or not self._probing:
             return
-        self._unstick([task for task in tasks if task.state is State.STUCK])
+        stuck = [task for task in tasks if task.state is State.STUCK]
+        if any(is_mishap(task) for task in stuck) and self._probes + 1 < self._table.attempts:
+            self._begin_anew()
+            return
+        self._unstick(stuck)
         living = [task for task in tasks if task.state in (State.QUEUED, State.RUNNING)]
         self._queued = {0} if any(task.state is State.QUEUED for task in living) else set()
         self._unheard = 0 if living else self._unheard + 1
@@ -264,6 +268,15 @@ class Cluster:
             self._probing = not self._is_fine()
             if self._probing and self._unheard > UNHEARD:
                 self._lost_probe(tasks)
+
+    def _begin_anew(self) -> None:
+        """Submit all again: the probe could not be begun, by mishap, and the elements wait for that one."""
+        self._unheard, self._probes = 0, self._probes + 1
+        self._cancel()
+        try:
+            self._hand_all_over()
+        except SierraError as error:
+            self._end(error)
 
     def _lost_probe(self, tasks: tuple[Task, ...]) -> None:
         """The probe is gone, and has recorded nothing. One that nobody knows anything of (any more) is submitted again."""
@@ -282,7 +295,7 @@ class Cluster:
 
     def _unstick(self, stuck: Sequence[Task]) -> None:
         """Cancel what will never begin; where that is not by mishap, nothing will."""
-        mishaps = [task for task in stuck if RELAUNCHED in task.reason.lower()]
+        mishaps = [task for task in stuck if is_mishap(task)]
         if mishaps:
             self._cancel(sorted(self._elements(mishaps)))
         wrong = [task for task in stuck if task not in mishaps]
@@ -455,6 +468,11 @@ class Poll:
         except (SierraError, OSError):
             tasks = None
         self._answers.append(Answer(name, tasks))
+
+
+def is_mishap(task: Task) -> bool:
+    """Whether a task that will never begin could, if it were submitted again."""
+    return RELAUNCHED in task.reason.lower()
 
 
 def forget(session: SessionPaths) -> None:
