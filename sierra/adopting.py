@@ -11,7 +11,7 @@ from typing import Any
 from sierra import listing, sessions
 from sierra.asking import Progress, Watch
 from sierra.attaching import Attached, attach
-from sierra.errors import NotFound, SierraError
+from sierra.errors import Missing, NotFound, SierraError
 from sierra.following import Ears
 from sierra.model import Status
 from sierra.paths import SessionPaths
@@ -71,8 +71,15 @@ def follow(store: Store, prefix: str, watch: Watch, say: Say, leave: Callable[[]
 
 
 def cancel(store: Store, prefix: str, say: Say) -> list[Cancelled]:
-    """Cancel what is on a cluster of a batch, or one session; what had finished is recorded. Raises as `follow`."""
-    return [_cancel(store, row, say) for row in found(store, prefix)]
+    """Cancel what is on a cluster of a batch, or one session; what had finished is recorded.
+
+    Raises as `follow`, and Missing where a scheduler is out of reach: whoever looks next goes on, as they are marked so.
+    """
+    rows = found(store, prefix)
+    for row in rows:
+        with contextlib.suppress(FileNotFoundError):  # it has been closed meanwhile
+            store.paths.session(row.session).cancelled.touch()
+    return [_cancel(store, row, say) for row in rows]
 
 
 def found(store: Store, prefix: str) -> list[Standing]:
@@ -138,7 +145,6 @@ def _cancel(store: Store, row: Standing, say: Say) -> Cancelled:
     if session is None and paths.submission.exists():
         session, ending = _asked_to_end(store, paths)
     if session is not None:
-        paths.cancelled.touch()  # whatever cannot be read of it then, its jobs end
         attach(store, session, replace(DEAF, say=say), lambda: False, detach=True)
     done, failed = counted(store, [row.session])[row.session]
     return Cancelled(row.session, row.batch, done, failed, row.runs - done, ending)
@@ -147,8 +153,7 @@ def _cancel(store: Store, row: Standing, say: Say) -> Cancelled:
 def _asked_to_end(store: Store, paths: SessionPaths) -> tuple[Session | None, str | None]:
     """Have whoever follows a session end it: the session, where they have left it meanwhile; or who has not ended it yet."""
     holder = sessions.holder(paths)
-    with contextlib.suppress(FileNotFoundError):
-        paths.cancelled.touch()
+    with contextlib.suppress(FileNotFoundError, Missing):
         made = Submission.load(paths)
         schedulers.find(made.scheduler)(made.cluster).cancel(submission.name_of(paths))
     until = time.monotonic() + PATIENCE_S

@@ -159,13 +159,13 @@ def _query(paths: SessionPaths) -> str | None:
 
 
 def _recorded(store: Store, row: Standing, say: Callable[[str], None]) -> Standing:
-    """The same, once what has finished is recorded, by us or by whoever follows it."""
+    """The same, once what has finished is recorded, by us or by whoever follows it; and once what is cancelled has ended."""
     paths = store.paths.session(row.session)
     session = Session.adopted(store.paths, paths)
     if session is None:
         return replace(row, attended=sessions.holder(paths)) if paths.submission.exists() else replace(row, ended=True)
     try:
-        attached = attach(store, session, replace(DEAF, say=say), lambda: True, detach=True)
+        attached = attach(store, session, replace(DEAF, say=say), lambda: not paths.cancelled.exists(), detach=True)
     except SierraError as error:
         say(f"session {row.session}: {error}")
         return replace(row, ended=not paths.submission.exists())

@@ -22,7 +22,10 @@ is made anew. A folder is spare only where nothing lives that its run has starte
 What happened is appended to FOLDER/journal.jsonl, a line for each event: `start` (process id and its start
 time, so that an orphan can be recognised) and `end` (sierra.model.Result). A line that is cut short was never
 written. The exit status is 0 where all jobs have been executed, 1 where the worker was asked to stop, and 3
-where it could not go on; its last line on stderr then says why.
+where it could not go on (4: a disk has no room); its last line on stderr then says why.
+
+Where the disk has no room when a run has ended, no `end` is told of it, whatever its exit status (it may have
+failed for that, or not have noticed), and the worker can't go on.
 
 `started` is the clock's time just before the program was started, and `ended` lies after it by the time that
 went by, whatever was done to the clock meanwhile: no run takes less than no time, or less than its CPU time.
@@ -355,6 +358,7 @@ class Worker:
         self.stopping = self.terminated = self.hurried = False
         self.bell = Bell()
         self.failure: str | None = None
+        self.full = False
         self.numbers = itertools.count(1 + max([int(name) for name in os.listdir(folder) if name.isdigit()], default=0))
         self.lock = threading.Lock()
         self.spare: dict[int, Place] = {}
@@ -404,6 +408,7 @@ class Worker:
         """Say why the worker cannot go on, and stop."""
         if self.failure is None:
             self.failure = explain(error)
+            self.full = getattr(error, "errno", None) in (errno.ENOSPC, errno.EDQUOT)
         self.stop()
 
     def slot(self, number: int) -> None:
@@ -442,6 +447,8 @@ class Worker:
             if event["event"] == "start":
                 event.update(pid=container.pid, born=birth(container.pid))
             else:
+                if event["stopped"] != "interrupted":
+                    check_room(self.folder)
                 event.update(self.taken_out(job, container, event), slot=slot, host=self.host)
             self.journal.write(event)
             if event["event"] == "end":
@@ -500,6 +507,8 @@ class Worker:
         alone = end_orphans(None if running.seal else running.execution, running.pid)
         if running.stopped is None and self.stopping and os.WIFSIGNALED(status):
             running.stopped = "interrupted"
+        if running.stopped != "interrupted" and not running.seal:
+            check_room(self.folder)
         spare = alone and place is not None and place.is_spare()
         # with a seal, whoever takes its folder out of the container looks at it
         left: dict[str, Any] = {"stopped": running.stopped}
@@ -744,6 +753,13 @@ def used(usage: Any) -> dict[str, Any]:
     """What a program and all that it waited for have used, by the kernel's account."""
     unit = 1 if sys.platform == "darwin" else 1024
     return {"user_s": usage.ru_utime, "system_s": usage.ru_stime, "max_rss_bytes": usage.ru_maxrss * unit}
+
+
+def check_room(folder: str) -> None:
+    """Raises OSError where a file system has no room left."""
+    found = os.statvfs(folder)
+    if found.f_bavail == 0 or (found.f_files and found.f_favail == 0):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), folder)
 
 
 def left_behind(folder: str, limits: dict[str, Any], stopped: str | None, spare: bool = False) -> dict[str, Any]:
@@ -1076,7 +1092,7 @@ def main(arguments: list[str]) -> int:
             os.write(2, ("worker: %s\n" % worker.failure).encode("utf-8", "backslashreplace"))
         except OSError:
             pass
-        return 3
+        return 4 if worker.full else 3
     return 0 if finished else 1
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 import sierra
+from sierra import processes
 from tests import projects
 from tests.batches import CLUSTER, Gated, at_rest, ended, is_whole, rows
 from tests.clusters import Slurm
@@ -178,6 +179,51 @@ def test_a_controller_that_dies_loses_nothing(gated: Gated) -> None:
     ended(asking)
     is_whole(gated.project)
     assert len(gated.begun()) == 8
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("again", ["status", "cancel", "run"])
+def test_what_cannot_be_cancelled_now_is_cancelled_by_whoever_looks_next(gated: Gated, again: str) -> None:
+    config = gated.root / "sierra.toml"
+    config.write_text(config.read_text().replace("elements = 3", 'elements = 3\ndirectives = ["--exclusive", "--nodelist=n1"]'))
+    ended(gated.ask("population_size.Log8", "--detach"))
+    gated.until_begun(1)
+    time.sleep(6)  # until the controller has saved what it knows
+    gated.slurm.kill_controller()
+    done = projects.sierra(gated.root, "cancel", gated.project.status()[0].session)
+    assert done.returncode == 3
+    assert done.stderr.splitlines()[-1].startswith("sierra: slurm cannot be reached, so that jobs of session ")
+    [session] = [path for path in (gated.root / ".sierra" / "work").iterdir() if path.is_dir()]
+    until(lambda: not processes.marked({f"SIERRA_SESSION={session.name}".encode()}), "what runs ends by itself")
+    gated.slurm.start_controller()
+    if again == "run":
+        gated.open()
+        ended(gated.ask())
+        is_whole(gated.project)
+    else:
+        done = projects.sierra(gated.root, again, session.name)
+        assert done.returncode == 0, done.stderr
+        assert not session.exists()
+    until(lambda: not {"PENDING", "RUNNING"} & set(gated.slurm.states().values()), "no job is left")
+    assert len(gated.begun()) == (9 if again == "run" else 1)
+
+
+@pytest.mark.slow
+def test_a_follower_that_cannot_cancel_says_so_and_another_does(gated: Gated) -> None:
+    asking = gated.ask()
+    gated.until_begun(3)
+    gated.slurm.kill_controller()
+    [session] = [path for path in (gated.root / ".sierra" / "work").iterdir() if path.is_dir()]
+    (session / "cancelled").touch()  # as who chooses to cancel has it
+    told = ended(asking, 3)
+    assert "are not cancelled yet" in told.splitlines()[-1]
+    gated.slurm.start_controller()
+    assert projects.sierra(gated.root, "status").returncode == 0
+    assert not session.exists()
+    gated.open()
+    ended(gated.ask())
+    is_whole(gated.project)
+    at_rest(gated.slurm, gated.project)
 
 
 @pytest.mark.slow

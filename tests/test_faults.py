@@ -246,6 +246,27 @@ def test_a_full_disk_is_said_and_what_had_finished_is_kept(simulate: Simulate, r
         subprocess.run(["umount", "--lazy", str(store)], check=True)
 
 
+def test_a_program_that_does_not_notice_a_full_disk_has_made_no_result(simulate: Simulate, require: Any) -> None:
+    project = simulate("printf 't,v\\n1,1\\n2,4\\n' > swarm.csv; head -c 2000000 /dev/zero 2> /dev/null > noise.bin || true")
+    store = project.folder / ".sierra"
+    store.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", "size=1500k", "none", str(store)]
+    mounted = subprocess.run(mount, check=False, capture_output=True).returncode == 0
+    require("the right to mount a small disk", there=mounted)
+    try:
+        done = project.quick(*ASKED)
+        assert done.returncode == 3
+        assert [line for line in done.stderr.splitlines() if line.startswith("sierra:")] == done.stderr.splitlines()[-1:]
+        assert "No space left on device" in done.stderr
+        assert project.left_running() == []
+        subprocess.run(["mount", "-o", "remount,size=100m", str(store)], check=True)
+        assert project.quick(*ASKED).returncode == 0
+        [found] = project.sql("SELECT count(*) AS n, min(size) AS least FROM artifacts WHERE path = 'noise.bin'")
+        assert found == {"n": RUNS, "least": 2_000_000}
+    finally:
+        subprocess.run(["umount", "--lazy", str(store)], check=True)
+
+
 def test_what_a_run_puts_in_place_of_its_folder_is_never_followed(simulate: Simulate, tmp_path: Path) -> None:
     foreign = tmp_path / "foreign"
     for name in ("home", "tmp", "output"):

@@ -607,7 +607,7 @@ def test_a_full_disk_is_said_and_hangs_nothing(start: Callable[..., Worker], tmp
             target=_send_all, args=(worker, [shell("head -c 99999 /dev/zero > x", name=str(n)) for n in range(99)])
         )
         sending.start()
-        assert worker.wait() == 3
+        assert worker.wait() == 4
         sending.join()
         assert worker.said().strip().endswith("No space left on device")
         assert [end["error"] for end in worker.events("end")] == [None] * len(worker.events("end"))

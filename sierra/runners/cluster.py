@@ -49,6 +49,8 @@ UNHEARD = 3
 FULL_S = 30.0
 """Until a scheduler that takes no more jobs is tried again."""
 STOPPING_S = 60.0
+UNREACHED_S = 20.0
+"""How long a scheduler that is to cancel jobs may be out of reach, before that is left to whoever asks next."""
 TIMED = re.compile(r"time ?limit|timeout|walltime", re.IGNORECASE)
 """In words on how an element ended: its time was over."""
 RELAUNCHED = "launch failed"
@@ -137,7 +139,7 @@ class Cluster:
         self._again: dict[int, str] = {}
         self._again_at = 0.0
         self._stopping: float | None = None
-        self._over = self._deaf = False
+        self._over = self._deaf = self._silent = False
         self._wrong: SierraError | None = None
 
     def close(self) -> None:
@@ -194,14 +196,27 @@ class Cluster:
                 self._hear(answer.tasks)
             else:
                 self._hear_of_probe(answer.tasks)
-        if self._stopping is not None and now - self._stopping > STOPPING_S:
-            self._note(f"{self._name}: {self._kind} does not say that it has ended; it was asked to")
-            self._over = True
+        if self._stopping is not None:
+            self._await_end(now - self._stopping)
         if self._again and now >= self._again_at and self._stopping is None:
             self._submit_again()
 
+    def _await_end(self, waited: float) -> None:
+        """Be patient with what was cancelled. Raises Missing where nobody can be asked to cancel it."""
+        if waited > UNREACHED_S and (self._deaf or self._silent):
+            why = f"{self._wrong}; " if self._wrong else ""
+            session = self._session.root.name
+            again = f"sierra cancel {session}, sierra status or asking again does that"
+            raise Missing(
+                f"{why}{self._kind} cannot be reached, so that jobs of session {session} are not cancelled yet: {again}"
+            )
+        if waited > STOPPING_S:
+            self._note(f"{self._name}: {self._kind} does not say that it has ended; it was asked to")
+            self._over = True
+
     def _hear(self, tasks: tuple[Task, ...] | None) -> None:
         """What the scheduler says."""
+        self._silent = tasks is None
         if tasks is None:
             self._note(f"{self._kind} cannot be reached; what has been recorded is taken, and it is asked again")
             return
@@ -241,7 +256,11 @@ class Cluster:
             self._hear(None)
         if tasks is None or self._stopping is not None or not self._probing:
             return
-        self._unstick([task for task in tasks if task.state is State.STUCK])
+        stuck = [task for task in tasks if task.state is State.STUCK]
+        if any(is_mishap(task) for task in stuck) and self._probes + 1 < self._table.attempts:
+            self._begin_anew()
+            return
+        self._unstick(stuck)
         living = [task for task in tasks if task.state in (State.QUEUED, State.RUNNING)]
         self._queued = {0} if any(task.state is State.QUEUED for task in living) else set()
         self._waits = submission.waits(tasks)
@@ -252,6 +271,15 @@ class Cluster:
             self._probing = not self._is_fine()
             if self._probing and self._unheard > UNHEARD:
                 self._lost_probe(tasks)
+
+    def _begin_anew(self) -> None:
+        """Submit all again: the probe could not be begun, by mishap, and the elements wait for that one."""
+        self._unheard, self._probes = 0, self._probes + 1
+        self._cancel()
+        try:
+            self._hand_all_over()
+        except SierraError as error:
+            self._end(error)
 
     def _lost_probe(self, tasks: tuple[Task, ...]) -> None:
         """The probe is gone, and has recorded nothing. One that nobody knows anything of (any more) is submitted again."""
@@ -270,7 +298,7 @@ class Cluster:
 
     def _unstick(self, stuck: Sequence[Task]) -> None:
         """Cancel what will never begin; where that is not by mishap, nothing will."""
-        mishaps = [task for task in stuck if RELAUNCHED in task.reason.lower()]
+        mishaps = [task for task in stuck if is_mishap(task)]
         if mishaps:
             self._cancel(sorted(self._elements(mishaps)))
         wrong = [task for task in stuck if task not in mishaps]
@@ -384,7 +412,8 @@ class Cluster:
         if self._stopping is None:
             self._stopping = time.monotonic()
             self._session.cancelled.touch()
-        self._cancel()
+        if not self._deaf:
+            self._cancel()
         self._due, self._pause = time.monotonic(), FIRST_POLL_S / 2
 
     def _cancel(self, elements: Sequence[int] | None = None) -> None:
@@ -442,6 +471,11 @@ class Poll:
         except (SierraError, OSError):
             tasks = None
         self._answers.append(Answer(name, tasks))
+
+
+def is_mishap(task: Task) -> bool:
+    """Whether a task that will never begin could, if it were submitted again."""
+    return RELAUNCHED in task.reason.lower()
 
 
 def forget(session: SessionPaths) -> None:

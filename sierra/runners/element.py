@@ -740,7 +740,6 @@ class Execution:
     def _take_end(self, event: Event) -> None:
         directory, spare = event.pop("directory"), event.pop("spare", False)
         if event["stopped"] != "interrupted":
-            check_room(self._scratch)  # else the run may have failed for it, or not have noticed
             self._pack_run(event, directory)
             self._ended += 1
         if spare:
@@ -800,18 +799,12 @@ class Execution:
             raise error
         if code == 0 and self._ended != self._feeder.sent:
             raise Trouble("of %d runs, the worker has told of %d" % (self._feeder.sent, self._ended))
+        if code == 4:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), self._scratch)
         if code not in (0, 1):
-            check_room(self._scratch)
             lines = self._said.decode("utf-8", "replace").strip().splitlines()
             raise Trouble(": ".join(["the worker ended with %s" % (code if code > 0 else "signal %d" % -code), *lines[-1:]]))
         return code == 0
-
-
-def check_room(folder: str) -> None:
-    """Raises OSError where a file system has no room left."""
-    found = os.statvfs(folder)
-    if found.f_bavail == 0 or (found.f_files and found.f_favail == 0):
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), folder)
 
 
 def is_small(event: Event) -> bool:
