@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -138,8 +139,15 @@ def _settings(sized: Size, table: ClusterTable, bounds: Bounds) -> list[Setting]
             found.append(Setting(name, shown, "as sierra.toml says"))
         elif name in DEFAULTS:
             found.append(Setting(name, shown, DEFAULTS[name]))
-    allowed = (("longest array", bounds.array), ("jobs at a time", bounds.jobs), ("longest wall", bounds.wall_s))
-    return [*found, *(Setting(name, value, "the site allows no more") for name, value in allowed if value is not None)]
+    return [*found, *_allowed(bounds)]
+
+
+def _allowed(bounds: Bounds) -> Iterator[Setting]:
+    names = {"array": "longest array", "jobs": "jobs at a time", "running": "jobs that run at a time", "wall_s": "longest wall"}
+    for name, shown in names.items():
+        if (value := getattr(bounds, name)) is not None:
+            whose = bounds.whose.get(name)
+            yield Setting(shown, value, f"the site allows no more: {whose}" if whose else "the site allows no more")
 
 
 def _script(scheduler: str, table: ClusterTable, sized: Size, session: SessionPaths, notes: list[str]) -> str | None:
