@@ -155,6 +155,7 @@ class Asking:
                 self.plan.batch.id,
                 (*needed(programs), *contained.needed),
                 seconds(self.plan, self.store) if runner.stays else None,
+                not self._how.detach,
                 environment.recorded(self.plan.project.config.environment.record),
                 self.plan.environment,
             )
