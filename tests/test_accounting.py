@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import os
+import re
+import shutil
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import pytest
 
@@ -10,6 +15,8 @@ from sierra.config import ClusterTable
 from sierra.errors import ConfigError, Missing
 from sierra.runners.schedulers import Limit
 from sierra.runners.schedulers.accounting import Allowed, Partitions, allowed
+from tests.clusters import Slurm
+from tests.conftest import Simulated
 
 ENFORCED = {
     "ClusterName": "tux",
@@ -111,3 +118,74 @@ def test_a_user_without_an_association_has_only_the_limits_of_the_usual_qos(asso
     assert Sacctmgr(associations, "normal|7||||\n").allows(account="chemistry").jobs == Limit(
         7, "MaxSubmitJobsPerUser of QOS normal"
     )
+
+
+SCONTROL = """#!/bin/sh
+{scontrol} "$@" | sed -e 's|^AccountingStorageType .*|AccountingStorageType = accounting_storage/slurmdbd|' \\
+    -e 's/^AccountingStorageEnforce .*/AccountingStorageEnforce = associations,limits,qos/'
+"""
+SACCTMGR = """#!/bin/sh
+case "$*" in
+    *" associations "*) echo 'physics||normal|normal,short||||' ;;
+    *" user "*) echo physics ;;
+    *" qos "*) echo 'normal|6|||2|00:20:00' ;;
+esac
+"""
+
+
+@pytest.fixture
+def limited(
+    simulate: Callable[..., Simulated], slurm: Slurm, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Callable[[str], Simulated]:
+    """Makes a project where SLURM says that it has accounting, and what that allows."""
+    scontrol = shutil.which("scontrol") or "scontrol"
+    tools = tmp_path / "tools"
+    tools.mkdir()
+    for name, script in (("scontrol", SCONTROL.format(scontrol=scontrol)), ("sacctmgr", SACCTMGR)):
+        (tools / name).write_text(script)
+        (tools / name).chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tools}:{os.environ['PATH']}")
+
+    def make(table: str) -> Simulated:
+        made = simulate()
+        config = made.folder / "sierra.toml"
+        config.write_text(config.read_text() + f"[runners.slurm]\n{table}\n")
+        return made
+
+    return make
+
+
+ASKED = ("run", "size=1", "--runs", "40", "--on", "slurm", "--no-figures")
+
+
+def test_a_dry_run_keeps_to_what_accounting_allows_and_says_whose_limit_it_is(limited: Callable[[str], Simulated]) -> None:
+    told = limited("elements = 30").ask(*ASKED, "-n", "--explain").stdout
+    for line in (
+        "elements +5 +the jobs that the site allows \\(MaxSubmitJobsPerUser of QOS normal\\)",
+        "jobs at a time +6 +the site allows no more: MaxSubmitJobsPerUser of QOS normal",
+        "jobs that run at a time +2 +the site allows no more: MaxJobsPerUser of QOS normal",
+        "longest wall +1200 +the site allows no more: MaxWall of QOS normal",
+        "longest array +1001 +the site allows no more: MaxArraySize",
+    ):
+        assert re.search(f"^{line}$", told, re.MULTILINE), told
+
+
+@pytest.mark.parametrize(
+    ("table", "words"),
+    [
+        ("wall = 1800", "more than the site allows, 1200 s (MaxWall of QOS normal)"),
+        ('account = "chemistry"', "account 'chemistry' is none of yours on this cluster; there are physics"),
+        ('qos = "high"', "QOS 'high' is none of account 'physics'; there are normal, short"),
+    ],
+)
+def test_what_accounting_does_not_allow_is_one_line_before_anything_is_lost(
+    limited: Callable[[str], Simulated], table: str, words: str
+) -> None:
+    project = limited(table)
+    for more in (("-n",), ()):
+        done = project.ask(*ASKED, *more)
+        assert done.returncode == 2
+        [line] = [line for line in done.stderr.splitlines() if line.startswith("sierra:")]
+        assert words in line
+    assert project.executed().total() == 0
+    assert project.work() == []
