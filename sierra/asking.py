@@ -154,7 +154,8 @@ class Asking:
                 len(wanted),
                 self.plan.batch.id,
                 (*needed(programs), *contained.needed),
-                seconds(self.plan, self.store) if runner.stays else None,
+                seconds(self.plan.batch.recipe, self.store) if runner.stays else None,
+                not self._how.detach,
                 environment.recorded(self.plan.project.config.environment.record),
                 self.plan.environment,
             )

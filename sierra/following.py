@@ -82,6 +82,9 @@ class Following:
             self._session.beat()
             if len(signals) > told or (enough() and not told):
                 if self._runner.stays and len(signals) > told and self._leave():
+                    self._runner.leave()
+                    look = self._look()
+                    self._take(look)
                     while look.results:
                         look = self._look()
                         self._take(look)
@@ -133,6 +136,8 @@ class Following:
             if not self._runner.stays:
                 self._give_up()
             elif self._submitted and not self._over:
+                with contextlib.suppress(SierraError, OSError):
+                    self._runner.leave()
                 self._session.leave()
             raise
         finally:

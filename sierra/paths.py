@@ -222,6 +222,11 @@ class SessionPaths:
     def jobs(self, element: int) -> Path:
         return self.root / "elements" / f"{element}.jobs"
 
+    @property
+    def rest(self) -> Path:
+        """The jobs that are not dealt out to elements yet."""
+        return self.root / "elements" / "rest.jobs"
+
     def given_up(self, element: int) -> Path:
         """Executions of an element that are not to be begun again, a line each."""
         return self.root / "elements" / f"{element}.failed"

@@ -46,7 +46,7 @@ def proposal(plan: Plan, store: Store | None, runner: str) -> Proposal | None:
         table,
         StorePaths(ProjectPaths(plan.project.root).store).work,
         count=count,
-        seconds=seconds(plan, store) if store else None,
+        seconds=seconds(plan.batch.recipe, store) if store else None,
         each=None if wrote is None else OF_JOB + OF_RECORD + wrote,
         beside=_code(plan),
     )

@@ -34,6 +34,7 @@ from sierra.record import Context, Recorder
 from sierra.runners import Runner, Work, needed
 from sierra.sessions import Session
 from sierra.signals import noted
+from sierra.states import seconds
 from sierra.store import Found, Store
 from sierra.store.files import Taken, take, where
 from sierra.verdicts import Compared, OfExperiment, Replay, Tolerances, metric_rows, plain, verdict_rows
@@ -158,6 +159,7 @@ def replay(
             len(made),
             record.of.batch,
             (*needed(now), *contained.needed),
+            seconds(record.of.recipe, store) if runner.stays else None,
             record=environment.recorded(project.config.environment.record),
             around=around,
         )

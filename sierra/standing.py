@@ -130,7 +130,7 @@ def submitted(paths: SessionPaths) -> Standing | None:
         scheduler=made.version,
         jobs=tuple(one.job for one in sent if one.job is not None),
         elements=len(made.counts),
-        runs=sum(made.counts),
+        runs=made.runs,
         since=datetime.fromtimestamp(since, UTC),
         cancelled=paths.cancelled.exists(),
     )

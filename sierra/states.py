@@ -5,6 +5,8 @@ from __future__ import annotations
 import contextlib
 from dataclasses import dataclass
 
+from sierra.hashing import digest
+from sierra.model import Recipe
 from sierra.plans import Plan, context
 from sierra.store import Question, Store
 
@@ -65,9 +67,9 @@ def is_answered(plan: Plan, store: Store) -> bool:
         return same and all(state.good for state in states(plan, question).values())
 
 
-def seconds(plan: Plan, store: Store) -> float | None:
+def seconds(recipe: Recipe, store: Store) -> float | None:
     """How long good runs of this recipe took in the mean, or else of those with the same command; None where there are none."""
-    [row] = store.rows(SECONDS, recipe=plan.batch.recipe_id, command=list(plan.batch.recipe.command))
+    [row] = store.rows(SECONDS, recipe=digest("recipe", recipe.preimage()), command=list(recipe.command))
     found: float | None = row["these"] if row["these"] is not None else row["alike"]
     return found
 

@@ -38,6 +38,7 @@ DEFAULTS: dict[str, Any] = {
     "cpus": 4,
     "queues": ["workq"],
     "max_queued": 1000,
+    "max_run": 100,
     "max_array_size": 10000,
     "history": False,
     "down": False,
@@ -374,7 +375,7 @@ def qstat(folder: Path, state: dict[str, Any], words: list[str]) -> None:
         if not state["history"]:
             refuse("qstat", "PBS is not configured to maintain job history", 2)
     if "-B" in options:
-        limit = {"max_queued": f"[u:PBS_GENERIC={state['max_queued']}]"} if not torque else {}
+        limit = {name: f"[u:PBS_GENERIC={state[name]}]" for name in ("max_queued", "max_run")} if not torque else {}
         size = "max_job_array_size" if torque else "max_array_size"
         print(folded("Server", HOST, {"default_queue": "workq", **limit, size: state["max_array_size"]}))
         return

@@ -445,8 +445,11 @@ def test_limits_are_the_servers_and_the_queues(server: pbs.Server) -> None:
 
 @openpbs
 def test_openpbs_says_how_many_jobs_a_user_may_have(server: pbs.Server) -> None:
-    server.set(max_queued=70)
-    assert Pbs(ClusterTable(partition="workq")).bounds().jobs == 70
+    server.set(max_queued=70, max_run=7)
+    bounds = Pbs(ClusterTable(partition="workq")).bounds()
+    assert (bounds.jobs, bounds.running) == (70, 7)
+    assert bounds.whose["jobs"] == f"max_queued of {pbs.HOST}"
+    assert bounds.whose["wall_s"] == "resources_max.walltime of workq"
 
 
 def test_a_wrong_queue_has_no_limits_of_its_own(server: pbs.Server) -> None:

@@ -17,7 +17,8 @@ import pytest
 from sierra.config import ClusterTable
 from sierra.errors import ConfigError, Full, Missing, SierraError
 from sierra.runners.schedulers import Request, State, Task
-from sierra.runners.schedulers.slurm import PATH, Slurm, refusal, seconds, tasks
+from sierra.runners.schedulers.accounting import seconds
+from sierra.runners.schedulers.slurm import PATH, Slurm, refusal, tasks
 from sierra.wording import ranges
 from tests import clusters
 
@@ -306,7 +307,8 @@ def test_it_says_its_version(slurm: clusters.Slurm) -> None:
 @pytest.mark.real
 def test_what_the_site_allows_is_known(slurm: clusters.Slurm) -> None:
     bounds = scheduler().bounds()
-    assert (bounds.array, bounds.jobs, bounds.wall_s) == (1001, 10000, 3600)
+    assert (bounds.array, bounds.jobs, bounds.wall_s, bounds.running) == (1001, 10000, 3600, None)
+    assert bounds.whose == {"array": "MaxArraySize", "jobs": "MaxJobCount", "wall_s": "MaxTime of partition debug"}
     assert scheduler(partition="short").bounds().wall_s == 60
     assert scheduler(partition="debug,short").bounds().wall_s == 60
     with pytest.raises(ConfigError, match="no partition 'nope'; there are debug, short"):

@@ -34,6 +34,8 @@ class Work:
     needs: tuple[Needed, ...] = ()
     seconds: float | None = None
     """What a run is expected to take; None where nobody knows."""
+    waits: bool = True
+    """Whether somebody follows it from now on."""
     record: tuple[str, ...] = ()
     """Variables (or patterns) that are recorded of what is around runs."""
     around: Mapping[str, Any] = field(default_factory=dict)
@@ -96,6 +98,10 @@ class Runner(Protocol):
 
         Raises SierraError where the runner itself cannot go on (a full disk, no worker); asking again goes on then.
         """
+        ...
+
+    def leave(self) -> None:
+        """This process goes, and nobody may follow for long: hand over what was held back. Only where `stays`."""
         ...
 
     def stop(self) -> None:

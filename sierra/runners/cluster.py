@@ -31,11 +31,12 @@ from sierra.model import Result
 from sierra.paths import SessionPaths, write_whole
 from sierra.provenance import machine
 from sierra.runners import Look, Work, element, schedulers, submission
-from sierra.runners.dealing import deal
+from sierra.runners.dealing import deal, deal_first, deal_rest
 from sierra.runners.harvest import AT_ONCE, Harvest, Share, refresh
+from sierra.runners.pilot import Pilot, Told
 from sierra.runners.probe import Probe
 from sierra.runners.schedulers import State, Task
-from sierra.runners.sizing import size
+from sierra.runners.sizing import Size, elements_of, size
 from sierra.runners.submission import Submission
 from sierra.store.segments import disk_errors
 from sierra.wording import counted, few
@@ -68,34 +69,45 @@ class Cluster:
         self._table = table
         self._scheduler = schedulers.find(scheduler)(table)
         self._opened = contextlib.ExitStack()
+        self._pilot: Pilot | None = None
 
     # ------------------------------------------------------------ beginning
 
     def submit(self, work: Work, session: SessionPaths) -> None:
         bounds, version = self._scheduler.bounds(), self._scheduler.version()
-        sized = size(work.count, work.seconds, self._table, bounds)
+        sized = size(work.count, work.seconds, self._table, bounds, waits=work.waits)
         self._table = self._table.model_copy(update={"wall": sized.wall_s})
         with disk_errors(session.root):
             forget(session)
             session.results.mkdir()
             session.logs.mkdir()
-            counts = deal(work.jobs, sized.elements, session)
+            counts, rest = self._deal(work, sized, session)
             for module in (worker, element, machine):
                 shutil.copyfile(str(module.__file__), session.root / Path(str(module.__file__)).name)
             write_whole(session.element_settings, json.dumps(self._settings(work, session)).encode())
         probed = Probe(self.name, self._table, session).is_needed()
         table = self._table.model_dump(mode="json")
-        made = Submission(self.name, self._kind, version, table, work.batch, counts, dict(work.around), probed)
+        made = Submission(self.name, self._kind, version, table, work.batch, counts, dict(work.around), probed, rest)
         made.save(session)
         self._scheduler = schedulers.find(self._kind)(self._table)
         self._begin(made, session, {})
+        if rest:
+            self._note(f"nobody knows yet how long runs take: {counted(counts[0], 'run')} of {work.count} go first")
         self._hand_all_over()
+
+    def _deal(self, work: Work, sized: Size, session: SessionPaths) -> tuple[tuple[int, ...], int]:
+        """The runs of each element, and those that are dealt out later."""
+        if not sized.first:
+            return deal(work.jobs, sized.elements, session), 0
+        first, rest = deal_first(work.jobs, work.count, sized.first, session)
+        return (first,), rest
 
     def _hand_all_over(self) -> None:
         """Submit the probe, if there is to be one, and all elements."""
-        job = self._scheduler.submit(self._probe.request()) if self._made.probed else ""
+        if self._made.probed:
+            self._goes_before = self._scheduler.submit(self._probe.request())
         try:
-            self._hand_over(tuple(range(len(self._shares))), "", after=job)
+            self._hand_over(tuple(range(len(self._shares))), "", after=self._goes_before)
         except SierraError:
             self._cancel()
             raise
@@ -118,6 +130,13 @@ class Cluster:
             self.stop()
         elif not any(session.sent.iterdir()):  # who made it died before
             self._hand_all_over()
+        elif never := self._never_sent():  # or when it had dealt out what came after the first runs
+            self._hand_over(never, "")
+
+    def _never_sent(self) -> tuple[int, ...]:
+        """The elements that nobody has tried to hand over."""
+        sent = {index for one in submission.sent(self._session) for index in one.elements}
+        return tuple(index for index in range(len(self._shares)) if index not in sent)
 
     def _begin(self, made: Submission, session: SessionPaths, recorded: Mapping[str, str | None]) -> None:
         self._made, self._session = made, session
@@ -128,6 +147,9 @@ class Cluster:
         self._harvest = Harvest(made, session, recorded, self._note)
         self._opened.callback(self._harvest.close)
         self._shares = self._harvest.shares
+        self._pilot = Pilot(session, made.counts[0]) if made.rest else None
+        self._told: Told | None = None
+        self._goes_before = ""
         self._poll = Poll(self._scheduler)
         self._due = time.monotonic() + FIRST_POLL_S
         self._pause = FIRST_POLL_S
@@ -141,6 +163,10 @@ class Cluster:
         self._stopping: float | None = None
         self._over = self._deaf = self._silent = False
         self._wrong: SierraError | None = None
+
+    def leave(self) -> None:
+        if self._pilot is not None and self._stopping is None and not self._session.cancelled.exists():
+            self._deal_rest(self._told or Told(None, "nobody waits for the runs that go first"))
 
     def close(self) -> None:
         self._opened.close()
@@ -172,9 +198,12 @@ class Cluster:
         """What packs have since the last time; and whether another process cancels, or the probe has said its word."""
         if self._stopping is None and self._session.cancelled.exists():
             self.stop()
+        if self._told is not None and self._stopping is None:  # those who hear of the first runs might have stopped all
+            self._deal_rest(self._told)
         found = self._harvest.read()
         if self._probing and self._stopping is None:
             self._probing = not self._is_fine()
+        self._told = self._pilot.told() if self._pilot is not None else None
         return found
 
     def _go_on(self, came: bool) -> None:
@@ -182,7 +211,7 @@ class Cluster:
         now = time.monotonic()
         if self._over:
             return
-        if self._harvest.is_whole():
+        if self._harvest.is_whole() and not self._made.rest:
             self._settle()
             return
         if came:
@@ -289,7 +318,7 @@ class Cluster:
             self._end(wrong)
             return
         try:
-            self._scheduler.submit(self._probe.request())
+            self._goes_before = self._scheduler.submit(self._probe.request())
         except SierraError as error:
             self._end(error)
 
@@ -376,6 +405,22 @@ class Cluster:
         except SierraError as error:
             self._end(error)
 
+    def _deal_rest(self, told: Told) -> None:
+        """Deal the other runs out, by what those that went first have told, and hand them over."""
+        self._pilot = self._told = None
+        try:
+            count, why = elements_of(self._made.rest, told.seconds, self._table, self._scheduler.bounds(), before=True)
+            begin = len(self._shares)
+            counts = deal_rest(count, begin, self._session)
+            self._made = replace(self._made, counts=(*self._made.counts, *counts), rest=0)
+            self._made.save(self._session)
+            self._shares += [Share(each, tries=1) for each in counts]
+            self._note(f"{told.how}: the other {sum(counts)} runs become {counted(count, 'element')} ({why})")
+            self._hand_over(tuple(range(begin, begin + count)), "", after=self._goes_before if self._probing else "")
+        except SierraError as error:
+            self._end(error)
+        self._session.rest.unlink(missing_ok=True)
+
     def _hand_over(self, indices: tuple[int, ...], why: str, after: str = "") -> None:
         """Submit elements; those that are too many now are submitted later. Raises what the scheduler refuses."""
         number = len(list(self._session.sent.iterdir()))
@@ -394,12 +439,12 @@ class Cluster:
             self._note(f"submitted as {self._kind} job {job} ({self._name}): {counted(len(indices), 'element')}")
 
     def _put_off(self, number: int, indices: tuple[int, ...], why: str, error: Full, after: str) -> None:
-        """Try half of them, and the others later; or all later. Raises where the site takes not even one, and has none yet."""
+        """Try half of them, and the others later; or all later. Raises where the site takes not even one, and has none."""
         (self._session.sent / f"{number}.json").unlink()
         half = len(indices) // 2
         if half:
             self._hand_over(indices[:half], why, after)
-        elif not any(submission.jobs(self._session)):
+        elif not after and not any(submission.jobs(self._session)):
             raise error
         else:
             self._note(f"{error}; tried again every {FULL_S:g} s")

@@ -104,7 +104,8 @@ def says_its_version(trial: Trial) -> None:
 def knows_what_is_allowed(trial: Trial) -> None:
     """What bounds there are is more than nothing."""
     bounds = trial.scheduler.bounds()
-    for name, bound in (("array", bounds.array), ("jobs", bounds.jobs), ("wall_s", bounds.wall_s)):
+    for name in ("array", "jobs", "wall_s", "running"):
+        bound = getattr(bounds, name)
         _holds(bound is None or bound > 0, f"{name} is {bound}")
 
 

@@ -2,19 +2,23 @@
 
 What all jobs of an element have in common is written once, with what their input files, which come from one template, have in
 common. All files are written at once where that much memory suffices: on a network file system, opening one is what costs.
+
+Where a few runs go first, the others lie in one file until these have told how many elements there are to be.
 """
 
 from __future__ import annotations
 
+import gzip
 import json
 import zlib
 from binascii import b2a_base64
 from collections import defaultdict
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from sierra.errors import Damaged
 from sierra.model import Job
 from sierra.paths import SessionPaths
 from sierra.runners import local
@@ -34,18 +38,60 @@ def deal(jobs: Iterable[Job], elements: int, session: SessionPaths) -> tuple[int
     Raises Missing where there is no room for them.
     """
     shares = [_Share(session.jobs(number)) for number in range(elements)]
+    _write(((shares[number % elements], job) for number, job in enumerate(jobs)), shares, session)
+    return tuple(share.count for share in shares)
+
+
+def deal_first(jobs: Iterable[Job], count: int, first: int, session: SessionPaths) -> tuple[int, int]:
+    """Write `first` of so many jobs, spread over all, to element 0, and the others to `rest`; how many each has got."""
+    shares = [_Share(session.jobs(0)), _Share(session.rest)]
+    chosen = {number * (count - 1) // max(first - 1, 1) for number in range(first)}
+    _write(((shares[number not in chosen], job) for number, job in enumerate(jobs)), shares, session)
+    return shares[0].count, shares[1].count
+
+
+def deal_rest(elements: int, begin: int, session: SessionPaths) -> tuple[int, ...]:
+    """Write the jobs that lie in `rest` to so many elements from `begin` on, as `deal` does. It may be done again.
+
+    Raises Damaged where they are not all there.
+    """
+    shares = [_Share(session.jobs(begin + number)) for number in range(elements)]
+    lines = _lines(session.rest)
+    common = next(lines)
+    for share in shares:
+        share.begin(common)
+    _write(((shares[number % elements], line) for number, line in enumerate(lines)), shares, session)
+    return tuple(share.count for share in shares)
+
+
+def _lines(path: Path) -> Iterator[bytes]:
+    """What all jobs of a file have in common, and then each job; as they are written there."""
+    count = -1
+    try:
+        with gzip.open(path, "rb") as lines:
+            for line in lines:
+                if line.startswith(b'{"end"') and line == _line({"end": count}):
+                    return
+                yield line
+                count += 1
+    except (OSError, EOFError, zlib.error) as error:
+        raise Damaged(f"{path}: cannot be read: {error}") from error
+    raise Damaged(f"{path}: holds {max(count, 0)} jobs, and should hold others")
+
+
+def _write(dealt: Iterable[tuple[_Share, Job | bytes]], shares: Sequence[_Share], session: SessionPaths) -> None:
+    """Give each share what is dealt to it, and have as little in memory as is needed to open files seldom."""
     buffered = packed = 0
     with disk_errors(session.root):
         session.jobs(0).parent.mkdir(mode=0o700, exist_ok=True)  # variables of runs are nobody else's business
-        for number, job in enumerate(jobs):
-            buffered += shares[number % elements].add(job)
+        for share, job in dealt:
+            buffered += share.put(job) if isinstance(job, bytes) else share.add(job)
             if buffered > BUFFERED:
                 packed, buffered = packed + sum(share.compress() for share in shares), 0
             if packed > PACKED:
                 packed = sum(share.write() for share in shares)
         for share in shares:
             share.close()
-    return tuple(share.count for share in shares)
 
 
 class _Share:
@@ -64,9 +110,17 @@ class _Share:
         if self._common is None:
             self._common = job
             self._templates = defaultdict(_Template, ((name, _Template(content)) for name, content in job.files))
+            self.begin(_line({"common": local.record(job)}))
+        return self.put(_line(_difference(job, self._common, self._templates)))
+
+    def begin(self, common: bytes) -> None:
+        """The first line; a file that is there already is begun anew."""
+        with disk_errors(self._path.parent):
             self._path.unlink(missing_ok=True)
-            self._lines.append(_line({"common": local.record(job)}))
-        line = _line(_difference(job, self._common, self._templates))
+        self._lines.append(common)
+
+    def put(self, line: bytes) -> int:
+        """One job, without what it has in common; the bytes of memory that it takes until it is compressed."""
         self._lines.append(line)
         self.count += 1
         return len(line)
@@ -75,8 +129,8 @@ class _Share:
         """The bytes that it has become."""
         if not self._lines:
             return 0
-        gzip = zlib.compressobj(LEVEL, zlib.DEFLATED, zlib.MAX_WBITS | 16)
-        member = gzip.compress(b"".join(self._lines)) + gzip.flush()
+        compressor = zlib.compressobj(LEVEL, zlib.DEFLATED, zlib.MAX_WBITS | 16)
+        member = compressor.compress(b"".join(self._lines)) + compressor.flush()
         self._lines.clear()
         self._members.append(member)
         return len(member)

@@ -89,6 +89,9 @@ class Local:
         if self._process is not None and self._process.poll() is None:
             self._process.terminate()
 
+    def leave(self) -> None:
+        raise NotImplementedError("what runs here ends with this process")
+
     def close(self) -> None:
         pass
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,9 +11,11 @@ from sierra.config import ClusterTable
 from sierra.errors import Missing
 from sierra.paths import SessionPaths
 from sierra.runners import schedulers, submission
+from sierra.runners.pilot import PATIENCE_S
 from sierra.runners.probe import Probe
 from sierra.runners.schedulers import Bounds
 from sierra.runners.sizing import Size, size
+from sierra.wording import counted
 
 FILES = 14
 """Files of a submission, however many elements it has; see `sierra.paths`."""
@@ -30,8 +33,14 @@ DEFAULTS = {
     "attempts": "the default",
 }
 
-FIRST = (
+PROBE = (
     "nodes were not tried out within a day: the elements will wait (a dependency in the script) for one small task that does"
+)
+
+
+TELL = (
+    "nobody knows yet how long runs take: {} go first, and tell how many elements the others become; so many as are told here "
+    "where nobody waits for them, or no node begins them within {:g} s"
 )
 
 
@@ -90,23 +99,24 @@ def propose(
     `work` is the folder of sessions; `beside` are files and bytes that are there however the batch is dealt out. Where the
     scheduler can't be reached, all is told but for what the site allows. Raises ConfigError for what is refused.
     """
-    notes = [FIRST] if Probe(name, table, SessionPaths(work / "SESSION")).is_needed() else []
+    notes = [PROBE] if Probe(name, table, SessionPaths(work / "SESSION")).is_needed() else []
     version, bounds = _site(scheduler, table, notes)
     sized = size(count, seconds, table, bounds)
     asked = table.model_copy(update={"wall": sized.wall_s})
+    notes += [TELL.format(counted(sized.first, "run"), PATIENCE_S)] if sized.first else []
     files, carried = beside
     return Proposal(
         runner=name,
         scheduler=version or scheduler,
         runs=count,
         elements=sized.elements,
-        longest=math.ceil(count / sized.elements),
+        longest=math.ceil((count - sized.first) / sized.elements),
         cpus=table.cpus,
         wall_s=sized.wall_s,
         expected_s=sized.expected_s,
         core_hours=_hours(sized, table, sized.expected_s),
         most_core_hours=_hours(sized, table, sized.wall_s),
-        files=files + FILES + FILES_OF_ELEMENT * sized.elements,
+        files=files + FILES + FILES_OF_ELEMENT * (sized.elements + bool(sized.first)),
         bytes=None if each is None else carried + round(count * each),
         settings=tuple(_settings(sized, table, bounds)),
         script=_script(scheduler, asked, sized, SessionPaths(work / "SESSION"), notes),
@@ -132,6 +142,8 @@ def _settings(sized: Size, table: ClusterTable, bounds: Bounds) -> list[Setting]
     """All that is asked for, and what the site allows."""
     values: dict[str, float | None] = {"elements": sized.elements, "wall": sized.wall_s}
     found = [Setting(name, values.get(name), why) for name, why in sized.why]
+    if sized.first:
+        found.append(Setting("first runs", sized.first, "nobody knows yet how long runs take: these tell"))
     for name in SAID:
         value = getattr(table, name)
         shown = ", ".join(value) or None if isinstance(value, tuple) else value
@@ -139,12 +151,20 @@ def _settings(sized: Size, table: ClusterTable, bounds: Bounds) -> list[Setting]
             found.append(Setting(name, shown, "as sierra.toml says"))
         elif name in DEFAULTS:
             found.append(Setting(name, shown, DEFAULTS[name]))
-    allowed = (("longest array", bounds.array), ("jobs at a time", bounds.jobs), ("longest wall", bounds.wall_s))
-    return [*found, *(Setting(name, value, "the site allows no more") for name, value in allowed if value is not None)]
+    return [*found, *_allowed(bounds)]
+
+
+def _allowed(bounds: Bounds) -> Iterator[Setting]:
+    names = {"array": "longest array", "jobs": "jobs at a time", "running": "jobs that run at a time", "wall_s": "longest wall"}
+    for name, shown in names.items():
+        if (value := getattr(bounds, name)) is not None:
+            whose = bounds.whose.get(name)
+            yield Setting(shown, value, f"the site allows no more: {whose}" if whose else "the site allows no more")
 
 
 def _script(scheduler: str, table: ClusterTable, sized: Size, session: SessionPaths, notes: list[str]) -> str | None:
-    request = submission.request(session, "sierra-SESSION", tuple(range(sized.elements)), table.python)
+    elements = tuple(range(bool(sized.first), sized.elements + bool(sized.first)))
+    request = submission.request(session, "sierra-SESSION", elements, table.python)
     try:
         return schedulers.find(scheduler)(table).script(request)
     except Missing as error:

@@ -13,7 +13,11 @@ ELEMENT_S = 450.0
 """What an element is to take, where that can be told: between 5 and 10 minutes. Shorter ones cost a scheduler more than they
 compute (it starts a few a second), longer ones wait longer for a node, and lose more with it."""
 UNKNOWN = 16
-"""Elements where nobody knows how long runs take."""
+"""Elements where nobody knows how long runs take, and nobody waits until some tell."""
+FIRST = 2
+"""Runs that go first and tell, where there are more than UNKNOWN: one of the first experiment, and one of the last."""
+PROBES = 1
+"""Jobs that go before all elements: the one that tries nodes out."""
 SPARE = 3.0
 """Times the expected time that an element may take."""
 LEAST_S = 600.0
@@ -30,22 +34,38 @@ class Size:
     """What each is expected to take."""
     why: tuple[tuple[str, str], ...]
     """Settings, and why they are what they are."""
+    first: int = 0
+    """Runs that go first, as an element of their own: how the others are dealt out is decided by what these take."""
 
 
-def size(count: int, seconds: float | None, table: ClusterTable, bounds: Bounds) -> Size:
+def size(count: int, seconds: float | None, table: ClusterTable, bounds: Bounds, *, waits: bool = True) -> Size:
     """How to deal `count` runs out, each expected to take so many seconds (None: nobody knows).
 
-    Raises ConfigError for a time that the site does not allow.
+    `waits`: whether somebody waits for runs that go first. Raises ConfigError for a time that the site does not allow.
     """
     if table.wall is not None and bounds.wall_s is not None and table.wall > bounds.wall_s:
-        raise ConfigError(f"wall = {table.wall:g} s is more than the site allows, {bounds.wall_s:g} s; ask for less")
-    elements, why = _elements(count, seconds, table)
-    for most, whose in ((bounds.array, "the site's longest array"), (bounds.jobs, "the jobs that the site allows")):
-        if most is not None and most < elements:
-            elements, why = most, whose
+        where = bounds.whose.get("wall_s", "the site's")
+        raise ConfigError(f"wall = {table.wall:g} s is more than the site allows, {bounds.wall_s:g} s ({where}); ask for less")
+    first = FIRST if waits and seconds is None and table.elements is None and count > UNKNOWN else 0
+    elements, why = elements_of(count - first, seconds, table, bounds, before=bool(first))
     expected = None if seconds is None else math.ceil(count / elements / table.cpus) * seconds
     wall, told = _wall(expected, table, bounds)
-    return Size(elements, wall, expected, (("elements", why), ("wall", told)))
+    return Size(elements, wall, expected, (("elements", why), ("wall", told)), first)
+
+
+def elements_of(count: int, seconds: float | None, table: ClusterTable, bounds: Bounds, *, before: bool) -> tuple[int, str]:
+    """How many elements so many runs are dealt out to, and why; `before`: whether there is one already, of the first runs."""
+    elements, why = _elements(count, seconds, table)
+    array, jobs = bounds.array and max(bounds.array - before, 1), bounds.jobs and max(bounds.jobs - PROBES - before, 1)
+    if array and array < elements:
+        elements, why = array, f"the site's longest array{_whose(bounds, 'array')}"
+    if jobs and jobs < elements:
+        elements, why = jobs, f"the jobs that the site allows{_whose(bounds, 'jobs')}"
+    return elements, why
+
+
+def _whose(bounds: Bounds, name: str) -> str:
+    return f" ({bounds.whose[name]})" if name in bounds.whose else ""
 
 
 def _elements(count: int, seconds: float | None, table: ClusterTable) -> tuple[int, str]:
@@ -64,5 +84,5 @@ def _wall(expected: float | None, table: ClusterTable, bounds: Bounds) -> tuple[
         return None, "the site's, as nobody knows yet how long runs take"
     wall = max(LEAST_S, SPARE * expected)
     if bounds.wall_s is not None and wall > bounds.wall_s:
-        return bounds.wall_s, "all that the site allows; what is cut off is submitted again"
+        return bounds.wall_s, f"all that the site allows{_whose(bounds, 'wall_s')}; what is cut off is submitted again"
     return wall, f"{SPARE:g} times what is expected, at least {LEAST_S / 60:g} minutes"

@@ -1,6 +1,7 @@
 """What a session has submitted to a cluster, as its folder has it: enough for any process to go on with it.
 
-`submission.json` is written once, before anything is handed over. Each job that is handed over has a file of its own,
+`submission.json` is written before anything is handed over, and once more where runs go first (see `sierra.runners.pilot`):
+when the others have been dealt out, and before these are handed over. Each job that is handed over has a file of its own,
 `sent/<number>.json`, which is written before that without the job's id and again with it: a submitter that dies in between
 leaves no id, and the job is found by its name.
 """
@@ -41,7 +42,7 @@ class Sent:
 
 @dataclass(frozen=True, slots=True)
 class Submission:
-    """What does not change from then on."""
+    """What was dealt out, and for whom."""
 
     runner: str
     scheduler: str
@@ -55,6 +56,12 @@ class Submission:
     """The row of `environments` of the submitting process."""
     probed: bool = False
     """Whether a probe goes before all elements."""
+    rest: int = 0
+    """Runs that are not dealt out to elements yet."""
+
+    @property
+    def runs(self) -> int:
+        return sum(self.counts) + self.rest
 
     @property
     def cluster(self) -> ClusterTable:
@@ -63,7 +70,7 @@ class Submission:
 
     def save(self, session: SessionPaths) -> None:
         with disk_errors(session.root):
-            session.sent.mkdir()
+            session.sent.mkdir(exist_ok=True)
             write_whole(session.submission, json.dumps(asdict(self), default=str).encode())
 
     @classmethod

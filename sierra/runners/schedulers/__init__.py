@@ -10,8 +10,8 @@ may be out of reach for a day. Its commands are called as argv, with text format
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
 from typing import Protocol
@@ -52,6 +52,20 @@ class Task:
 
 
 @dataclass(frozen=True, slots=True)
+class Limit:
+    """Something that a site allows."""
+
+    most: float
+    whose: str
+    """Where it is set, in the scheduler's words: `MaxWall of QOS short`."""
+
+
+def least(*limits: Limit | None) -> Limit | None:
+    """The one that is met first."""
+    return min(filter(None, limits), key=lambda limit: limit.most, default=None)
+
+
+@dataclass(frozen=True, slots=True)
 class Bounds:
     """What a site allows; None is not known, or without bound."""
 
@@ -61,6 +75,17 @@ class Bounds:
     """Jobs (elements count each) that may be there at a time."""
     wall_s: float | None = None
     """Seconds that an element may take in the partition that is asked for."""
+    running: int | None = None
+    """Jobs that may run at a time; others wait."""
+    whose: Mapping[str, str] = field(default_factory=dict)
+    """Where each of these is set, by its name, in the scheduler's words."""
+
+    @classmethod
+    def of(cls, **limits: Limit | None) -> Bounds:
+        """By the names of the above."""
+        known = {name: limit for name, limit in limits.items() if limit is not None}
+        most = {name: limit.most if name == "wall_s" else int(limit.most) for name, limit in known.items()}
+        return cls(**most, whose={name: limit.whose for name, limit in known.items()})  # type: ignore[arg-type]
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,6 +18,7 @@ handed, `qstat` what each answers. What holds for all:
 
 from __future__ import annotations
 
+import itertools
 import os
 import pwd
 import re
@@ -31,7 +32,7 @@ from sierra.config import ClusterTable
 from sierra.errors import ConfigError, Full, Missing
 from sierra.paths import write_whole
 from sierra.runners import schedulers
-from sierra.runners.schedulers import Bounds, Request, Scheduler, State, Task, qstat, qsub
+from sierra.runners.schedulers import Bounds, Limit, Request, Scheduler, State, Task, least, qstat, qsub
 from sierra.runners.schedulers.meanings import PBS, about
 from sierra.runners.schedulers.qsub import Dialect
 
@@ -285,23 +286,31 @@ def _queue(name: str) -> qstat.Record:
 
 def _bounds(server: qstat.Record, queue: qstat.Record, dialect: Dialect) -> Bounds:
     arrays = [*_numbers(server, queue, names=("max_array_size", "max_job_array_size"))]
-    arrays += [ARRAY] if dialect is Dialect.OPENPBS and not arrays else []
-    jobs = [*_numbers(server, queue, names=("max_queuable", "max_user_queuable"))]
-    jobs += [limit for one in (server, queue) if (limit := _queued(one.get("max_queued", ""))) is not None]
-    walls = [_seconds(one["resources_max.walltime"]) for one in (server, queue) if "resources_max.walltime" in one]
-    return Bounds(min(arrays, default=None), min(jobs, default=None), min(walls, default=None))
+    arrays += [Limit(ARRAY, "max_array_size as it is where none is set")] if dialect is Dialect.OPENPBS and not arrays else []
+    jobs = [*_numbers(server, queue, names=("max_queuable", "max_user_queuable")), *_of_user(server, queue, name="max_queued")]
+    running = [*_numbers(server, queue, names=("max_running", "max_user_run")), *_of_user(server, queue, name="max_run")]
+    name = "resources_max.walltime"
+    walls = [Limit(_seconds(one[name]), _whose(one, name)) for one in (server, queue) if name in one]
+    return Bounds.of(array=least(*arrays), jobs=least(*jobs), wall_s=least(*walls), running=least(*running))
 
 
-def _numbers(*records: qstat.Record, names: Sequence[str]) -> Iterator[int]:
+def _whose(record: qstat.Record, name: str) -> str:
+    return f"{name} of {record.get('id', 'PBS')}"
+
+
+def _numbers(*records: qstat.Record, names: Sequence[str]) -> Iterator[Limit]:
+    for record, name in itertools.product(records, names):
+        if (text := record.get(name, "").strip()).isdigit():
+            yield Limit(int(text), _whose(record, name))
+
+
+def _of_user(*records: qstat.Record, name: str) -> Iterator[Limit]:
+    """Of limits such as `[u:PBS_GENERIC=100], [u:ann=200], [o:PBS_ALL=1000]`, those that concern the caller."""
     for record in records:
-        yield from (int(record[name]) for name in names if record.get(name, "").strip().isdigit())
-
-
-def _queued(text: str) -> int | None:
-    """Of a limit such as `[u:PBS_GENERIC=100], [u:ann=200], [o:PBS_ALL=1000]`, what concerns the caller."""
-    said = {who: int(limit) for who, limit in re.findall(r"([uo]:[^=\]]+)=(\d+)", text)}
-    limits = [said.get("o:PBS_ALL"), said.get(f"u:{_user()}", said.get("u:PBS_GENERIC"))]
-    return min((limit for limit in limits if limit is not None), default=None)
+        said = {who: int(limit) for who, limit in re.findall(r"([uo]:[^=\]]+)=(\d+)", record.get(name, ""))}
+        for limit in (said.get("o:PBS_ALL"), said.get(f"u:{_user()}", said.get("u:PBS_GENERIC"))):
+            if limit is not None:
+                yield Limit(limit, _whose(record, name))
 
 
 def _seconds(text: str) -> float:

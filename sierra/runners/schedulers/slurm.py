@@ -21,12 +21,13 @@ import shlex
 import shutil
 import subprocess
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 from sierra.config import ClusterTable
 from sierra.errors import ConfigError, Full, Missing, SierraError
-from sierra.runners.schedulers import Bounds, Request, State, Task
+from sierra.runners.schedulers import Bounds, Limit, Request, State, Task, accounting, least
+from sierra.runners.schedulers.accounting import Partitions, seconds
 from sierra.runners.schedulers.meanings import SLURM, about
 from sierra.wording import ranges
 
@@ -84,12 +85,19 @@ class Slurm:
     def bounds(self) -> Bounds:
         told = _answer("scontrol", "show", "config")
         config = dict(re.findall(r"^(\w+) *= (.*)$", told, re.MULTILINE))
-        sizes = [config.get("MaxArraySize", ""), *re.findall(r"max_array_tasks=(\d+)", config.get("SchedulerParameters", ""))]
-        partitions = _answer("scontrol", "--all", "--oneliner", "show", "partition")
-        return Bounds(
-            array=_least(sizes),
-            jobs=_least([config.get("MaxJobCount", "")]),
-            wall_s=self._wall(partitions),
+        parameters = config.get("SchedulerParameters", "")
+        chosen = self._partitions(_answer("scontrol", "--all", "--oneliner", "show", "partition"))
+        user = pwd.getpwuid(os.geteuid()).pw_name
+        granted = accounting.allowed(_answer, config, user, self._table, _asked_for(chosen))
+        walls = [_limit(seconds(line.get("MaxTime", "")), f"MaxTime of partition {name}") for name, line in chosen.items()]
+        return Bounds.of(
+            array=least(
+                _limit(config.get("MaxArraySize", ""), "MaxArraySize"),
+                *(_limit(one, "max_array_tasks") for one in re.findall(r"max_array_tasks=(\d+)", parameters)),
+            ),
+            jobs=least(_limit(config.get("MaxJobCount", ""), "MaxJobCount"), granted.jobs),
+            wall_s=least(*walls, granted.wall_s),
+            running=granted.running,
         )
 
     def script(self, request: Request) -> str:
@@ -184,14 +192,13 @@ class Slurm:
         if table.wall is not None:
             yield f"--time={math.ceil(table.wall / 60)}"
 
-    def _wall(self, told: str) -> float | None:
-        """The shortest limit of the partitions that are asked for, or of the site's default."""
+    def _partitions(self, told: str) -> dict[str, dict[str, str]]:
+        """The partitions that are asked for, or the site's default."""
         known = {line["PartitionName"]: line for line in map(_fields, told.splitlines()) if "PartitionName" in line}
         asked = (self._table.partition or "").split(",") if self._table.partition else []
         if unknown := [name for name in asked if name not in known]:
             raise ConfigError(f"SLURM has no partition {unknown[0]!r}; there are {', '.join(known)}")
-        chosen = [line for name, line in known.items() if (name in asked if asked else line.get("Default") == "YES")]
-        return min((limit for line in chosen if (limit := seconds(line.get("MaxTime", ""))) is not None), default=None)
+        return {name: line for name, line in known.items() if (name in asked if asked else line.get("Default") == "YES")}
 
 
 def tasks(told: str) -> tuple[Task, ...]:
@@ -218,15 +225,6 @@ def refusal(said: str) -> SierraError:
     """What it means that sbatch did not take a job, by what it said on standard error."""
     kind = Full if LIMIT.search(said) or BUSY.search(said) else Missing if UNREACHABLE.search(said) else ConfigError
     return kind(f"SLURM: {_line(said)}")
-
-
-def seconds(text: str) -> float | None:
-    """A limit as scontrol writes it, `1-12:00:00`; None where there is none."""
-    match = re.fullmatch(r"(?:(\d+)-)?(\d+):(\d+):(\d+)", text)
-    if match is None:
-        return None
-    days, hours, minutes, rest = (int(part or 0) for part in match.groups())
-    return float(((days * 24 + hours) * 60 + minutes) * 60 + rest)
 
 
 def _kind(partition: str, state: str, limit: str, cores: str, megabytes: str, resources: str, features: str) -> str:
@@ -262,9 +260,16 @@ def _fields(line: str) -> dict[str, str]:
     return dict(word.split("=", 1) for word in line.split() if "=" in word)
 
 
-def _least(texts: Iterable[str]) -> int | None:
-    """The least of the texts that are numbers."""
-    return min((int(text) for text in texts if text.isdigit()), default=None)
+def _asked_for(chosen: Mapping[str, Mapping[str, str]]) -> Partitions:
+    qualities = (line.get("QoS", "N/A") for line in chosen.values())
+    return Partitions(tuple(chosen), tuple(name for name in qualities if name != "N/A"))
+
+
+def _limit(most: str | float | None, whose: str) -> Limit | None:
+    """None where it is no number."""
+    if isinstance(most, str):
+        most = float(most) if most.isdigit() else None
+    return None if most is None else Limit(most, whose)
 
 
 def _submit(script: str, folder: Path) -> tuple[int, str, str]:
