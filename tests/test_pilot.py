@@ -10,7 +10,6 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -19,6 +18,7 @@ from sierra.pipeline import Summary
 from sierra.runners import pilot, sizing
 from tests.clusters import Slurm
 from tests.conftest import Simulated
+from tests.waiting import until
 
 PRINTS = r"printf 't,v\n1,1\n2,4\n' > swarm.csv"
 ASKED = ("run", "size=1,2", "--runs", "12", "--on", "slurm", "--no-figures")
@@ -68,13 +68,6 @@ def is_whole(project: Simulated) -> None:
     assert project.sql("SELECT count(*) AS n FROM executions WHERE status = 'ok'") == [{"n": RUNS}]
     assert sorted(project.executed().values()) == [1] * RUNS
     assert project.work() == []
-
-
-def until(there: Callable[[], Any], what: str) -> None:
-    give_up = time.monotonic() + 60
-    while not there():
-        assert time.monotonic() < give_up, f"waited in vain until {what}"
-        time.sleep(0.05)
 
 
 def asked(project: Simulated, say: Callable[[str], None] = lambda text: None) -> Summary:
