@@ -218,6 +218,20 @@ def test_runs_that_fail_tell_nothing(simulate: Callable[..., Simulated], slurm: 
 
 
 @pytest.mark.slow
+def test_a_controller_that_is_gone_meanwhile_loses_nothing(waiting: Simulated, slurm: Slurm) -> None:
+    process = waiting.start(*ASKED)
+    waiting.until_executed(1, process)
+    slurm.kill_controller()
+    opened(waiting)
+    until(lambda: len(sent(waiting)) == 2, "the others are dealt out")
+    time.sleep(1)
+    slurm.start_controller()
+    done = waiting.end_of(process, 100)
+    assert done.returncode == 0, done.stderr
+    is_whole(waiting)
+
+
+@pytest.mark.slow
 def test_first_runs_that_lose_their_node_go_again(waiting: Simulated, slurm: Slurm) -> None:
     process = waiting.start(*ASKED)
     waiting.until_executed(1, process)

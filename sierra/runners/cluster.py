@@ -20,7 +20,7 @@ import shutil
 import threading
 import time
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -87,7 +87,8 @@ class Cluster:
             write_whole(session.element_settings, json.dumps(self._settings(work, session)).encode())
         probed = Probe(self.name, self._table, session).is_needed()
         table = self._table.model_dump(mode="json")
-        made = Submission(self.name, self._kind, version, table, work.batch, counts, dict(work.around), probed, rest)
+        dealt = (work.batch, counts, dict(work.around), probed, rest)
+        made = Submission(self.name, self._kind, version, table, *dealt, asdict(bounds))
         made.save(session)
         self._scheduler = schedulers.find(self._kind)(self._table)
         self._begin(made, session, {})
@@ -409,7 +410,7 @@ class Cluster:
         """Deal the other runs out, by what those that went first have told, and hand them over."""
         self._pilot = self._told = None
         try:
-            count, why = elements_of(self._made.rest, told.seconds, self._table, self._scheduler.bounds(), before=True)
+            count, why = elements_of(self._made.rest, told.seconds, self._table, self._made.bounds, before=True)
             begin = len(self._shares)
             counts = deal_rest(count, begin, self._session)
             self._made = replace(self._made, counts=(*self._made.counts, *counts), rest=0)
@@ -417,9 +418,10 @@ class Cluster:
             self._shares += [Share(each, tries=1) for each in counts]
             self._note(f"{told.how}: the other {sum(counts)} runs become {counted(count, 'element')} ({why})")
             self._hand_over(tuple(range(begin, begin + count)), "", after=self._goes_before if self._probing else "")
+            with disk_errors(self._session.root):
+                self._session.rest.unlink()
         except SierraError as error:
             self._end(error)
-        self._session.rest.unlink(missing_ok=True)
 
     def _hand_over(self, indices: tuple[int, ...], why: str, after: str = "") -> None:
         """Submit elements; those that are too many now are submitted later. Raises what the scheduler refuses."""

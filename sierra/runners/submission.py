@@ -12,13 +12,13 @@ import json
 import time
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from sierra.config import ClusterTable
 from sierra.errors import Damaged
 from sierra.paths import SessionPaths, write_whole
-from sierra.runners.schedulers import Request, State, Task
+from sierra.runners.schedulers import Bounds, Request, State, Task
 from sierra.store.segments import disk_errors
 from sierra.wording import few
 
@@ -58,6 +58,12 @@ class Submission:
     """Whether a probe goes before all elements."""
     rest: int = 0
     """Runs that are not dealt out to elements yet."""
+    allowed: Mapping[str, Any] = field(default_factory=dict)
+    """What the site allowed then: the fields of `Bounds`."""
+
+    @property
+    def bounds(self) -> Bounds:
+        return Bounds(**self.allowed)
 
     @property
     def runs(self) -> int:
@@ -80,7 +86,7 @@ class Submission:
         try:
             fields = json.loads(text)
             made = cls(**{**fields, "counts": tuple(fields["counts"])})
-            made.cluster  # noqa: B018 - it is validated
+            made.cluster, made.bounds  # noqa: B018 - they are validated
         except (TypeError, ValueError, LookupError) as error:
             raise Damaged(f"{session.submission}: was written by another version of SIERRA; go on with that one") from error
         return made
