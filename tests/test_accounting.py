@@ -11,9 +11,12 @@ from pathlib import Path
 
 import pytest
 
+import sierra
 from sierra.config import ClusterTable
-from sierra.errors import ConfigError, Missing
-from sierra.runners.schedulers import Limit
+from sierra.errors import ConfigError, Full, Missing
+from sierra.runners import cluster
+from sierra.runners.schedulers import Limit, Request
+from sierra.runners.schedulers import slurm as scheduler
 from sierra.runners.schedulers.accounting import Allowed, Partitions, allowed
 from tests.clusters import Slurm
 from tests.conftest import Simulated
@@ -189,3 +192,23 @@ def test_what_accounting_does_not_allow_is_one_line_before_anything_is_lost(
         assert words in line
     assert project.executed().total() == 0
     assert project.work() == []
+
+
+@pytest.mark.slow
+def test_a_site_that_allows_one_job_at_a_time_has_nodes_tried_out_first(
+    simulate: Callable[..., Simulated], slurm: Slurm, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))  # nobody knows of these nodes yet
+    monkeypatch.setattr(cluster, "FULL_S", 0.5)
+    submit = scheduler.Slurm.submit
+
+    def one_at_a_time(self: scheduler.Slurm, request: Request) -> str:
+        if slurm.command("squeue", "-h", "-t", "PENDING,RUNNING") or len(request.elements) > 1:
+            raise Full("SLURM: QOSMaxSubmitJobPerUserLimit")
+        return submit(self, request)
+
+    monkeypatch.setattr(scheduler.Slurm, "submit", one_at_a_time)
+    project = simulate()
+    done = sierra.open(project.folder).run("size=1", runs=2, runner="slurm", figures=False)
+    assert (done.executed, done.missing) == (2, 0)
+    assert sorted(project.executed().values()) == [1, 1]

@@ -150,6 +150,7 @@ def test_who_leaves_has_the_others_handed_over(waiting: Simulated, slurm: Slurm)
     is_whole(waiting)
 
 
+@pytest.mark.slow
 def test_who_detaches_at_once_has_no_run_go_first(waiting: Simulated, slurm: Slurm) -> None:
     told = waiting.ask(*ASKED, "--detach")
     assert "go first" not in told.stderr

@@ -446,7 +446,7 @@ class Cluster:
         half = len(indices) // 2
         if half:
             self._hand_over(indices[:half], why, after)
-        elif not after and not any(submission.jobs(self._session)):
+        elif not self._made.probed and not any(submission.jobs(self._session)):
             raise error
         else:
             self._note(f"{error}; tried again every {FULL_S:g} s")
