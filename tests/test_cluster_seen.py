@@ -12,6 +12,8 @@ from pathlib import Path
 
 import pytest
 
+from sierra.runners import submission
+from sierra.runners.schedulers import State, Task
 from tests.clusters import Slurm
 from tests.conftest import Simulated
 from tests.test_cluster_cli import QUERY, WAITS, Waiting, until
@@ -42,6 +44,14 @@ def test_status_says_why_elements_wait_in_the_scheduler_s_words(waiting: Waiting
     assert (now["queued"], now["running"], now["stuck"]) == (3, 0, None)
     assert now["waits"].endswith("BeginTime")
     assert re.search(r"  3 queued \((.*: )?BeginTime\)  ", waiting.project.ask("status").stdout)
+
+
+def test_reasons_are_told_in_short_and_the_most_frequent_first() -> None:
+    comment = "Not Running: Insufficient amount of resource: ncpus (R: 48 A: 12 T: 4096) on any of the hosts"
+    reasons = ["Priority", comment, "Resources", comment, "", "Licenses"]
+    told = submission.waits(Task("1", place, State.QUEUED, reason) for place, reason in enumerate(reasons))
+    assert told == f"{comment[:69]}…, Priority and 2 more"
+    assert submission.waits([Task("1", 0, State.RUNNING, "Prolog"), Task("1", 1, State.ENDED, "TIMEOUT")]) == ""
 
 
 @pytest.mark.slow
