@@ -88,10 +88,11 @@ def _on_clusters(store: Store) -> dict[str, list[dict[str, Any]]]:
 
 
 def show(store: Store, prefix: str) -> dict[str, Any]:
-    """All that is recorded of what a beginning of an id names; `kind` says what it is."""
+    """All that is recorded of what a beginning of an id names; `kind` says what it is. Of a batch, also what is on clusters."""
     found = store.resolve(prefix)
     with store.ask() as question:
-        return {"kind": found.kind, **SHOWN[found.kind](question, found)}
+        shown = {"kind": found.kind, **SHOWN[found.kind](question, found)}
+    return shown | ({"clusters": _on_clusters(store).get(found.id, [])} if found.kind == "batch" else {})
 
 
 def _batch(question: Question, found: Found) -> dict[str, Any]:

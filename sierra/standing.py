@@ -66,6 +66,11 @@ class Standing:
     ended: bool = False
     """Whether all that there is of it has been recorded now, and nothing of it lives any more."""
 
+    @property
+    def is_gone(self) -> bool:
+        """Whether the scheduler has nothing of it any more, although it has not ended."""
+        return self.queued == 0 and self.running == 0 and not (self.stuck or self.ended)
+
 
 def standing(store: Store, prefix: str | None = None, say: Callable[[str], None] = lambda text: None) -> list[Standing]:
     """All that is on clusters, or what is of the batch (or the session) whose id begins so; the oldest first.
@@ -76,6 +81,7 @@ def standing(store: Store, prefix: str | None = None, say: Callable[[str], None]
     rows = [_recorded(store, row, say) for row in found]
     with ThreadPoolExecutor(AT_ONCE) as pool:
         rows = list(pool.map(partial(_asked, store), rows))
+    rows = [_recorded(store, row, say) if row.is_gone else row for row in rows]  # what ended between the two
     counts = counted(store, [row.session for row in rows])
     rows = [replace(row, done=counts[row.session][0], failed=counts[row.session][1]) for row in rows]
     return sorted(rows, key=lambda row: (row.since, row.session))

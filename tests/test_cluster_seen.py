@@ -12,6 +12,8 @@ from pathlib import Path
 
 import pytest
 
+from sierra.runners import submission
+from sierra.runners.schedulers import State, Task
 from tests.clusters import Slurm
 from tests.conftest import Simulated
 from tests.test_cluster_cli import QUERY, WAITS, Waiting, until
@@ -44,6 +46,15 @@ def test_status_says_why_elements_wait_in_the_scheduler_s_words(waiting: Waiting
     assert re.search(r"  3 queued \((.*: )?BeginTime\)  ", waiting.project.ask("status").stdout)
 
 
+def test_reasons_are_told_in_short_and_the_most_frequent_first() -> None:
+    comment = "Not Running: Insufficient amount of resource: ncpus (R: 48 A: 12 T: 4096) on any of the hosts"
+    reasons = ["Priority", comment, "Resources", comment, "", "Licenses"]
+    told = submission.waits(Task("1", place, State.QUEUED, reason) for place, reason in enumerate(reasons))
+    assert told == f"{comment[:69]}…, Priority and 2 more"
+    assert submission.waits([Task("1", 0, State.RUNNING, "Prolog"), Task("1", 1, State.ENDED, "TIMEOUT")]) == ""
+
+
+@pytest.mark.slow
 def test_who_follows_is_told_why_elements_wait(waiting: Waiting) -> None:
     later(waiting)
     asking = waiting.project.start("run", *QUERY, "--on", "slurm", stdin=subprocess.DEVNULL)
@@ -61,35 +72,37 @@ def test_what_is_on_a_cluster_is_told_by_all_that_speak_of_the_batch(waiting: Wa
     waiting.project.until_executed(6)
     where = rf"on slurm now, job {left['jobs'][0]} \(session {left['session'][:8]}\): 3 running"
     for words in (("why", waiting.batch()), ("run", *QUERY, "-n"), ("run", *QUERY, "-n", "--explain")):
-        said = waiting.project.ask(*words).stdout
+        said = waiting.project.quick(*words).stdout
         assert re.search(f"^{where}$", said, re.MULTILINE), said
-    listed = waiting.project.ask("ls").stdout
+    listed = waiting.project.quick("ls").stdout
     assert f"on slurm now (job {left['jobs'][0]})" in listed
-    [row] = json.loads(waiting.project.ask("ls", "--json").stdout)
+    [row] = json.loads(waiting.project.quick("ls", "--json").stdout)
+    assert row["clusters"] == json.loads(waiting.project.quick("show", waiting.batch(), "--json").stdout)["clusters"]
     assert row["clusters"] == [{name: left[name] for name in ("session", "runner", "jobs", "elements", "runs", "since")}]
     assert (
         "asking again now:\n  6 runs: on a cluster now: followed, not executed again\n"
-        in waiting.project.ask("why", waiting.batch()).stdout
+        in waiting.project.quick("why", waiting.batch()).stdout
     )
     waiting.open()
     until(lambda: waiting.alive() == 0, "the jobs end")
     over = (
         f"on slurm now, job {left['jobs'][0]} (session {left['session'][:8]}): no longer there; sierra status records what has"
     )
-    assert over in waiting.project.ask("run", *QUERY, "-n").stdout
+    assert over in waiting.project.quick("run", *QUERY, "-n").stdout
     assert len(waiting.project.work()) == 1, "nothing is recorded, or taken over, by who only asks"
 
 
 def test_a_dry_run_does_not_propose_what_is_on_a_cluster_already(waiting: Waiting) -> None:
     waiting.submit()
-    told = json.loads(waiting.project.ask("run", "size=1,2,3,4", "--runs", "2", "--on", "slurm", "-n", "--json").stdout)
+    told = json.loads(waiting.project.quick("run", "size=1,2,3,4", "--runs", "2", "--on", "slurm", "-n", "--json").stdout)
     assert (told["runs"], told["to_execute"], told["on_clusters"], told["reused"]) == (8, 2, 6, 0)
     assert told["proposal"]["runs"] == 2
-    again = waiting.project.ask("run", *QUERY, "--on", "slurm", "-n").stdout
+    again = waiting.project.quick("run", *QUERY, "--on", "slurm", "-n").stdout
     assert "0 of 6 runs would execute, 6 are on a cluster, and would be followed" in again
     assert "#SBATCH" not in again
 
 
+@pytest.mark.slow
 def test_a_dry_run_speaks_of_the_probe_where_there_will_be_one(
     waiting: Waiting, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
@@ -116,6 +129,7 @@ def test_how_many_runs_went_at_a_time_is_what_was_asked_for_there(waiting: Waiti
     ]
 
 
+@pytest.mark.slow
 def test_show_says_where_runs_were_executed_and_how_often_that_was_cut_off(waiting: Waiting) -> None:
     asking = waiting.follow()
     waiting.project.until_executed(6, asking)
@@ -139,7 +153,6 @@ def test_show_says_where_runs_were_executed_and_how_often_that_was_cut_off(waiti
         assert (second["state"], second["trouble"], second["executed"]) == ("finished", None, True)
         assert second["node"] in waiting.slurm.names
         assert first["job"] == f"{job}_0"
-        assert second["job"] == f"{job}_0", done.stderr + repr(first)
         text = waiting.project.ask("show", one[:12]).stdout
         assert "attempts:" in text
         assert "cut off" in text

@@ -92,10 +92,15 @@ def test_what_nobody_knows_is_told_as_it_is() -> None:
     ("table", "words"),
     [
         ("cpus = 99", r"PartitionConfig: no node of the partition has all of that; asked for: cpus = 99; the site has"),
-        ('constraint = "slow"', r"Invalid feature specification: .*; asked for: constraint = 'slow'; the site has"),
-        (
+        pytest.param(
+            'constraint = "slow"',
+            r"Invalid feature specification: .*; asked for: constraint = 'slow'; the site has",
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(
             'partition = "closed"',
             r"account.*: not open to the account; asked for: partition = 'closed'; the site has partition closed",
+            marks=pytest.mark.slow,
         ),
         ('memory = "1 TB"', r"Memory specification.*; asked for: memory = 1000 GB; the site has"),
     ],

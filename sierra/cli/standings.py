@@ -20,7 +20,9 @@ def show(found: Sequence[Standing]) -> None:
     from sierra.cli.output import readable, table
     from sierra.hashing import short
 
-    table(COLUMNS, [_row(one) for one in found], right=("runs", "done", "failed"))
+    rows = [dict(zip(COLUMNS, _row(one), strict=True)) for one in found]
+    columns = [name for name in COLUMNS if any(row[name] != "" for row in rows)]
+    table(columns, [[row[name] for name in columns] for row in rows], right=("runs", "done", "failed"))
     for one in found:
         if one.stuck:
             print(f"{short(one.batch)} ({one.session[:SESSION]}) never begins: {readable(one.stuck)}")
@@ -35,8 +37,7 @@ def lines(found: Sequence[Standing]) -> list[str]:
     for one in found:
         follower = f", followed by {one.attended}" if one.attended else ""
         stuck = f": {readable(one.stuck)}" if one.stuck else ""
-        over = one.queued == one.running == 0 and not one.stuck
-        how = "no longer there; sierra status records what has finished" if over else state(one)
+        how = "no longer there; sierra status records what has finished" if one.is_gone else state(one)
         told.append(f"on {one.runner} now, {named(one.jobs)} (session {one.session[:SESSION]}): {how}{follower}{stuck}")
     return told
 
