@@ -144,7 +144,7 @@ class Maker:
     ) -> None:
         """`root` is where the code is, `project` where the user has it; `box` is what contains the runs, if anything does.
 
-        `script` is the worker where runs execute, if that is not where SIERRA has it.
+        `script` is the worker where runs execute, if that is on a cluster: runs have the devices that are allotted then.
 
         With an `image` and without a box, runs have the image's variables on this machine.
         """
@@ -167,6 +167,9 @@ class Maker:
         }
         if not box:
             self._environment["PATH"] = search_path(self._environment)
+        if script and (box is None or box.gpu):
+            wanted = (name for name in worker.DEVICES if name not in self._environment)
+            self._environment |= {name: worker.ALLOTTED + name for name in wanted}
         self._shared = self._container() if box and box.shared else None
         self._same: dict[str, tuple[str, ...]] = {}
 
