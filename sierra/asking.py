@@ -239,6 +239,9 @@ class Asking:
         root = self.session.paths.source
         if not root.exists():
             checkout.make(root)
+            if left_out := checkout.left_out():
+                what = "nodes have of these only what the command, a variable or the template names"
+                self._how.say(f"git ignores {left_out} in the project: {what}")
         programs = checkout.programs_in(root)
         if programs.id != plan.programs.id or (plan.checkout is None and plan.seen.doubt()):
             raise Missing("code or programs have changed while they were being copied for the cluster; ask again")
