@@ -548,7 +548,7 @@ def scratch(settings: Settings, remove: Any) -> Iterator[Tuple[str, int]]:
             os.write(lock, owner())
         yield folder, lock
     finally:
-        remove(folder)
+        remove_own(folder, remove)
         os.close(lock)
 
 
@@ -590,9 +590,17 @@ def remove_dead(folder: str, remove: Any) -> None:
     try:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         if os.read(lock, 4096) == owner():
-            remove(folder)
+            remove_own(folder, remove)
     finally:
         os.close(lock)
+
+
+def remove_own(folder: str, remove: Any) -> None:
+    """Remove an attempt's folder, last of all the file that says whose it is: who is killed meanwhile leaves it to the next."""
+    with contextlib.suppress(OSError):
+        for name in os.listdir(folder):
+            remove(os.path.join(folder, name))
+    remove(folder)
 
 
 # ---------------------------------------------------------------- executing
