@@ -153,7 +153,7 @@ class Asking:
                 self._jobs(wanted, root, contained, self.session.paths.worker if runner.stays else None),
                 len(wanted),
                 self.plan.batch.id,
-                (*needed(programs), *contained.needed),
+                (*needed(programs, self._search(root)), *contained.needed),
                 seconds(self.plan.batch.recipe, self.store) if runner.stays else None,
                 not self._how.detach,
                 environment.recorded(self.plan.project.config.environment.record),
@@ -222,6 +222,11 @@ class Asking:
             if unique or run.id not in sent:
                 sent.update(() if unique else (run.id,))
                 yield maker.job(run, files)
+
+    def _search(self, root: Path) -> str:
+        """The PATH of runs whose code lies in `root`."""
+        plan = self.plan
+        return jobs.declared(plan.batch.recipe.environment, root, plan.project.root, image=plan.image)["PATH"]
 
     def _code(self) -> Path:
         """The folder of the code that is executed."""

@@ -343,6 +343,8 @@ class Needed:
     path: str
     sha256: str = ""
     """Empty: it is enough that it is there."""
+    search: str = ""
+    """The PATH by which the name is found, where runs call it by that: what is found there counts."""
 
 
 class Status(StrEnum):

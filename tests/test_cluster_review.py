@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import gzip
+import hashlib
 import itertools
 import os
 import pty
 import select
+import shutil
 import signal
 import subprocess
 import tempfile
@@ -376,6 +378,15 @@ def test_what_git_ignores_and_nobody_names_is_said_to_be_missing(clustered: Call
     assert (summary.executed, summary.failed) == (3, 0)
     [note] = [text for text in said if "ignores" in text]
     assert note.startswith("git ignores big.npy, maps/ in the project: nodes have of these only what the command")
+
+
+def test_the_program_that_was_checked_is_the_one_that_executes(clustered: Callable[..., Clustered]) -> None:
+    made = clustered('tr "\\0" "\\n" < /proc/$$/cmdline | head -n 1 > called; ' + PRINTS)
+    assert '["sh", "sim.sh"' in (made.simulated.folder / "sierra.toml").read_text()
+    summary = made.project.run(*QUERY, runs=1, runner="here", figures=False)
+    assert (summary.executed, summary.failed) == (3, 0)
+    digest = hashlib.sha256(f"{shutil.which('sh')}\n".encode()).hexdigest()
+    assert made.rows("SELECT DISTINCT sha256 FROM artifacts WHERE path = 'called'") == [{"sha256": digest}]
 
 
 # containers

@@ -326,6 +326,24 @@ def test_a_needed_file_that_is_another_is_said_before_anything_executes(folder: 
     assert folder.events(Started) == []
 
 
+def test_what_is_called_by_its_name_is_the_one_that_a_node_finds(folder: Folder, tmp_path: Path) -> None:
+    for name in ("first", "second"):
+        (tmp_path / name).mkdir()
+    program = tmp_path / "second" / "simulator"
+    program.write_bytes(b"as it was")
+    program.chmod(0o755)
+    sha256 = hashlib.sha256(b"as it was").hexdigest()
+    search = f"{tmp_path}/first:{tmp_path}/second"
+    folder.set(needs=[{"name": "simulator", "path": str(program), "sha256": sha256, "search": search}])
+    folder.deal(many(2, "true"))
+    assert folder.run("--probe", "0") == (0, "")
+    shutil.copy(program, tmp_path / "first")
+    assert folder.run("--probe", "0") == (0, "")
+    (tmp_path / "first" / "simulator").write_bytes(b"another")
+    code, said = folder.run("--probe", "0")
+    assert (code, f"simulator: {tmp_path}/first/simulator is another than on the host that submitted" in said) == (3, True)
+
+
 def test_what_a_node_is_and_was_allotted_is_recorded_and_no_secret(folder: Folder) -> None:
     folder.set(record=["OMP_*", "MY_*"], slots=64)
     folder.deal(many(1, "true"))

@@ -20,7 +20,7 @@ import shutil
 import threading
 import time
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -117,7 +117,7 @@ class Cluster:
             "session": session.root.name,
             "slots": self._table.cpus,
             "scratch": self._table.scratch,
-            "needs": [{"name": one.name, "path": one.path, "sha256": one.sha256} for one in work.needs],
+            "needs": [asdict(one) for one in work.needs],
             "record": list(work.record),
         }
 

@@ -62,6 +62,7 @@ import json
 import os
 import platform
 import re
+import shutil
 import signal
 import stat
 import subprocess
@@ -120,7 +121,9 @@ class Settings(NamedTuple):
     scratch: Optional[str]
     """A folder of the node, with `$NAME` or `${NAME}` of its environment; None: $SLURM_TMPDIR, $TMPDIR or /tmp."""
     needs: List[Dict[str, str]]
-    """Files that must be as they are where it was submitted: `name`, `path`, `sha256` (empty: it must be there)."""
+    """Files that must be as they are where it was submitted: `name`, `path`, `sha256` (empty: it must be there), and `search`:
+    the PATH by which runs find what they call by that name (empty: they name it by its path).
+    """
     record: List[str]
     """Names, or patterns, of variables to record."""
 
@@ -504,7 +507,7 @@ class Needs:
     """The files that must be, and stay, as they are where it was submitted."""
 
     def __init__(self, needs: List[Dict[str, str]]) -> None:
-        self._needs = needs
+        self._needs = [{**need, "path": found_by_name(need)} for need in needs]
         self._seen: Dict[str, Tuple[int, ...]] = {}
 
     def check(self) -> None:
@@ -518,6 +521,13 @@ class Needs:
             except OSError as error:
                 raise Trouble("%s: %s: %s" % (need["name"], need["path"], error.strerror)) from error
             self._seen[need["path"]] = seen
+
+
+def found_by_name(need: Dict[str, str]) -> str:
+    """The path of a file; of what is called by its name, that which is found here."""
+    if not need.get("search"):
+        return need["path"]
+    return shutil.which(need["name"], path=need["search"]) or need["path"]
 
 
 def digest_of(path: str) -> str:
