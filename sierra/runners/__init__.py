@@ -19,7 +19,7 @@ from sierra.config import ClusterTable
 from sierra.errors import ConfigError, SierraError
 from sierra.model import Job, Needed, Result
 from sierra.paths import SessionPaths
-from sierra.provenance.program import Kind, Program, Programs
+from sierra.provenance.program import INSTALLED, Kind, Program, Programs
 from sierra.runners import schedulers
 
 SHIPPED = {"local": "sierra.runners.local:Local"}
@@ -116,13 +116,19 @@ class Runner(Protocol):
 
 
 def needed(programs: Programs, search: str) -> tuple[Needed, ...]:
-    """The files among what runs depend on, whose PATH is `search`. Of what a Python has installed, the files are too many.
+    """The files among what runs depend on, whose PATH is `search`; of what a Python has installed, names and versions alone.
 
     The command's own program, which is the first, is called by its path: see `sierra.jobs.Maker`.
     """
+    from sierra.runners import element
+
     files = [one for one in programs.all if one.kind != Kind.DISTRIBUTIONS]
     called = {one.path for one in files[1:] if _is_called(one, search)}
-    return tuple(Needed(one.name, one.path, one.sha256, search if one.path in called else "") for one in files)
+    folders = (one for one in programs.all if one.kind == Kind.DISTRIBUTIONS and one.name.endswith(INSTALLED))
+    return (
+        *(Needed(one.name, one.path, one.sha256, search if one.path in called else "") for one in files),
+        *(Needed(one.name, one.path, holds=element.installed(one.path)) for one in folders),
+    )
 
 
 def _is_called(program: Program, search: str) -> bool:

@@ -120,9 +120,10 @@ class Settings(NamedTuple):
     """How many runs execute at a time, where the node has as many cores."""
     scratch: Optional[str]
     """A folder of the node, with `$NAME` or `${NAME}` of its environment; None: $SLURM_TMPDIR, $TMPDIR or /tmp."""
-    needs: List[Dict[str, str]]
+    needs: List[Dict[str, Any]]
     """Files that must be as they are where it was submitted: `name`, `path`, `sha256` (empty: it must be there), and `search`:
-    the PATH by which runs find what they call by that name (empty: they name it by its path).
+    the PATH by which runs find what they call by that name (empty: they name it by its path). Or, where there is a list
+    `holds`, folders (`path`, as in a PATH) that must have these distributions, and no others: see `installed`.
     """
     record: List[str]
     """Names, or patterns, of variables to record."""
@@ -506,8 +507,12 @@ def new_pack(folder: str, index: str, told: Event) -> Pack:
 class Needs:
     """The files that must be, and stay, as they are where it was submitted."""
 
-    def __init__(self, needs: List[Dict[str, str]]) -> None:
-        self._needs = [{**need, "path": found_by_name(need)} for need in needs]
+    def __init__(self, needs: List[Dict[str, Any]]) -> None:
+        """Raises Trouble where distributions of a Python are not what they were."""
+        self._needs = [{**need, "path": found_by_name(need)} for need in needs if need.get("holds") is None]
+        for need in needs:
+            if need.get("holds") is not None:
+                check_installed(need["name"], set(need["holds"]), set(installed(need["path"])))
         self._seen: Dict[str, Tuple[int, ...]] = {}
 
     def check(self) -> None:
@@ -523,11 +528,29 @@ class Needs:
             self._seen[need["path"]] = seen
 
 
-def found_by_name(need: Dict[str, str]) -> str:
+def installed(folders: str) -> Tuple[str, ...]:
+    """The distributions in folders (as in a PATH), by the paths of what describes them; these have name and version."""
+    found = []
+    for folder in folders.split(os.pathsep):
+        with contextlib.suppress(OSError):
+            names = (name for name in os.listdir(folder) if name.endswith((".dist-info", ".egg-info")))
+            found += [os.path.join(folder, name) for name in names]
+    return tuple(sorted(found))
+
+
+def check_installed(name: str, there: Set[str], here: Set[str]) -> None:
+    """Raises Trouble where the distributions here are not those that were there."""
+    other = ["%s is not here" % path for path in sorted(there - here)]
+    other += ["%s is only here" % path for path in sorted(here - there)]
+    if other:
+        more = " and %d more" % (len(other) - 3) if len(other) > 3 else ""
+        raise Trouble("%s are others than on the host that submitted: %s%s" % (name, ", ".join(other[:3]), more))
+
+
+def found_by_name(need: Dict[str, Any]) -> str:
     """The path of a file; of what is called by its name, that which is found here."""
-    if not need.get("search"):
-        return need["path"]
-    return shutil.which(need["name"], path=need["search"]) or need["path"]
+    found = shutil.which(need["name"], path=need["search"]) if need.get("search") else None
+    return found or str(need["path"])
 
 
 def digest_of(path: str) -> str:
