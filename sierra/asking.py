@@ -153,7 +153,7 @@ class Asking:
                 self._jobs(wanted, root, contained, self.session.paths.worker if runner.stays else None),
                 len(wanted),
                 self.plan.batch.id,
-                (*needed(programs), *contained.needed),
+                (*needed(programs, self._search(root)), *contained.needed),
                 seconds(self.plan.batch.recipe, self.store) if runner.stays else None,
                 not self._how.detach,
                 environment.recorded(self.plan.project.config.environment.record),
@@ -223,6 +223,11 @@ class Asking:
                 sent.update(() if unique else (run.id,))
                 yield maker.job(run, files)
 
+    def _search(self, root: Path) -> str:
+        """The PATH of runs whose code lies in `root`."""
+        plan = self.plan
+        return jobs.declared(plan.batch.recipe.environment, root, plan.project.root, image=plan.image)["PATH"]
+
     def _code(self) -> Path:
         """The folder of the code that is executed."""
         if self.plan.checkout is None:
@@ -239,6 +244,9 @@ class Asking:
         root = self.session.paths.source
         if not root.exists():
             checkout.make(root)
+            if left_out := checkout.left_out():
+                what = "nodes have of these only what the command, a variable or the template names"
+                self._how.say(f"git ignores {left_out} in the project: {what}")
         programs = checkout.programs_in(root)
         if programs.id != plan.programs.id or (plan.checkout is None and plan.seen.doubt()):
             raise Missing("code or programs have changed while they were being copied for the cluster; ask again")

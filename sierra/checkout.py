@@ -16,6 +16,7 @@ from pathlib import Path
 from sierra import jobs
 from sierra.errors import Missing
 from sierra.model import Recipe
+from sierra.paths import FIGURES, STORE
 from sierra.provenance import named, programs, source
 from sierra.provenance.program import NOTHING, Kind, Programs
 
@@ -72,6 +73,11 @@ class Checkout:
             inside = Path(name.removeprefix(INSIDE))
             if name.startswith(INSIDE) and not inside.is_absolute() and ".." not in inside.parts:
                 _bring(self.project / inside, root / inside)
+
+    def left_out(self) -> str:
+        """What git ignores of the project and nobody has named, so that it is not in there: in a few words, or empty."""
+        brought = (name.removeprefix(INSIDE) for name, _ in self.used if name.startswith(INSIDE))
+        return source.ignored(self.project, (STORE, FIGURES, *brought))
 
     def programs_in(self, root: Path) -> Programs:
         """The programs that its command starts where it was made in `root`, and the files that it needed, as they are now."""

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import os
 import re
+import shutil
 import sys
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -144,7 +145,7 @@ class Maker:
     ) -> None:
         """`root` is where the code is, `project` where the user has it; `box` is what contains the runs, if anything does.
 
-        `script` is the worker where runs execute, if that is not where SIERRA has it.
+        `script` is the worker where runs execute, if that is on a cluster: runs have the devices that are allotted then.
 
         With an `image` and without a box, runs have the image's variables on this machine.
         """
@@ -167,6 +168,10 @@ class Maker:
         }
         if not box:
             self._environment["PATH"] = search_path(self._environment)
+        if script and (box is None or box.gpu):
+            wanted = (name for name in worker.DEVICES if name not in self._environment)
+            self._environment |= {name: worker.ALLOTTED + name for name in wanted}
+        self._search = self._environment["PATH"] if script and not box else None
         self._shared = self._container() if box and box.shared else None
         self._same: dict[str, tuple[str, ...]] = {}
 
@@ -187,6 +192,8 @@ class Maker:
         here = self._here
         values = {"input": f"{here}/{file}", "output": f"{here}/{RUN_OUTPUT}", "run": here, "seed": seed}
         argv = self._fill(self._recipe.command, values)
+        if self._search is not None:  # a node may find another program of that name
+            argv = (shutil.which(argv[0], path=self._search) or argv[0], *argv[1:])
         if not any("{seed}" in word for word in self._recipe.command):
             self._same[file] = argv
         return argv

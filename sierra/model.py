@@ -343,6 +343,10 @@ class Needed:
     path: str
     sha256: str = ""
     """Empty: it is enough that it is there."""
+    search: str = ""
+    """The PATH by which the name is found, where runs call it by that: what is found there counts."""
+    holds: tuple[str, ...] | None = None
+    """Of folders in which a Python has what is installed (`path`, as in a PATH): all that is there, by `element.installed`."""
 
 
 class Status(StrEnum):

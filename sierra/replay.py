@@ -154,11 +154,12 @@ def replay(
             script=session.paths.worker if runner.stays else None,
         )
         made = {job.run: job for job in _jobs(record, store, maker)}
+        search = jobs.declared(record.of.recipe.environment, root, project.root, image=image)["PATH"]
         work = Work(
             made.values(),
             len(made),
             record.of.batch,
-            (*needed(now), *contained.needed),
+            (*needed(now, search), *contained.needed),
             seconds(record.of.recipe, store) if runner.stays else None,
             record=environment.recorded(project.config.environment.record),
             around=around,

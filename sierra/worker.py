@@ -30,6 +30,10 @@ failed for that, or not have noticed), and the worker can't go on.
 `started` is the clock's time just before the program was started, and `ended` lies after it by the time that
 went by, whatever was done to the clock meanwhile: no run takes less than no time, or less than its CPU time.
 
+A job of a cluster may ask for what its scheduler has allotted: in an environment (and in a client's argv) the character
+\\1 and one of the names of DEVICES stand for the variable of that name that the worker has, or for nothing. Where a list of
+several devices can be divided among the slots, each slot has its own.
+
 Processes that leave their group are found all the same: the worker is their subreaper (Linux), so an orphan
 becomes a child of the worker's main thread, which starts no process itself.
 
@@ -78,6 +82,10 @@ SETTLE_S = 2.0
 CLEAN_S = 10.0  # for what an engine has yet to do when its containers have ended
 START_S = 60.0  # for an engine to start a container
 SAMPLE_S = 0.05
+ALLOTTED = "\1"
+ROCR = "ROCR_VISIBLE_DEVICES"
+BELOW_ROCR = ("CUDA_VISIBLE_DEVICES", "HIP_VISIBLE_DEVICES", "GPU_DEVICE_ORDINAL")  # what AMD's count among those of ROCR
+DEVICES = (*BELOW_ROCR, ROCR, "NVIDIA_VISIBLE_DEVICES", "ZE_AFFINITY_MASK")
 LINE_BYTES = 1 << 16
 
 
@@ -421,6 +429,7 @@ class Worker:
                 break
             self.contains = self.contains or "client" in job
             try:
+                job = allotted(job, number, self.slots)
                 if job.get("shared"):
                     self.execute_inside(job, number)
                 else:
@@ -685,6 +694,51 @@ def prepare(job: dict[str, Any], folder: str, used: Place | None = None) -> Plac
 
 def make_log(path: str) -> None:
     os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644))
+
+
+def allotted(job: dict[str, Any], slot: int, slots: int) -> dict[str, Any]:
+    """The job with the devices of its slot, where it asks for them."""
+    if not any(job["environment"].get(name) == ALLOTTED + name for name in DEVICES):
+        return job
+    given = devices(slot, slots)
+    filled = {**job, "environment": with_devices(job["environment"], given)}
+    if "client" in job:
+        client = job["client"]
+        argv = [word for word in (with_device(word, given) for word in client["argv"]) if word is not None]
+        filled["client"] = {**client, "argv": argv, "environment": with_devices(client["environment"], given)}
+    return filled
+
+
+def with_devices(variables: dict[str, str], given: dict[str, str]) -> dict[str, str]:
+    filled = {name: with_device(value, given) for name, value in variables.items()}
+    return {name: value for name, value in filled.items() if value is not None}
+
+
+def with_device(text: str, given: dict[str, str]) -> str | None:
+    """The text with the variable that it ends with; None where there is no such variable."""
+    head, mark, name = text.partition(ALLOTTED)
+    if not mark or name not in DEVICES:
+        return text
+    return head + given[name] if name in given else None
+
+
+def devices(slot: int, slots: int) -> dict[str, str]:
+    """The devices that a slot may use, by what the scheduler has set: its part of them, or all."""
+    whole = {name: os.environ[name] for name in DEVICES if name in os.environ}
+    parts = {name: part_of(value.split(","), slot, slots) for name, value in whole.items()}
+    if parts != whole and ROCR in parts and os.path.exists("/dev/kfd"):
+        return {name: value for name, value in parts.items() if name not in BELOW_ROCR}
+    return parts
+
+
+def part_of(found: list[str], slot: int, slots: int) -> str:
+    """The part of a slot, where so many can be divided among the slots, or the slots among them; else all."""
+    if len(found) % slots == 0:
+        each = len(found) // slots
+        found = found[slot * each : (slot + 1) * each]
+    elif slots % len(found) == 0:
+        found = [found[slot % len(found)]]
+    return ",".join(found)
 
 
 def start(job: dict[str, Any], folder: str) -> subprocess.Popen[bytes]:

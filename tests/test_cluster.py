@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import time
@@ -15,6 +16,7 @@ from sierra import processes
 from tests import projects
 from tests.batches import CLUSTER, Gated, at_rest, ended, is_whole, rows
 from tests.clusters import Slurm
+from tests.conftest import Simulated
 from tests.waiting import until
 
 
@@ -52,6 +54,23 @@ def test_attempts_say_where_and_with_what_runs_were_executed(tmp_path: Path, slu
     joined = "executions e JOIN attempts a USING (attempt) JOIN environments v ON v.environment = e.environment"
     same = f"SELECT count(*) AS n FROM {joined} WHERE v.host = a.node AND e.host = a.node"
     assert rows(sierra.open(root), same) == [{"n": 8}]
+
+
+def test_runs_see_the_devices_that_are_allotted_to_their_slot(simulate: Callable[..., Simulated], slurm: Slurm) -> None:
+    made = simulate('printf "t,v,w\\n1,$CUDA_VISIBLE_DEVICES,$ROCR_VISIBLE_DEVICES\\n" > swarm.csv; sleep 1')
+    config = made.folder / "sierra.toml"
+    text = config.read_text() + '[environment.set]\nROCR_VISIBLE_DEVICES = "7"\n'
+    config.write_text(text + "[runners.slurm]\nelements = 1\ncpus = 2\ngpus = 2\n")
+    project = sierra.open(made.folder)
+    before = project.plan("size=1,2,3,4", runs=1).batch.id
+    summary = project.run("size=1,2,3,4", runs=1, runner="slurm", figures=False)
+    assert (summary.failed, summary.executed, summary.batch) == (0, 4, before)
+    [attempt] = rows(project, "SELECT gpus, allocation FROM attempts")
+    assert attempt["gpus"] == json.loads(attempt["allocation"])["CUDA_VISIBLE_DEVICES"] == "0,1"
+    found = rows(project, "SELECT slot, v, w FROM swarm JOIN executions USING (run)")
+    alone = len(os.sched_getaffinity(0)) == 1
+    assert {row["w"] for row in found} == {7}
+    assert {(row["slot"], str(row["v"])) for row in found} == {(0, "0"), (1, "1")} or alone
 
 
 @pytest.mark.slow

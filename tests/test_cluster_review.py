@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import gzip
+import hashlib
 import itertools
 import os
 import pty
 import select
+import shutil
 import signal
 import subprocess
 import tempfile
@@ -29,7 +31,7 @@ from sierra.runners import cluster, harvest, schedulers
 from sierra.runners.schedulers import Bounds, Request, State, Task
 from sierra.sessions import Session
 from sierra.store import Store
-from tests import containers
+from tests import containers, projects
 from tests.clusters import Slurm
 from tests.conftest import Simulated
 from tests.users import a_user, called_as
@@ -356,6 +358,35 @@ def test_what_a_replay_leaves_is_kept_from_another_file_system(
     answer = made.project.replay(batch, runner="here", keep=True)
     assert answer.kept is not None
     assert len(list(answer.kept.glob("*/output/swarm.csv"))) == 3
+
+
+# code
+
+
+def test_what_git_ignores_and_nobody_names_is_said_to_be_missing(clustered: Callable[..., Clustered]) -> None:
+    made = clustered('cat "$1/built" > /dev/null && ' + PRINTS)
+    folder = made.simulated.folder
+    config = folder / "sierra.toml"
+    config.write_text(config.read_text().replace('"{input}"]', '"{project}/built"]').replace('sim.sh"', 'sim.sh", "{project}"'))
+    for name in ("built", "big.npy", "maps/a", "__pycache__/b.pyc", "environment/pyvenv.cfg"):
+        (folder / name).parent.mkdir(exist_ok=True)
+        (folder / name).write_text("")
+    (folder / ".gitignore").write_text("built\n*.npy\nmaps/\n__pycache__/\nenvironment/\n")
+    projects.commit(folder)
+    said: list[str] = []
+    summary = made.project.execute(made.project.plan(*QUERY, runs=1), runner="here", say=said.append, figures=False)
+    assert (summary.executed, summary.failed) == (3, 0)
+    [note] = [text for text in said if "ignores" in text]
+    assert note.startswith("git ignores big.npy, maps/ in the project: nodes have of these only what the command")
+
+
+def test_the_program_that_was_checked_is_the_one_that_executes(clustered: Callable[..., Clustered]) -> None:
+    made = clustered('tr "\\0" "\\n" < /proc/$$/cmdline | head -n 1 > called; ' + PRINTS)
+    assert '["sh", "sim.sh"' in (made.simulated.folder / "sierra.toml").read_text()
+    summary = made.project.run(*QUERY, runs=1, runner="here", figures=False)
+    assert (summary.executed, summary.failed) == (3, 0)
+    digest = hashlib.sha256(f"{shutil.which('sh')}\n".encode()).hexdigest()
+    assert made.rows("SELECT DISTINCT sha256 FROM artifacts WHERE path = 'called'") == [{"sha256": digest}]
 
 
 # containers

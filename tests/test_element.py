@@ -326,6 +326,42 @@ def test_a_needed_file_that_is_another_is_said_before_anything_executes(folder: 
     assert folder.events(Started) == []
 
 
+def test_what_is_called_by_its_name_is_the_one_that_a_node_finds(folder: Folder, tmp_path: Path) -> None:
+    for name in ("first", "second"):
+        (tmp_path / name).mkdir()
+    program = tmp_path / "second" / "simulator"
+    program.write_bytes(b"as it was")
+    program.chmod(0o755)
+    sha256 = hashlib.sha256(b"as it was").hexdigest()
+    search = f"{tmp_path}/first:{tmp_path}/second"
+    folder.set(needs=[{"name": "simulator", "path": str(program), "sha256": sha256, "search": search}])
+    folder.deal(many(2, "true"))
+    assert folder.run("--probe", "0") == (0, "")
+    shutil.copy(program, tmp_path / "first")
+    assert folder.run("--probe", "0") == (0, "")
+    (tmp_path / "first" / "simulator").write_bytes(b"another")
+    code, said = folder.run("--probe", "0")
+    assert (code, f"simulator: {tmp_path}/first/simulator is another than on the host that submitted" in said) == (3, True)
+
+
+def test_a_python_that_has_other_distributions_is_said(folder: Folder, tmp_path: Path) -> None:
+    for name in ("numpy-1.26.4.dist-info", "old.egg-info", "numpy", "~umpy"):
+        (tmp_path / "site-packages" / name).mkdir(parents=True)
+    where = f"{tmp_path}/site-packages:{tmp_path}/none"
+    held = element.installed(where)
+    assert [Path(path).name for path in held] == ["numpy-1.26.4.dist-info", "old.egg-info"]
+    folder.set(needs=[{"name": "python3: installed distributions", "path": where, "sha256": "", "search": "", "holds": held}])
+    folder.deal(many(2, "true"))
+    assert folder.run("--probe", "0") == (0, "")
+    (tmp_path / "site-packages" / "numpy-1.26.4.dist-info").rename(tmp_path / "site-packages" / "numpy-2.0.dist-info")
+    code, said = folder.run()
+    assert (code, said.count("\n")) == (3, 1)
+    assert "python3: installed distributions are others than on the host that submitted: " in said
+    assert "/numpy-1.26.4.dist-info is not here, " in said
+    assert "/numpy-2.0.dist-info is only here" in said
+    assert folder.events(Started) == []
+
+
 def test_what_a_node_is_and_was_allotted_is_recorded_and_no_secret(folder: Folder) -> None:
     folder.set(record=["OMP_*", "MY_*"], slots=64)
     folder.deal(many(1, "true"))

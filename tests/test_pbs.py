@@ -25,6 +25,7 @@ from sierra.runners.schedulers.pbs import Pbs
 from sierra.runners.schedulers.qsub import Dialect
 from sierra.wording import ranges
 from tests import clusters, pbs, projects
+from tests.conftest import Simulated
 from tests.waiting import until
 
 DATA = Path(__file__).parent / "data" / "pbs"
@@ -599,6 +600,23 @@ def test_a_batch_is_answered_though_an_element_is_deleted(server: pbs.Server, tm
     text = again.read_text()
     assert "SIERRA_ELEMENTS=1" in text
     assert alive(Pbs(ClusterTable()), re.findall("-N (.*)", text)[0]) == set()
+
+
+@pytest.mark.slow
+def test_runs_see_the_devices_that_a_hook_of_pbs_has_set(
+    server: pbs.Server, simulate: Callable[..., Simulated], tmp_path: Path
+) -> None:
+    hooked = tmp_path / "hooked"
+    hooked.write_text(f'#!/bin/sh\nCUDA_VISIBLE_DEVICES=GPU-1f exec "{sys.executable}" "$@"\n')
+    hooked.chmod(0o755)
+    made = simulate('printf "t,v\\n1,$CUDA_VISIBLE_DEVICES\\n" > swarm.csv')
+    config = made.folder / "sierra.toml"
+    config.write_text(config.read_text() + f'[runners.pbs]\nelements = 1\npython = "{hooked}"\n')
+    project = sierra.open(made.folder)
+    assert project.run("size=1", runs=1, runner="pbs", figures=False).failed == 0
+    assert project.sql("SELECT v FROM swarm").to_pylist() == [{"v": "GPU-1f"}]
+    [told] = project.sql("SELECT allocation FROM attempts").to_pylist()
+    assert json.loads(told["allocation"])["CUDA_VISIBLE_DEVICES"] == "GPU-1f"
 
 
 # SLURM's wrapper

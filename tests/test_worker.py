@@ -676,3 +676,38 @@ def test_a_clock_that_is_set_back_makes_no_time_negative(tmp_path: Path) -> None
     walls = {event["execution"]: event["ended"] - event["started"] for event in events if event["event"] == "end"}
     assert 0 <= walls["bad"] < 5
     assert 0.1 <= walls["good"] < 5
+
+
+@pytest.mark.parametrize(
+    ("allotted", "slots", "parts"),
+    [
+        ("0,1,2,3", 2, ["0,1", "2,3"]),
+        ("GPU-a,GPU-b", 4, ["GPU-a", "GPU-b", "GPU-a", "GPU-b"]),
+        ("0,1,2", 2, ["0,1,2", "0,1,2"]),
+        ("5", 2, ["5", "5"]),
+        ("", 2, ["", ""]),
+    ],
+)
+def test_each_slot_has_its_part_of_the_devices_where_they_can_be_divided(
+    monkeypatch: pytest.MonkeyPatch, allotted: str, slots: int, parts: list[str]
+) -> None:
+    for name in worker.DEVICES:
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", allotted)
+    assert [worker.devices(slot, slots) for slot in range(slots)] == [{"CUDA_VISIBLE_DEVICES": part} for part in parts]
+
+
+def test_a_container_gets_the_devices_that_are_allotted_and_no_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in worker.DEVICES:
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "3")
+    monkeypatch.setenv("HIP_VISIBLE_DEVICES", "4")
+    asked = {name: f"\1{name}" for name in ("CUDA_VISIBLE_DEVICES", "ZE_AFFINITY_MASK")}
+    client = {
+        "argv": ["podman", *(f"--env={name}={value}" for name, value in asked.items()), "true"],
+        "environment": {f"OF_{name}": value for name, value in asked.items()},
+    }
+    job = worker.allotted({"environment": {**asked, "HIP_VISIBLE_DEVICES": "0"}, "client": client}, 0, 1)
+    assert job["environment"] == {"CUDA_VISIBLE_DEVICES": "3", "HIP_VISIBLE_DEVICES": "0"}
+    assert job["client"]["argv"] == ["podman", "--env=CUDA_VISIBLE_DEVICES=3", "true"]
+    assert job["client"]["environment"] == {"OF_CUDA_VISIBLE_DEVICES": "3"}

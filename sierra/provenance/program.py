@@ -10,6 +10,9 @@ from typing import Any
 
 from sierra.hashing import digest
 
+INSTALLED = ": installed distributions"
+"""How the name ends of all that a Python has installed, whose path is folders, as in a PATH."""
+
 
 class Kind(StrEnum):
     """What it is."""

@@ -22,7 +22,7 @@ from sierra.errors import Missing
 from sierra.hashing import sha256, short
 from sierra.provenance import libraries, pythons
 from sierra.provenance.digests import Digests
-from sierra.provenance.program import NOTHING, Kind, Program, Programs, called, versions
+from sierra.provenance.program import INSTALLED, NOTHING, Kind, Program, Programs, called, versions
 from sierra.wording import few
 
 SHOWN = 5
@@ -144,7 +144,7 @@ class _Finding:
         lines = "\n".join(one.line for one in found)
         where = os.pathsep.join(map(str, interpreter.installed))
         if interpreter.installed:
-            yield Program(f"{name}: installed distributions", where, sha256(lines.encode()), Kind.DISTRIBUTIONS, lines)
+            yield Program(f"{name}{INSTALLED}", where, sha256(lines.encode()), Kind.DISTRIBUTIONS, lines)
         if self._project != self._root:
             pythons.check(name, pythons.imported(interpreter, found, self._project), self._root, self._project, self._scripts)
         for one in pythons.contents(interpreter, found, (self._root, self._project), self._digests):

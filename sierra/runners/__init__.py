@@ -7,6 +7,8 @@ come as entry points of the group `sierra.runners`, each naming a class that ful
 
 from __future__ import annotations
 
+import os
+import shutil
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
@@ -17,7 +19,7 @@ from sierra.config import ClusterTable
 from sierra.errors import ConfigError, SierraError
 from sierra.model import Job, Needed, Result
 from sierra.paths import SessionPaths
-from sierra.provenance.program import Kind, Programs
+from sierra.provenance.program import INSTALLED, Kind, Program, Programs
 from sierra.runners import schedulers
 
 SHIPPED = {"local": "sierra.runners.local:Local"}
@@ -113,9 +115,25 @@ class Runner(Protocol):
         ...
 
 
-def needed(programs: Programs) -> tuple[Needed, ...]:
-    """The files among what runs depend on. Of what a Python has installed, the files are too many to be asked for."""
-    return tuple(Needed(one.name, one.path, one.sha256) for one in programs.all if one.kind != Kind.DISTRIBUTIONS)
+def needed(programs: Programs, search: str) -> tuple[Needed, ...]:
+    """The files among what runs depend on, whose PATH is `search`; of what a Python has installed, names and versions alone.
+
+    The command's own program, which is the first, is called by its path: see `sierra.jobs.Maker`.
+    """
+    from sierra.runners import element
+
+    files = [one for one in programs.all if one.kind != Kind.DISTRIBUTIONS]
+    called = {one.path for one in files[1:] if _is_called(one, search)}
+    folders = (one for one in programs.all if one.kind == Kind.DISTRIBUTIONS and one.name.endswith(INSTALLED))
+    return (
+        *(Needed(one.name, one.path, one.sha256, search if one.path in called else "") for one in files),
+        *(Needed(one.name, one.path, holds=element.installed(one.path)) for one in folders),
+    )
+
+
+def _is_called(program: Program, search: str) -> bool:
+    """Whether it is found by its name alone."""
+    return os.sep not in program.name and shutil.which(program.name, path=search) == program.path
 
 
 def find(name: str, tables: Mapping[str, ClusterTable] | None = None) -> Callable[[int], Runner]:

@@ -118,7 +118,7 @@ class Cluster:
             "session": session.root.name,
             "slots": self._table.cpus,
             "scratch": self._table.scratch,
-            "needs": [{"name": one.name, "path": one.path, "sha256": one.sha256} for one in work.needs],
+            "needs": [asdict(one) for one in work.needs],
             "record": list(work.record),
         }
 

@@ -62,6 +62,7 @@ import json
 import os
 import platform
 import re
+import shutil
 import signal
 import stat
 import subprocess
@@ -94,6 +95,8 @@ ALLOCATION = (
     *("SLURM_JOB_START_TIME", "SLURM_JOB_END_TIME"),
     *("PBS_JOBID", "PBS_ARRAY_ID", "PBS_ARRAY_INDEX", "PBS_ARRAYID", "PBS_JOBNAME", "PBS_QUEUE", "PBS_SERVER"),
     *("PBS_NODENUM", "PBS_NP", "PBS_NUM_NODES", "PBS_NUM_PPN", "PBS_WALLTIME", "NCPUS"),
+    *("CUDA_VISIBLE_DEVICES", "NVIDIA_VISIBLE_DEVICES", "ROCR_VISIBLE_DEVICES", "HIP_VISIBLE_DEVICES", "GPU_DEVICE_ORDINAL"),
+    "ZE_AFFINITY_MASK",
 )
 """Variables of a scheduler that say what was allotted."""
 
@@ -117,8 +120,11 @@ class Settings(NamedTuple):
     """How many runs execute at a time, where the node has as many cores."""
     scratch: Optional[str]
     """A folder of the node, with `$NAME` or `${NAME}` of its environment; None: $SLURM_TMPDIR, $TMPDIR or /tmp."""
-    needs: List[Dict[str, str]]
-    """Files that must be as they are where it was submitted: `name`, `path`, `sha256` (empty: it must be there)."""
+    needs: List[Dict[str, Any]]
+    """Files that must be as they are where it was submitted: `name`, `path`, `sha256` (empty: it must be there), and `search`:
+    the PATH by which runs find what they call by that name (empty: they name it by its path). Or, where there is a list
+    `holds`, folders (`path`, as in a PATH) that must have these distributions, and no others: see `installed`.
+    """
     record: List[str]
     """Names, or patterns, of variables to record."""
 
@@ -501,8 +507,12 @@ def new_pack(folder: str, index: str, told: Event) -> Pack:
 class Needs:
     """The files that must be, and stay, as they are where it was submitted."""
 
-    def __init__(self, needs: List[Dict[str, str]]) -> None:
-        self._needs = needs
+    def __init__(self, needs: List[Dict[str, Any]]) -> None:
+        """Raises Trouble where distributions of a Python are not what they were."""
+        self._needs = [{**need, "path": found_by_name(need)} for need in needs if need.get("holds") is None]
+        for need in needs:
+            if need.get("holds") is not None:
+                check_installed(need["name"], set(need["holds"]), set(installed(need["path"])))
         self._seen: Dict[str, Tuple[int, ...]] = {}
 
     def check(self) -> None:
@@ -516,6 +526,31 @@ class Needs:
             except OSError as error:
                 raise Trouble("%s: %s: %s" % (need["name"], need["path"], error.strerror)) from error
             self._seen[need["path"]] = seen
+
+
+def installed(folders: str) -> Tuple[str, ...]:
+    """The distributions in folders (as in a PATH), by the paths of what describes them; these have name and version."""
+    found = []
+    for folder in folders.split(os.pathsep):
+        with contextlib.suppress(OSError):
+            names = (name for name in os.listdir(folder) if name.endswith((".dist-info", ".egg-info")))
+            found += [os.path.join(folder, name) for name in names]
+    return tuple(sorted(found))
+
+
+def check_installed(name: str, there: Set[str], here: Set[str]) -> None:
+    """Raises Trouble where the distributions here are not those that were there."""
+    other = ["%s is not here" % path for path in sorted(there - here)]
+    other += ["%s is only here" % path for path in sorted(here - there)]
+    if other:
+        more = " and %d more" % (len(other) - 3) if len(other) > 3 else ""
+        raise Trouble("%s are others than on the host that submitted: %s%s" % (name, ", ".join(other[:3]), more))
+
+
+def found_by_name(need: Dict[str, Any]) -> str:
+    """The path of a file; of what is called by its name, that which is found here."""
+    found = shutil.which(need["name"], path=need["search"]) if need.get("search") else None
+    return found or str(need["path"])
 
 
 def digest_of(path: str) -> str:
@@ -546,7 +581,7 @@ def scratch(settings: Settings, remove: Any) -> Iterator[Tuple[str, int]]:
             os.write(lock, owner())
         yield folder, lock
     finally:
-        remove(folder)
+        remove_own(folder, remove)
         os.close(lock)
 
 
@@ -588,9 +623,17 @@ def remove_dead(folder: str, remove: Any) -> None:
     try:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         if os.read(lock, 4096) == owner():
-            remove(folder)
+            remove_own(folder, remove)
     finally:
         os.close(lock)
+
+
+def remove_own(folder: str, remove: Any) -> None:
+    """Remove an attempt's folder, last of all the file that says whose it is: who is killed meanwhile leaves it to the next."""
+    with contextlib.suppress(OSError):
+        for name in os.listdir(folder):
+            remove(os.path.join(folder, name))
+    remove(folder)
 
 
 # ---------------------------------------------------------------- executing

@@ -21,7 +21,7 @@ from typing import Any
 
 from sierra.errors import ConfigError
 from sierra.hashing import digest
-from sierra.provenance.source import outside, place, working
+from sierra.provenance.source import outside, place, uncounted, working
 from sierra.provenance.source.chosen import Chosen, inside, shown
 from sierra.provenance.source.git import Git, in_repository
 from sierra.provenance.source.manifest import (
@@ -113,6 +113,11 @@ def contents(source: Source, root: Path, known: Container[str]) -> Iterator[tupl
     return outside.contents(source.manifest, root, known)
 
 
+def ignored(root: Path, without: Iterable[str]) -> str:
+    """The first few things that git ignores in a project, and how many more; empty where there are none but caches of tools."""
+    return shown(uncounted.ignored(root, without)) if _in_git(root) else ""
+
+
 def _in_git(root: Path) -> bool:
     """Whether a repository holds the project; one that ignores the project's folder does not."""
     return in_repository(root) and not Git(root).ignores_it()
@@ -185,6 +190,7 @@ __all__ = [
     "capture",
     "changed",
     "contents",
+    "ignored",
     "inside",
     "is_there",
     "paths",
