@@ -97,13 +97,18 @@ def _busy(store: Store, row: Standing) -> str:
 def _ears(store: Store, row: Standing, watch: Watch, say: Say) -> Ears:
     """Who hears of one session: progress counts its runs."""
     before, failed = counted(store, [row.session])[row.session]
-    done: dict[str, Status] = {}
+    done: set[str] = set()
+    bad: set[str] = set()
+
+    def took(run: str, status: Status) -> None:
+        done.add(run)
+        if status is not Status.OK:
+            bad.add(run)
 
     def tell(running: int, queued: int, waits: str) -> None:
-        bad = sum(status is not Status.OK for status in done.values())
-        watch(Progress(row.runs, before, len(done), failed + bad, running, queued=queued, waits=waits))
+        watch(Progress(row.runs, before, len(done), failed + len(bad), running, queued=queued, waits=waits))
 
-    return Ears(done.__setitem__, tell, say)
+    return Ears(took, tell, say)
 
 
 def _summary(store: Store, batch: str, told: list[Attached], left: list[str], busy: list[str]) -> Summary:

@@ -16,6 +16,8 @@ from sierra.sessions import Session
 from sierra.store import Store
 
 POLL_S = 0.05
+MANY = 100
+"""Results of one look, of which there are so many that the next look is at once."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +95,7 @@ class Following:
                 told = max(len(signals), 1)
                 self._runner.stop()
             alive = look.alive
-            if alive:
+            if alive and len(look.results) < MANY:
                 time.sleep(POLL_S)
         self._flush()
         if self.left:

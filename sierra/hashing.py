@@ -69,7 +69,9 @@ def digest_plain(kind: str, fields: Mapping[str, str]) -> str:
 
 def merkle(kind: str, members: Iterable[str], fields: Mapping[str, Any] | None = None) -> str:
     """The id of a collection: a digest over its members' ids, in their order."""
-    return digest(kind, {"members": list(members), **(fields or {})})
+    if not fields:
+        return sha256(canonical_plain({"sierra": kind, "format": 1, "members": list(members)}))
+    return digest(kind, {"members": list(members), **fields})
 
 
 def short(identity: str) -> str:

@@ -237,7 +237,7 @@ class Recorder:
         """The result, where an engine's client stood between the program and the worker."""
         if self._context.isolation is None or self._context.shared or result.exit_code == 0:
             return result
-        said = _log(Path(result.directory, RUN_STDERR))[0][-LOG_SHOWN:].decode("utf-8", "replace")
+        said = _log(f"{result.directory}/{RUN_STDERR}")[0][-LOG_SHOWN:].decode("utf-8", "replace")
         return engines.find(self._context.engine).classify(result, said, frozenset(self._context.enforced))
 
     def beside(self, rows: Iterable[tuple[str, Mapping[str, Any]]], copies: Iterable[Result]) -> None:
@@ -538,7 +538,7 @@ class Recorder:
                 "form": _form(reading, result.execution, file) if reading and count is not None else None,
             }
         for name in (RUN_STDOUT, RUN_STDERR):
-            content, size = _log(Path(result.directory, name))
+            content, size = _log(f"{result.directory}/{name}")
             if size:
                 yield {**mine, "path": name, "kind": "log", "output": None, "size": size, "sha256": objects.add(content)}
 
@@ -562,7 +562,7 @@ class Recorder:
             "host": result.host,
             "slot": result.slot,
             "result": result_hash(result.outputs),
-            "log": None if one.status is Status.OK else _last_words(Path(result.directory)),
+            "log": None if one.status is Status.OK else _last_words(result.directory),
             "environment": result.environment or context.environment,
             "programs": context.programs,
             "reading": self._reading,
@@ -834,7 +834,7 @@ def _written(result: Result, file: OutputFile) -> Written:
     return Written(path, result.run, result.execution, file.path, file.head, file.lines, file.ended, file.bytes)
 
 
-def _log(path: Path) -> tuple[bytes, int]:
+def _log(path: str) -> tuple[bytes, int]:
     """What is kept of a log, and how long it was. A link that a run put in its place is not followed."""
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
@@ -842,7 +842,7 @@ def _log(path: Path) -> tuple[bytes, int]:
         return b"", 0
     with os.fdopen(descriptor, "rb") as file:
         found = os.fstat(descriptor)
-        if not stat.S_ISREG(found.st_mode) or path.parent.is_symlink():
+        if not stat.S_ISREG(found.st_mode) or Path(path).parent.is_symlink():
             return b"", 0
         size = found.st_size
         if size <= LOG_KEPT:
@@ -852,9 +852,9 @@ def _log(path: Path) -> tuple[bytes, int]:
         return head + b"\n[... %d bytes left out ...]\n" % (size - LOG_KEPT) + file.read(), size
 
 
-def _last_words(folder: Path) -> str | None:
+def _last_words(folder: str) -> str | None:
     for name in (RUN_STDERR, RUN_STDOUT):
-        content, _ = _log(folder / name)
+        content, _ = _log(f"{folder}/{name}")
         if content.strip():
             return content[-LOG_SHOWN:].decode("utf-8", "replace").strip()
     return None

@@ -30,6 +30,7 @@ MAX_LENGTH = 200
 """Characters of one expression: bounds how deeply it can nest."""
 MAX_BITS = 1024
 """Bits of a whole number: about as large as a float can be."""
+_PLAIN = 1 << 62
 
 Number = int | float
 
@@ -136,8 +137,11 @@ def _names(node: ast.expr) -> Iterable[str]:
 
 def _text(expression: _Expression, values: Mapping[str, Value]) -> str:
     tree = expression.tree
-    if isinstance(tree, ast.Name) and isinstance(text := values.get(tree.id), str):
-        return text
+    known = values.get(tree.id) if isinstance(tree, ast.Name) else None
+    if isinstance(known, str):
+        return known
+    if type(known) is int and -_PLAIN < known < _PLAIN:  # a seed, mostly: it is what it is, and there may be 100,000
+        return repr(known)
     try:
         return repr(_value(tree, values))
     except ArithmeticError as error:

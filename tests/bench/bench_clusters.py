@@ -2,9 +2,10 @@
 
     python tests/bench/bench_clusters.py [runs] [--slow]
 
-The job that SIERRA is compared with is written by hand: it loops over the same program with xargs, a folder and two files each.
-Both are measured from their submission, SIERRA's to the last run's record, the job to its last line. `--slow`: the same as an
-array of one element a run (over 40 s), and what 100,000 runs take.
+The jobs that SIERRA is compared with are written by hand, and loop over the same program with xargs: one makes a folder and two
+files for each run, one does nothing beside. All are measured from their submission, SIERRA's to the last run's record, the jobs
+to their last line. Beside that, the same as an array of one element a run, though with six times as many slots. `--slow`: what
+100,000 runs take, from asking to the last record.
 """
 
 from __future__ import annotations
@@ -56,34 +57,35 @@ def main() -> None:
         os.environ.update(cluster.environment, XDG_CACHE_HOME=str(folder / "cache"))
         asked(clustered(folder / "first", "elements = 1\ncpus = 2\n"), 4)  # a day's first batch has nodes looked at before
         if arguments.slow:
-            array(folder, arguments.runs)
-            many(folder, 100_000)
-        else:
-            packed(folder, arguments.runs)
-            idle(folder)
+            many(folder, 100 * arguments.runs)
+            return
+        packed(folder, arguments.runs)
+        idle(folder)
+    with clusters.folder() as folder, clusters.Slurm(folder, nodes=3, cpus=4) as cluster:
+        os.environ.update(cluster.environment)
+        array(folder, arguments.runs)
 
 
 def packed(folder: Path, runs: int) -> None:
     """A batch of runs that do nothing, on two slots, against one job that loops over them."""
     for elements, cpus in ((1, 2), (2, 1)):
         here = clustered(folder / f"{elements}x{cpus}", f"elements = {elements}\ncpus = {cpus}\n")
-        both = [(asked(here, runs), submitted(folder / "loop", LOOP % runs, "-c2")) for _ in range(TIMES)]
-        ours = statistics.median(recorded for (recorded, _), _ in both)
-        say(f"{runs} runs of true, {elements} x {cpus} cores / a job of xargs -P2", ours, median(both), "at most 1.5")
-        print(f"  all of sierra run: {statistics.median(whole for (_, whole), _ in both):.2f} s", flush=True)
-    bare = statistics.median(submitted(folder / "loop", BARE % runs, "-c2") for _ in range(TIMES))
-    print(f"  that job without folders and files of its own for each: {bare:.2f} s", flush=True)
+        taken = [(*asked(here, runs), *(looped(folder, script, runs) for script in (LOOP, BARE))) for _ in range(TIMES)]
+        ours, whole, loop, bare = (statistics.median(times) for times in zip(*taken, strict=True))
+        say(f"{runs} runs of true, {elements} x {cpus} cores / xargs -P2, with folders", ours, loop, "at most 1.5")
+        say(f"{runs} runs of true, {elements} x {cpus} cores / xargs -P2, nothing more", ours, bare, "at most 1.5")
+        print(f"  all of sierra run: {whole:.2f} s", flush=True)
 
 
-def median(both: list[tuple[tuple[float, float], float]]) -> float:
-    return statistics.median(theirs for _, theirs in both)
+def looped(folder: Path, script: str, runs: int) -> float:
+    """Seconds that a job takes which loops."""
+    return submitted(folder / "loop", script % runs, "-c2")
 
 
 def array(folder: Path, runs: int) -> None:
     """What is not to be done: an element for each run."""
-    ours = submitted(folder / "array", ARRAY, "-c1", f"--array=0-{runs - 1}", count=runs)
-    theirs = submitted(folder / "loop", LOOP % runs, "-c2")
-    say(f"{runs} runs of true, an array of so many / a job of xargs -P2", ours, theirs, "what packing avoids")
+    one = submitted(folder / "array", ARRAY, "-c1", f"--array=0-{runs - 1}", count=runs)
+    say(f"{runs} runs of true, an array on 12 slots / xargs -P2, with folders", one, looped(folder, LOOP, runs), "over 40 s")
 
 
 def asked(here: Path, runs: int) -> tuple[float, float]:
@@ -148,11 +150,24 @@ def many(folder: Path, runs: int) -> None:
     print(f"  peak memory of sierra {peak:.0f} MB  (under 200 MB)", flush=True)
     while subprocess.run(["squeue", "--noheader"], capture_output=True, check=True).stdout:
         time.sleep(2)
-    print(f"  executed after {time.time() - began:.0f} s; files beside the project's own: {files(here) - own}  (at most 100)")
+    executed = time.time() - began - whole
+    print(f"  executed in {executed:.0f} s; files beside the project's own: {files(here) - own}  (at most 100)")
     began = time.time()
     peak = peak_of([SIERRA, "attach", session.name, "--no-figures"], here)
-    told = f"recorded by sierra attach in {time.time() - began:.0f} s, peak memory {peak:.0f} MB"
-    print(f"  {told}; files then: {files(here) - own}", flush=True)
+    recorded = time.time() - began
+    print(f"  recorded by sierra attach in {recorded:.0f} s, peak memory {peak:.0f} MB; files then: {files(here) - own}")
+    say("  all / xargs -P2, nothing more", whole + executed + recorded, 10 * looped(folder, BARE, runs // 10), "")
+    print(f"  {counted_by_sql(here)}", flush=True)
+
+
+def counted_by_sql(here: Path) -> str:
+    """What is recorded: how many executions, of how many runs; and of how many each, and how many good."""
+    text = (
+        "SELECT count(*) AS executions, count(DISTINCT execution) AS different, count(DISTINCT run) AS of_runs, "
+        "count(*) FILTER (status = 'ok') AS good, (SELECT count(*) FROM members) AS asked FROM executions"
+    )
+    done = subprocess.run([SIERRA, "sql", "--json", text], cwd=here, capture_output=True, text=True, check=True)
+    return " ".join(done.stdout.split())
 
 
 def idle(folder: Path) -> None:
