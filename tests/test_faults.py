@@ -16,6 +16,7 @@ from typing import Any
 import pytest
 
 from tests import projects
+from tests.waiting import until
 
 ASKED = ("run", "size.Log8", "--runs", "6", "-j", "2", "--no-figures")
 RUNS = 24
@@ -132,16 +133,17 @@ def test_an_asking_whose_terminal_is_closed_keeps_what_had_finished(simulate: Si
 
 
 def test_interrupting_twice_does_not_wait_for_the_grace_time(simulate: Simulate) -> None:
-    project = simulate("trap '' TERM; sleep 60 & wait; sleep 60")
+    said = 'touch "${0%/*}/../asked"'
+    project = simulate(f"""trap '{said}' TERM; {said.replace("asked", "deaf")}; for n in 1 2 3; do sleep 60 & wait; done""")
     config = project.folder / "sierra.toml"
     config.write_text(config.read_text().replace("grace = 2", "grace = 60"))
     sierra = project.start(*ASKED)
-    project.until_executed(2, sierra)
+    until(project.folder.with_name("deaf").exists)
     sierra.send_signal(signal.SIGINT)
-    time.sleep(0.5)
+    until(project.folder.with_name("asked").exists)
     assert sierra.poll() is None
     sierra.send_signal(signal.SIGINT)
-    assert project.end_of(sierra, timeout=20).returncode == 130
+    assert project.end_of(sierra, timeout=40).returncode == 130
     assert (project.work(), project.left_running()) == ([], [])
     assert project.sql("SELECT count(*) AS n FROM executions") == [{"n": 0}]
 
