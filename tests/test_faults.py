@@ -20,6 +20,11 @@ from tests.waiting import until
 
 ASKED = ("run", "size.Log8", "--runs", "6", "-j", "2", "--no-figures")
 RUNS = 24
+HALF = r"""
+[ -e "${0%/*}/../gate" ] || [ "$(wc -l < "${0%/*}/../executed")" -le 12 ] || sleep 60
+printf 't,v\n1,1\n2,4\n' > swarm.csv
+"""
+"""A simulator that gets no further than half of the runs before a gate is open."""
 Simulate = Callable[..., Any]
 
 
@@ -104,7 +109,7 @@ def test_a_joiner_records_what_a_killed_session_had_finished(simulate: Simulate)
 @pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupted_asking_keeps_what_had_finished(simulate: Simulate, number: int) -> None:
-    project = simulate()
+    project = simulate(HALF)
     sierra = project.start(*ASKED)
     project.until_executed(8, sierra)
     sierra.send_signal(number)
@@ -113,13 +118,14 @@ def test_an_interrupted_asking_keeps_what_had_finished(simulate: Simulate, numbe
     assert (project.work(), project.left_running()) == ([], [])
     good = {row["run"] for row in project.sql("SELECT run FROM executions WHERE status = 'ok'")}
     assert 6 <= len(good) < RUNS
+    project.folder.with_name("gate").touch()
     assert project.quick(*ASKED).returncode == 0
     assert_complete(project)
     assert {run for run, n in project.executed().items() if n > 1} & good == set()
 
 
 def test_an_asking_whose_terminal_is_closed_keeps_what_had_finished(simulate: Simulate) -> None:
-    project = simulate()
+    project = simulate(HALF)
     terminal, theirs = pty.openpty()
     words = ["setsid", "--ctty", str(projects.SIERRA), *ASKED]
     sierra = subprocess.Popen(words, cwd=project.folder, stdin=theirs, stdout=theirs, stderr=theirs)
