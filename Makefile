@@ -44,10 +44,10 @@ demo: install ## copy the example to ./demo, unless it is there, and run a query
 	cd demo && ../$(BIN)/sierra run population_size.Log8 --runs 10
 
 test: install ## all tests but the slow ones; more at once with WORKERS=8
-	$(BIN)/python -m pytest --numprocesses $(WORKERS) -m "not slow"
+	$(BIN)/python -m pytest --numprocesses $(WORKERS) --dist worksteal -m "not slow"
 
 slow: install ## the tests that take long
-	$(BIN)/python -m pytest --numprocesses $(WORKERS) -m slow
+	$(BIN)/python -m pytest --numprocesses $(WORKERS) --dist worksteal -m slow
 
 check: install ## style, types, and the layers of the design
 	$(BIN)/ruff check

@@ -404,7 +404,7 @@ class Recorder:
         self, writer: Writer, pending: Sequence[_Judged]
     ) -> tuple[dict[tuple[str, str], str], dict[str, Reading], dict[str, str]]:
         """Read all tables of good executions: which file is which table's, what was read, faults by execution."""
-        from sierra.store import connect
+        from sierra.store.connections import connect
 
         belongs: dict[tuple[str, str], str] = {}
         files: dict[str, list[Written]] = {}

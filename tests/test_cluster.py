@@ -32,7 +32,7 @@ def test_a_batch_on_slurm_is_what_it_is_here(tmp_path: Path, slurm: Slurm) -> No
     there = projects.make(tmp_path / "there", projects.CONFIG + CLUSTER)
     done = projects.sierra(there, "run", "population_size.Log8", "--on", "slurm")
     assert done.returncode == 0, done.stderr
-    assert projects.sierra(here, "run", "population_size.Log8").returncode == 0
+    assert projects.quick(here, "run", "population_size.Log8").returncode == 0
     results = "SELECT run, result FROM executions ORDER BY run"
     assert rows(sierra.open(there), results) == rows(sierra.open(here), results)
     is_whole(sierra.open(there))
@@ -43,7 +43,7 @@ def test_a_batch_on_slurm_is_what_it_is_here(tmp_path: Path, slurm: Slurm) -> No
 
 def test_attempts_say_where_and_with_what_runs_were_executed(tmp_path: Path, slurm: Slurm) -> None:
     root = projects.make(tmp_path / "project", projects.CONFIG + CLUSTER + "cpus = 2\nmemory = '100 MB'\n")
-    assert projects.sierra(root, "run", "population_size.Log8", "--on", "slurm").returncode == 0
+    assert projects.quick(root, "run", "population_size.Log8", "--on", "slurm").returncode == 0
     found = rows(sierra.open(root), "SELECT * FROM attempts ORDER BY element")
     assert [row["element"] for row in found] == [0, 1, 2]
     assert [row["runs"] for row in found] == [3, 3, 2]
@@ -209,7 +209,7 @@ def test_what_cannot_be_cancelled_now_is_cancelled_by_whoever_looks_next(gated: 
     gated.until_begun(1)
     time.sleep(6)  # until the controller has saved what it knows
     gated.slurm.kill_controller()
-    done = projects.sierra(gated.root, "cancel", gated.project.status()[0].session)
+    done = projects.quick(gated.root, "cancel", gated.project.status()[0].session)
     assert done.returncode == 3
     assert done.stderr.splitlines()[-1].startswith("sierra: slurm cannot be reached, so that jobs of session ")
     [session] = [path for path in (gated.root / ".sierra" / "work").iterdir() if path.is_dir()]
@@ -220,7 +220,7 @@ def test_what_cannot_be_cancelled_now_is_cancelled_by_whoever_looks_next(gated: 
         ended(gated.ask())
         is_whole(gated.project)
     else:
-        done = projects.sierra(gated.root, again, session.name)
+        done = projects.quick(gated.root, again, session.name)
         assert done.returncode == 0, done.stderr
         assert not session.exists()
     until(lambda: not {"PENDING", "RUNNING"} & set(gated.slurm.states().values()), "no job is left")
@@ -237,7 +237,7 @@ def test_a_follower_that_cannot_cancel_says_so_and_another_does(gated: Gated) ->
     told = ended(asking, 3)
     assert "are not cancelled yet" in told.splitlines()[-1]
     gated.slurm.start_controller()
-    assert projects.sierra(gated.root, "status").returncode == 0
+    assert projects.quick(gated.root, "status").returncode == 0
     assert not session.exists()
     gated.open()
     ended(gated.ask())
@@ -337,10 +337,10 @@ def test_forgotten_jobs_are_no_lost_runs(tmp_path: Path, require: Callable[..., 
     root = projects.make(tmp_path / "project", projects.CONFIG + CLUSTER)
     with clusters.folder() as folder, Slurm(folder, settings={"MinJobAge": "2"}) as cluster:
         monkeypatch.setenv("SLURM_CONF", cluster.environment["SLURM_CONF"])
-        done = projects.sierra(root, "run", "population_size.Log8", "--on", "slurm", "--detach")
+        done = projects.quick(root, "run", "population_size.Log8", "--on", "slurm", "--detach")
         assert done.returncode == 0, done.stderr
         until(lambda: not cluster.states(), "the controller has forgotten the jobs", 90)
-        done = projects.sierra(root, "run", "population_size.Log8", "--on", "slurm")
+        done = projects.quick(root, "run", "population_size.Log8", "--on", "slurm")
         assert done.returncode == 0, done.stderr
     is_whole(sierra.open(root))
     assert rows(sierra.open(root), "SELECT count(*) AS n FROM attempts") == [{"n": 3}]
@@ -353,7 +353,7 @@ def test_the_secrets_of_the_submitters_shell_do_not_travel(
     look = "[open(f'/proc/{p}/environ').read() for p in ('self', os.getppid())]"
     simulator = f"import os, pathlib\npathlib.Path('env.txt').write_text(repr({look}))\n"
     root = projects.make(tmp_path / "project", projects.CONFIG + CLUSTER, simulator=simulator)
-    assert projects.sierra(root, "run", "population_size=1", "--on", "slurm").returncode == 0
+    assert projects.quick(root, "run", "population_size=1", "--on", "slurm").returncode == 0
     project = sierra.open(root)
     texts = [
         project.store.object(row["sha256"]) for row in rows(project, "SELECT sha256 FROM artifacts WHERE path = 'env.txt'")
@@ -366,9 +366,9 @@ def test_the_secrets_of_the_submitters_shell_do_not_travel(
 def test_a_replay_on_slurm_of_runs_from_here_is_identical_and_the_other_way_round(tmp_path: Path, slurm: Slurm) -> None:
     root = projects.make(tmp_path / "project", projects.CONFIG + CLUSTER)
     projects.commit(root)
-    here = projects.sierra(root, "run", "population_size=1,2")
+    here = projects.quick(root, "run", "population_size=1,2")
     assert here.returncode == 0, here.stderr
-    there = projects.sierra(root, "run", "population_size=4,8", "--on", "slurm")
+    there = projects.quick(root, "run", "population_size=4,8", "--on", "slurm")
     assert there.returncode == 0, there.stderr
     project = sierra.open(root)
     first, second = (one["batch"] for one in project.batches)
@@ -379,7 +379,7 @@ def test_a_replay_on_slurm_of_runs_from_here_is_identical_and_the_other_way_roun
 
 @pytest.mark.slow
 def test_what_has_finished_can_be_recorded_by_a_job_too(gated: Gated) -> None:
-    left = projects.sierra(gated.root, "run", "population_size.Log8", "--on", "slurm", "--detach")
+    left = projects.quick(gated.root, "run", "population_size.Log8", "--on", "slurm", "--detach")
     assert left.returncode == 0, left.stderr
     [batch] = gated.project.batches
     gated.open()

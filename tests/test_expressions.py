@@ -179,10 +179,10 @@ def test_what_is_not_arithmetic_is_refused(hostile: str) -> None:
     ],
 )
 def test_what_would_be_huge_or_infinite_is_refused_at_once(bomb: str) -> None:
-    begin = time.perf_counter()
+    begin = time.process_time()
     with pytest.raises(ConfigError):
         fill(bomb, AXES)
-    assert time.perf_counter() - begin < 0.5
+    assert time.process_time() - begin < 0.5
 
 
 @pytest.mark.parametrize("value", [math.inf, -math.inf, math.nan, 2**2000])
@@ -212,7 +212,7 @@ def test_names_refuses_what_fill_refuses() -> None:
 
 
 def test_filling_ten_thousand_times_is_cheap() -> None:
-    begin = time.perf_counter()
+    begin = time.process_time()
     for seed in range(10_000):
         fill("{seed}:{population_size * 2}", {"seed": seed, "population_size": 8})
-    assert time.perf_counter() - begin < 1
+    assert time.process_time() - begin < 1

@@ -16,9 +16,15 @@ from typing import Any
 import pytest
 
 from tests import projects
+from tests.waiting import until
 
 ASKED = ("run", "size.Log8", "--runs", "6", "-j", "2", "--no-figures")
 RUNS = 24
+HALF = r"""
+[ -e "${0%/*}/../gate" ] || [ "$(wc -l < "${0%/*}/../executed")" -le 12 ] || sleep 60
+printf 't,v\n1,1\n2,4\n' > swarm.csv
+"""
+"""A simulator that gets no further than half of the runs before a gate is open."""
 Simulate = Callable[..., Any]
 
 
@@ -103,7 +109,7 @@ def test_a_joiner_records_what_a_killed_session_had_finished(simulate: Simulate)
 @pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupted_asking_keeps_what_had_finished(simulate: Simulate, number: int) -> None:
-    project = simulate()
+    project = simulate(HALF)
     sierra = project.start(*ASKED)
     project.until_executed(8, sierra)
     sierra.send_signal(number)
@@ -112,13 +118,14 @@ def test_an_interrupted_asking_keeps_what_had_finished(simulate: Simulate, numbe
     assert (project.work(), project.left_running()) == ([], [])
     good = {row["run"] for row in project.sql("SELECT run FROM executions WHERE status = 'ok'")}
     assert 6 <= len(good) < RUNS
+    project.folder.with_name("gate").touch()
     assert project.quick(*ASKED).returncode == 0
     assert_complete(project)
     assert {run for run, n in project.executed().items() if n > 1} & good == set()
 
 
 def test_an_asking_whose_terminal_is_closed_keeps_what_had_finished(simulate: Simulate) -> None:
-    project = simulate()
+    project = simulate(HALF)
     terminal, theirs = pty.openpty()
     words = ["setsid", "--ctty", str(projects.SIERRA), *ASKED]
     sierra = subprocess.Popen(words, cwd=project.folder, stdin=theirs, stdout=theirs, stderr=theirs)
@@ -132,16 +139,17 @@ def test_an_asking_whose_terminal_is_closed_keeps_what_had_finished(simulate: Si
 
 
 def test_interrupting_twice_does_not_wait_for_the_grace_time(simulate: Simulate) -> None:
-    project = simulate("trap '' TERM; sleep 60 & wait; sleep 60")
+    said = 'touch "${0%/*}/../asked"'
+    project = simulate(f"""trap '{said}' TERM; {said.replace("asked", "deaf")}; for n in 1 2 3; do sleep 60 & wait; done""")
     config = project.folder / "sierra.toml"
     config.write_text(config.read_text().replace("grace = 2", "grace = 60"))
     sierra = project.start(*ASKED)
-    project.until_executed(2, sierra)
+    until(project.folder.with_name("deaf").exists)
     sierra.send_signal(signal.SIGINT)
-    time.sleep(0.5)
+    until(project.folder.with_name("asked").exists)
     assert sierra.poll() is None
     sierra.send_signal(signal.SIGINT)
-    assert project.end_of(sierra, timeout=20).returncode == 130
+    assert project.end_of(sierra, timeout=40).returncode == 130
     assert (project.work(), project.left_running()) == ([], [])
     assert project.sql("SELECT count(*) AS n FROM executions") == [{"n": 0}]
 

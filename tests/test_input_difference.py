@@ -57,9 +57,9 @@ def test_nothing_is_loaded_and_nothing_expanded() -> None:
 
 def test_a_large_file_in_which_all_differs_takes_less_than_two_seconds() -> None:
     boxes = [[f'<box><body position="{n * k}"/></box>' for n in range(1, 3000)] for k in (1, 2)]
-    began = time.perf_counter()
+    began = time.process_time()
     assert len(told(*(f"<a>{''.join(each)}</a>" for each in boxes))) > 1000
-    assert time.perf_counter() - began < 2
+    assert time.process_time() - began < 2
 
 
 ELEMENTS = st.recursive(

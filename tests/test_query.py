@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from fractions import Fraction
-from time import perf_counter
+from time import process_time
 
 import pytest
 from hypothesis import assume, example, given
@@ -195,10 +195,10 @@ def read(text: str) -> tuple[Criterion | None, str]:
 
 @pytest.mark.parametrize("text", ["x=" + "1" * 200_000 + "!", "x=" + "-" * 200_000 + "!", "x." + "1." * 200_000, "L" * 200_000])
 def test_a_long_wrong_text_is_refused_at_once(text: str) -> None:
-    start = perf_counter()
+    start = process_time()
     with pytest.raises(QueryError):
         query.parse(text)
-    assert perf_counter() - start < 2
+    assert process_time() - start < 2
 
 
 # What is refused

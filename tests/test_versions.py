@@ -91,7 +91,7 @@ def test_a_program_that_does_something_else_has_none(script: Callable[[str], Pat
     path = script(text)
     began = time.monotonic()
     assert said(path) is None
-    assert time.monotonic() - began < 4
+    assert time.monotonic() - began < 20
 
 
 def test_what_it_started_is_ended_also_what_left_its_group(tmp_path: Path, script: Callable[[str], Path]) -> None:

@@ -248,9 +248,9 @@ QUADRATIC = f'<!DOCTYPE r [<!ENTITY a "{"x" * 50_000}">]><r b="{"&a;" * 50_000}"
     ids=range(11),
 )
 def test_entities_and_bombs_are_refused_at_once(hostile: str) -> None:
-    begin = time.perf_counter()
+    begin = time.process_time()
     assert refused(hostile).startswith("template.xml:")
-    assert time.perf_counter() - begin < 1
+    assert time.process_time() - begin < 1
 
 
 def test_an_external_dtd_is_not_loaded(tmp_path: Path) -> None:
@@ -688,10 +688,10 @@ def test_a_run_says_who_asks_for_what_is_wrong() -> None:
 
 
 def seconds(call: Callable[[int], object], times: int) -> float:
-    begin = time.perf_counter()
+    begin = time.process_time()
     for number in range(times):
         call(number)
-    return time.perf_counter() - begin
+    return time.process_time() - begin
 
 
 def test_ten_thousand_inputs_of_3_kb_are_rendered_in_less_than_a_second() -> None:

@@ -9,8 +9,6 @@ from __future__ import annotations
 
 import itertools
 import re
-import secrets
-import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 from sierra.errors import Damaged, Missing, NotFound, SierraError, SqlError
 from sierra.paths import StorePaths, write_whole
 from sierra.store.complaints import explain
+from sierra.store.connections import Connection
 from sierra.store.segments import Segment, Writer, disk_errors, listed
 from sierra.store.sharing import Shared
 from sierra.store.views import Views, outputs, read_parquet, tables_of
@@ -168,23 +167,22 @@ class Question:
     ) -> None:
         """`shared`: the lock that keeps these segments where they are, until the question is closed."""
         self._shared = shared
-        self.connection = connect()
+        self._opened = Connection(StorePaths(root).segments)
+        self.connection = self._opened.cursor
         self.segments = segments
         self.views = Views(self.connection, segments, within)
         self._root = root
-        self._lock(root)
 
     def __enter__(self) -> Question:
         return self
 
-    def __exit__(self, *_: object) -> None:
-        self.connection.close()
+    def __exit__(self, kind: type[BaseException] | None = None, *_: object) -> None:
+        if kind is None:
+            self._opened.keep(self.views.made())
+        else:
+            self._opened.close()
         if self._shared is not None:
             self._shared.close()
-
-    def _lock(self, root: Path) -> None:
-        self.connection.execute("SET allowed_directories = $folders", {"folders": [f"{root}/segments/"]})
-        self.connection.execute("SET enable_external_access = false")
 
     def sql(self, text: str, **parameters: Any) -> pa.Table:
         """The answer to one statement that only reads. Raises SqlError."""
@@ -243,27 +241,12 @@ class Question:
         """A statement of SIERRA's own, which may make temporary tables."""
         import duckdb
 
+        self._opened.note(statement)
         try:
             rows: list[tuple[Any, ...]] = self.connection.execute(statement, parameters or {}).fetchall()
         except duckdb.Error as error:
             raise self._wrong(error) from error
         return rows
-
-
-def connect() -> Any:
-    """A DuckDB connection in memory that never reaches for the network."""
-    import duckdb
-
-    return duckdb.connect(
-        ":memory:",
-        config={
-            "autoinstall_known_extensions": "false",
-            "autoload_known_extensions": "false",
-            # DuckDB allows to read what lies there, so it is nobody's; made and removed where it is needed.
-            "temp_directory": str(Path(tempfile.gettempdir(), f"sierra-{secrets.token_hex(8)}")),
-            "python_enable_replacements": "false",
-        },
-    )
 
 
 def apart(answer: pa.Table) -> pa.Table:

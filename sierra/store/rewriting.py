@@ -20,8 +20,9 @@ from typing import Any
 
 from sierra.errors import Damaged, Missing
 from sierra.paths import StorePaths
-from sierra.store import Question, connect
+from sierra.store import Question
 from sierra.store.complaints import first_line
+from sierra.store.connections import connect
 from sierra.store.objects import GROUP, ROWS
 from sierra.store.reading import identifier, quote
 from sierra.store.segments import (

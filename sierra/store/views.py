@@ -58,6 +58,7 @@ class Views:
             for name, path in segment.outputs():
                 self._outputs.setdefault(spelled.setdefault(name.lower(), name), []).append(path)
         self._made: set[str] = set()
+        self._there: list[str] = []
 
     def _execute(self, statement: str, parameters: Mapping[str, Any] | None = None) -> Any:
         """A statement of these views, with whatever is wrong in the store's files turned into Damaged."""
@@ -74,6 +75,10 @@ class Views:
         for name in (*RECORDED, *DERIVED, *sorted(self._outputs)):
             if wanted is None or name.lower() in wanted:
                 self._make(name)
+
+    def made(self) -> list[str]:
+        """The views that are there, as SQL names them."""
+        return self._there
 
     def axes(self) -> list[str]:
         """The independent variables as columns: those of all batches, as in `experiments`; of one batch, in its order."""
@@ -105,6 +110,7 @@ class Views:
         else:
             return
         self._execute(f"CREATE VIEW {identifier(name)} AS {body}")
+        self._there.append(identifier(name))
 
     def _recorded(self, name: str) -> str:
         files = self._files.get(name)

@@ -1,0 +1,84 @@
+"""Connections to DuckDB, in memory, that never reach for the network; the last one that answered answers again.
+
+Making one takes longer than most questions do (DuckDB enters thousands of functions into a catalogue), so the last is
+kept for the next question on the same store. No question finds anything of another: what is temporary or registered goes
+with the question's cursor, its views are dropped, its settings reset, and one that failed, or that was so large that it
+wrote to the disk, is not kept at all.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import secrets
+import tempfile
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+
+class Connection:
+    """A cursor on a DuckDB of its own, which may read one folder and nothing else; for one question at a time."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = f"{folder}/"
+        kept = _idle.pop(os.getpid(), None)
+        if kept is not None and kept[0] != self._folder:
+            kept[1].close()
+            kept = None
+        self._database = _locked(self._folder) if kept is None else kept[1]
+        self._settings: list[str] = []
+        self.cursor = self._database.cursor()
+
+    def note(self, statement: str) -> None:
+        """A statement is about to be executed; if it sets something, that is reset in the end."""
+        if setting := re.match(r"SET (\w+)", statement):
+            self._settings.append(setting[1])
+
+    def keep(self, views: Iterable[str]) -> None:
+        """Close the cursor, and keep its DuckDB for the next question, emptied of these views."""
+        import duckdb
+
+        try:
+            for statement in (*(f"DROP VIEW {view}" for view in views), *(f"RESET {name}" for name in self._settings)):
+                self.cursor.execute(statement)
+            [(spilled,)] = self.cursor.execute("SELECT current_setting('temp_directory')").fetchall()
+        except duckdb.Error:
+            self.close()
+            return
+        self.cursor.close()
+        if Path(self._folder).is_absolute() and not Path(spilled).exists() and os.getpid() not in _idle:
+            _idle[os.getpid()] = (self._folder, self._database)
+        else:
+            self._database.close()
+
+    def close(self) -> None:
+        self.cursor.close()
+        self._database.close()
+
+
+_idle: dict[int, tuple[str, Any]] = {}
+"""By process, as what another has forked from has threads that are not there: the folder, and the DuckDB that may read it."""
+
+
+def _locked(folder: str) -> Any:
+    database = connect()
+    database.execute("SET allowed_directories = $folders", {"folders": [folder]})
+    database.execute("SET enable_external_access = false")
+    return database
+
+
+def connect() -> Any:
+    """A DuckDB connection in memory that never reaches for the network."""
+    import duckdb
+
+    return duckdb.connect(
+        ":memory:",
+        config={
+            "autoinstall_known_extensions": "false",
+            "autoload_known_extensions": "false",
+            # DuckDB allows to read what lies there, so it is nobody's; made and removed where it is needed.
+            "temp_directory": str(Path(tempfile.gettempdir(), f"sierra-{secrets.token_hex(8)}")),
+            "python_enable_replacements": "false",
+        },
+    )
