@@ -36,6 +36,7 @@ class Sacctmgr:
     """Account, partition, default QOS, QOS, MaxSubmitJobs, GrpSubmitJobs, MaxJobs, MaxWall."""
     qos: str = "normal|||||\n"
     """Name, MaxSubmitJobsPerUser, MaxSubmitJobsPerAccount, GrpSubmitJobs, MaxJobsPerUser, MaxWall."""
+    default: str = "physics\n"
     asked: list[tuple[str, ...]] = field(default_factory=list)
 
     def __call__(self, *words: str) -> str:
@@ -43,7 +44,7 @@ class Sacctmgr:
         if "qos" in words:
             [names] = (word.removeprefix("name=").split(",") for word in words if word.startswith("name="))
             return "".join(f"{line}\n" for line in self.qos.splitlines() if line.split("|")[0] in names)
-        return "physics\n" if "user" in words else self.associations
+        return self.default if "user" in words else self.associations
 
     def allows(self, partition: str = "debug", of_partition: str | None = None, **table: str) -> Allowed:
         asked = Partitions((partition,), (of_partition,) if of_partition else ())
@@ -65,6 +66,12 @@ def test_what_no_qos_limits_the_association_does() -> None:
     assert asked.allows() == Allowed(
         Limit(30, f"GrpSubmitJobs of {mine}"), Limit(4, f"MaxJobs of {mine}"), Limit(86400, f"MaxWall of {mine}")
     )
+
+
+@pytest.mark.parametrize("default", ["", "\n"])
+def test_who_has_no_default_account_has_the_first(default: str) -> None:
+    asked = Sacctmgr("robots||normal|normal|3|||\n", default=default)
+    assert asked.allows().jobs == Limit(3, "MaxSubmitJobs of your association with account robots")
 
 
 def test_the_qos_of_the_partition_comes_first() -> None:

@@ -83,10 +83,9 @@ def _association(ask: Ask, cluster: str, user: str, table: ClusterTable, partiti
     accounts = dict.fromkeys(row["Account"].lower() for row in found)
     if table.account is not None and found and table.account.lower() not in accounts:
         raise ConfigError(f"account {table.account!r} is none of yours on this cluster; there are {', '.join(accounts)}")
-    account = table.account or next(
-        (row["DefaultAccount"] for row in _rows(ask, "user", ("DefaultAccount",), f"name={user}")), ""
-    )
-    mine = {row["Partition"]: row for row in found if row["Account"] == account.lower()}
+    usual = (row["DefaultAccount"] for row in _rows(ask, "user", ("DefaultAccount",), f"name={user}"))
+    account = table.account or next(filter(None, usual), next(iter(accounts), ""))
+    mine = {row["Partition"]: row for row in found if row["Account"].lower() == account.lower()}
     return next((mine[name] for name in (*partitions.names, "") if name in mine), {})
 
 
