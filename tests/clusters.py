@@ -15,7 +15,7 @@ import signal
 import socket
 import subprocess
 import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 from tests.waiting import until
@@ -274,7 +274,7 @@ class Slurm:
     def _start(self, name: str, *argv: str) -> None:
         """Start the controller; it is asked only once it listens, as its clients try for seconds otherwise."""
         self._spawn(name, *argv)
-        until(lambda: _listens(self._ports[0]) or self._gone(name), f"{name} listens", 20)
+        until(lambda: listens(self._ports[0]) or self._gone(name), f"{name} listens", 20)
         assert not self._gone(name), f"{name} has ended; see {self.root}/log"
 
     def _kill(self, name: str, number: signal.Signals = signal.SIGKILL) -> None:
@@ -321,7 +321,12 @@ def folder() -> Iterator[Path]:
 def needed(require: Callable[..., str]) -> None:
     """Skip, or fail, where a cluster can't be started."""
     require("root, to start a cluster", there=os.geteuid() == 0)
-    for program in PROGRAMS:
+    programs(require, PROGRAMS)
+
+
+def programs(require: Callable[..., str], names: Iterable[str]) -> None:
+    """Skip, or fail, where a program is not there, which may be one for root alone."""
+    for program in names:
         require(program, there=shutil.which(program, path=os.environ["PATH"] + SBIN) is not None)
 
 
@@ -332,7 +337,7 @@ def free_ports(count: int) -> list[int]:
         return [server.getsockname()[1] for server in servers]
 
 
-def _listens(port: int) -> bool:
+def listens(port: int) -> bool:
     with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port), 1):
         return True
     return False
