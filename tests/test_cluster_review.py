@@ -51,11 +51,15 @@ class Here:
     numbers: ClassVar[Iterator[int]] = itertools.count(1)
     full: ClassVar[int] = 0
     """How many more submissions it has no room for, of all but the first element."""
+    walls: ClassVar[list[float | None]] = []
+    """What each element may take, in seconds, by job."""
+    word: ClassVar[str] = ""
+    """How it says that elements ended."""
     cancelled: ClassVar[Callable[[], None] | None] = None
     """What is done instead of ending what is cancelled."""
 
     def __init__(self, table: ClusterTable) -> None:
-        pass
+        self._table = table
 
     def version(self) -> str:
         return "here 1"
@@ -70,6 +74,7 @@ class Here:
         if Here.full and request.elements[-1] > 0:
             Here.full -= 1
             raise Full("there is no room")
+        Here.walls.append(self._table.wall)
         return self.start(request)
 
     @staticmethod
@@ -86,7 +91,7 @@ class Here:
 
     def look(self, name: str) -> tuple[Task, ...] | None:
         return tuple(
-            Task(job, element, State.RUNNING if process.poll() is None else State.ENDED)
+            Task(job, element, *((State.RUNNING, "") if process.poll() is None else (State.ENDED, Here.word)))
             for called, job, element, process in Here.tasks
             if called == name
         )
@@ -126,6 +131,7 @@ class Clustered:
 def here(monkeypatch: pytest.MonkeyPatch) -> Iterator[type[Here]]:
     monkeypatch.setitem(schedulers.SHIPPED, "here", f"{__name__}:Here")
     monkeypatch.setattr(Here, "full", 0)
+    monkeypatch.setattr(Here, "word", "")
     monkeypatch.setattr(Here, "cancelled", None)
     yield Here
     for _, _, _, process in Here.tasks:
@@ -134,6 +140,7 @@ def here(monkeypatch: pytest.MonkeyPatch) -> Iterator[type[Here]]:
         process.wait()
     Here.tasks.clear()
     Here.requests.clear()
+    Here.walls.clear()
 
 
 @pytest.fixture
@@ -274,6 +281,30 @@ def test_a_site_without_room_makes_no_run_fail(clustered: Callable[..., Clustere
     summary = made.project.run(*QUERY, runs=1, runner="here", watch=watch, figures=False)
     assert cut
     assert (summary.failed, summary.executed) == (0, 3), summary.failures
+
+
+def test_where_a_guess_at_their_time_was_too_short_elements_are_given_more(
+    clustered: Callable[..., Clustered], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = clustered(WAITS)
+    first = made.project.plan("size=1", runs=1).batch.runs[0].id
+    made.gate.with_name(f"gate.{first}").touch()
+    made.project.run("size=1", runs=1, figures=False)
+    monkeypatch.setattr(Here, "word", "TIMEOUT")
+
+    def watch(progress: Progress) -> None:
+        if progress.running and sum(name.startswith("sierra-") for name, *_ in Here.tasks) < 3:
+            os.killpg(Here.tasks[-1][-1].pid, signal.SIGKILL)
+        elif progress.running:
+            made.gate.touch()
+
+    summary = made.project.run("size=2", runs=1, runner="here", watch=watch, figures=False)
+    assert (summary.executed, summary.failed) == (1, 0), summary.failures
+    least, *longer = [
+        wall for wall, request in zip(Here.walls, Here.requests, strict=True) if request.name.startswith("sierra-")
+    ]
+    assert least is not None
+    assert longer == [2 * least, 4 * least]
 
 
 def test_what_others_give_back_is_executed_too(clustered: Callable[..., Clustered]) -> None:

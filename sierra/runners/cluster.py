@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import re
 import shutil
 import threading
@@ -76,6 +77,7 @@ class Cluster:
     def submit(self, work: Work, session: SessionPaths) -> None:
         bounds, version = self._scheduler.bounds(), self._scheduler.version()
         sized = size(work.count, work.seconds, self._table, bounds, waits=work.waits)
+        estimated = self._table.wall is None and sized.wall_s is not None
         self._table = self._table.model_copy(update={"wall": sized.wall_s})
         with disk_errors(session.root):
             forget(session)
@@ -88,7 +90,7 @@ class Cluster:
         probed = Probe(self.name, self._table, session).is_needed()
         table = self._table.model_dump(mode="json")
         dealt = (work.batch, counts, dict(work.around), probed, rest)
-        made = Submission(self.name, self._kind, version, table, *dealt, asdict(bounds))
+        made = Submission(self.name, self._kind, version, table, *dealt, asdict(bounds), estimated)
         made.save(session)
         self._scheduler = schedulers.find(self._kind)(self._table)
         self._begin(made, session, {})
@@ -397,6 +399,8 @@ class Cluster:
         indices, why = tuple(sorted(self._again)), few(words, 2)
         self._again = {}
         self._note(f"{count} {'element is' if count == 1 else 'elements are'} submitted again: {why}")
+        if any(TIMED.search(word) for word in words):
+            self._give_more_time()
         for index in indices:
             share = self._shares[index]
             share.tries, share.progress, share.gone = share.tries + 1, share.done, 0
@@ -405,6 +409,19 @@ class Cluster:
             self._hand_over(indices, why)
         except SierraError as error:
             self._end(error)
+
+    def _give_more_time(self) -> None:
+        """Let elements take twice as long from now on, where that was a guess; no longer than the site allows."""
+        before = self._table.wall
+        if not self._made.estimated or before is None:
+            return
+        wall = min(2 * before, self._made.bounds.wall_s or math.inf)
+        self._table = self._table.model_copy(update={"wall": wall})
+        self._made = replace(self._made, table=self._table.model_dump(mode="json"))
+        self._made.save(self._session)
+        self._scheduler = schedulers.find(self._kind)(self._table)
+        if wall > before:
+            self._note(f"elements may take {wall / 60:g} minutes from now on, for {before / 60:g} were too few")
 
     def _deal_rest(self, told: Told) -> None:
         """Deal the other runs out, by what those that went first have told, and hand them over."""

@@ -60,6 +60,8 @@ class Submission:
     """Runs that are not dealt out to elements yet."""
     allowed: Mapping[str, Any] = field(default_factory=dict)
     """What the site allowed then: the fields of `Bounds`."""
+    estimated: bool = False
+    """Whether the time of an element is SIERRA's own guess, and not the project's."""
 
     @property
     def bounds(self) -> Bounds:
