@@ -33,6 +33,15 @@ settings.load_profile("ci" if os.environ.get("CI") else "here")
 
 
 @pytest.fixture(autouse=True, scope="session")
+def no_progress() -> Iterator[None]:
+    """What tests look for on standard error does not depend on how long something takes, where it takes it in this process."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("sierra.cli.progress.FIRST_S", 1e9)
+        patch.setattr("sierra.cli.progress.LAST_S", 1e9)
+        yield
+
+
+@pytest.fixture(autouse=True, scope="session")
 def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     """Tests remember nothing of other days."""
     with pytest.MonkeyPatch.context() as patch:

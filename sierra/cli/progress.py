@@ -12,7 +12,10 @@ from sierra.asking import Progress
 from sierra.cli import leaving
 from sierra.wording import counted
 
-PLAIN_S = 5.0
+FIRST_S, LAST_S = 10.0, 300.0
+"""Between two lines, which get rarer: a log of days is to be short."""
+SHARE = 0.2
+"""Of the time since the beginning that passes until the next line."""
 
 
 class Display:
@@ -47,7 +50,7 @@ class _Lines(Display):
 
     def show(self, progress: Progress) -> None:
         now = time.monotonic()
-        if now - self._said >= PLAIN_S:
+        if now - self._said >= min(max(FIRST_S, SHARE * (now - self._began)), LAST_S):
             line = text(progress, now - self._began)
             if line != self._last:
                 print(line, file=sys.stderr, flush=True)
