@@ -118,7 +118,7 @@ PRINTS = r"printf 't,v\n1,1\n2,4\n' > swarm.csv"
 
 
 def held(count: int, script: str = PRINTS) -> str:
-    """A simulator of which so many runs end; those that begin later wait for the project's gate."""
+    """A simulator of which about so many runs end (fewer by at most the slots); those that begin later wait for the gate."""
     begun, gate = (f'"${{0%/*}}/../{name}"' for name in ("executed", "gate"))
     return f'[ "$(wc -l < {begun})" -le {count} ] || until [ -e {gate} ]; do sleep 0.02; done\n{script}'
 
@@ -186,7 +186,10 @@ class Simulated:
 
     def journals(self) -> list[dict[str, Any]]:
         """What the journals of these sessions say."""
-        texts = [path.read_text() for path in self.folder.glob(".sierra/work/*/journal.jsonl")]
+        texts = []
+        for path in self.folder.glob(".sierra/work/*/journal.jsonl"):
+            with contextlib.suppress(FileNotFoundError):  # what it says has been recorded meanwhile
+                texts.append(path.read_text())
         return [json.loads(line) for text in texts for line in text.split("\n")[:-1]]
 
     def left_running(self) -> list[int]:

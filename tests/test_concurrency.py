@@ -101,7 +101,7 @@ def test_eight_different_ones_do_not_disturb_each_other_and_readers_never_fail(s
 def test_who_asks_meanwhile_always_sees_whole_records(simulate: Simulate) -> None:
     project = simulate(held(21))
     project.ask("run", "size=99", "--runs", "1", "--no-figures")
-    processes = [project.start("run", f"size={n}", "--runs", "20", "-j", "30", "--no-figures") for n in (1, 2)]
+    processes = [project.start("run", f"size={n}", "--runs", "20", "-j", "2", "--no-figures") for n in (1, 2)]
     seen = set()
     while any(process.poll() is None for process in processes):
         (row,) = project.sql("SELECT count(*) AS n, (SELECT count(*) FROM swarm) AS t FROM executions WHERE status = 'ok'")
