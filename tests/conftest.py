@@ -122,6 +122,16 @@ def slurm(
     cluster.heal()
 
 
+PRINTS = r"printf 't,v\n1,1\n2,4\n' > swarm.csv"
+"""What a simulator does in shell to have a result."""
+
+
+def held(count: int, script: str = PRINTS) -> str:
+    """A simulator of which about so many runs end (fewer by at most the slots); those that begin later wait for the gate."""
+    begun, gate = (f'"${{0%/*}}/../{name}"' for name in ("executed", "gate"))
+    return f'[ "$(wc -l < {begun})" -le {count} ] || until [ -e {gate} ]; do sleep 0.02; done\n{script}'
+
+
 class Simulated:
     """A project whose simulator is a shell script that says, in a file outside, which run it executes."""
 
@@ -139,6 +149,10 @@ class Simulated:
             '[variables]\nsize = "/swarm/@size"\nspeed = "/swarm/@speed"\n'
             "[limits]\ngrace = 2\n"
         )
+
+    def open(self) -> None:
+        """Let all go on that waits for the gate: see `held`."""
+        self.folder.with_name("gate").touch()
 
     def start(self, *words: str, **more: Any) -> subprocess.Popen[str]:
         """`sierra WORDS`, begun."""
@@ -181,7 +195,10 @@ class Simulated:
 
     def journals(self) -> list[dict[str, Any]]:
         """What the journals of these sessions say."""
-        texts = [path.read_text() for path in self.folder.glob(".sierra/work/*/journal.jsonl")]
+        texts = []
+        for path in self.folder.glob(".sierra/work/*/journal.jsonl"):
+            with contextlib.suppress(FileNotFoundError):  # what it says has been recorded meanwhile
+                texts.append(path.read_text())
         return [json.loads(line) for text in texts for line in text.split("\n")[:-1]]
 
     def left_running(self) -> list[int]:
@@ -213,7 +230,7 @@ def simulate(tmp_path: Path) -> Iterator[Callable[..., Simulated]]:
     """Makes a project with a simulator that does what a shell script does; ends what it has left."""
     made: list[Simulated] = []
 
-    def simulate(script: str = r"sleep 0.03; printf 't,v\n1,1\n2,4\n' > swarm.csv", *, name: str = "a project's") -> Simulated:
+    def simulate(script: str = f"sleep 0.03; {PRINTS}", *, name: str = "a project's") -> Simulated:
         made.append(Simulated(tmp_path / name, script))
         return made[-1]
 

@@ -19,6 +19,7 @@ import pytest
 from sierra import sessions
 from sierra.errors import Missing
 from sierra.paths import StorePaths
+from tests.conftest import held
 from tests.waiting import until
 
 EIGHT = range(8)
@@ -98,20 +99,16 @@ def test_eight_different_ones_do_not_disturb_each_other_and_readers_never_fail(s
 
 
 def test_who_asks_meanwhile_always_sees_whole_records(simulate: Simulate) -> None:
-    wait = 'case $SIERRA_RUN_ID in *[02468ace]) until [ -e "${0%/*}/../gate" ]; do sleep 0.02; done;; esac\n'
-    project = simulate(wait + r"sleep 0.03; printf 't,v\n1,1\n2,4\n' > swarm.csv")
-    gate = project.folder.with_name("gate")
-    gate.touch()
+    project = simulate(held(21))
     project.ask("run", "size=99", "--runs", "1", "--no-figures")
-    gate.unlink()
-    processes = [project.start("run", f"size={n}", "--runs", "20", "-j", "30", "--no-figures") for n in (1, 2)]
+    processes = [project.start("run", f"size={n}", "--runs", "20", "-j", "2", "--no-figures") for n in (1, 2)]
     seen = set()
     while any(process.poll() is None for process in processes):
         (row,) = project.sql("SELECT count(*) AS n, (SELECT count(*) FROM swarm) AS t FROM executions WHERE status = 'ok'")
         assert row["t"] == 2 * row["n"]
         seen.add(row["n"])
         if len(seen) > 1:
-            gate.touch()
+            project.open()
     assert len(seen) > 1
     assert [project.end_of(process).returncode for process in processes] == [0, 0]
 
@@ -218,7 +215,7 @@ main()
 
 
 def test_where_a_file_system_has_no_locks_what_died_is_finished_all_the_same(simulate: Simulate, tmp_path: Path) -> None:
-    project = simulate()
+    project = simulate(held(8))
     program = tmp_path / "without_locks.py"
     program.write_text(WITHOUT_LOCKS)
     words = [sys.executable, str(program), "run", "size.Log8", "--runs", "5", "-j1", "--no-figures"]
@@ -228,6 +225,7 @@ def test_where_a_file_system_has_no_locks_what_died_is_finished_all_the_same(sim
     died.kill()
     died.communicate()
     assert len(project.work()) == 1
+    project.open()
     assert project.end_of(ask()).returncode == 0
     assert (project.work(), project.left_running()) == ([], [])
     assert sum(project.executed().values()) <= 21, "only what was in flight is executed twice"

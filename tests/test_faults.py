@@ -16,15 +16,11 @@ from typing import Any
 import pytest
 
 from tests import projects
+from tests.conftest import PRINTS, held
 from tests.waiting import until
 
 ASKED = ("run", "size.Log8", "--runs", "6", "-j", "2", "--no-figures")
 RUNS = 24
-HALF = r"""
-[ -e "${0%/*}/../gate" ] || [ "$(wc -l < "${0%/*}/../executed")" -le 12 ] || sleep 60
-printf 't,v\n1,1\n2,4\n' > swarm.csv
-"""
-"""A simulator that gets no further than half of the runs before a gate is open."""
 Simulate = Callable[..., Any]
 
 
@@ -93,14 +89,16 @@ def test_asking_again_after_a_kill_at_any_moment_finishes_the_batch(simulate: Si
 
 
 def test_a_joiner_records_what_a_killed_session_had_finished(simulate: Simulate) -> None:
-    project = simulate()
+    project = simulate(held(12))
     one = project.start(*ASKED)
     project.until_executed(3, one)
     two = project.start(*ASKED)
-    project.until_executed(14, one)
+    until(lambda: len(project.work()) == 2)
+    project.until_executed(13, one)
     kill(one.pid)
     finished = ended_well(project)
     project.end_of(one)
+    project.open()
     assert project.end_of(two).returncode == 0
     assert_complete(project)
     assert {run: n for run, n in project.executed().items() if n > 1 and run in finished} == {}
@@ -109,7 +107,7 @@ def test_a_joiner_records_what_a_killed_session_had_finished(simulate: Simulate)
 @pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupted_asking_keeps_what_had_finished(simulate: Simulate, number: int) -> None:
-    project = simulate(HALF)
+    project = simulate(held(12))
     sierra = project.start(*ASKED)
     project.until_executed(8, sierra)
     sierra.send_signal(number)
@@ -118,14 +116,14 @@ def test_an_interrupted_asking_keeps_what_had_finished(simulate: Simulate, numbe
     assert (project.work(), project.left_running()) == ([], [])
     good = {row["run"] for row in project.sql("SELECT run FROM executions WHERE status = 'ok'")}
     assert 6 <= len(good) < RUNS
-    project.folder.with_name("gate").touch()
+    project.open()
     assert project.quick(*ASKED).returncode == 0
     assert_complete(project)
     assert {run for run, n in project.executed().items() if n > 1} & good == set()
 
 
 def test_an_asking_whose_terminal_is_closed_keeps_what_had_finished(simulate: Simulate) -> None:
-    project = simulate(HALF)
+    project = simulate(held(12))
     terminal, theirs = pty.openpty()
     words = ["setsid", "--ctty", str(projects.SIERRA), *ASKED]
     sierra = subprocess.Popen(words, cwd=project.folder, stdin=theirs, stdout=theirs, stderr=theirs)
@@ -195,7 +193,7 @@ def test_the_first_failure_ends_all_if_asked_for(simulate: Simulate) -> None:
 
 
 def test_a_killed_worker_is_said_in_one_line(simulate: Simulate) -> None:
-    project = simulate("setsid -f sleep 60; sleep 0.05; printf 't,v\\n1,1\\n2,4\\n' > swarm.csv")
+    project = simulate(held(8, f"setsid -f sleep 60; {PRINTS}"))
     sierra = project.start(*ASKED)
     project.until_executed(6, sierra)
     kill(project.worker())
@@ -204,17 +202,19 @@ def test_a_killed_worker_is_said_in_one_line(simulate: Simulate) -> None:
     assert done.stderr.endswith("sierra: the worker ended with signal 9; what had finished by then is kept\n")
     assert (project.work(), project.left_running()) == ([], [])
     assert project.sql("SELECT count(*) >= 3 AS kept FROM executions WHERE status = 'ok'") == [{"kept": True}]
+    project.open()
     assert project.quick(*ASKED).returncode == 0
     assert_complete(project)
 
 
 def test_a_worker_asked_to_end_is_replaced(simulate: Simulate) -> None:
-    project = simulate()
+    project = simulate(held(12))
     sierra = project.start(*ASKED)
     project.until_executed(6, sierra)
     worker = project.worker()
     assert worker is not None
     os.kill(worker, signal.SIGTERM)
+    project.open()
     assert project.end_of(sierra).returncode == 0
     assert_complete(project)
 

@@ -19,6 +19,7 @@ from sierra.keeping.checking import Report
 from sierra.keeping.findings import Kind
 from sierra.store.segments import manifest
 from tests import projects, stores
+from tests.conftest import held
 
 Where = tuple[str, int, int]
 
@@ -382,11 +383,14 @@ def test_what_says_that_there_is_a_batch_is_recorded_again(root: Path, tables: S
 
 
 def test_a_batch_that_is_executing_is_not_in_the_way_of_a_check(simulate: Callable[..., Any]) -> None:
-    project = simulate()
+    project = simulate(held(20))
     running = project.start("run", "size=1,2", "--runs", "20", "-j", "2", "--no-figures")
     project.until_executed(5, running)
+    assert [project.quick("fsck").returncode for _ in range(3)] == [0, 0, 0]
+    assert running.poll() is None
+    project.open()
     while running.poll() is None:
-        assert project.ask("fsck").returncode == 0
+        assert project.quick("fsck").returncode == 0
     assert project.end_of(running).returncode == 0
 
 

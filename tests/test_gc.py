@@ -17,6 +17,7 @@ import sierra
 from sierra.keeping import collecting
 from sierra.store.tables import RECORDED
 from tests import projects, stores
+from tests.conftest import held
 
 
 @pytest.fixture(scope="module")
@@ -97,7 +98,7 @@ def test_files_that_nothing_refers_to_go_and_unfinished_ones(root: Path) -> None
 
 
 def test_what_a_dead_asking_had_finished_is_recorded(simulate: Callable[..., Any]) -> None:
-    project = simulate(r"sleep 0.2; printf 't,v\n1,1\n' > swarm.csv")
+    project = simulate(held(5))
     running = project.start("run", "size=1", "--runs", "8", "-j", "2", "--no-figures")
     project.until_executed(6, running)
     running.kill()
@@ -107,6 +108,7 @@ def test_what_a_dead_asking_had_finished_is_recorded(simulate: Callable[..., Any
     assert project.work() == []
     assert project.left_running() == []
     assert project.quick("fsck").returncode == 0
+    project.open()
     assert project.quick("run", "size=1", "--runs", "8", "--no-figures").returncode == 0
     assert project.sql("SELECT count(*) AS n FROM executions") == [{"n": 8}]
 

@@ -16,6 +16,7 @@ import pytest
 
 import sierra
 from tests import projects, stores
+from tests.conftest import held
 
 
 @pytest.fixture
@@ -190,7 +191,7 @@ def test_a_full_disk_loses_nothing(recorded: Path, tmp_path: Path) -> None:
 
 
 def test_an_executing_batch_is_not_removed_and_another_is(simulate: Callable[..., Any]) -> None:
-    project = simulate(r"sleep 0.2; printf 't,v\n1,1\n2,4\n' > swarm.csv")
+    project = simulate(held(4))
     assert project.quick("run", "size=1", "--runs", "3", "--no-figures").returncode == 0
     [other] = project.sql("SELECT batch FROM batches")
     running = project.start("run", "size=5,6", "--runs", "5", "-j", "2", "--no-figures")
@@ -200,6 +201,7 @@ def test_an_executing_batch_is_not_removed_and_another_is(simulate: Callable[...
     assert refused.returncode == 1
     assert "is being executed" in refused.stderr
     assert project.quick("rm", other["batch"], "--yes").returncode == 0
+    project.open()
     assert project.end_of(running).returncode == 0
     assert project.sql("SELECT count(*) AS n FROM executions WHERE status = 'ok'") == [{"n": 10}]
     assert project.quick("fsck").returncode == 0
