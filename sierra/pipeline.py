@@ -84,7 +84,7 @@ def run(plan: Plan, store: Store, how: How) -> Summary:
     recovery.finish_dead(store)
     began = datetime.now(UTC)
     if is_answered(plan, store):
-        return _summary(plan, store)
+        return _summary(plan, store, len({run.id for run in plan.batch.runs}))
     plan = versioned(plan)
     make = partial(runners.find(how.runner, plan.project.config.runners), how.slots)
     session = Session(store.paths)
@@ -110,6 +110,7 @@ def _sum_up(asking: Asking) -> Summary:
     """Count by what the store says now."""
     plan, store = asking.plan, asking.store
     now = states(plan, store)
+    runs = len(now)
     for run in [run for run, state in now.items() if state.good]:
         del now[run]
     bad = now.keys()
@@ -117,6 +118,7 @@ def _sum_up(asking: Asking) -> Summary:
     return _summary(
         plan,
         store,
+        runs,
         executed=asking.attempted,
         again=asking.again,
         failed=failed,
@@ -131,6 +133,7 @@ def _sum_up(asking: Asking) -> Summary:
 def _summary(
     plan: Plan,
     store: Store,
+    runs: int,
     *,
     executed: AbstractSet[str] = frozenset(),
     again: AbstractSet[str] = frozenset(),
@@ -146,7 +149,6 @@ def _summary(
     What is `missing` was not `executed`.
     `tried` are those of them that have failed, now or earlier.
     """
-    runs = len({run.id for run in plan.batch.runs})
     return Summary(
         batch=plan.batch.id,
         query=plan.text,

@@ -214,6 +214,10 @@ class Recorder:
         self._reading = context.reading
         self._pending: list[_Judged] = []
         self._beside: dict[str, list[Mapping[str, Any]]] = {}
+        self._around: set[str] = set()
+        """Environments that are recorded, or will be: mostly one for all elements."""
+        self._ruled = False
+        """Whether what all executions have in common is recorded."""
         self._copies: list[Result] = []
         self._copied = self._unlike = 0
         self._bytes = 0
@@ -243,6 +247,10 @@ class Recorder:
     def beside(self, rows: Iterable[tuple[str, Mapping[str, Any]]], copies: Iterable[Result]) -> None:
         """Take what else is to be recorded: rows by their table, and runs that were executed once more than was asked."""
         for table, row in rows:
+            if table == "environments":
+                if row["environment"] in self._around:
+                    continue
+                self._around.add(row["environment"])
             self._beside.setdefault(table, []).append(row)
         self._copies += copies
 
@@ -269,6 +277,7 @@ class Recorder:
             self._pending = [_doubted(one, doubt) for one in self._pending]
         judged = self._write(writer, self._pending)
         self._store.publish(writer)
+        self._ruled = True
         for one in judged:
             self._put_away(one.result)
         self._pending, self._bytes = [], 0
@@ -394,8 +403,9 @@ class Recorder:
         objects.close()
         writer.rows("artifacts", artifacts)
         writer.rows("executions", (self._execution(one) for one in judged))
-        writer.rows("readings", [{"reading": self._reading, "declared": self._context.declared}])
-        writer.rows("isolations", [self._context.isolation] if self._context.isolation else [])
+        if not self._ruled:
+            writer.rows("readings", [{"reading": self._reading, "declared": self._context.declared}])
+            writer.rows("isolations", [self._context.isolation] if self._context.isolation else [])
         return judged
 
     # ------------------------------------------------------------ tables

@@ -68,6 +68,7 @@ class Objects:
 
     def close(self) -> None:
         self._flush()
+        self._known.clear()
         if self._writer is not None:
             with disk_errors(self._path.parent):
                 self._writer.close()
