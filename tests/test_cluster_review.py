@@ -293,9 +293,12 @@ def test_where_a_guess_at_their_time_was_too_short_elements_are_given_more(
     monkeypatch.setattr(Here, "word", "TIMEOUT")
 
     def watch(progress: Progress) -> None:
-        if progress.running and sum(name.startswith("sierra-") for name, *_ in Here.tasks) < 3:
-            os.killpg(Here.tasks[-1][-1].pid, signal.SIGKILL)
-        elif progress.running:
+        begun = [process for name, *_, process in Here.tasks if name.startswith("sierra-")]
+        if not progress.running or begun[-1].poll() is not None:
+            return
+        if len(begun) < 3:
+            os.killpg(begun[-1].pid, signal.SIGKILL)
+        else:
             made.gate.touch()
 
     summary = made.project.run("size=2", runs=1, runner="here", watch=watch, figures=False)

@@ -15,7 +15,8 @@ import pytest
 import sierra
 from sierra.api import Project
 from sierra.errors import Damaged, Missing, NotFound, SqlError
-from sierra.store import Store, connect
+from sierra.store import Store
+from sierra.store.connections import connect
 from sierra.store.frame import Frame
 from sierra.store.objects import PART, Objects
 from sierra.store.segments import MANIFEST, Writer

@@ -260,4 +260,4 @@ def apart(answer: pa.Table) -> pa.Table:
     return answer.rename_columns(names)
 
 
-__all__ = ["Found", "Question", "Store", "connect", "read_parquet"]
+__all__ = ["Found", "Question", "Store", "read_parquet"]

@@ -173,7 +173,7 @@ def recording(folder: Path) -> None:
     import pyarrow.csv
     import pyarrow.parquet
 
-    from sierra.store import connect
+    from sierra.store.connections import connect
     from sierra.store.reading import Shape, Written, read
 
     files = []
