@@ -812,7 +812,7 @@ def used(usage: Any) -> dict[str, Any]:
 def check_room(folder: str) -> None:
     """Raises OSError where a file system has no room left."""
     found = os.statvfs(folder)
-    if found.f_bavail == 0 or (found.f_files and found.f_favail == 0):
+    if (found.f_blocks and found.f_bavail == 0) or (found.f_files and found.f_favail == 0):  # a ramfs counts neither
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), folder)
 
 

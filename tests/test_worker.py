@@ -618,9 +618,21 @@ def test_a_full_disk_is_said_and_hangs_nothing(start: Callable[..., Worker], tmp
         subprocess.run(["umount", "--lazy", str(tmp_path / "small")], check=True)
 
 
-def _mounted(folder: Path) -> bool:
+def test_a_disk_that_does_not_say_how_large_it_is_is_not_full(
+    start: Callable[..., Worker], tmp_path: Path, require: Any
+) -> None:
+    require("the right to mount", there=_mounted(tmp_path / "disk", "ramfs"))
+    try:
+        worker = start(folder=tmp_path / "disk")
+        worker.send(shell("echo x > out"))
+        assert worker.finish() == 0, worker.said()
+    finally:
+        subprocess.run(["umount", "--lazy", str(tmp_path / "disk")], check=True)
+
+
+def _mounted(folder: Path, kind: str = "tmpfs") -> bool:
     folder.mkdir()
-    command = ["mount", "-t", "tmpfs", "-o", "size=1m", "none", str(folder)]
+    command = ["mount", "-t", kind, "-o", "size=1m", "none", str(folder)]
     try:
         return subprocess.run(command, check=False, capture_output=True).returncode == 0
     except OSError:
