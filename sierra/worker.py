@@ -17,7 +17,8 @@ for the run's folder.
 A job with `used` in it lets a short run do without folders that are made and removed, which may take longer than itself: where
 a run has left little, and has not touched more of its folder than the outputs and its logs, its `end` says that it is `spare`.
 Whoever does not need it any more may have its number be the `used` of a later job (else it is null), for which what was touched
-is made anew. A folder is spare only where nothing lives that its run has started.
+is made anew. A folder is spare only where nothing lives that its run has started; where that can't be told (a Python without
+ctypes, no /proc), none is.
 
 What happened is appended to FOLDER/journal.jsonl, a line for each event: `start` (process id and its start
 time, so that an orphan can be recognised) and `end` (sierra.model.Result). A line that is cut short was never
@@ -354,8 +355,10 @@ class Container:
 class Worker:
     """Slots that take jobs from a queue, each a thread, and the main thread that watches over them."""
 
-    def __init__(self, folder: str, slots: int, *, piped: bool = False) -> None:
+    def __init__(self, folder: str, slots: int, *, piped: bool = False, adopts: bool = False) -> None:
+        """`adopts`: whether this process becomes the parent of all orphans of its runs."""
         self.folder = folder
+        self.adopts = adopts
         self.slots = slots
         self.journal = Journal(None if piped else os.path.join(folder, "journal.jsonl"))
         self.host = socket.gethostname()
@@ -518,7 +521,7 @@ class Worker:
             running.stopped = "interrupted"
         if running.stopped != "interrupted" and not running.seal:
             check_room(self.folder)
-        spare = alone and place is not None and place.is_spare()
+        spare = alone and self.adopts and place is not None and place.is_spare()
         # with a seal, whoever takes its folder out of the container looks at it
         left: dict[str, Any] = {"stopped": running.stopped}
         if not running.seal:
@@ -1028,7 +1031,7 @@ def end_orphans(execution: str | None, group: int | None = None) -> bool:
     """
     give_up = time.monotonic() + SETTLE_S
     while time.monotonic() < give_up:
-        found = orphans()
+        found = reap()
         mine = [pid for pid in found if execution is None or belongs(pid, execution, group)]
         if not mine:
             return not found
@@ -1041,8 +1044,9 @@ def end_orphans(execution: str | None, group: int | None = None) -> bool:
     return False
 
 
-def reap() -> None:
-    """Wait for orphans that have ended: nobody else does."""
+def reap() -> list[int]:
+    """The orphans that live; those that have ended are waited for, which nobody else does."""
+    living = []
     for pid in orphans():
         fields = stat_of(pid)
         if fields and fields[0] == b"Z":
@@ -1050,13 +1054,15 @@ def reap() -> None:
                 os.waitpid(pid, os.WNOHANG)
             except ChildProcessError:
                 continue
+        elif fields:
+            living.append(pid)
+    return living
 
 
 def await_orphans() -> None:
     """Let an engine put away what containers have left, which have ended."""
     give_up = time.monotonic() + CLEAN_S
-    while orphans() and time.monotonic() < give_up:
-        reap()
+    while reap() and time.monotonic() < give_up:
         time.sleep(POLL_S / 10)
 
 
@@ -1109,31 +1115,32 @@ def explain(error: BaseException) -> str:
     return "%s: %s" % (name, reason) if name else reason
 
 
-def become_subreaper(*, secretive: bool) -> None:
-    """Ask to be told of orphans, and to be ended with the process that started this one (Linux only).
+def become_subreaper(*, secretive: bool) -> bool:
+    """Ask to be told of orphans, and to be ended with the process that started this one (Linux only); whether all will be told.
 
     What is in the memory and pipes of one that is `secretive` is nobody's business who has no more rights than it.
     """
     if sys.platform != "linux":
-        return
+        return False
     try:
         import ctypes
 
         libc = ctypes.CDLL(None, use_errno=True)
         set_child_subreaper, set_parent_death_signal, set_dumpable = 36, 1, 4
-        libc.prctl(set_child_subreaper, 1, 0, 0, 0)
+        adopts = libc.prctl(set_child_subreaper, 1, 0, 0, 0) == 0
         libc.prctl(set_parent_death_signal, signal.SIGHUP, 0, 0, 0)
         if secretive:
             libc.prctl(set_dumpable, 0, 0, 0, 0)
     except (ImportError, OSError, AttributeError):
-        pass
+        return False
+    return adopts and os.path.exists("/proc/self/task/%d/children" % os.getpid())
 
 
 def main(arguments: list[str]) -> int:
     folder, slots = arguments[:2]
     piped = arguments[2:] == ["-"]
-    become_subreaper(secretive=piped)
-    worker = Worker(os.path.abspath(folder), int(slots), piped=piped)
+    adopts = become_subreaper(secretive=piped)
+    worker = Worker(os.path.abspath(folder), int(slots), piped=piped, adopts=adopts)
 
     for number in (signal.SIGQUIT, signal.SIGUSR1, signal.SIGUSR2, signal.SIGALRM):
         signal.signal(number, signal.SIG_DFL)  # ignored by whoever started this in the background, perhaps

@@ -435,6 +435,32 @@ def test_a_folder_in_which_more_was_touched_serves_nobody(start: Callable[..., W
     assert [event.get("spare") for event in worker.events("end")] == [None, None]
 
 
+LATE = """cd "$TMPDIR"; env -i setsid sh -c 'sleep 0.5; echo late > ../output/late' > /dev/null 2>&1 & sleep 0.2"""
+WITHOUT_CTYPES = (
+    "import runpy, sys; sys.modules['ctypes'] = None; del sys.argv[:4]; runpy.run_path(sys.argv[0], run_name='__main__')"
+)
+
+
+def test_where_nobody_tells_what_lives_on_no_folder_serves_another_run(start: Callable[..., Worker]) -> None:
+    worker = start(starter=(sys.executable, "-c", WITHOUT_CTYPES))
+    worker.send(shell(LATE, name="one", used=None))
+    until(lambda: len(worker.events("end")) == 1)
+    [end] = worker.events("end")
+    worker.send(shell("sleep 1; echo x > out", name="two", used=int(Path(end["directory"]).name)))
+    assert worker.finish() == 0
+    assert [file["path"] for file in worker.events("end")[1]["outputs"]] == ["out"]
+    assert "spare" not in end
+
+
+def test_what_a_run_has_left_that_has_ended_is_put_away(start: Callable[..., Worker]) -> None:
+    worker = start()
+    worker.send(shell("setsid -f true; sleep 0.2", name="one", used=None), shell("true", name="two", used=None))
+    worker.send(shell("ps -o stat= --ppid $PPID | grep -c Z", name="three", used=None))
+    assert worker.finish() == 0
+    assert [event["spare"] for event in worker.events("end")] == [True] * 3
+    assert (Path(worker.events("end")[2]["directory"]) / "stdout").read_text() == "0\n"
+
+
 def test_what_has_even_hidden_whose_it_is_ends_with_the_worker(execute: Callable[..., dict[str, Any]], tmp_path: Path) -> None:
     hidden = tmp_path / "pid"
     code = f'exec env -i setsid -f sh -c \'echo $$ > "{hidden}.new"; mv "{hidden}.new" "{hidden}"; exec sleep 60\''
