@@ -12,6 +12,7 @@ import select
 import shutil
 import signal
 import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -27,6 +28,7 @@ from sierra.api import Project
 from sierra.asking import Progress
 from sierra.config import ClusterTable
 from sierra.errors import ConfigError, Full, Missing, SierraError
+from sierra.pipeline import Summary
 from sierra.runners import cluster, harvest, schedulers
 from sierra.runners.schedulers import Bounds, Request, State, Task
 from sierra.sessions import Session
@@ -464,3 +466,99 @@ def test_nodes_say_themselves_that_they_lack_a_device(contained: Callable[..., P
     with pytest.raises(Missing, match=r"\[container\] gpu: /proc/driver/nvidia: No such file"):
         project.run("population_size=1", runner="here", figures=False)
     assert project.store.rows("SELECT * FROM executions") == []
+
+
+# what is held back until first runs tell how long runs take
+
+
+DIES = """
+import os, sierra
+from sierra.runners import schedulers
+from tests.test_cluster_review import Here
+
+schedulers.SHIPPED["here"] = "tests.test_cluster_review:Here"
+Here.submit = lambda self, request: os._exit(9)
+sierra.open(".").run("size=1,2,3", runs=8, runner="here", figures=False)
+"""
+"""A submitter that dies when it is about to hand over the first runs."""
+KILLS = 'case "$(cat "{gate}.which")" in *$SIERRA_RUN_ID*) sleep 0.5; kill -9 $(ps -o ppid= $PPID);; esac; ' + PRINTS
+
+
+@pytest.fixture
+def untold(clustered: Callable[..., Clustered]) -> Callable[..., Clustered]:
+    """A project whose runs go first, as nobody knows how long they take."""
+
+    def make(script: str, settings: str = "") -> Clustered:
+        made = clustered(script)
+        config = made.simulated.folder / "sierra.toml"
+        config.write_text(config.read_text().replace("elements = 1\n", settings))
+        return made
+
+    return make
+
+
+def ask(made: Clustered, **how: Any) -> Summary:
+    project = made.project
+    return project.execute(project.plan(*QUERY, runs=8), runner="here", figures=False, **how)
+
+
+def refuse(monkeypatch: pytest.MonkeyPatch) -> None:
+    submit = Here.submit
+
+    def refused(self: Here, request: Request) -> str:
+        if request.elements[-1] > 0:
+            raise ConfigError("no such array")
+        return submit(self, request)
+
+    monkeypatch.setattr(Here, "submit", refused)
+
+
+def test_who_leaves_hears_what_is_refused_and_nothing_is_cancelled(
+    untold: Callable[..., Clustered], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = untold(WAITS)
+    said: list[str] = []
+
+    def watch(progress: Progress) -> None:
+        if progress.running and made.simulated.executed():
+            os.kill(os.getpid(), signal.SIGINT)
+
+    with monkeypatch.context() as patch:
+        refuse(patch)
+        ask(made, watch=watch, say=said.append)
+    assert any("no such array" in text for text in said)
+    made.gate.touch()
+    assert made.project.attach(made.session().name, figures=False).missing == 0
+    assert sorted(made.simulated.executed().values()) == [1] * 24
+
+
+def test_what_a_dead_submitter_had_not_handed_over_is_given_back_where_it_is_refused(
+    untold: Callable[..., Clustered], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = untold(PRINTS)
+    died = subprocess.run([sys.executable, "-c", DIES], cwd=made.simulated.folder, check=False, timeout=100)
+    assert died.returncode == 9
+    assert made.session().exists()
+
+    def refused(self: Here, request: Request) -> str:
+        raise ConfigError("no such account")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Here, "submit", refused)
+        with pytest.raises(ConfigError, match="no such account"):
+            ask(made)
+    assert made.simulated.work() == []
+    assert ask(made).missing == 0
+    assert sorted(made.simulated.executed().values()) == [1] * 24
+
+
+def test_runs_that_take_their_node_down_hold_nothing_up(
+    untold: Callable[..., Clustered], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(cluster, "QUIET_S", 0.1)
+    monkeypatch.setattr(cluster, "FIRST_POLL_S", 0.1)
+    made = untold(KILLS, "attempts = 1\n")
+    runs = made.project.plan(*QUERY, runs=8).batch.runs
+    made.gate.with_name("gate.which").write_text(f"{runs[0].id} {runs[-1].id}")
+    summary = ask(made)
+    assert (summary.failed, summary.executed, summary.missing) == (2, 24, 0)

@@ -129,12 +129,15 @@ class Cluster:
         self._table = made.cluster
         self._scheduler = schedulers.find(self._kind)(self._table)
         self._begin(made, session, recorded)
-        if session.cancelled.exists():
-            self.stop()
-        elif not any(session.sent.iterdir()):  # who made it died before
-            self._hand_all_over()
-        elif never := self._never_sent():  # or when it had dealt out what came after the first runs
-            self._hand_over(never, "")
+        try:
+            if session.cancelled.exists():
+                self.stop()
+            elif not any(session.sent.iterdir()):  # who made it died before
+                self._hand_all_over()
+            elif never := self._never_sent():  # or when it had dealt out what came after the first runs
+                self._hand_over(never, "")
+        except SierraError as error:
+            self._end(error)
 
     def _never_sent(self) -> tuple[int, ...]:
         """The elements that nobody has tried to hand over."""
@@ -150,7 +153,7 @@ class Cluster:
         self._harvest = Harvest(made, session, recorded, self._note)
         self._opened.callback(self._harvest.close)
         self._shares = self._harvest.shares
-        self._pilot = Pilot(session, made.counts[0]) if made.rest else None
+        self._pilot = Pilot(session) if made.rest else None
         self._told: Told | None = None
         self._goes_before = ""
         self._poll = Poll(self._scheduler)
@@ -168,8 +171,12 @@ class Cluster:
         self._wrong: SierraError | None = None
 
     def leave(self) -> None:
-        if self._pilot is not None and self._stopping is None and not self._session.cancelled.exists():
+        if self._pilot is None or self._stopping is not None or self._session.cancelled.exists():
+            return
+        try:
             self._deal_rest(self._told or Told(None, "nobody waits for the runs that go first"))
+        except SierraError as error:
+            self._note(f"{error}; whoever follows next tries again")
 
     def close(self) -> None:
         self._opened.close()
@@ -202,11 +209,14 @@ class Cluster:
         if self._stopping is None and self._session.cancelled.exists():
             self.stop()
         if self._told is not None and self._stopping is None:  # those who hear of the first runs might have stopped all
-            self._deal_rest(self._told)
+            try:
+                self._deal_rest(self._told)
+            except SierraError as error:
+                self._end(error)
         found = self._harvest.read()
         if self._probing and self._stopping is None:
             self._probing = not self._is_fine()
-        self._told = self._pilot.told() if self._pilot is not None else None
+        self._told = self._pilot.told(over=self._harvest.is_whole()) if self._pilot is not None else None
         return found
 
     def _go_on(self, came: bool) -> None:
@@ -424,21 +434,18 @@ class Cluster:
             self._note(f"elements may take {wall / 60:g} minutes from now on, for {before / 60:g} were too few")
 
     def _deal_rest(self, told: Told) -> None:
-        """Deal the other runs out, by what those that went first have told, and hand them over."""
+        """Deal the other runs out, by what those that went first have told, and hand them over. Raises what is refused."""
         self._pilot = self._told = None
-        try:
-            count, why = elements_of(self._made.rest, told.seconds, self._table, self._made.bounds, before=True)
-            begin = len(self._shares)
-            counts = deal_rest(count, begin, self._session)
-            self._made = replace(self._made, counts=(*self._made.counts, *counts), rest=0)
-            self._made.save(self._session)
-            self._shares += [Share(each, tries=1) for each in counts]
-            self._note(f"{told.how}: the other {sum(counts)} runs become {counted(count, 'element')} ({why})")
-            self._hand_over(tuple(range(begin, begin + count)), "", after=self._goes_before if self._probing else "")
-            with disk_errors(self._session.root):
-                self._session.rest.unlink()
-        except SierraError as error:
-            self._end(error)
+        count, why = elements_of(self._made.rest, told.seconds, self._table, self._made.bounds, before=True)
+        begin = len(self._shares)
+        counts = deal_rest(count, begin, self._session)
+        self._made = replace(self._made, counts=(*self._made.counts, *counts), rest=0)
+        self._made.save(self._session)
+        self._shares += [Share(each, tries=1) for each in counts]
+        self._note(f"{told.how}: the other {sum(counts)} runs become {counted(count, 'element')} ({why})")
+        self._hand_over(tuple(range(begin, begin + count)), "", after=self._goes_before if self._probing else "")
+        with disk_errors(self._session.root):
+            self._session.rest.unlink()
 
     def _hand_over(self, indices: tuple[int, ...], why: str, after: str = "") -> None:
         """Submit elements; those that are too many now are submitted later. Raises what the scheduler refuses."""

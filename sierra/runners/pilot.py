@@ -37,20 +37,19 @@ class Told:
 class Pilot:
     """The first runs of one session, as far as they have come."""
 
-    def __init__(self, session: SessionPaths, count: int) -> None:
+    def __init__(self, session: SessionPaths) -> None:
         self._session = session
-        self._count = count
         self._packs: dict[Path, Pack] = {}
         self._took: dict[str, float | None] = {}
         """Of those that have ended, how long they took; None of one that failed."""
         self._since: float | None = None
         """When they were first seen to have begun."""
 
-    def told(self) -> Told | None:
-        """What they tell; None as long as they may tell more."""
+    def told(self, *, over: bool) -> Told | None:
+        """What they tell; None as long as they may tell more. `over`: all of them have ended, or were given up."""
         self._read()
         good = [seconds for seconds in self._took.values() if seconds is not None]
-        if len(self._took) >= self._count:
+        if over:
             return Told(_mean(good), _taken(good) if good else "the runs that went first have failed")
         if self._since is None:
             late = self._waited() > PATIENCE_S
