@@ -312,6 +312,45 @@ def test_where_a_guess_at_their_time_was_too_short_elements_are_given_more(
     assert longer == [2 * least, 4 * least]
 
 
+def test_a_scheduler_that_is_asked_for_the_jobs_that_lived_sees_those_with_more_time(
+    clustered: Callable[..., Clustered], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = clustered(WAITS, elements=2)
+    made.gate.touch()
+    made.project.run("size=1", runs=1, figures=False)
+    made.gate.unlink()
+    monkeypatch.setattr(Here, "word", "TIMEOUT")
+    submit, look = Here.submit, Here.look
+
+    def forgets(self: Here, request: Request) -> str:
+        self.__dict__.pop(request.name, None)
+        return submit(self, request)
+
+    def remembers(self: Here, name: str) -> tuple[Task, ...]:
+        alive = self.__dict__.get(name)
+        tasks = [task for task in look(self, name) or () if not alive or task.job in alive]
+        self.__dict__[name] = {task.job for task in tasks if task.state is not State.ENDED}
+        return tuple(tasks)
+
+    monkeypatch.setattr(Here, "submit", forgets)
+    monkeypatch.setattr(Here, "look", remembers)
+    monkeypatch.setattr(cluster, "QUIET_S", 0.1)
+    again: list[float] = []
+
+    def watch(progress: Progress) -> None:
+        sent = [process for name, *_, process in Here.tasks if name.startswith("sierra-")]
+        if progress.running == 2 and len(sent) == 2:
+            os.killpg(sent[0].pid, signal.SIGKILL)
+        elif len(sent) > 2:
+            again.append(time.monotonic())
+            if again[-1] - again[0] > 8:
+                made.gate.touch()
+
+    summary = made.project.run("size=2", runs=2, runner="here", watch=watch, figures=False)
+    assert (summary.executed, summary.failed) == (2, 0), summary.failures
+    assert [request.elements for request in Here.requests if request.name.startswith("sierra-")] == [(0, 1), (0,)]
+
+
 def test_what_others_give_back_is_executed_too(clustered: Callable[..., Clustered]) -> None:
     made = clustered()
     project = made.project

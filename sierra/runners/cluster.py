@@ -430,6 +430,7 @@ class Cluster:
         self._made = replace(self._made, table=self._table.model_dump(mode="json"))
         self._made.save(self._session)
         self._scheduler = schedulers.find(self._kind)(self._table)
+        self._poll = Poll(self._scheduler)  # the other one will not know what this one submits
         if wall > before:
             self._note(f"elements may take {wall / 60:g} minutes from now on, for {before / 60:g} were too few")
 
