@@ -216,8 +216,8 @@ class Recorder:
         self._beside: dict[str, list[Mapping[str, Any]]] = {}
         self._around: set[str] = set()
         """Environments that are recorded, or will be: mostly one for all elements."""
-        self._ruled = False
-        """Whether what all executions have in common is recorded."""
+        self._ruled = 0
+        """In how many segments what all executions have in common is recorded."""
         self._copies: list[Result] = []
         self._copied = self._unlike = 0
         self._bytes = 0
@@ -277,7 +277,7 @@ class Recorder:
             self._pending = [_doubted(one, doubt) for one in self._pending]
         judged = self._write(writer, self._pending)
         self._store.publish(writer)
-        self._ruled = True
+        self._ruled += 1
         for one in judged:
             self._put_away(one.result)
         self._pending, self._bytes = [], 0
@@ -403,7 +403,7 @@ class Recorder:
         objects.close()
         writer.rows("artifacts", artifacts)
         writer.rows("executions", (self._execution(one) for one in judged))
-        if not self._ruled:
+        if self._ruled < 2:  # twice, as where one segment is damaged no others are to be lost
             writer.rows("readings", [{"reading": self._reading, "declared": self._context.declared}])
             writer.rows("isolations", [self._context.isolation] if self._context.isolation else [])
         return judged

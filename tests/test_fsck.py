@@ -14,12 +14,13 @@ import pyarrow.parquet as pq
 import pytest
 
 import sierra
+from sierra import record
 from sierra.hashing import sha256
 from sierra.keeping.checking import Report
 from sierra.keeping.findings import Kind
 from sierra.store.segments import manifest
 from tests import projects, stores
-from tests.conftest import held
+from tests.conftest import Simulated, held
 
 Where = tuple[str, int, int]
 
@@ -365,6 +366,19 @@ def test_what_was_executed_and_is_lost_is_executed_again_and_nothing_else(root: 
     summaries = [project.run(batch, figures=False) for batch in batches]
     assert sum(one.failed + one.missing for one in summaries) == 0
     assert sum(one.executed for one in summaries) == sum(lost)
+    assert fsck(root).sound
+
+
+def test_declarations_that_are_damaged_take_no_execution_with_them(
+    simulate: Callable[..., Simulated], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(record, "PENDING_RUNS", 1)
+    root = simulate().folder
+    sierra.open(root).run("size=1,2", runs=8, figures=False)
+    assert len(list(root.glob(".sierra/segments/*/executions.parquet"))) > 1
+    extend(segment_with(root, "readings") / "readings.parquet")
+    repaired(root)
+    assert sierra.open(root).run("size=1,2", runs=8, figures=False).executed == 0
     assert fsck(root).sound
 
 
