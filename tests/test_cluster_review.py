@@ -86,7 +86,7 @@ class Here:
 
     def look(self, name: str) -> tuple[Task, ...] | None:
         return tuple(
-            Task(job, element, State.RUNNING if process.poll() is None else State.ENDED)
+            Task(job, element, State.RUNNING) if process.poll() is None else Task(job, element, State.ENDED, "ENDED")
             for called, job, element, process in Here.tasks
             if called == name
         )
@@ -289,6 +289,22 @@ def test_what_others_give_back_is_executed_too(clustered: Callable[..., Clustere
     summary = project.run(*QUERY, runs=1, runner="here", watch=watch, figures=False)
     assert (summary.executed, summary.failed, summary.missing) == (3, 0, 0)
     assert made.simulated.work() == []
+
+
+def test_what_is_said_of_a_job_before_is_not_of_what_was_given_back(clustered: Callable[..., Clustered]) -> None:
+    made = clustered("sleep 3; " + PRINTS, elements=2)
+    project = made.project
+    other = Session(Store.create(project.paths.store).paths)
+    other.claim({project.plan(*QUERY, runs=1).batch.runs[0].id})
+
+    def watch(progress: Progress) -> None:
+        if progress.elsewhere:
+            other.close()
+
+    summary = project.run(*QUERY, runs=1, runner="here", watch=watch, figures=False)
+    handed_over = [request.elements for request in Here.requests if request.name.startswith("sierra-")]
+    assert handed_over == [(0, 1), (0,)]
+    assert (summary.executed, summary.failed, summary.missing) == (3, 0, 0)
 
 
 def test_a_copy_is_recorded_once_however_often_it_is_read(clustered: Callable[..., Clustered]) -> None:
