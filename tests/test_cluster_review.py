@@ -54,6 +54,10 @@ class Here:
     cancelled: ClassVar[Callable[[], None] | None] = None
     """What is done instead of ending what is cancelled."""
 
+    held: ClassVar[int] = 0
+    """How many more jobs it cannot begin, but for probes."""
+    stuck: ClassVar[set[str]] = set()
+
     def __init__(self, table: ClusterTable) -> None:
         pass
 
@@ -76,20 +80,28 @@ class Here:
     def start(request: Request) -> str:
         job = str(next(Here.numbers))
         Here.requests.append(request)
+        begins = not Here.held or request.name.startswith("probe-")
+        if not begins:
+            Here.held -= 1
+            Here.stuck.add(job)
         for element in request.elements:
             environment = {"PATH": os.environ["PATH"], "TMPDIR": str(request.folder)}
             with (request.logs / f"{job}_{element}.out").open("wb") as log:
-                argv = (*request.command, str(element))
+                argv = (*request.command, str(element)) if begins else ("sleep", "60")
                 process = subprocess.Popen(argv, stdout=log, stderr=log, env=environment, start_new_session=True)
             Here.tasks.append((request.name, job, element, process))
         return job
 
     def look(self, name: str) -> tuple[Task, ...] | None:
         return tuple(
-            Task(job, element, State.RUNNING) if process.poll() is None else Task(job, element, State.ENDED, "ENDED")
-            for called, job, element, process in Here.tasks
-            if called == name
+            Task(job, element, *Here.state(job, process)) for called, job, element, process in Here.tasks if called == name
         )
+
+    @staticmethod
+    def state(job: str, process: subprocess.Popen[bytes]) -> tuple[State, str]:
+        if process.poll() is not None:
+            return State.ENDED, "CANCELLED" if job in Here.stuck else "ENDED"
+        return (State.STUCK, "launch failed requeued held") if job in Here.stuck else (State.RUNNING, "")
 
     def explain(self, words: str) -> str:
         return words
@@ -127,6 +139,7 @@ def here(monkeypatch: pytest.MonkeyPatch) -> Iterator[type[Here]]:
     monkeypatch.setitem(schedulers.SHIPPED, "here", f"{__name__}:Here")
     monkeypatch.setattr(Here, "full", 0)
     monkeypatch.setattr(Here, "cancelled", None)
+    monkeypatch.setattr(Here, "held", 0)
     yield Here
     for _, _, _, process in Here.tasks:
         with contextlib.suppress(ProcessLookupError):
@@ -274,6 +287,17 @@ def test_a_site_without_room_makes_no_run_fail(clustered: Callable[..., Clustere
     summary = made.project.run(*QUERY, runs=1, runner="here", watch=watch, figures=False)
     assert cut
     assert (summary.failed, summary.executed) == (0, 3), summary.failures
+
+
+def test_what_could_not_be_begun_is_submitted_again_and_that_is_said(
+    clustered: Callable[..., Clustered], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Here, "held", 1)
+    said: list[str] = []
+    made = clustered()
+    summary = made.project.execute(made.project.plan(*QUERY, runs=1), runner="here", say=said.append, figures=False)
+    assert (summary.executed, summary.failed) == (3, 0)
+    assert "1 element is submitted again: launch failed requeued held (CANCELLED)" in said
 
 
 def test_what_others_give_back_is_executed_too(clustered: Callable[..., Clustered]) -> None:
