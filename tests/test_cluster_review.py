@@ -55,10 +55,14 @@ class Here:
     """How many more submissions it has no room for, of all but the first element."""
     walls: ClassVar[list[float | None]] = []
     """What each element may take, in seconds, by job."""
-    word: ClassVar[str] = ""
+    word: ClassVar[str] = "ENDED"
     """How it says that elements ended."""
     cancelled: ClassVar[Callable[[], None] | None] = None
     """What is done instead of ending what is cancelled."""
+
+    held: ClassVar[int] = 0
+    """How many more jobs it cannot begin, but for probes."""
+    stuck: ClassVar[set[str]] = set()
 
     def __init__(self, table: ClusterTable) -> None:
         self._table = table
@@ -83,20 +87,28 @@ class Here:
     def start(request: Request) -> str:
         job = str(next(Here.numbers))
         Here.requests.append(request)
+        begins = not Here.held or request.name.startswith("probe-")
+        if not begins:
+            Here.held -= 1
+            Here.stuck.add(job)
         for element in request.elements:
             environment = {"PATH": os.environ["PATH"], "TMPDIR": str(request.folder)}
             with (request.logs / f"{job}_{element}.out").open("wb") as log:
-                argv = (*request.command, str(element))
+                argv = (*request.command, str(element)) if begins else ("sleep", "60")
                 process = subprocess.Popen(argv, stdout=log, stderr=log, env=environment, start_new_session=True)
             Here.tasks.append((request.name, job, element, process))
         return job
 
     def look(self, name: str) -> tuple[Task, ...] | None:
         return tuple(
-            Task(job, element, *((State.RUNNING, "") if process.poll() is None else (State.ENDED, Here.word)))
-            for called, job, element, process in Here.tasks
-            if called == name
+            Task(job, element, *Here.state(job, process)) for called, job, element, process in Here.tasks if called == name
         )
+
+    @staticmethod
+    def state(job: str, process: subprocess.Popen[bytes]) -> tuple[State, str]:
+        if process.poll() is not None:
+            return State.ENDED, "CANCELLED" if job in Here.stuck else Here.word
+        return (State.STUCK, "launch failed requeued held") if job in Here.stuck else (State.RUNNING, "")
 
     def explain(self, words: str) -> str:
         return words
@@ -133,8 +145,9 @@ class Clustered:
 def here(monkeypatch: pytest.MonkeyPatch) -> Iterator[type[Here]]:
     monkeypatch.setitem(schedulers.SHIPPED, "here", f"{__name__}:Here")
     monkeypatch.setattr(Here, "full", 0)
-    monkeypatch.setattr(Here, "word", "")
+    monkeypatch.setattr(Here, "word", "ENDED")
     monkeypatch.setattr(Here, "cancelled", None)
+    monkeypatch.setattr(Here, "held", 0)
     yield Here
     for _, _, _, process in Here.tasks:
         with contextlib.suppress(ProcessLookupError):
@@ -351,6 +364,17 @@ def test_a_scheduler_that_is_asked_for_the_jobs_that_lived_sees_those_with_more_
     assert [request.elements for request in Here.requests if request.name.startswith("sierra-")] == [(0, 1), (0,)]
 
 
+def test_what_could_not_be_begun_is_submitted_again_and_that_is_said(
+    clustered: Callable[..., Clustered], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Here, "held", 1)
+    said: list[str] = []
+    made = clustered()
+    summary = made.project.execute(made.project.plan(*QUERY, runs=1), runner="here", say=said.append, figures=False)
+    assert (summary.executed, summary.failed) == (3, 0)
+    assert "1 element is submitted again: launch failed requeued held (CANCELLED)" in said
+
+
 def test_what_others_give_back_is_executed_too(clustered: Callable[..., Clustered]) -> None:
     made = clustered()
     project = made.project
@@ -364,6 +388,22 @@ def test_what_others_give_back_is_executed_too(clustered: Callable[..., Clustere
     summary = project.run(*QUERY, runs=1, runner="here", watch=watch, figures=False)
     assert (summary.executed, summary.failed, summary.missing) == (3, 0, 0)
     assert made.simulated.work() == []
+
+
+def test_what_is_said_of_a_job_before_is_not_of_what_was_given_back(clustered: Callable[..., Clustered]) -> None:
+    made = clustered("sleep 3; " + PRINTS, elements=2)
+    project = made.project
+    other = Session(Store.create(project.paths.store).paths)
+    other.claim({project.plan(*QUERY, runs=1).batch.runs[0].id})
+
+    def watch(progress: Progress) -> None:
+        if progress.elsewhere:
+            other.close()
+
+    summary = project.run(*QUERY, runs=1, runner="here", watch=watch, figures=False)
+    handed_over = [request.elements for request in Here.requests if request.name.startswith("sierra-")]
+    assert handed_over == [(0, 1), (0,)]
+    assert (summary.executed, summary.failed, summary.missing) == (3, 0, 0)
 
 
 def test_a_copy_is_recorded_once_however_often_it_is_read(clustered: Callable[..., Clustered]) -> None:
@@ -453,6 +493,19 @@ def test_what_git_ignores_and_nobody_names_is_said_to_be_missing(clustered: Call
     assert (summary.executed, summary.failed) == (3, 0)
     [note] = [text for text in said if "ignores" in text]
     assert note.startswith("git ignores big.npy, maps/ in the project: nodes have of these only what the command")
+
+
+def test_what_changes_before_it_is_copied_for_nodes_is_named(clustered: Callable[..., Clustered]) -> None:
+    made = clustered()
+    log = made.simulated.folder / "asked.log"
+    log.write_text("")
+    projects.commit(made.simulated.folder)
+    plan = made.project.plan(*QUERY, runs=1)
+    log.write_text("note: …\n")
+    words = r"code or programs have changed while they were being copied for the cluster: asked\.log \(\[source\] paths says"
+    with pytest.raises(Missing, match=words):
+        made.project.execute(plan, runner="here", figures=False)
+    assert made.project.run(*QUERY, runs=1, runner="here", figures=False).executed == 3
 
 
 def test_the_program_that_was_checked_is_the_one_that_executes(clustered: Callable[..., Clustered]) -> None:
