@@ -24,6 +24,7 @@ from sierra.sessions import Session
 from sierra.signals import noted
 from sierra.states import seconds, states
 from sierra.store import Store
+from sierra.wording import few
 
 JOIN_S = 0.2
 
@@ -242,14 +243,18 @@ class Asking:
         plan = self.plan
         checkout = plan.checkout or plan.snapshot(self.store.blob)
         root = self.session.paths.source
-        if not root.exists():
+        made = not root.exists()
+        if made:
             checkout.make(root)
-            if left_out := checkout.left_out():
-                what = "nodes have of these only what the command, a variable or the template names"
-                self._how.say(f"git ignores {left_out} in the project: {what}")
         programs = checkout.programs_in(root)
-        if programs.id != plan.programs.id or (plan.checkout is None and plan.seen.doubt()):
-            raise Missing("code or programs have changed while they were being copied for the cluster; ask again")
+        meanwhile = "while they were being copied for the cluster"
+        if plan.checkout is None and (doubt := plan.seen.doubt(meanwhile)):
+            raise Missing(f"{doubt}; ask again")
+        if programs.id != plan.programs.id:
+            raise Missing(f"programs have changed {meanwhile}: {few(plan.programs.unlike(programs), 3)}; ask again")
+        if made and (left_out := checkout.left_out()):  # said last: who listens may write it to a file of the project
+            what = "nodes have of these only what the command, a variable or the template names"
+            self._how.say(f"git ignores {left_out} in the project: {what}")
         return root, programs
 
     def _wait(self, wanted: AbstractSet[str]) -> bool:

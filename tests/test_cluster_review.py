@@ -414,6 +414,19 @@ def test_what_git_ignores_and_nobody_names_is_said_to_be_missing(clustered: Call
     assert note.startswith("git ignores big.npy, maps/ in the project: nodes have of these only what the command")
 
 
+def test_what_changes_before_it_is_copied_for_nodes_is_named(clustered: Callable[..., Clustered]) -> None:
+    made = clustered()
+    log = made.simulated.folder / "asked.log"
+    log.write_text("")
+    projects.commit(made.simulated.folder)
+    plan = made.project.plan(*QUERY, runs=1)
+    log.write_text("note: …\n")
+    words = r"code or programs have changed while they were being copied for the cluster: asked\.log \(\[source\] paths says"
+    with pytest.raises(Missing, match=words):
+        made.project.execute(plan, runner="here", figures=False)
+    assert made.project.run(*QUERY, runs=1, runner="here", figures=False).executed == 3
+
+
 def test_the_program_that_was_checked_is_the_one_that_executes(clustered: Callable[..., Clustered]) -> None:
     made = clustered('tr "\\0" "\\n" < /proc/$$/cmdline | head -n 1 > called; ' + PRINTS)
     assert '["sh", "sim.sh"' in (made.simulated.folder / "sierra.toml").read_text()

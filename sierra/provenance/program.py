@@ -53,6 +53,11 @@ class Programs:
     def id(self) -> str:
         return fingerprint((program.name, program.sha256) for program in self.all)
 
+    def unlike(self, others: Programs) -> list[str]:
+        """The names of those that are others there, or that only one side has."""
+        mine, theirs = ({(called(one.name), one.sha256) for one in side.all} for side in (self, others))
+        return sorted({name for name, _ in mine ^ theirs})
+
     def rows(self) -> list[dict[str, Any]]:
         fields = ("name", "kind", "version", "path", "sha256")
         identity = self.id

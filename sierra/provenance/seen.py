@@ -29,13 +29,13 @@ class Seen:
     root: bytes
     """The project's folder, as whose part a file is named."""
 
-    def doubt(self) -> str | None:
+    def doubt(self, since: str = "since the runs began") -> str | None:
         """What is not as it was, in a line that says why runs do not count; None where all is."""
         changed = [path for path, state in self.states.items() if _state(path) != state]
         if not changed:
             return None
         names = [path.removeprefix(self.root + b"/") for path in changed]
-        return f"code or programs have changed since the runs began: {shown(names)} ([source] paths says what is code)"
+        return f"code or programs have changed {since}: {shown(names)} ([source] paths says what is code)"
 
 
 def seen(root: Path, manifest: bytes, programs: Programs) -> Seen:
