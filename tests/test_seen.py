@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import subprocess
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -93,3 +94,19 @@ def test_a_replay_says_nothing_of_programs_that_were_replaced_meanwhile(simulate
     program.touch()
     ended = project.end_of(replaying)
     assert (ended.returncode, "3 failed" in ended.stdout, "changed since the runs began" in ended.stdout) == (1, True, True)
+
+
+def test_what_it_says_itself_is_not_written_into_the_code(simulate: Callable[..., Any]) -> None:
+    project = simulate(SCRIPT)
+    ask = (projects.SIERRA, "run", "size=1", "--runs", "3", "--no-figures")
+    log = project.folder / "nohup.out"
+    with log.open("w") as out:
+        refused = subprocess.run(ask, cwd=project.folder, stdout=out, stderr=out, check=False, timeout=60)
+    assert (refused.returncode, log.read_text().count("\n")) == (2, 1)
+    assert "is written to nohup.out, which counts as code of the project" in log.read_text()
+    (project.folder / ".gitignore").write_text("*.out\n")
+    log.unlink()
+    projects.commit(project.folder)
+    with log.open("w") as out:
+        done = subprocess.run(ask, cwd=project.folder, stdout=out, stderr=out, check=False, timeout=60)
+    assert (done.returncode, "3 executed" in log.read_text()) == (0, True)

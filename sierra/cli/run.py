@@ -12,6 +12,8 @@ if TYPE_CHECKING:
     from sierra.api import Project
     from sierra.plans import Plan
 
+STDERR = 2
+
 
 def run(
     query: Annotated[
@@ -87,6 +89,8 @@ def run(
         sets=[setting(text) for text in sets or ()],
         engine=engine,
     )
+    if not dry_run:
+        _check_log(plan)
     told: dict[str, Any] = {}
     if dry_run or explain:
         told = _preview(project, plan, explain=explain, as_json=as_json)
@@ -170,6 +174,18 @@ def _preview(project: Project, plan: Plan, *, explain: bool, as_json: bool) -> d
     for line in standings.lines(now):
         print(line)
     return told
+
+
+def _check_log(plan: Plan) -> None:
+    """Say now that what is told meanwhile changes the code, and not of each run once it has ended. Raises UsageError."""
+    from sierra.errors import UsageError
+
+    log = plan.seen.named(STDERR)
+    if log is not None:
+        raise UsageError(
+            f"what this says is written to {log}, which counts as code of the project, so that no run would count: "
+            "write it elsewhere, or have git ignore it ([source] paths says what is code)"
+        )
 
 
 def _again(project: Project, plan: Plan) -> dict[str, Any]:

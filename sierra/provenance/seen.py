@@ -37,6 +37,17 @@ class Seen:
         names = [path.removeprefix(self.root + b"/") for path in changed]
         return f"code or programs have changed {since}: {shown(names)} ([source] paths says what is code)"
 
+    def named(self, descriptor: int) -> str | None:
+        """The one of them that is open there; None where none is."""
+        try:
+            status = os.fstat(descriptor)
+        except OSError:
+            return None
+        for path, state in self.states.items():
+            if state is not None and state[-1] == status.st_ino and os.path.samestat(os.stat(path), status):  # noqa: PTH116
+                return shown([path.removeprefix(self.root + b"/")])
+        return None
+
 
 def seen(root: Path, manifest: bytes, programs: Programs) -> Seen:
     """The files of a source in the folder `root` (of none, where the list is empty), and the programs, as they are now."""
