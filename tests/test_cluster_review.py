@@ -325,6 +325,22 @@ def test_what_others_give_back_is_executed_too(clustered: Callable[..., Clustere
     assert made.simulated.work() == []
 
 
+def test_what_is_said_of_a_job_before_is_not_of_what_was_given_back(clustered: Callable[..., Clustered]) -> None:
+    made = clustered("sleep 3; " + PRINTS, elements=2)
+    project = made.project
+    other = Session(Store.create(project.paths.store).paths)
+    other.claim({project.plan(*QUERY, runs=1).batch.runs[0].id})
+
+    def watch(progress: Progress) -> None:
+        if progress.elsewhere:
+            other.close()
+
+    summary = project.run(*QUERY, runs=1, runner="here", watch=watch, figures=False)
+    handed_over = [request.elements for request in Here.requests if request.name.startswith("sierra-")]
+    assert handed_over == [(0, 1), (0,)]
+    assert (summary.executed, summary.failed, summary.missing) == (3, 0, 0)
+
+
 def test_a_copy_is_recorded_once_however_often_it_is_read(clustered: Callable[..., Clustered]) -> None:
     made = clustered(WAITS)
     project = made.project

@@ -79,6 +79,7 @@ class Cluster:
         sized = size(work.count, work.seconds, self._table, bounds, waits=work.waits)
         estimated = self._table.wall is None and sized.wall_s is not None
         self._table = self._table.model_copy(update={"wall": sized.wall_s})
+        past = submission.past(session)
         with disk_errors(session.root):
             forget(session)
             session.results.mkdir()
@@ -90,7 +91,7 @@ class Cluster:
         probed = Probe(self.name, self._table, session).is_needed()
         table = self._table.model_dump(mode="json")
         dealt = (work.batch, counts, dict(work.around), probed, rest)
-        made = Submission(self.name, self._kind, version, table, *dealt, asdict(bounds), estimated)
+        made = Submission(self.name, self._kind, version, table, *dealt, asdict(bounds), estimated, past)
         made.save(session)
         self._scheduler = schedulers.find(self._kind)(self._table)
         self._begin(made, session, {})
@@ -225,7 +226,7 @@ class Cluster:
             self._pause = min(self._pause * 1.5, LAST_POLL_S)
             self._due = now + self._pause
             if answer.name == self._name:
-                self._hear(answer.tasks)
+                self._hear(self._of_now(answer.tasks))
             else:
                 self._hear_of_probe(answer.tasks)
         if self._stopping is not None:
@@ -246,6 +247,10 @@ class Cluster:
             self._note(f"{self._name}: {self._kind} does not say that it has ended; it was asked to")
             self._over = True
 
+    def _of_now(self, tasks: tuple[Task, ...] | None) -> tuple[Task, ...] | None:
+        """Without those of what the session had submitted before, and is recorded."""
+        return None if tasks is None else tuple(task for task in tasks if task.job not in self._made.past)
+
     def _hear(self, tasks: tuple[Task, ...] | None) -> None:
         """What the scheduler says."""
         self._silent = tasks is None
@@ -257,8 +262,9 @@ class Cluster:
         self._waits = submission.waits(tasks)
         self._alive = self._elements(living)
         for task in tasks:
-            if task.state is State.ENDED and task.element is not None and task.reason:
-                self._shares[task.element].word = task.reason
+            which = len(self._shares) if task.element is None else task.element
+            if task.state is State.ENDED and which < len(self._shares) and task.reason:
+                self._shares[which].word = task.reason
         if self._stopping is not None:
             self._over = not living
             if self._deaf:

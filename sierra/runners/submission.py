@@ -62,6 +62,8 @@ class Submission:
     """What the site allowed then: the fields of `Bounds`."""
     estimated: bool = False
     """Whether the time of an element is SIERRA's own guess, and not the project's."""
+    past: tuple[str, ...] = ()
+    """Jobs of the same name that have nothing to do with it: of what the session had submitted before."""
 
     @property
     def bounds(self) -> Bounds:
@@ -87,7 +89,7 @@ class Submission:
         text = session.submission.read_text()
         try:
             fields = json.loads(text)
-            made = cls(**{**fields, "counts": tuple(fields["counts"])})
+            made = cls(**{**fields, "counts": tuple(fields["counts"]), "past": tuple(fields.get("past", ()))})
             made.cluster, made.bounds  # noqa: B018 - they are validated
         except (TypeError, ValueError, LookupError) as error:
             raise Damaged(f"{session.submission}: was written by another version of SIERRA; go on with that one") from error
@@ -149,6 +151,11 @@ def _read(file: Any) -> dict[str, Any]:
 def jobs(session: SessionPaths) -> Iterator[str]:
     """The ids of all jobs that are known to have been handed over."""
     return (one.job for one in sent(session) if one.job is not None)
+
+
+def past(session: SessionPaths) -> tuple[str, ...]:
+    """The jobs of what was submitted so far, when the session submits something else."""
+    return (*Submission.load(session).past, *jobs(session)) if session.submission.exists() else ()
 
 
 def elements(session: SessionPaths, tasks: Iterable[Task]) -> set[int]:
