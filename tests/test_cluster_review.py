@@ -58,6 +58,10 @@ class Here:
     cancelled: ClassVar[Callable[[], None] | None] = None
     """What is done instead of ending what is cancelled."""
 
+    held: ClassVar[int] = 0
+    """How many more jobs it cannot begin, but for probes."""
+    stuck: ClassVar[set[str]] = set()
+
     def __init__(self, table: ClusterTable) -> None:
         self._table = table
 
@@ -81,20 +85,28 @@ class Here:
     def start(request: Request) -> str:
         job = str(next(Here.numbers))
         Here.requests.append(request)
+        begins = not Here.held or request.name.startswith("probe-")
+        if not begins:
+            Here.held -= 1
+            Here.stuck.add(job)
         for element in request.elements:
             environment = {"PATH": os.environ["PATH"], "TMPDIR": str(request.folder)}
             with (request.logs / f"{job}_{element}.out").open("wb") as log:
-                argv = (*request.command, str(element))
+                argv = (*request.command, str(element)) if begins else ("sleep", "60")
                 process = subprocess.Popen(argv, stdout=log, stderr=log, env=environment, start_new_session=True)
             Here.tasks.append((request.name, job, element, process))
         return job
 
     def look(self, name: str) -> tuple[Task, ...] | None:
         return tuple(
-            Task(job, element, *((State.RUNNING, "") if process.poll() is None else (State.ENDED, Here.word)))
-            for called, job, element, process in Here.tasks
-            if called == name
+            Task(job, element, *Here.state(job, process)) for called, job, element, process in Here.tasks if called == name
         )
+
+    @staticmethod
+    def state(job: str, process: subprocess.Popen[bytes]) -> tuple[State, str]:
+        if process.poll() is not None:
+            return State.ENDED, "CANCELLED" if job in Here.stuck else Here.word
+        return (State.STUCK, "launch failed requeued held") if job in Here.stuck else (State.RUNNING, "")
 
     def explain(self, words: str) -> str:
         return words
@@ -133,6 +145,7 @@ def here(monkeypatch: pytest.MonkeyPatch) -> Iterator[type[Here]]:
     monkeypatch.setattr(Here, "full", 0)
     monkeypatch.setattr(Here, "word", "")
     monkeypatch.setattr(Here, "cancelled", None)
+    monkeypatch.setattr(Here, "held", 0)
     yield Here
     for _, _, _, process in Here.tasks:
         with contextlib.suppress(ProcessLookupError):
@@ -308,6 +321,17 @@ def test_where_a_guess_at_their_time_was_too_short_elements_are_given_more(
     ]
     assert least is not None
     assert longer == [2 * least, 4 * least]
+
+
+def test_what_could_not_be_begun_is_submitted_again_and_that_is_said(
+    clustered: Callable[..., Clustered], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Here, "held", 1)
+    said: list[str] = []
+    made = clustered()
+    summary = made.project.execute(made.project.plan(*QUERY, runs=1), runner="here", say=said.append, figures=False)
+    assert (summary.executed, summary.failed) == (3, 0)
+    assert "1 element is submitted again: launch failed requeued held (CANCELLED)" in said
 
 
 def test_what_others_give_back_is_executed_too(clustered: Callable[..., Clustered]) -> None:

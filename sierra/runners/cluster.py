@@ -338,7 +338,10 @@ class Cluster:
         """Cancel what will never begin; where that is not by mishap, nothing will."""
         mishaps = [task for task in stuck if is_mishap(task)]
         if mishaps:
-            self._cancel(sorted(self._elements(mishaps)))
+            held = sorted(self._elements(mishaps))
+            for index in held:  # that it is cancelled then is no reason
+                self._shares[index].trouble = mishaps[0].reason
+            self._cancel(held)
         wrong = [task for task in stuck if task not in mishaps]
         if wrong:
             why = self._scheduler.explain(wrong[0].reason)
