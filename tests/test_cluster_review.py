@@ -390,7 +390,10 @@ def test_what_others_give_back_is_executed_too(clustered: Callable[..., Clustere
     assert made.simulated.work() == []
 
 
-def test_what_is_said_of_a_job_before_is_not_of_what_was_given_back(clustered: Callable[..., Clustered]) -> None:
+def test_what_is_said_of_a_job_before_is_not_of_what_was_given_back(
+    clustered: Callable[..., Clustered], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Here, "word", "FAILED")
     made = clustered("sleep 3; " + PRINTS, elements=2)
     project = made.project
     other = Session(Store.create(project.paths.store).paths)
