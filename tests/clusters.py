@@ -15,6 +15,7 @@ import signal
 import socket
 import subprocess
 import tempfile
+import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
@@ -174,7 +175,9 @@ class Slurm:
         enter = ("nsenter", f"--target={shell}", "--pid", "--uts", "--mount", "slurmd", "-D", "-N", node)
         self._spawn(f"slurmd of {node}", *enter)
 
-    def kill_controller(self) -> None:
+    def kill_controller(self, *, saved: bool = False) -> None:
+        """`saved`: not before it has saved what it knows, as it does every five seconds; else it may give ids twice."""
+        time.sleep(6 if saved else 0)
         self._kill("slurmctld")
 
     def start_controller(self) -> None:

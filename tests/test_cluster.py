@@ -191,7 +191,7 @@ def test_two_copies_of_an_element_are_one_result_and_a_comparison(gated: Gated) 
 def test_a_controller_that_dies_loses_nothing(gated: Gated) -> None:
     asking = gated.ask()
     gated.until_begun(3)
-    gated.slurm.kill_controller()
+    gated.slurm.kill_controller(saved=True)
     time.sleep(12)
     gated.slurm.start_controller()
     gated.open()
@@ -207,8 +207,7 @@ def test_what_cannot_be_cancelled_now_is_cancelled_by_whoever_looks_next(gated: 
     config.write_text(config.read_text().replace("elements = 3", 'elements = 8\ndirectives = ["--exclusive"]'))
     ended(gated.ask("population_size.Log8", "--detach"))
     gated.until_begun(1)
-    time.sleep(6)  # until the controller has saved what it knows
-    gated.slurm.kill_controller()
+    gated.slurm.kill_controller(saved=True)
     begun = len(gated.begun())
     assert begun < 8, "others wait for a node"
     done = projects.quick(gated.root, "cancel", gated.project.status()[0].session)
@@ -233,7 +232,7 @@ def test_what_cannot_be_cancelled_now_is_cancelled_by_whoever_looks_next(gated: 
 def test_a_follower_that_cannot_cancel_says_so_and_another_does(gated: Gated) -> None:
     asking = gated.ask()
     gated.until_begun(3)
-    gated.slurm.kill_controller()
+    gated.slurm.kill_controller(saved=True)
     [session] = [path for path in (gated.root / ".sierra" / "work").iterdir() if path.is_dir()]
     (session / "cancelled").touch()  # as who chooses to cancel has it
     told = ended(asking, 3)

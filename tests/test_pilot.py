@@ -222,7 +222,7 @@ def test_runs_that_fail_tell_nothing(simulate: Callable[..., Simulated], slurm: 
 def test_a_controller_that_is_gone_meanwhile_loses_nothing(waiting: Simulated, slurm: Slurm) -> None:
     process = waiting.start(*ASKED)
     waiting.until_executed(1, process)
-    slurm.kill_controller()
+    slurm.kill_controller(saved=True)
     opened(waiting)
     until(lambda: len(sent(waiting)) == 2, "the others are dealt out")
     time.sleep(1)
