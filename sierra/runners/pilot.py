@@ -50,7 +50,9 @@ class Pilot:
         self._read()
         good = [seconds for seconds in self._took.values() if seconds is not None]
         if over:
-            return Told(_mean(good), _taken(good) if good else "the runs that went first have failed")
+            took = _mean(good)
+            how = "the runs that went first have failed" if took is None else f"the runs that went first took {took:.3g} s"
+            return Told(took, how)
         if self._since is None:
             late = self._waited() > PATIENCE_S
             return Told(None, f"no node was to be had within {PATIENCE_S:g} s for the runs that go first") if late else None
@@ -86,7 +88,3 @@ def _seconds(result: Result) -> float | None:
 
 def _mean(seconds: list[float]) -> float | None:
     return sum(seconds) / len(seconds) if seconds else None
-
-
-def _taken(seconds: list[float]) -> str:
-    return f"the runs that went first took {sum(seconds) / len(seconds):.3g} s"
