@@ -108,6 +108,15 @@ def instead(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Pa
     return instead
 
 
+WATCHED = {
+    "JobAcctGatherType": "jobacct_gather/linux",
+    "JobAcctGatherFrequency": "1",
+    "JobAcctGatherParams": "OverMemoryKill",
+    "SelectTypeParameters": "CR_CPU_Memory",
+}
+"""Settings of a SLURM that kills what takes more memory than was asked for."""
+
+
 def test_a_run_over_its_limit_of_memory_fails_on_a_node_and_no_other_does(gate: Callable[..., Gated]) -> None:
     gated = gate('[limits]\nmemory = "200 MB"\n', simulator=HUNGRY)
     told = ended(gated.ask(), 1)
@@ -121,13 +130,7 @@ def test_a_run_over_its_limit_of_memory_fails_on_a_node_and_no_other_does(gate: 
 def test_what_slurm_kills_for_its_memory_has_failed_and_takes_nothing_with_it(
     gate: Callable[..., Gated], start: Callable[..., Slurm]
 ) -> None:
-    watched = {
-        "JobAcctGatherType": "jobacct_gather/linux",
-        "JobAcctGatherFrequency": "1",
-        "JobAcctGatherParams": "OverMemoryKill",
-        "SelectTypeParameters": "CR_CPU_Memory",
-    }
-    gated = gate('memory = "200 MB"\nattempts = 2\n', on=start(settings=watched), simulator=HUNGRY)
+    gated = gate('memory = "200 MB"\nattempts = 2\n', on=start(settings=WATCHED), simulator=HUNGRY)
     told = ended(gated.ask(), 1)
     assert "cut off 2 times" in told
     found = rows(
@@ -146,14 +149,8 @@ def test_what_slurm_kills_for_its_memory_has_failed_and_takes_nothing_with_it(
 def test_what_takes_its_element_down_is_found_and_the_runs_beside_it_complete(
     gate: Callable[..., Gated], start: Callable[..., Slurm]
 ) -> None:
-    watched = {
-        "JobAcctGatherType": "jobacct_gather/linux",
-        "JobAcctGatherFrequency": "1",
-        "JobAcctGatherParams": "OverMemoryKill",
-        "SelectTypeParameters": "CR_CPU_Memory",
-    }
     slow = HUNGRY.replace("if count == 4:", "time.sleep(1 + count)\nif count == 4:")
-    gated = gate('memory = "300 MB"\nattempts = 2\ncpus = 4\n', on=start(settings=watched), simulator=slow)
+    gated = gate('memory = "300 MB"\nattempts = 2\ncpus = 4\n', on=start(settings=WATCHED), simulator=slow)
     config = gated.root / "sierra.toml"
     config.write_text(config.read_text().replace("elements = 3", "elements = 1"))
     told = ended(gated.ask("population_size.Log8", "--runs", "1"), 1)

@@ -22,6 +22,7 @@ from tests.waiting import until
 ASKED = ("run", "size.Log8", "--runs", "6", "-j", "2", "--no-figures")
 RUNS = 24
 Simulate = Callable[..., Any]
+Disk = Callable[[Path, str], Path]
 
 
 def assert_complete(project: Any, runs: int = RUNS) -> None:
@@ -230,49 +231,35 @@ def test_half_written_files_of_a_killed_session_stop_nobody(simulate: Simulate) 
     assert_complete(project)
 
 
-def test_a_full_disk_is_said_and_what_had_finished_is_kept(simulate: Simulate, require: Any) -> None:
+def test_a_full_disk_is_said_and_what_had_finished_is_kept(simulate: Simulate, disk: Disk) -> None:
     project = simulate("head -c 150000 /dev/urandom > noise.bin; printf 't,v\\n1,1\\n2,4\\n' > swarm.csv")
-    store = project.folder / ".sierra"
-    store.mkdir()
-    mount = ["mount", "-t", "tmpfs", "-o", "size=3m", "none", str(store)]
-    mounted = subprocess.run(mount, check=False, capture_output=True).returncode == 0
-    require("the right to mount a small disk", there=mounted)
-    try:
-        done = project.quick(*ASKED)
-        assert done.returncode == 3
-        assert "No space left on device" in done.stderr
-        assert project.left_running() == []
-        finished = ended_well(project)
-        subprocess.run(["mount", "-o", "remount,size=60m", str(store)], check=True)
-        assert project.quick(*ASKED).returncode == 0
-        assert project.sql("SELECT count(*) AS n, count(DISTINCT run) AS r FROM executions WHERE status = 'ok'") == [
-            {"n": RUNS, "r": RUNS}
-        ]
-        assert (project.work(), project.left_running()) == ([], [])
-        assert {run: n for run, n in project.executed().items() if n > 1 and run in finished} == {}
-    finally:
-        subprocess.run(["umount", "--lazy", str(store)], check=True)
+    store = disk(project.folder / ".sierra", "3m")
+    done = project.quick(*ASKED)
+    assert done.returncode == 3
+    assert "No space left on device" in done.stderr
+    assert project.left_running() == []
+    finished = ended_well(project)
+    disk(store, "60m")
+    assert project.quick(*ASKED).returncode == 0
+    assert project.sql("SELECT count(*) AS n, count(DISTINCT run) AS r FROM executions WHERE status = 'ok'") == [
+        {"n": RUNS, "r": RUNS}
+    ]
+    assert (project.work(), project.left_running()) == ([], [])
+    assert {run: n for run, n in project.executed().items() if n > 1 and run in finished} == {}
 
 
-def test_a_program_that_does_not_notice_a_full_disk_has_made_no_result(simulate: Simulate, require: Any) -> None:
+def test_a_program_that_does_not_notice_a_full_disk_has_made_no_result(simulate: Simulate, disk: Disk) -> None:
     project = simulate("printf 't,v\\n1,1\\n2,4\\n' > swarm.csv; head -c 2000000 /dev/zero 2> /dev/null > noise.bin || true")
-    store = project.folder / ".sierra"
-    store.mkdir()
-    mount = ["mount", "-t", "tmpfs", "-o", "size=1500k", "none", str(store)]
-    mounted = subprocess.run(mount, check=False, capture_output=True).returncode == 0
-    require("the right to mount a small disk", there=mounted)
-    try:
-        done = project.quick(*ASKED)
-        assert done.returncode == 3
-        assert [line for line in done.stderr.splitlines() if line.startswith("sierra:")] == done.stderr.splitlines()[-1:]
-        assert "No space left on device" in done.stderr
-        assert project.left_running() == []
-        subprocess.run(["mount", "-o", "remount,size=100m", str(store)], check=True)
-        assert project.quick(*ASKED).returncode == 0
-        [found] = project.sql("SELECT count(*) AS n, min(size) AS least FROM artifacts WHERE path = 'noise.bin'")
-        assert found == {"n": RUNS, "least": 2_000_000}
-    finally:
-        subprocess.run(["umount", "--lazy", str(store)], check=True)
+    store = disk(project.folder / ".sierra", "1500k")
+    done = project.quick(*ASKED)
+    assert done.returncode == 3
+    assert [line for line in done.stderr.splitlines() if line.startswith("sierra:")] == done.stderr.splitlines()[-1:]
+    assert "No space left on device" in done.stderr
+    assert project.left_running() == []
+    disk(store, "100m")
+    assert project.quick(*ASKED).returncode == 0
+    [found] = project.sql("SELECT count(*) AS n, min(size) AS least FROM artifacts WHERE path = 'noise.bin'")
+    assert found == {"n": RUNS, "least": 2_000_000}
 
 
 def test_what_a_run_puts_in_place_of_its_folder_is_never_followed(simulate: Simulate, tmp_path: Path) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import pytest
@@ -12,7 +12,7 @@ import pytest
 from sierra.config import ClusterTable
 from sierra.errors import ConfigError
 from sierra.runners.schedulers import Request
-from sierra.runners.schedulers.meanings import PBS, SLURM, about
+from sierra.runners.schedulers.meanings import PBS, SLURM, Meaning, about
 from sierra.runners.schedulers.pbs import Pbs
 from tests import pbs, projects
 from tests.clusters import Slurm
@@ -30,6 +30,12 @@ ALL = ClusterTable(
     directives=("-x y",),
 )
 SITE = "the site has partition debug (up to 1:00:00): nodes of 4 cores, 4000 MB, gpu:2, fast"
+
+
+def assert_about(words: str, table: Sequence[Meaning], settings: str) -> None:
+    told = about(words, table, ALL, tuple)
+    assert told.startswith(f"{words}: ")
+    assert re.findall(r"(\w+) = ", told) == settings.split()
 
 
 @pytest.mark.parametrize(
@@ -57,9 +63,7 @@ SITE = "the site has partition debug (up to 1:00:00): nodes of 4 cores, 4000 MB,
     ],
 )
 def test_slurm_s_words_are_about_these_settings(words: str, settings: str) -> None:
-    told = about(words, SLURM, ALL, tuple)
-    assert told.startswith(f"{words}: ")
-    assert re.findall(r"(\w+) = ", told) == settings.split()
+    assert_about(words, SLURM, settings)
 
 
 @pytest.mark.parametrize(
@@ -79,9 +83,7 @@ def test_slurm_s_words_are_about_these_settings(words: str, settings: str) -> No
     ],
 )
 def test_pbs_words_are_about_these_settings(words: str, settings: str) -> None:
-    told = about(words, PBS, ALL, tuple)
-    assert told.startswith(f"{words}: ")
-    assert re.findall(r"(\w+) = ", told) == settings.split()
+    assert_about(words, PBS, settings)
 
 
 def test_what_nobody_knows_is_told_as_it_is() -> None:
