@@ -122,6 +122,13 @@ class Here:
                 process.terminate()
 
 
+def cut_off(process: subprocess.Popen[bytes]) -> None:
+    """Take its node away from an element, unless it has ended: it may, at any time, and be waited for by who looks."""
+    if process.poll() is None:
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+
+
 @dataclass
 class Clustered:
     """A project that has this cluster."""
@@ -150,8 +157,7 @@ def here(monkeypatch: pytest.MonkeyPatch) -> Iterator[type[Here]]:
     monkeypatch.setattr(Here, "held", 0)
     yield Here
     for _, _, _, process in Here.tasks:
-        with contextlib.suppress(ProcessLookupError):
-            os.killpg(process.pid, signal.SIGKILL)
+        cut_off(process)
         process.wait()
     Here.tasks.clear()
     Here.requests.clear()
@@ -286,12 +292,12 @@ def test_a_site_without_room_makes_no_run_fail(clustered: Callable[..., Clustere
     made.gate.with_name("gate.which").write_text(made.project.plan(*QUERY, runs=1).batch.runs[1].id)
     monkeypatch.setattr(cluster, "FULL_S", 0.1)
     monkeypatch.setattr(Here, "full", 5)
-    cut: list[int] = []
+    cut: list[subprocess.Popen[bytes]] = []
 
     def watch(progress: Progress) -> None:
         if made.gate.exists() and not cut:
-            cut.append(Here.tasks[-1][-1].pid)
-            os.killpg(cut[0], signal.SIGKILL)
+            cut.append(Here.tasks[-1][-1])
+            cut_off(cut[0])
 
     summary = made.project.run(*QUERY, runs=1, runner="here", watch=watch, figures=False)
     assert cut
@@ -312,7 +318,7 @@ def test_where_a_guess_at_their_time_was_too_short_elements_are_given_more(
         if not progress.running or begun[-1].poll() is not None:
             return
         if len(begun) < 3:
-            os.killpg(begun[-1].pid, signal.SIGKILL)
+            cut_off(begun[-1])
         else:
             made.gate.touch()
 
@@ -353,7 +359,7 @@ def test_a_scheduler_that_is_asked_for_the_jobs_that_lived_sees_those_with_more_
     def watch(progress: Progress) -> None:
         sent = [process for name, *_, process in Here.tasks if name.startswith("sierra-")]
         if progress.running == 2 and len(sent) == 2:
-            os.killpg(sent[0].pid, signal.SIGKILL)
+            cut_off(sent[0])
         elif len(sent) > 2:
             again.append(time.monotonic())
             if again[-1] - again[0] > 8:

@@ -40,9 +40,9 @@ def later(waiting: Waiting) -> None:
 def test_status_says_why_elements_wait_in_the_scheduler_s_words(waiting: Waiting) -> None:
     later(waiting)
     waiting.submit()
+    until(lambda: waiting.status()[0]["waits"].endswith("BeginTime"), "nodes have been tried out")
     [now] = waiting.status()
     assert (now["queued"], now["running"], now["stuck"]) == (3, 0, None)
-    assert now["waits"].endswith("BeginTime")
     assert re.search(r"  3 queued \((.*: )?BeginTime\)  ", waiting.project.ask("status").stdout)
 
 
