@@ -8,15 +8,14 @@ The golden hashes of `tests/test_identity.py` pin every format.
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 import rfc8785
+from pydantic_core import to_json
 
 CHUNK = 1 << 20
-PLAIN = json.JSONEncoder(sort_keys=True, separators=(",", ":"), ensure_ascii=False)
 
 
 def canonical(value: Any) -> bytes:
@@ -24,12 +23,12 @@ def canonical(value: Any) -> bytes:
     return rfc8785.dumps(value)
 
 
-def canonical_plain(value: Any) -> bytes:
-    """The same bytes as `canonical`, five times as fast, for values without floats and with ASCII keys.
+def canonical_plain(value: Mapping[str, Any]) -> bytes:
+    """The same bytes as `canonical`, many times as fast, for an object with ASCII keys, and neither floats nor objects in it.
 
-    (Python's JSON differs from RFC 8785 only in how floats are written and keys outside the BMP are ordered.)
+    (What is left of RFC 8785 is the order of keys.)
     """
-    return PLAIN.encode(value).encode()
+    return to_json(dict(sorted(value.items())))
 
 
 def sha256(data: bytes) -> str:

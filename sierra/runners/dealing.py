@@ -18,6 +18,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from pydantic_core import to_json
+
 from sierra.errors import Damaged
 from sierra.model import Job
 from sierra.paths import SessionPaths
@@ -175,7 +177,10 @@ class _Template:
 
 
 def _line(record: Mapping[str, Any]) -> bytes:
-    return ENCODER.encode(record).encode() + b"\n"
+    try:
+        return to_json(record) + b"\n"
+    except ValueError:  # a path whose bytes are no text
+        return ENCODER.encode(record).encode() + b"\n"
 
 
 def _difference(job: Job, common: Job, templates: Mapping[str, _Template]) -> dict[str, Any]:
