@@ -88,6 +88,8 @@ class Asking:
         self.containment: Containment | None = None
         self.left: list[SessionPaths] = []
         """The sessions that were left to themselves."""
+        self.awaited: set[str] = set()
+        """Runs that other sessions were executing, or had submitted."""
 
     @property
     def attempted(self) -> AbstractSet[str]:
@@ -109,6 +111,7 @@ class Asking:
             mine = self.session.claim(wanted)
             if len(self.store.segments()) != recorded:
                 continue  # what is claimed now may have been executed since the store was asked
+            self.awaited |= wanted - mine
             if not mine:
                 if self._wait(wanted):
                     continue

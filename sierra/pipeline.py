@@ -64,6 +64,8 @@ class Summary:
     failed: int
     missing: int
     interrupted: bool
+    awaited: int = 0
+    """Of those reused, runs that another asking has executed meanwhile."""
     left: tuple[str, ...] = ()
     """Sessions on a cluster that go on without this process."""
     counts: tuple[Counted, ...] = ()
@@ -121,6 +123,7 @@ def _sum_up(asking: Asking) -> Summary:
         runs,
         executed=asking.attempted,
         again=asking.again,
+        awaited=asking.awaited - asking.attempted - bad,
         failed=failed,
         missing=bad - failed if failed else bad,
         tried={run for run, state in now.items() if state.worth == FAILED} | failed,
@@ -137,6 +140,7 @@ def _summary(
     *,
     executed: AbstractSet[str] = frozenset(),
     again: AbstractSet[str] = frozenset(),
+    awaited: AbstractSet[str] = frozenset(),
     failed: AbstractSet[str] = frozenset(),
     missing: AbstractSet[str] = frozenset(),
     tried: AbstractSet[str] = frozenset(),
@@ -157,6 +161,7 @@ def _summary(
         executed=len(executed),
         again=len(again),
         reused=runs - len(executed | failed) - len(missing),
+        awaited=len(awaited),
         failed=len(failed),
         missing=len(missing),
         interrupted=interrupted,

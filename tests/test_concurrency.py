@@ -127,6 +127,20 @@ def test_what_another_session_has_just_tried_without_success_is_not_tried_again(
     assert all("6 failed" in end.stdout for end in ends)
 
 
+def test_what_another_asking_executes_meanwhile_is_told_from_what_was_there(simulate: Simulate) -> None:
+    project = simulate(held(1))
+    assert project.ask("run", "size=1", "--runs", "1", "--no-figures").returncode == 0
+    one = project.start("run", "size=1,2", "--runs", "1", "-j", "2", "--no-figures")
+    project.until_executed(2, one)
+    two = project.start("run", "size=1,2,3", "--runs", "1", "-j", "2", "--no-figures")
+    until(lambda: len(project.executed()) == 3, "the second has begun what nobody else executes")
+    project.open()
+    ends = [project.end_of(process) for process in (one, two)]
+    assert [end.returncode for end in ends] == [0, 0]
+    assert "2 runs: 1 executed, 1 reused\n" in ends[0].stdout
+    assert "3 runs: 1 executed, 2 reused (1 executed meanwhile by another asking)\n" in ends[1].stdout
+
+
 # ---------------------------------------------------------------- claims
 
 

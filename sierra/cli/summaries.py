@@ -43,7 +43,7 @@ def _left(one: Standing) -> dict[str, Any]:
 
 
 def _answer(summary: Summary) -> dict[str, Any]:
-    names = ("batch", "query", "experiments", "runs", "executed", "again", "reused", "failed", "missing", "interrupted")
+    names = ("batch", "query", "experiments", "runs", "executed", "again", "reused", "awaited", "failed", "missing", "interrupted")
     answer: dict[str, Any] = {name: getattr(summary, name) for name in names}
     answer["figures"] = list(summary.figures)
     answer["counts"] = [{**counted.values, **{name: getattr(counted, name) for name in COUNTED}} for counted in summary.counts]
@@ -65,7 +65,8 @@ def _print(summary: Summary, left: Sequence[Standing]) -> None:
     table([*axes, *COUNTED], rows, right=COUNTED)
     failed = f", {summary.failed} failed" if summary.failed else ""
     missing = f", {summary.missing} {'to come' if left else 'not executed'}" if summary.missing else ""
-    print(f"{summary.runs} runs: {summary.executed} executed, {summary.reused} reused{failed}{missing}")
+    awaited = f" ({summary.awaited} executed meanwhile by another asking)" if summary.awaited else ""
+    print(f"{summary.runs} runs: {summary.executed} executed, {summary.reused} reused{awaited}{failed}{missing}")
     _print_failures(summary)
     if left:
         print("\n".join(leaving.lines(left, summary.batch)))
