@@ -43,7 +43,19 @@ def _left(one: Standing) -> dict[str, Any]:
 
 
 def _answer(summary: Summary) -> dict[str, Any]:
-    names = ("batch", "query", "experiments", "runs", "executed", "again", "reused", "awaited", "failed", "missing", "interrupted")
+    names = (
+        "batch",
+        "query",
+        "experiments",
+        "runs",
+        "executed",
+        "again",
+        "reused",
+        "awaited",
+        "failed",
+        "missing",
+        "interrupted",
+    )
     answer: dict[str, Any] = {name: getattr(summary, name) for name in names}
     answer["figures"] = list(summary.figures)
     answer["counts"] = [{**counted.values, **{name: getattr(counted, name) for name in COUNTED}} for counted in summary.counts]

@@ -2,8 +2,8 @@
 
 To ask a program is to execute it, and nobody knows what one does that has never heard of `--version`. So only what is
 installed is asked without being told to: no script, and nothing inside the project, unless `[programs.versions]` names it.
-It gets a second, an empty folder, no input, small files, and the environment of runs; then it is ended, with all that it
-has started. The answer is recorded, and no part of any fingerprint: that is what is hashed for.
+It gets ten seconds, two of computing, an empty folder, no input, small files, and the environment of runs; then it is
+ended, with all that it has started. The answer is recorded, and no part of any fingerprint: that is what is hashed for.
 """
 
 from __future__ import annotations
@@ -28,7 +28,8 @@ from sierra.paths import user_versions
 from sierra.provenance.program import Kind, Program, Programs
 from sierra.provenance.remembered import Remembered
 
-PATIENCE_S = 1.0
+PATIENCE_S = 10.0
+"""As simulators may need where the machine is busy: that one says nothing is remembered like what it says."""
 MOST_SAID = 1 << 16
 LONGEST = 200
 MOST = 1024

@@ -110,6 +110,7 @@ class Cluster:
         """Submit the probe, if there is to be one, and all elements."""
         if self._made.probed:
             self._goes_before = self._scheduler.submit(self._probe.request())
+            self._note(f"{self._kind} job {self._goes_before} ({self._probe.name}) goes before: it tries nodes out")
         try:
             self._hand_over(tuple(range(len(self._shares))), "", after=self._goes_before)
         except SierraError:
