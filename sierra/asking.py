@@ -18,7 +18,7 @@ from sierra.paths import SessionPaths
 from sierra.plans import Plan, context
 from sierra.provenance import environment
 from sierra.provenance.program import Programs
-from sierra.record import Recorder, find_odd
+from sierra.recording import Recorder, find_odd
 from sierra.runners import Runner, Work, needed
 from sierra.sessions import Session
 from sierra.signals import noted

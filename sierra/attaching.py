@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from sierra import asked, runners
 from sierra.following import Ears, Following
 from sierra.model import Status
-from sierra.record import Context, Recorder, find_odd
+from sierra.recording import Context, Recorder, find_odd
 from sierra.runners import Runner
 from sierra.runners.submission import Submission
 from sierra.sessions import Session

@@ -24,7 +24,7 @@ from sierra.model import Axis
 from sierra.paths import ProjectPaths, write_whole
 from sierra.store import Store
 from sierra.store.frame import Column, Frame, OutputTable
-from sierra.store.reading import column_names
+from sierra.store.names import column_names
 from sierra.store.segments import disk_errors
 from sierra.version import __version__
 

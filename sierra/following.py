@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from sierra import recovery
 from sierra.errors import Missing, SierraError
 from sierra.model import Status
-from sierra.record import Recorder
+from sierra.recording import Recorder
 from sierra.runners import Look, Runner, Work
 from sierra.sessions import Session
 from sierra.store import Store

@@ -18,7 +18,7 @@ from sierra import asked, recovery, runners
 from sierra.asking import Asking, How
 from sierra.model import Batch
 from sierra.plans import Plan, context, versioned
-from sierra.record import find_odd
+from sierra.recording import find_odd
 from sierra.sessions import Session
 from sierra.states import FAILED, is_answered, states
 from sierra.store import Store

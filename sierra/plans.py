@@ -23,7 +23,7 @@ from sierra.paths import CONFIG, DRAWN, FIGURES, LOCK, PYPROJECT, STORE, Project
 from sierra.provenance import environment, named, source, versions
 from sierra.provenance.program import Programs
 from sierra.provenance.seen import Seen, seen
-from sierra.record import Context
+from sierra.recording import Context
 from sierra.store.tables import RESERVED, check_name
 from sierra.version import __version__
 

@@ -25,7 +25,7 @@ from sierra.plans import Plan
 from sierra.provenance import environment
 from sierra.provenance.program import NOTHING
 from sierra.provenance.seen import seen
-from sierra.record import rules_of
+from sierra.recording import rules_of
 from sierra.store import Question, Store
 from sierra.store.files import Taken, contents, recorded
 from sierra.version import __version__

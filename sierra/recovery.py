@@ -7,7 +7,7 @@ import contextlib
 from sierra import engines, sessions
 from sierra.model import Result, Status
 from sierra.paths import SessionPaths
-from sierra.record import Context, Recorder, find_odd
+from sierra.recording import Context, Recorder, find_odd
 from sierra.runners import orphans
 from sierra.runners.journal import Journal
 from sierra.store import Store

@@ -30,7 +30,7 @@ from sierra.provenance import environment, programs, versions
 from sierra.provenance.program import Programs
 from sierra.provenance.seen import seen
 from sierra.recalled import Recalled
-from sierra.record import Context, Recorder
+from sierra.recording import Context, Recorder
 from sierra.runners import Runner, Work, needed
 from sierra.sessions import Session
 from sierra.signals import noted

@@ -14,10 +14,10 @@ import pyarrow.parquet as pq
 import pytest
 
 import sierra
-from sierra import record
 from sierra.hashing import sha256
 from sierra.keeping.checking import Report
 from sierra.keeping.findings import Kind
+from sierra.recording import recorder
 from sierra.store.segments import manifest
 from tests import projects, stores
 from tests.conftest import Simulated, held
@@ -372,7 +372,7 @@ def test_what_was_executed_and_is_lost_is_executed_again_and_nothing_else(root: 
 def test_declarations_that_are_damaged_take_no_execution_with_them(
     simulate: Callable[..., Simulated], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(record, "PENDING_RUNS", 1)
+    monkeypatch.setattr(recorder, "PENDING_RUNS", 1)
     root = simulate().folder
     sierra.open(root).run("size=1,2", runs=8, figures=False)
     assert len(list(root.glob(".sierra/segments/*/executions.parquet"))) > 1

@@ -19,7 +19,7 @@ from sierra.model import OutputFile, Recipe
 from sierra.plans import Plan
 from sierra.provenance.program import fingerprint
 from sierra.provenance.source import Entry, Source, tree_hash
-from sierra.record import Context, result_hash
+from sierra.recording import Context, result_hash
 from sierra.seeds import seed
 
 TOML = """

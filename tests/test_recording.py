@@ -23,7 +23,7 @@ from sierra import worker
 from sierra.api import Project
 from sierra.errors import QueryError
 from sierra.pipeline import Summary
-from sierra.record import Recorder
+from sierra.recording import Recorder
 from sierra.store.frame import Frame
 from sierra.store.reading import Reading, Shape, Written, read
 from tests import projects

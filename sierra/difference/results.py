@@ -21,7 +21,7 @@ from sierra.difference.kinds import ARROW, Difference, Note, changed, shown
 from sierra.difference.sides import Side
 from sierra.errors import SierraError
 from sierra.hashing import short
-from sierra.record import rules_of
+from sierra.recording import rules_of
 from sierra.store import Question, Store
 from sierra.store.frame import Frame
 from sierra.wording import few

@@ -26,7 +26,7 @@ from sierra.model import Recipe
 from sierra.paths import StorePaths
 from sierra.provenance import source
 from sierra.provenance.program import fingerprint
-from sierra.record import UNREAD
+from sierra.recording import UNREAD
 from sierra.store import Question, read_parquet
 from sierra.store.complaints import first_line
 from sierra.store.tables import RECORDED

@@ -24,7 +24,8 @@ from sierra.errors import Damaged
 from sierra.hashing import sha256_file
 from sierra.store import Found, Question
 from sierra.store.complaints import explain, first_line
-from sierra.store.reading import column_names, identifier, is_number
+from sierra.store.names import column_names, identifier
+from sierra.store.reading import is_number
 from sierra.store.segments import MANIFEST, Segment
 from sierra.store.views import files_with, read_parquet
 

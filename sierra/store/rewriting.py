@@ -23,8 +23,8 @@ from sierra.paths import StorePaths
 from sierra.store import Question
 from sierra.store.complaints import first_line
 from sierra.store.connections import connect
+from sierra.store.names import identifier, quote
 from sierra.store.objects import GROUP, ROWS
-from sierra.store.reading import identifier, quote
 from sierra.store.segments import (
     AFTER,
     MANIFEST,

@@ -8,7 +8,7 @@ from typing import Any
 
 from sierra.errors import Damaged
 from sierra.store.complaints import first_line
-from sierra.store.reading import column_names, identifier, quote
+from sierra.store.names import column_names, identifier, quote
 from sierra.store.segments import Segment, is_first_part
 from sierra.store.tables import DERIVED, RECORDED
 

@@ -1,0 +1,144 @@
+"""What of the tables that were recorded is allowed, and yet hardly meant."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import PurePosixPath
+from typing import Any
+
+from sierra.recording.assigning import NOTED_AT_MOST
+from sierra.recording.context import Context
+from sierra.recording.siblings import GOOD, asked, many
+from sierra.store import Question, Store
+from sierra.store.names import column_names, identifier
+from sierra.store.reading import AS_TEXT, Shape
+
+
+class Remarks:
+    """Looks at the tables of a session, each with its shape."""
+
+    def __init__(self, store: Store, context: Context, shapes: Mapping[str, Shape]) -> None:
+        self._store = store
+        self._context = context
+        self._shapes = shapes
+
+    def all(self) -> list[str]:
+        """A line each. Asks the store, so it is to be called once, when all is recorded and `find_odd` has looked at it."""
+        forms = self._store.rows(GOOD + FORMS, **asked(self._context)) if self._shapes else []
+        return [*self._alone(forms), *self._renamed(), *self._of_kinds(forms)]
+
+    def _alone(self, forms: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+        """Columns that one run alone has in its whole batch, as it may be where there is one run per experiment."""
+        sets: dict[str, Counter[tuple[str, ...]]] = {}
+        for row in forms:
+            sets.setdefault(row["output"], Counter())[tuple(json.loads(row["form"])["columns"])] += row["executions"]
+        for name, counts in sets.items():
+            declared = self._context.outputs.get(name)
+            alone = sum(number == 1 for number in counts.values())
+            if name in self._shapes and len(counts) > 1 and alone and (declared is None or declared.mismatch == "strict"):
+                whose = "one run has columns" if alone == 1 else f"{alone} runs have columns, each its own,"
+                yield f"output {name!r}: {whose} that no other run has; none of its experiment shows whether that is right"
+
+    def _renamed(self) -> Iterator[str]:
+        """Columns that SQL knows by another name, because an axis has theirs, and not their values."""
+        if not self._shapes:
+            return
+        with self._store.ask(self._context.batch) as question:
+            for name in self._shapes:
+                for axis, column, called in _hidden(question, name):
+                    told = f"the column {column!r} of output {name!r} is called {called!r} in SQL"
+                    yield f"{told}: {axis!r} there is the independent variable, and its values are others"
+
+    def _of_kinds(self, forms: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+        """Columns that hold one thing in some runs and another in others, and texts that were hardly meant as such."""
+        kinds: dict[tuple[str, str], Counter[str]] = {}
+        for row in forms:
+            for name, kind in json.loads(row["form"])["columns"].items():
+                if kind != "empty" and row["output"] in self._shapes:
+                    kinds.setdefault((row["output"], name), Counter())[kind] += row["executions"]
+        for (output, name), counts in kinds.items():
+            stored = {"text" if kind.endswith(AS_TEXT) else kind for kind in counts}
+            if len(stored) > 1:
+                held = ", ".join(f"{many(kind)} in {count}" for kind, count in sorted(counts.items()))
+                as_text = "all as text, and a number's text need not be the file's (1e5 is 100000.0)"
+                seen = as_text if "text" in stored else "true as 1"
+                yield f"column {name!r} of output {output!r} holds {held} runs; SQL shows {seen}"
+        texts = [key for key, counts in kinds.items() if counts["text"]]
+        for output, name in texts:
+            if self._shapes[output].format == "csv" and len(name.split()) > 1 and _only_column(kinds, output, name):
+                told = f'delimiter = " " in [outputs.{output}]?'
+                yield f"output {output!r} is one column {name!r} of texts: {told}"
+        alone = [key for key in texts if all(kind == "text" or kind.endswith(AS_TEXT) for kind in kinds[key])]
+        yield from self._numeric_texts([key for key in alone if len(key[1].split()) == 1], kinds)
+
+    def _numeric_texts(self, texts: Sequence[tuple[str, str]], kinds: Mapping[tuple[str, str], Counter[str]]) -> Iterator[str]:
+        """Columns of texts most of which are numbers, by the first rows that are there."""
+        if not texts:
+            return
+        with self._store.ask(self._context.batch) as question:
+            for output, name in texts[:NOTED_AT_MOST]:
+                question.views.make((output,))
+                named = {row[0].lower(): row[0] for row in question.run(f"DESCRIBE {identifier(output)}")}
+                column = next((named[n] for n in (name.lower() + "_", name.lower()) if n in named), None)
+                if column is None:
+                    continue
+                statement = NUMERIC.format(column=identifier(column), table=identifier(output))
+                [(cells, numbers)] = question.run(statement)
+                if numbers * 2 > cells:
+                    counts = kinds[output, name]
+                    runs = f"{counts['text']} of {counts.total()} runs"
+                    told = "most of its cells are numbers: decimal commas? NA?"
+                    yield f"column {name!r} of output {output!r} is text in {runs}; {told}"
+
+
+def as_files(kept: Mapping[str, Mapping[str, None]]) -> Iterator[str]:
+    """Files that look like tables, and became none."""
+    for why, files in kept.items():
+        first = PurePosixPath(next(iter(files)))
+        told = why.replace("{glob}", str(first.with_name("*" + first.suffix))).replace("{file}", str(first))
+        some = "or more " if len(files) == NOTED_AT_MOST else ""
+        these = f"{str(first)!r} and {len(files) - 1} {some}others are" if len(files) > 1 else f"{str(first)!r} is"
+        yield f"{these} kept as {'files' if len(files) > 1 else 'a file'}: {told}"
+
+
+def _only_column(kinds: Iterable[tuple[str, str]], output: str, name: str) -> bool:
+    return [key for key in kinds if key[0] == output] == [(output, name)]
+
+
+FORMS = """
+SELECT a.output, a.form, count(DISTINCT a.execution) AS executions
+FROM artifacts a WHERE a.kind = 'table' AND a.execution IN (SELECT execution FROM good)
+GROUP BY ALL ORDER BY ALL
+"""
+NUMERIC = """
+SELECT count(*), count_if(
+    TRY_CAST(cell AS DOUBLE) IS NOT NULL OR regexp_full_match(cell, ' *[-+]?[0-9]+,[0-9]+([eE][-+]?[0-9]+)? *')
+) FROM (SELECT {column}::VARCHAR AS cell FROM {table} LIMIT 200000) WHERE cell IS NOT NULL
+"""
+
+
+def _hidden(question: Question, name: str) -> Iterator[tuple[str, str, str]]:
+    """The columns of an output that an axis hides in SQL, where their values differ: axis, column, what it is called there."""
+    axes = {axis.lower(): axis for axis in question.views.axes()}
+    files = [path for segment in question.segments for output, path in segment.outputs() if output.lower() == name.lower()]
+    question.views.make((name,))
+    if not axes or not files:
+        return
+    described = question.run("DESCRIBE SELECT * FROM read_parquet($files, union_by_name = true)", {"files": files})
+    stored = [row[0] for row in described]
+    for column, called in zip(stored, column_names(stored, taken=axes.values()), strict=True):
+        axis = axes.get(column.lower())
+        if axis is not None and question.run(
+            UNLIKE.format(axis=identifier(axis), column=identifier(called), table=identifier(name))
+        ):
+            yield axis, column, called
+
+
+UNLIKE = """
+SELECT 1 FROM {table}
+WHERE {column} IS NOT NULL AND {column}::VARCHAR IS DISTINCT FROM {axis}::VARCHAR
+    AND coalesce(TRY_CAST({column} AS DOUBLE) <> TRY_CAST({axis} AS DOUBLE), true)
+LIMIT 1
+"""

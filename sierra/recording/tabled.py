@@ -1,0 +1,100 @@
+"""The tables of some executions, read into one segment."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from sierra.config import Output
+from sierra.model import OutputFile, Result, Status
+from sierra.paths import RUN_OUTPUT
+from sierra.recording.assigning import Assigning
+from sierra.recording.context import Context
+from sierra.recording.judging import Judged
+from sierra.recording.siblings import known
+from sierra.store import Store
+from sierra.store.reading import Reading, Shape, Written, read, shown
+from sierra.store.segments import OUTPUT, Writer
+
+
+@dataclass(frozen=True, slots=True)
+class Tabled:
+    """Which file is which table's, and what was read of it."""
+
+    outputs: Mapping[str, Output]
+    belongs: dict[tuple[str, str], str] = field(default_factory=dict)
+    """The table of each file, by its execution and path."""
+    readings: dict[str, Reading] = field(default_factory=dict)
+    faults: dict[str, str] = field(default_factory=dict)
+    """Why executions are at fault."""
+
+    def judged(self, one: Judged) -> Judged:
+        """The same, knowing what its tables were like."""
+        execution = one.result.execution
+        if execution in self.faults:
+            return Judged(one.result, Status.MISMATCH, self.faults[execution])
+        for file in one.result.outputs if one.status is Status.OK else ():
+            name = self.table(execution, file)
+            output, count = self.outputs.get(name or ""), self.rows(execution, file)
+            if output and count is not None and count < output.min_rows:
+                reason = f"{file.path}: {count} rows; [outputs.{name}] min_rows asks for {output.min_rows}"
+                return Judged(one.result, Status.FAILED, reason)
+        return one
+
+    def table(self, execution: str, file: OutputFile) -> str | None:
+        """The table of a file, also where none of it could be read."""
+        return self.belongs.get((execution, file.path))
+
+    def rows(self, execution: str, file: OutputFile) -> int | None:
+        """How many rows a file gave its table; None of what has none."""
+        name = self.table(execution, file)
+        return self.readings[name].rows.get((execution, file.path)) if name else None
+
+    def form(self, execution: str, file: OutputFile) -> str:
+        """What a table looks like, for a comparison with its siblings'. Only a CSV's columns have an order of their own."""
+        reading = self.readings[self.belongs[execution, file.path]]
+        columns = reading.columns[execution, file.path]
+        csv = reading.shape.format == "csv"
+        whole = file.ended or not csv
+        return json.dumps(
+            {
+                "file": None if reading.shape.many else shown(file.path),
+                "columns": columns if csv else dict(sorted(columns.items())),
+                "ended": whole,
+                **({"hints": dict(hints)} if (hints := reading.hints.get((execution, file.path))) else {}),
+            }
+        )
+
+
+def tabled(
+    executions: Iterable[Judged], writer: Writer, store: Store, context: Context, assigning: Assigning, shapes: dict[str, Shape]
+) -> Tabled:
+    """Read all tables of good executions into a segment; `shapes` learns those of tables that it has not."""
+    from sierra.store.connections import connect
+
+    made = Tabled(context.outputs)
+    files: dict[str, list[Written]] = {}
+    for result in (one.result for one in executions if one.status is Status.OK):
+        for name, shape, file in assigning.of(result):
+            made.belongs[result.execution, file.path] = name
+            shapes.setdefault(name, shape)
+            files.setdefault(name, []).append(_written(result, file))
+    if not files:
+        return made
+    connection = connect()
+    try:
+        for name, written in files.items():
+            reading = read(connection, written, shapes[name], writer.path(OUTPUT + name), known(store, context, name))
+            shapes[name], made.readings[name] = reading.shape, reading
+            for execution, fault in reading.faults.items():
+                made.faults.setdefault(execution, fault)
+    finally:
+        connection.close()
+    return made
+
+
+def _written(result: Result, file: OutputFile) -> Written:
+    path = str(Path(result.directory, RUN_OUTPUT, file.path))
+    return Written(path, result.run, result.execution, file.path, file.head, file.lines, file.ended, file.bytes)

@@ -1,0 +1,92 @@
+"""Parquet, which knows its types."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from sierra.store.complaints import first_line
+from sierra.store.names import identifier, quote
+from sierra.store.reading.kinds import EMPTY, HUGE, alike, kind_of
+from sierra.store.reading.reader import FILE, Reader
+from sierra.store.reading.shapes import Part, Shape, Siblings, Written
+
+
+class Parquet(Reader):
+    """Parquet knows its types."""
+
+    def __init__(self, connection: Any, shape: Shape, target: Path, siblings: Siblings) -> None:
+        super().__init__(connection, shape, target, siblings)
+        self._found: Mapping[str, Mapping[str, str]] = {}
+
+    def sort(self, files: Sequence[Written]) -> Mapping[str, Part | None]:
+        try:
+            self._found = self._schemas(files)
+        except self.error:
+            self._found = self._schemas(self._readable(files))
+        return {path: Part(tuple(columns)) for path, columns in self._found.items()}
+
+    def one(self, files: Sequence[Written]) -> None:
+        try:
+            written = self._write(files)
+        except self.error:
+            try:
+                written = self._write(self._readable(files))
+            except self.error as error:
+                raise self.unwritten(error) from error
+        for target, some in written:
+            kinds = {file.path: {name: kind_of(self._found[file.path][name]) for name in self.part.names} for file in some}
+            self.done(target, some, kinds)
+
+    def _write(self, files: Sequence[Written]) -> list[tuple[Path, list[Written]]]:
+        """Write the files, those whose columns are of one kind into one Parquet file: where, and which."""
+        kinds = {
+            name: {file.path: None if (kind := self._found[file.path][name]) == EMPTY else kind for file in files}
+            for name in self.part.names
+        }
+        written = list(zip(self.targets(), alike(files, kinds), strict=False))
+        try:
+            for target, some in written:
+                types = {name: self._type(name, some) for name in self.part.names}
+                columns = {name: f"CAST(t.{identifier(name)} AS {types[name]})" for name in self.part.names}
+                self.write(target, some, self._source(), columns)
+        except self.error:
+            for target, _ in written:
+                target.unlink(missing_ok=True)
+            raise
+        return written
+
+    def _source(self) -> str:
+        return f"read_parquet($files, filename = {quote(FILE)}, union_by_name = true)"
+
+    def _readable(self, files: Sequence[Written]) -> list[Written]:
+        whole = f"SELECT count(COLUMNS(*)) FROM {self._source()}"
+        self.halve(files, lambda some: self.fetch(whole, some), lambda file, error: first_line(error))
+        return self.sound(files)
+
+    def _schemas(self, files: Sequence[Written]) -> dict[str, dict[str, str]]:
+        """Names and types of each file's columns; files that say the same are asked once."""
+        rows = self.fetch(
+            "SELECT file_name, list((name, type, type_length, num_children, converted_type, scale, precision, logical_type)"
+            "::VARCHAR) FROM parquet_schema($files) GROUP BY file_name",
+            files,
+        )
+        by_path = {file.path: file for file in files}
+        described: dict[tuple[str, ...], dict[str, str]] = {}
+        found = {}
+        for path, schema in rows:
+            key = tuple(schema)
+            if key not in described:
+                columns = self.fetch(f"DESCRIBE SELECT * FROM {self._source()}", [by_path[path]])
+                described[key] = {row[0]: row[1] for row in columns if row[0] != FILE}
+            found[path] = described[key]
+        return found
+
+    def _type(self, name: str, files: Sequence[Written]) -> str:
+        """The type that files have in a column, all of one kind; the widest of numbers."""
+        kinds = {self._found[file.path][name] for file in files} - {EMPTY}
+        if len(kinds) < 2:
+            return kinds.pop() if kinds else EMPTY
+        whole = all("INT" in kind for kind in kinds)
+        return HUGE if whole and "UBIGINT" in kinds else "BIGINT" if whole else "DOUBLE"

@@ -1,0 +1,201 @@
+"""Delimited text."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import re
+import sys
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from sierra.store.names import quote
+from sierra.store.reading.reader import FILE
+from sierra.store.reading.shapes import Part, Written
+from sierra.store.reading.telling import shown
+from sierra.store.reading.texts import Text
+
+DELIMITERS = (",", "\t", ";", "|")
+HEAD_BYTES = 4096
+"""So much of a first line a worker tells."""
+CONTROL = re.compile(r"[\x00-\x08\x0e-\x1f]")
+"""Characters that no column's name has."""
+
+
+class Csv(Text):
+    """Delimited text."""
+
+    _longest = 0
+    """Bytes of the longest line of the part, where it has files of megabytes."""
+
+    def sort(self, files: Sequence[Written]) -> Mapping[str, Part | None]:
+        for file in files:
+            if file.bytes == 0 and self.shape.header:
+                self.fault(file, "is empty; not even a header")
+        self._cut(self.sound(files))
+        heads = {file.path: _first_record(file) for file in self.sound(files)}
+        described = self._described(Counter(heads.values()))
+        for file in self.sound(files):
+            part = described[heads[file.path]]
+            if isinstance(part, str):
+                self.fault(file, f"line 1: {part}")
+        return {path: part for path, head in heads.items() if not isinstance(part := described[head], str)}
+
+    def key(self, part: Part) -> Any:
+        return part.names, part.delimiter
+
+    def _described(self, heads: Counter[str]) -> dict[str, Part | str | None]:
+        """What the first lines say of columns; a sentence where they say nothing sensible."""
+        if self.shape.header:
+            return {head: self._named(head) for head in heads}
+        delimiter = self.shape.delimiter or delimiter_of(heads.most_common(1)[0][0] if heads else "")
+        return {head: self._numbered(head, delimiter) for head in heads}
+
+    def _named(self, head: str) -> Part | str:
+        delimiter = self.shape.delimiter or delimiter_of(head)
+        names = split(head, delimiter)
+        if not any(names):
+            return "is empty, where the names of the columns should be"
+        if "\ufffd" in head or CONTROL.search(head):
+            return f"is no text in UTF-8 (is it compressed?): {head[:80]!r}"
+        if head.count('"') % 2:
+            return f"quotes are not closed: {head[:80]!r}"
+        if all(reads_as_number(name) for name in names):
+            return "numbers, no names of columns (if it has no header: header = false in [outputs.…])"
+        names = tuple(name or f"column{place}" for place, name in enumerate(names))
+        doubled = [name for name, count in Counter(names).items() if count > 1]
+        if doubled:
+            return f"the column {doubled[0]!r} is there twice"
+        return Part(names, delimiter)
+
+    def _numbered(self, head: str, delimiter: str) -> Part | None:
+        """Columns of a file without header: as declared, or as many as its first line has fields."""
+        width = len(split(head, delimiter))
+        if self.shape.names or width:
+            return Part(self.shape.names or tuple(f"column{number}" for number in range(width)), delimiter)
+        return None
+
+    def one(self, files: Sequence[Written]) -> None:
+        large = [file for file in files if file.bytes >= 2_000_000]
+        self._longest = max(map(_longest_line, large), default=0)
+        super().one(files)
+
+    def relation(self, names: Sequence[str], types: Mapping[str, str]) -> str:
+        columns = ", ".join(
+            f"c{place}: {quote('DOUBLE' if types[name] == 'DOUBLE' else 'VARCHAR')}" for place, name in enumerate(names)
+        )
+        longest = f", max_line_size = {self._longest + 1}" if self._longest >= 2_000_000 else ""
+        return (
+            f"read_csv($files, columns = {{{columns}}}, auto_detect = false, header = {str(self.shape.header).lower()}, "
+            f"delim = {quote(self.part.delimiter)}, quote = '\"', escape = '\"', nullstr = '', filename = {quote(FILE)}, "
+            f"strict_mode = true{longest})"
+        )
+
+    def has_underscores(self, file: Written) -> bool:
+        with Path(file.path).open("rb") as data:
+            if self.shape.header:
+                data.readline()
+            return any(b"_" in piece for piece in iter(lambda: data.read(1 << 20), b""))
+
+    def _cut(self, files: Sequence[Written]) -> None:
+        """A last line without its line feed is suspicious where at least half of all files have one."""
+        cut = [file for file in files if not file.ended]
+        ended = len(files) - len(cut) + self.shape.ended
+        if ended >= len(cut) + self.shape.files - self.shape.ended:
+            for file in cut:
+                self.fault(file, f"line {file.lines + 1}: its last line is cut short (no line feed at its end)")
+
+    def first_fault(self, file: Written, names: Sequence[str], types: Mapping[str, str]) -> str | None:
+        ends = set()
+        for line, record, end in _records(file, self.part.delimiter):
+            if isinstance(record, str):
+                return f"line {line}: {record}"
+            if not record or (line == 1 and self.shape.header):
+                continue
+            text = self.part.delimiter.join(record)
+            if any("\udc80" <= character <= "\udcff" for character in text):
+                return f"line {line}: is not UTF-8: {shown(text)[:80]!r}"
+            if len(record) != len(names) and not (len(record) == len(names) + 1 and not record[-1]):
+                few = "too few" if len(record) < len(names) else "too many"
+                return f"line {line}: {few} fields ({len(record)}, not {len(names)}): {text[:80]!r}"
+            for name, cell in zip(names, record, strict=False):
+                if types[name] == "DOUBLE" and cell and not reads_as_number(cell):
+                    return f"line {line}: text where numbers are in column {name!r}: {cell[:80]!r}"
+            ends.add(end)
+        return "some lines end in CR LF, and some in LF" if len(ends) > 1 else None
+
+
+def delimiter_of(head: str) -> str:
+    """The delimiter that occurs most often in a header line, outside quotes; a comma where none does."""
+    bare = re.sub(r'"[^"]*"', "", head)
+    return max(DELIMITERS, key=lambda d: (bare.count(d), d == ","))
+
+
+def split(head: str, delimiter: str) -> tuple[str, ...]:
+    """The fields of a header line."""
+    if len(delimiter) != 1:
+        return tuple(field.strip() for field in head.split(delimiter))
+    reader = csv.reader(io.StringIO(head, newline=""), delimiter=delimiter, skipinitialspace=True)
+    return tuple(field.strip() for field in next(reader, []))
+
+
+def _first_record(file: Written) -> str:
+    """The first line of a CSV, whole: a worker tells its beginning only, and a quoted name may hold a line feed."""
+    head = file.head
+    if len(head.encode()) < HEAD_BYTES - 4 and head.count('"') % 2 == 0:
+        return head.removeprefix("\ufeff").partition("\r")[0]
+    with Path(file.path).open(encoding="utf-8-sig", errors="replace", newline="") as text:
+        line = next(text, "")
+        while line.count('"') % 2 and (more := next(text, "")):
+            line += more
+    return line.rstrip("\r\n")
+
+
+def _longest_line(file: Written) -> int:
+    with Path(file.path).open("rb") as lines:
+        return max(map(len, lines), default=0)
+
+
+def _records(file: Written, delimiter: str) -> Iterator[tuple[int, list[str] | str, str]]:
+    """The records of a CSV with the lines they begin in and how those end; at last what cannot be read, as a sentence."""
+    before = csv.field_size_limit(sys.maxsize)
+    ends: list[str] = []
+
+    def lines(text: Iterable[str]) -> Iterator[str]:
+        for line in text:
+            ends.append("\r\n" if line.endswith("\r\n") else line[-1])
+            yield line
+
+    line = 1
+    try:
+        with Path(file.path).open(encoding="utf-8-sig", errors="surrogateescape", newline="") as text:
+            if len(delimiter) != 1:
+                for place, whole in enumerate(text, 1):
+                    yield place, whole.rstrip("\r\n").split(delimiter), "\n"
+                return
+            reader = csv.reader(lines(text), delimiter=delimiter, strict=True)
+            try:
+                for record in reader:
+                    yield line, record, "\n" if reader.line_num > line and not file.ended else _end(ends)
+                    line = reader.line_num + 1
+            except csv.Error as error:
+                yield line, f"quotes are not closed, or not as CSV has them ({error})", ""
+    finally:
+        csv.field_size_limit(before)
+
+
+def _end(ends: list[str]) -> str:
+    """How the last line that was read ended; a last line without an end is like its forerunners."""
+    end = ends[-1]
+    return end if end in ("\n", "\r", "\r\n") else (ends[-2] if len(ends) > 1 else "\n")
+
+
+def reads_as_number(field: str) -> bool:
+    try:
+        number = float(field)
+    except ValueError:
+        return False
+    return "_" not in field and not (math.isinf(number) and any(map(str.isdigit, field)))
