@@ -443,6 +443,22 @@ def test_the_variables_of_an_image_are_those_that_it_sets_whatever_they_look_lik
     assert "the variables of" in says(folder, *RUN, "--runs", "3", code=3)
 
 
+@pytest.mark.parametrize("engine", ["podman", "apptainer"])
+def test_a_folder_that_an_image_calls_a_volume_is_read_only_as_all_of_it(
+    tmp_path: Path, engine: str, require: Callable[..., str]
+) -> None:
+    require(engine)
+    shell = [("bin/busybox", containers.BUSYBOX.read_bytes()), ("bin/sh -> busybox", "")]
+    layer = images.layer(*((name, "") for name in (*containers.FOLDERS, "data/")), *shell)
+    archive = images.docker_archive(
+        tmp_path / "image.tar", [layer], images.config([layer], config={"Volumes": {"/data": {}}, "Env": ["PATH=/bin"]})
+    )
+    writes = "echo tick,kept > swarm.csv; if (: > /data/file) 2>/dev/null; then echo 0,1; else echo 0,0; fi >> swarm.csv\n"
+    folder = containers.make(tmp_path / "project", archive, simulator=writes)
+    says(folder, *RUN, "--engine", engine)
+    assert rows(folder, "SELECT DISTINCT kept FROM swarm") == [{"kept": 0}]
+
+
 # ---------------------------------------------------------------- replay
 
 
