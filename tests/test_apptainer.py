@@ -180,6 +180,23 @@ def test_what_ran_while_the_file_of_its_image_was_replaced_is_not_the_images(tmp
     assert all(row["status"] == "failed" and "has changed since the runs began" in row["reason"] for row in ended)
 
 
+def test_the_variables_of_a_squashfs_are_those_that_it_sets(tmp_path: Path) -> None:
+    containers.furnish(tmp_path / "root", "sh")
+    sets = tmp_path / "root" / ".singularity.d" / "env" / "10-docker2singularity.sh"
+    sets.parent.mkdir(parents=True)
+    sets.write_text('#!/bin/sh\nexport PATH="/bin"\nexport GRAVITY="9.81"\n')
+    subprocess.run(["mksquashfs", tmp_path / "root", tmp_path / "sim.sqfs", "-quiet", "-no-progress"], check=True)
+    writes = 'echo tick,gravity > swarm.csv; echo "0,$GRAVITY" >> swarm.csv\n'
+    folder = containers.make(tmp_path / "project", tmp_path / "sim.sqfs", ENGINE, simulator=writes)
+    lock = folder / "sierra.lock"
+    lock.write_text(lock.read_text().replace("9.81", "1.62"))
+    for _ in range(2):  # what is found out about an image at first is not what the lock says either
+        assert "the variables of" in says(folder, *RUN, code=3)
+    says(folder, "image", "pin")
+    says(folder, *RUN)
+    assert rows(folder, "SELECT DISTINCT gravity FROM swarm") == [{"gravity": 9.81}]
+
+
 def test_limits_that_hold_and_those_that_were_asked_for_are_recorded(tmp_path: Path, busybox: Path) -> None:
     folder = containers.make(tmp_path / "project", busybox, ENGINE, "cpus = 1.0", "pids = 60")
     said = says(folder, *RUN)
