@@ -46,6 +46,8 @@ OWN = ("HOME", "TMPDIR")
 HERE = "\0"
 """The run's folder, which only the worker knows."""
 _IN_RUN = f"{INSIDE}/run"
+WRITABLE = ("/tmp", "/var/tmp", "/run", "/dev", "/dev/shm", "/dev/mqueue")  # noqa: S108 - the container's own
+"""Where runs may write in a container, beside folders of their own, whichever engine it is."""
 SEARCHED = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin"
 """The PATH of an image that has none of its own."""
 
@@ -218,7 +220,7 @@ class Maker:
         runs, script = f"{INSIDE}/runs", f"{INSIDE}/worker.py"
         own = (Mount(f"{HERE}/{worker.RUNS}", runs, writable=True), Mount(str(self._script), script))
         variables = {name: self._environment[name] for name in ("PATH", "SIERRA_SESSION")} | {"HOME": runs, "TMPDIR": "/tmp"}  # noqa: S108
-        argv = (PYTHON, "-I", "-S", script, runs, "1", "-")
+        argv = (PYTHON, "-I", "-S", script, runs, "1", "-", *WRITABLE, INSIDE, runs)
         process = Process(argv, variables, own, runs, interactive=True)
         return self._engine.client(cast(Box, self._box), process)
 

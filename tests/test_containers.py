@@ -332,6 +332,26 @@ def test_runs_that_share_a_container_have_no_say_in_what_is_recorded_of_others(t
     assert says(folder, "fsck").startswith("sound")
 
 
+@pytest.mark.parametrize("engine", ["podman", "apptainer"])
+def test_what_a_run_leaves_in_a_container_is_not_there_for_the_next(
+    tmp_path: Path, python: Path, engine: str, require: Callable[..., str]
+) -> None:
+    require(engine)
+    places = "/tmp /var/tmp /dev /dev/shm /dev/mqueue /run /run/sierra /run/sierra/runs"
+    writes = f"""\
+echo tick,place,found > swarm.csv
+for place in {places}; do
+    test -e $place/left && echo 0,$place,1 >> swarm.csv
+    echo 1 2>/dev/null > $place/left
+    mkdir -p $place/folder/inner 2>/dev/null && chmod 0 $place/folder
+done
+echo 1,none,0 >> swarm.csv
+"""
+    folder = containers.make(tmp_path / "project", python, 'isolation = "worker"', simulator=writes)
+    assert "3 executed" in says(folder, "run", "population_size=1", "--runs", "3", "--no-figures", "-j1", "--engine", engine)
+    assert rows(folder, "SELECT DISTINCT place FROM swarm") == [{"place": "none"}]
+
+
 @pytest.mark.slow
 def test_a_run_that_stops_the_worker_in_its_container_is_ended_all_the_same(tmp_path: Path, python: Path) -> None:
     simulator = 'grep -q \'count="1"\' "$1" && kill -STOP $PPID && sleep 100\n' + containers.SIMULATOR
