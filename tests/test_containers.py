@@ -479,6 +479,21 @@ def test_a_folder_that_an_image_calls_a_volume_is_read_only_as_all_of_it(
     assert rows(folder, "SELECT DISTINCT kept FROM swarm") == [{"kept": 0}]
 
 
+def test_what_podman_would_give_to_all_containers_is_refused(
+    tmp_path: Path, busybox: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "seen").mkdir()
+    conf = tmp_path / "containers.conf"
+    conf.write_text(f'[containers]\nvolumes = ["{tmp_path}/seen:/seen"]\n')
+    folder = containers.make(tmp_path / "project", busybox)
+    monkeypatch.setenv("CONTAINERS_CONF", str(conf))
+    assert f"{conf} gives volumes to all containers" in says(folder, *RUN, code=3)
+    conf.write_text('[containers]\nvolumes = []\npidns = "host"\nipcns = "host"\numask = "0077"\n')
+    alone = "test $$ -lt 100 && test $(umask) = 0022 || exit 9\n" + containers.SIMULATOR
+    (folder / "sim.sh").write_text(alone)
+    assert "4 executed" in says(folder, *RUN)
+
+
 # ---------------------------------------------------------------- replay
 
 
