@@ -72,12 +72,12 @@ def data(named: Programs, container: Container, project: Path) -> Programs:
         root = _there(project, target, source)
         for path in sorted(root.rglob("*")) if root.is_dir() else [root]:
             if path.is_symlink() and path != root:
-                found = sha256(os.fsencode(path.readlink()))
+                found, kind = sha256(os.fsencode(path.readlink())), Kind.LINK
             elif path.is_file():
-                found = digests.of(str(path))
+                found, kind = digests.of(str(path)), Kind.FILE
             else:
                 continue
-            mounted.append(Program(f"{MOUNTS}{Path(target, path.relative_to(root))}", str(path), found, Kind.FILE))
+            mounted.append(Program(f"{MOUNTS}{Path(target, path.relative_to(root))}", str(path), found, kind))
     digests.save()
     own = (one for one in named.all if one.name.startswith("{project}/"))
     return Programs((*own, *mounted), named.notes)
