@@ -75,9 +75,13 @@ def environment(platform: Platform, project: Project) -> dict[str, str]:
 
     Raises ConfigError for one that each run has of its own.
     """
-    for name in (*project.environment.pass_, *project.environment.set):
-        if name in OWN or name.startswith("SIERRA_"):
-            raise ConfigError(f"[environment] {name}: each run has its own; take another name")
+    boxed = project.container.variables if project.container else ()
+    for table, names in (
+        ("[environment]", (*project.environment.pass_, *project.environment.set)),
+        ("[container] variables:", boxed),
+    ):
+        if own := [name for name in names if name in OWN or name.startswith("SIERRA_")]:
+            raise ConfigError(f"{table} {own[0]}: each run has its own; take another name")
     passed = {name: os.environ[name] for name in project.environment.pass_ if name in os.environ}
     return {**FIXED, **platform.environment(), **passed, **project.environment.set}
 
