@@ -282,7 +282,7 @@ CREATE TABLE readings (
 CREATE TABLE programs (
     "programs" VARCHAR,  -- hash of the set that was used together
     "name" VARCHAR,  -- as the command calls it; of a library, as the loader does; of what lies in the project or is mounted, {project}/… or {mount}/…
-    "kind" VARCHAR,  -- program, library, distributions (what a Python has installed) or file
+    "kind" VARCHAR,  -- program, library, distributions (what a Python has installed), file or link
     "version" VARCHAR,  -- of a program, the first line that it says of itself; of distributions, a line name==version each; else NULL
     "path" VARCHAR,  -- where it was found; of several folders, with : between them
     "sha256" VARCHAR  -- SHA-256 of the file; of distributions, of their names and versions, or of their content

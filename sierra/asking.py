@@ -177,7 +177,8 @@ class Asking:
 
     def _doubt(self) -> str | None:
         """Why what has been executed cannot be ascribed to what was planned: files are others than then, or were."""
-        self._doubted = self._doubted or self.plan.seen.doubt()
+        contained = self.containment
+        self._doubted = self._doubted or self.plan.seen.doubt() or (contained.doubt() if contained else None)
         return self._doubted
 
     def _is_enough(self) -> bool:

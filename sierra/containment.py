@@ -20,6 +20,7 @@ from sierra.model import Limits, Needed, Recipe
 from sierra.paths import StorePaths
 from sierra.provenance.digests import Digests
 from sierra.provenance.program import Kind, Program, Programs
+from sierra.provenance.seen import Seen, alone
 
 NETWORK, GPU, DEVICE, MOUNT = "network", "gpu", "device ", "mount "
 MOUNTS = "{mount}"
@@ -71,12 +72,12 @@ def data(named: Programs, container: Container, project: Path) -> Programs:
         root = _there(project, target, source)
         for path in sorted(root.rglob("*")) if root.is_dir() else [root]:
             if path.is_symlink() and path != root:
-                found = sha256(os.fsencode(path.readlink()))
+                found, kind = sha256(os.fsencode(path.readlink())), Kind.LINK
             elif path.is_file():
-                found = digests.of(str(path))
+                found, kind = digests.of(str(path)), Kind.FILE
             else:
                 continue
-            mounted.append(Program(f"{MOUNTS}{Path(target, path.relative_to(root))}", str(path), found, Kind.FILE))
+            mounted.append(Program(f"{MOUNTS}{Path(target, path.relative_to(root))}", str(path), found, kind))
     digests.save()
     own = (one for one in named.all if one.name.startswith("{project}/"))
     return Programs((*own, *mounted), named.notes)
@@ -90,6 +91,8 @@ class Containment:
     abilities: Abilities
     box: Box | None = None
     notes: tuple[str, ...] = ()
+    seen: Seen | None = None
+    """The image, as it was when it was found to be the pinned one, where it is a file of the user's own, who may replace it."""
 
     @property
     def row(self) -> dict[str, Any] | None:
@@ -119,6 +122,12 @@ class Containment:
         found = digests.of(reference)
         digests.save()
         return (*devices, *driver, Needed("the image", reference, found))
+
+    def doubt(self) -> str | None:
+        """Why what has been executed since cannot be ascribed to the image: its file is another than then, or was."""
+        if self.box is None or self.seen is None or self.seen.doubt() is None:
+            return None
+        return f"the image {self.box.image.name} has changed since the runs began: {self.box.reference} was replaced"
 
     def close(self) -> None:
         """Remove all containers that are left."""
@@ -180,6 +189,7 @@ def contain(
     _check_variables(image, inside)
     program(recipe.command, recipe.environment.get("PATH"), inside)
     reference = engine.prepare(image, project, store)
+    theirs = image.file and reference == str(project / image.file)
     given = container or Container(image=image.name)
     shared, notes = given.isolation == "worker", []
     if shared and not inside.program(PYTHON):
@@ -202,7 +212,7 @@ def contain(
         wall=None if shared or bounds.wall_s is None else bounds.wall_s + bounds.grace_s + SPARE_S,
         shared=shared,
     )
-    return Containment(engine, able, box, (*notes, *_ignored(engine, able, box)))
+    return Containment(engine, able, box, (*notes, *_ignored(engine, able, box)), alone(Path(reference)) if theirs else None)
 
 
 def _mounts(recipe: Recipe, given: Container, project: Path) -> Iterator[Mount]:

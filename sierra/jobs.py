@@ -46,6 +46,8 @@ OWN = ("HOME", "TMPDIR")
 HERE = "\0"
 """The run's folder, which only the worker knows."""
 _IN_RUN = f"{INSIDE}/run"
+WRITABLE = ("/tmp", "/var/tmp", "/run", "/dev", "/dev/shm", "/dev/mqueue")  # noqa: S108 - the container's own
+"""Where runs may write in a container, beside folders of their own, whichever engine it is."""
 SEARCHED = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin"
 """The PATH of an image that has none of its own."""
 
@@ -73,9 +75,13 @@ def environment(platform: Platform, project: Project) -> dict[str, str]:
 
     Raises ConfigError for one that each run has of its own.
     """
-    for name in (*project.environment.pass_, *project.environment.set):
-        if name in OWN or name.startswith("SIERRA_"):
-            raise ConfigError(f"[environment] {name}: each run has its own; take another name")
+    boxed = project.container.variables if project.container else ()
+    for table, names in (
+        ("[environment]", (*project.environment.pass_, *project.environment.set)),
+        ("[container] variables:", boxed),
+    ):
+        if own := [name for name in names if name in OWN or name.startswith("SIERRA_")]:
+            raise ConfigError(f"{table} {own[0]}: each run has its own; take another name")
     passed = {name: os.environ[name] for name in project.environment.pass_ if name in os.environ}
     return {**FIXED, **platform.environment(), **passed, **project.environment.set}
 
@@ -218,7 +224,7 @@ class Maker:
         runs, script = f"{INSIDE}/runs", f"{INSIDE}/worker.py"
         own = (Mount(f"{HERE}/{worker.RUNS}", runs, writable=True), Mount(str(self._script), script))
         variables = {name: self._environment[name] for name in ("PATH", "SIERRA_SESSION")} | {"HOME": runs, "TMPDIR": "/tmp"}  # noqa: S108
-        argv = (PYTHON, "-I", "-S", script, runs, "1", "-")
+        argv = (PYTHON, "-I", "-S", script, runs, "1", "-", *WRITABLE, INSIDE, runs)
         process = Process(argv, variables, own, runs, interactive=True)
         return self._engine.client(cast(Box, self._box), process)
 

@@ -345,6 +345,8 @@ class Needed:
     """Empty: it is enough that it is there."""
     search: str = ""
     """The PATH by which the name is found, where runs call it by that: what is found there counts."""
+    link: bool = False
+    """Whether it is a link, and not what it leads to: its hash is that of the path that it says."""
     holds: tuple[str, ...] | None = None
     """Of folders in which a Python has what is installed (`path`, as in a PATH): all that is there, by `element.installed`."""
 

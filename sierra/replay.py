@@ -28,7 +28,7 @@ from sierra.outcomes import compare_all
 from sierra.paths import SessionPaths
 from sierra.provenance import environment, programs, versions
 from sierra.provenance.program import Programs
-from sierra.provenance.seen import seen
+from sierra.provenance.seen import Seen, seen
 from sierra.recalled import Recalled
 from sierra.recording import Context, Recorder
 from sierra.runners import Runner, Work, needed
@@ -165,7 +165,8 @@ def replay(
             around=around,
         )
         try:
-            failed, interrupted = _execute(store, session, context, work, runner, watch, say, kept, seen(root, b"", now).doubt)
+            doubt = _doubt(seen(root, b"", now), contained)
+            failed, interrupted = _execute(store, session, context, work, runner, watch, say, kept, doubt)
         finally:
             contained.close()
         _leave(session.paths, kept)
@@ -309,6 +310,11 @@ def _execute(
         following = Following(runner, recorder, store, session, ears, leave=lambda: False)
         following.execute(work, signals)
     return bad(), bool(signals) or session.paths.cancelled.exists()
+
+
+def _doubt(files: Seen, contained: Containment) -> Callable[[], str | None]:
+    """What says why executions cannot be ascribed to the programs, or to the image, that were there when they began."""
+    return lambda: files.doubt() or contained.doubt()
 
 
 def _leave(session: SessionPaths, kept: Path | None) -> None:

@@ -2,7 +2,7 @@
 
 One file on the standard library alone (Python 3.8 or newer), so that a node needs nothing installed:
 
-    worker.py FOLDER SLOTS [-] < jobs
+    worker.py FOLDER SLOTS [- PLACES] < jobs
 
 Jobs come as lines of JSON, one run each, and end with the line `{"end": true}`. Whoever sends them through a
 pipe holds it open until the worker has ended. A pipe that is closed before, or an input that ends without that
@@ -44,7 +44,8 @@ engine starts them. Their use of resources is what was seen of them from outside
 the time that they have run; where they ended before they were seen, it is not known (null). Where the client was
 killed, its `stop` ends the container. A container that is `shared` has all runs of a slot, one after the other: it is
 started with the first of them, with a folder of its own (the NUL in its argv) and in it this worker, which takes
-jobs from its standard input, and with `-` as its last argument writes its journal to its standard output. Of that
+jobs from its standard input, and with the argument `-` writes its journal to its standard output. What a run has put into one
+of PLACES, folders of the container's own, is removed with its end, so that the next finds these as the first did. Of that
 folder, runs reach `runs` alone. They may write to the container's standard output too (/proc/1/fd/1), stop the
 worker that is in there with them, or change what earlier runs have left. So each job has a `seal`, a word that its
 run can't know: what does not bear it is not heeded. A run that has ended has nothing left that lives, and its folder
@@ -355,8 +356,10 @@ class Container:
 class Worker:
     """Slots that take jobs from a queue, each a thread, and the main thread that watches over them."""
 
-    def __init__(self, folder: str, slots: int, *, piped: bool = False, adopts: bool = False) -> None:
-        """`adopts`: whether this process becomes the parent of all orphans of its runs."""
+    def __init__(
+        self, folder: str, slots: int, *, piped: bool = False, adopts: bool = False, places: tuple[str, ...] = ()
+    ) -> None:
+        """`adopts`: whether this process becomes the parent of all orphans of its runs. `places`: folders that runs share."""
         self.folder = folder
         self.adopts = adopts
         self.slots = slots
@@ -373,6 +376,7 @@ class Worker:
         self.numbers = itertools.count(1 + max([int(name) for name in os.listdir(folder) if name.isdigit()], default=0))
         self.lock = threading.Lock()
         self.spare: dict[int, Place] = {}
+        self.shared = {place: names_in(place) for place in places}
 
     def work(self, stream: TextIO) -> bool:
         """Execute all jobs that `stream` holds; True if it was read to its end and none was cut off."""
@@ -523,7 +527,7 @@ class Worker:
             check_room(self.folder)
         spare = alone and self.adopts and place is not None and place.is_spare()
         # with a seal, whoever takes its folder out of the container looks at it
-        left: dict[str, Any] = {"stopped": running.stopped}
+        left: dict[str, Any] = {"stopped": running.stopped, "error": self.tidied(folder) if running.seal else None}
         if not running.seal:
             left = left_behind(folder, running.limits, running.stopped, spare)
         if spare and place is not None and not left["error"] and sum(file["bytes"] for file in left["outputs"]) <= CHUNK:
@@ -542,6 +546,16 @@ class Worker:
                 **left,
             )
         )
+
+    def tidied(self, folder: str) -> str | None:
+        """Remove what a run has left beside its folder in places that the next run has too; why that can't be done."""
+        for place, before in self.shared.items():
+            for path in (os.path.join(place, name) for name in sorted(names_in(place) - before)):
+                if path != folder:
+                    remove(path) if is_folder(path) else unlink(path)
+                    if os.path.lexists(path):
+                        return "what it left for other runs cannot be removed: " + path
+        return None
 
     def report(self, job: dict[str, Any], slot: int, folder: str, began: float, wall: float, **fields: Any) -> dict[str, Any]:
         """The line in the journal; `began` in seconds since the epoch, `wall` in seconds."""
@@ -861,6 +875,20 @@ def survey(root: str) -> Iterator[dict[str, Any]]:
             yield describe(path, os.path.relpath(path, root))
 
 
+def names_in(folder: str) -> set[str]:
+    try:
+        return set(os.listdir(folder))
+    except OSError:  # there is no such folder
+        return set()
+
+
+def unlink(path: str) -> None:
+    try:
+        os.unlink(path)
+    except OSError:  # whoever looks sees that it is there
+        pass
+
+
 def is_folder(path: str) -> bool:
     """Whether a path is a folder itself, and no link to one."""
     return os.path.isdir(path) and not os.path.islink(path)
@@ -881,8 +909,10 @@ def remove(folder: str) -> None:
     if is_folder(folder):
         shutil.rmtree(folder, ignore_errors=True)
     if is_folder(folder):
+        if os.lstat(folder).st_uid == os.geteuid():  # else it is not ours to unlock
+            unlock(folder, 0o700)
         for root, names, _ in os.walk(folder):
-            for path in [root] + [os.path.join(root, name) for name in names]:
+            for path in [os.path.join(root, name) for name in names]:
                 if is_folder(path):
                     unlock(path, 0o700)
         shutil.rmtree(folder, ignore_errors=True)
@@ -1138,9 +1168,9 @@ def become_subreaper(*, secretive: bool) -> bool:
 
 def main(arguments: list[str]) -> int:
     folder, slots = arguments[:2]
-    piped = arguments[2:] == ["-"]
+    piped = arguments[2:3] == ["-"]
     adopts = become_subreaper(secretive=piped)
-    worker = Worker(os.path.abspath(folder), int(slots), piped=piped, adopts=adopts)
+    worker = Worker(os.path.abspath(folder), int(slots), piped=piped, adopts=adopts, places=tuple(arguments[3:]))
 
     for number in (signal.SIGQUIT, signal.SIGUSR1, signal.SIGUSR2, signal.SIGALRM):
         signal.signal(number, signal.SIG_DFL)  # ignored by whoever started this in the background, perhaps

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 import subprocess
 from collections.abc import Iterator
 from functools import cache
@@ -41,6 +42,15 @@ def python(folder: Path) -> Path:
     applets = ("sh", "sleep", "sed", "cat", "env", "true", "setsid", "mv", "ln", "grep")
     shell = [("bin/busybox", BUSYBOX.read_bytes()), *((f"bin/{name} -> busybox", "") for name in applets)]
     return _archive(folder / "python.tar", *members, ("usr/bin/python3 -> " + real.name, ""), *shell)
+
+
+def furnish(root: Path, *applets: str) -> None:
+    """Make a folder the root of an image with these of busybox's tools."""
+    for name in (*FOLDERS, "bin"):
+        (root / name).mkdir(parents=True, exist_ok=True)
+    shutil.copy(BUSYBOX, root / "bin" / "busybox")
+    for name in applets:
+        (root / "bin" / name).symlink_to("busybox")
 
 
 def host(folder: Path, *programs: Path) -> Path:

@@ -115,16 +115,21 @@ def _written(path: Path, files: Mapping[str, tuple[str, bytes]], changed: Mappin
     return path
 
 
-def sif(path: Path, system: bytes, *, architecture: bytes = b"02", kind: int = 1, partitions: int = 1) -> Path:
+def sif(
+    path: Path, system: bytes, *, architecture: bytes = b"02", kind: int = 1, partitions: int = 1, overlays: int = 0
+) -> Path:
     """A SIF with a file system, laid out as apptainer does it: header, descriptors, data."""
     offset = 4096
     header = struct.pack(
         "<32s10s3s3s16s8q", b"#!/usr/bin/env run-singularity\n", b"SIF_MAGIC\0", b"01", architecture, bytes(16),
         *(0, 0, 47, 48, 128, 585 * 48, offset, len(system)),
     )  # fmt: skip
-    extra = struct.pack("<ii3s", kind, 2, architecture)
-    one = struct.pack(
-        "<i?IIIqqqqqqq128s384s", 0x4004, True, 1, 1, 0, 32768, len(system), len(system), 0, 0, 0, 0, b"rootfs", extra
-    )
-    path.write_bytes((header + one * partitions).ljust(32768, b"\0") + system)
+    primary, overlay = (
+        struct.pack(
+            "<i?IIIqqqqqqq128s384s", 0x4004, True, 1, 1, 0, 32768, len(system), len(system), 0, 0, 0, 0, b"rootfs",
+            struct.pack("<ii3s", kind, role, architecture),
+        )
+        for role in (2, 4)
+    )  # fmt: skip
+    path.write_bytes((header + primary * partitions + overlay * overlays).ljust(32768, b"\0") + system)
     return path

@@ -161,6 +161,42 @@ def test_a_sif_executes_as_it_is_and_not_when_it_was_changed(tmp_path: Path, bus
     assert "sim.sif is not the pinned one" in says(folder, "run", "population_size=3", "--no-figures", code=3)
 
 
+def test_what_ran_while_the_file_of_its_image_was_replaced_is_not_the_images(tmp_path: Path) -> None:
+    for word in ("pinned", "other"):
+        containers.furnish(tmp_path / word, "sh", "sleep", "cat", "test")
+        (tmp_path / word / "etc" / "word").write_text(word)
+        subprocess.run(["mksquashfs", tmp_path / word, tmp_path / f"{word}.sqfs", "-quiet", "-no-progress"], check=True)
+    image = tmp_path / "pinned.sqfs"
+    waits = "while test ! -e /run/sierra/project/go; do sleep 0.05; done; cat /etc/word > word.txt\n"
+    folder = containers.make(tmp_path / "project", image, ENGINE, simulator=waits)
+    asking = subprocess.Popen([SIERRA, "run", "population_size=1,2", "-j1"], cwd=folder, stdout=subprocess.PIPE, text=True)
+    until(lambda: any(one.read_text() for one in folder.glob(".sierra/work/*/journal.jsonl")), "a run has begun")
+    (tmp_path / "other.sqfs").rename(image)
+    (folder / "go").touch()
+    said, _ = asking.communicate(timeout=60)
+    assert asking.returncode == 1, said
+    ended = rows(folder, "SELECT status, reason FROM executions")
+    assert ended
+    assert all(row["status"] == "failed" and "has changed since the runs began" in row["reason"] for row in ended)
+
+
+def test_the_variables_of_a_squashfs_are_those_that_it_sets(tmp_path: Path) -> None:
+    containers.furnish(tmp_path / "root", "sh")
+    sets = tmp_path / "root" / ".singularity.d" / "env" / "10-docker2singularity.sh"
+    sets.parent.mkdir(parents=True)
+    sets.write_text('#!/bin/sh\nexport PATH="/bin"\nexport GRAVITY="9.81"\n')
+    subprocess.run(["mksquashfs", tmp_path / "root", tmp_path / "sim.sqfs", "-quiet", "-no-progress"], check=True)
+    writes = 'echo tick,gravity > swarm.csv; echo "0,$GRAVITY" >> swarm.csv\n'
+    folder = containers.make(tmp_path / "project", tmp_path / "sim.sqfs", ENGINE, simulator=writes)
+    lock = folder / "sierra.lock"
+    lock.write_text(lock.read_text().replace("9.81", "1.62"))
+    for _ in range(2):  # what is found out about an image at first is not what the lock says either
+        assert "the variables of" in says(folder, *RUN, code=3)
+    says(folder, "image", "pin")
+    says(folder, *RUN)
+    assert rows(folder, "SELECT DISTINCT gravity FROM swarm") == [{"gravity": 9.81}]
+
+
 def test_limits_that_hold_and_those_that_were_asked_for_are_recorded(tmp_path: Path, busybox: Path) -> None:
     folder = containers.make(tmp_path / "project", busybox, ENGINE, "cpus = 1.0", "pids = 60")
     said = says(folder, *RUN)

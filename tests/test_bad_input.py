@@ -70,6 +70,11 @@ def ask(project: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFi
         ("", '[outputs.x]\nfile = "../a.csv"', "'../a.csv' should be a path within the run's output folder"),
         ("", '[outputs.x]\nfile = "/etc/passwd"', "'/etc/passwd' should be a path within the run's output folder"),
         ("", '[environment.set]\nHOME = "/"', "HOME: each run has its own; take another name"),
+        (
+            "",
+            '[container]\nimage = "any"\nengine = "none"\nvariables = { SIERRA_SEED = "1" }',
+            "[container] variables: SIERRA_SEED: each run has its own",
+        ),
         ("", '[environment.set]\nA = "a\\u0000b"', "has the character NUL in it; leave it out"),
         ("", '[source]\npaths = ["nope"]', "there is no 'nope'"),
         ("runs = 2", "per_run = { a = [] }", "per_run.a should not be empty"),

@@ -552,6 +552,15 @@ def test_what_is_mounted_is_there_on_nodes_too(contained: Callable[..., Project]
     assert (summary.executed, summary.failed) == (2, 0)
 
 
+def test_links_in_what_is_mounted_are_what_they_say_on_nodes_too(contained: Callable[..., Project], tmp_path: Path) -> None:
+    (tmp_path / "maps" / "old").mkdir(parents=True)
+    (tmp_path / "maps" / "latest").symlink_to("old")
+    (tmp_path / "maps" / "gone").symlink_to("nowhere")
+    project = contained(containers.busybox, f'mounts = {{ "/data" = "{tmp_path}/maps" }}')
+    summary = project.run("population_size=1", runner="here", figures=False)
+    assert (summary.executed, summary.failed) == (2, 0)
+
+
 def test_nothing_of_sierra_is_needed_on_nodes_by_a_container_for_all_runs(contained: Callable[..., Project]) -> None:
     project = contained(containers.python, 'isolation = "worker"')
     project.run("population_size=1", runner="here", detach=True, figures=False)

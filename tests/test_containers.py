@@ -332,6 +332,26 @@ def test_runs_that_share_a_container_have_no_say_in_what_is_recorded_of_others(t
     assert says(folder, "fsck").startswith("sound")
 
 
+@pytest.mark.parametrize("engine", ["podman", "apptainer"])
+def test_what_a_run_leaves_in_a_container_is_not_there_for_the_next(
+    tmp_path: Path, python: Path, engine: str, require: Callable[..., str]
+) -> None:
+    require(engine)
+    places = "/tmp /var/tmp /dev /dev/shm /dev/mqueue /run /run/sierra /run/sierra/runs"
+    writes = f"""\
+echo tick,place,found > swarm.csv
+for place in {places}; do
+    test -e $place/left && echo 0,$place,1 >> swarm.csv
+    echo 1 2>/dev/null > $place/left
+    mkdir -p $place/folder/inner 2>/dev/null && chmod 0 $place/folder
+done
+echo 1,none,0 >> swarm.csv
+"""
+    folder = containers.make(tmp_path / "project", python, 'isolation = "worker"', simulator=writes)
+    assert "3 executed" in says(folder, "run", "population_size=1", "--runs", "3", "--no-figures", "-j1", "--engine", engine)
+    assert rows(folder, "SELECT DISTINCT place FROM swarm") == [{"place": "none"}]
+
+
 @pytest.mark.slow
 def test_a_run_that_stops_the_worker_in_its_container_is_ended_all_the_same(tmp_path: Path, python: Path) -> None:
     simulator = 'grep -q \'count="1"\' "$1" && kill -STOP $PPID && sleep 100\n' + containers.SIMULATOR
@@ -441,6 +461,37 @@ def test_the_variables_of_an_image_are_those_that_it_sets_whatever_they_look_lik
     lock = folder / "sierra.lock"
     lock.write_text(lock.read_text().replace("{{seed}} {python}", "other"))
     assert "the variables of" in says(folder, *RUN, "--runs", "3", code=3)
+
+
+@pytest.mark.parametrize("engine", ["podman", "apptainer"])
+def test_a_folder_that_an_image_calls_a_volume_is_read_only_as_all_of_it(
+    tmp_path: Path, engine: str, require: Callable[..., str]
+) -> None:
+    require(engine)
+    shell = [("bin/busybox", containers.BUSYBOX.read_bytes()), ("bin/sh -> busybox", "")]
+    layer = images.layer(*((name, "") for name in (*containers.FOLDERS, "data/")), *shell)
+    archive = images.docker_archive(
+        tmp_path / "image.tar", [layer], images.config([layer], config={"Volumes": {"/data": {}}, "Env": ["PATH=/bin"]})
+    )
+    writes = "echo tick,kept > swarm.csv; if (: > /data/file) 2>/dev/null; then echo 0,1; else echo 0,0; fi >> swarm.csv\n"
+    folder = containers.make(tmp_path / "project", archive, simulator=writes)
+    says(folder, *RUN, "--engine", engine)
+    assert rows(folder, "SELECT DISTINCT kept FROM swarm") == [{"kept": 0}]
+
+
+def test_what_podman_would_give_to_all_containers_is_refused(
+    tmp_path: Path, busybox: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "seen").mkdir()
+    conf = tmp_path / "containers.conf"
+    conf.write_text(f'[containers]\nvolumes = ["{tmp_path}/seen:/seen"]\n')
+    folder = containers.make(tmp_path / "project", busybox)
+    monkeypatch.setenv("CONTAINERS_CONF", str(conf))
+    assert f"{conf} gives volumes to all containers" in says(folder, *RUN, code=3)
+    conf.write_text('[containers]\nvolumes = []\npidns = "host"\nipcns = "host"\numask = "0077"\n')
+    alone = "test $$ -lt 100 && test $(umask) = 0022 || exit 9\n" + containers.SIMULATOR
+    (folder / "sim.sh").write_text(alone)
+    assert "4 executed" in says(folder, *RUN)
 
 
 # ---------------------------------------------------------------- replay

@@ -346,6 +346,19 @@ def test_what_is_called_by_its_name_is_the_one_that_a_node_finds(folder: Folder,
     assert (code, f"simulator: {tmp_path}/first/simulator is another than on the host that submitted" in said) == (3, True)
 
 
+def test_of_a_link_what_it_says_is_what_counts(folder: Folder, tmp_path: Path) -> None:
+    link = tmp_path / "latest"
+    link.symlink_to("nowhere")
+    sha256 = hashlib.sha256(b"nowhere").hexdigest()
+    folder.set(needs=[{"name": "{mount}/data/latest", "path": str(link), "sha256": sha256, "link": True}])
+    folder.deal(many(2, "true"))
+    assert folder.run("--probe", "0") == (0, "")
+    link.unlink()
+    link.symlink_to("elsewhere")
+    code, said = folder.run("--probe", "0")
+    assert (code, f"{link} is another than on the host that submitted" in said) == (3, True)
+
+
 def test_a_python_that_has_other_distributions_is_said(folder: Folder, tmp_path: Path) -> None:
     for name in ("numpy-1.26.4.dist-info", "old.egg-info", "numpy", "~umpy"):
         (tmp_path / "site-packages" / name).mkdir(parents=True)

@@ -403,6 +403,7 @@ def test_a_damaged_sif_is_refused(project: Project, system: bytes) -> None:
         ({"kind": 2}, "ext3"),
         ({"partitions": 2}, "2 primary file systems"),
         ({"partitions": 0}, "0 primary file systems"),
+        ({"overlays": 1}, "has an overlay"),
     ):
         made.sif(project.root / "a.sif", system, **more)
         assert_refused(project, "a.sif", words)

@@ -86,7 +86,9 @@ def environment(session: str) -> dict[str, str]:
 def _options(box: Box, process: Process, enforced: AbstractSet[str]) -> Iterator[str]:
     yield from ("--rm", "--init", "--pull=never", "--log-driver=none", f"--cidfile={CID}", f"--label={LABEL}={box.session}")
     yield from ("--read-only", "--read-only-tmpfs=false", "--tmpfs=/run:rw,nosuid,nodev,mode=755", "--no-hosts")
+    yield from ("--image-volume=ignore", "--no-healthcheck")  # else an image has writable folders, and programs beside the run
     yield from ("--cap-drop=all", "--security-opt=no-new-privileges", "--user=0:0", f"--hostname={HOSTNAME}", "--tz=UTC")
+    yield from ("--pid=private", "--ipc=private", "--umask=0022")  # whatever containers.conf says
     yield from (f"--ulimit={name}={_allowed(kind)}" for name, kind in (("nofile", "NOFILE"), ("nproc", "NPROC")))
     yield "--network=host" if box.network else "--network=none"
     if process.interactive:

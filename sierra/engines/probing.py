@@ -19,12 +19,12 @@ import shutil
 import subprocess
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
 
-from sierra.engines import Abilities
+from sierra.engines import Abilities, configured
 from sierra.paths import user_engines
 from sierra.provenance.remembered import Remembered
 
@@ -82,7 +82,8 @@ class Told:
 
 def podman() -> Abilities:
     """What podman can do here."""
-    return known("podman", _podman, _around_podman()).abilities
+    able = known("podman", _podman, _around_podman()).abilities
+    return able if able.trouble else replace(able, trouble=configured.trouble())
 
 
 def podman_options() -> tuple[str, ...]:
@@ -287,10 +288,11 @@ def podman_memory(size: int) -> tuple[str, ...]:
 
 def _podman_words(options: Sequence[str], limits: Sequence[str], root: Path, mounts: Mapping[str, str]) -> tuple[str, ...]:
     given = tuple(f"--volume={source}:{target}:ro" for target, source in mounts.items())
-    alone = ("--network=none", "--no-hosts", "--read-only", "--cap-drop=all", "--security-opt=no-new-privileges")
+    alone = ("--network=none", "--pid=private", "--ipc=private", "--no-hosts", "--read-only")
+    weak = ("--cap-drop=all", "--security-opt=no-new-privileges")
     few = ("--ulimit=nofile=1024:1024", "--ulimit=nproc=1024:1024")
     run = ("run", "--rm", "--init", "--pull=never", "--log-driver=none", "--user=0:0")
-    return ("podman", *options, *run, *alone, *few, *limits, *given, "--rootfs", str(root))
+    return ("podman", *options, *run, *alone, *weak, *few, *limits, *given, "--rootfs", str(root))
 
 
 def _podman_version(options: Sequence[str], version: str) -> str:

@@ -300,12 +300,13 @@ def _of_rootfs(merged: Rootfs, image: Image) -> Contents:
 def _of_squashfs(path: Path, image: Image) -> Contents:
     read = sif.read(path) if sif.is_sif(path) else None
     entries, kept = squashfs.listing(path, read.offset if read else 0, wanted)
-    found = variables.of(kept)
+    own = image.kind is Kind.SQUASHFS  # else it was made of an OCI image, and does not say what that sets
+    found = variables.of(kept) if own else image.variables
     return Contents(
-        image=replace(image, variables=image.variables or found),
+        image=replace(image, variables=found),
         form="sif" if read else "squashfs",
         manifests={},
-        config={},
+        config={"config": {"Env": [f"{name}={value}" for name, value in found.items()]}} if own else {},
         labels=variables.labels(kept) or (read.labels if read else {}),
         packages=packages.packages(kept),
         recipe=read.recipe if read else "",

@@ -27,7 +27,7 @@ DESCRIPTOR = struct.Struct("<i?IIIqqqqqqq128s384s")
 MOST = 4096
 """Descriptors; apptainer makes room for 48."""
 DEFFILE, LABELS, PARTITION, SIGNATURE, JSON = 0x4001, 0x4003, 0x4004, 0x4005, 0x4006
-SQUASHFS, PRIMARY = 1, 2
+SQUASHFS, PRIMARY, OVERLAY = 1, 2, 4
 FILE_SYSTEMS = {1: "squashfs", 2: "ext3", 3: "an archive", 4: "raw", 5: "an encrypted squashfs"}
 ARCHITECTURES = {
     b"01": "386",
@@ -92,12 +92,21 @@ class _Object:
     size: int
     extra: bytes
 
+    @property
+    def role(self) -> int | None:
+        """What a partition is for; None where it is none."""
+        return struct.unpack_from("<ii", self.extra)[1] if self.type == PARTITION else None
+
 
 def _read(path: Path, file: BinaryIO, length: int) -> Sif:
     objects = list(_objects(path, file, length))
-    systems = [one for one in objects if one.type == PARTITION and struct.unpack_from("<ii", one.extra)[1] == PRIMARY]
+    systems = [one for one in objects if one.role == PRIMARY]
     if len(systems) != 1:
         raise Damaged(f"{path} has {len(systems)} primary file systems; a SIF that can be run has one")
+    if any(one.role == OVERLAY for one in objects):
+        raise Damaged(
+            f"{path} has an overlay, whose files a run would see and its id not tell of; apptainer sif del takes it out"
+        )
     [system] = systems
     kind = struct.unpack_from("<i", system.extra)[0]
     if kind != SQUASHFS:

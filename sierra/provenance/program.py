@@ -22,6 +22,8 @@ class Kind(StrEnum):
     DISTRIBUTIONS = "distributions"
     """What a Python interpreter has installed, or one distribution whose content counts."""
     FILE = "file"
+    LINK = "link"
+    """Its hash is that of the path that it says."""
 
 
 @dataclass(frozen=True, slots=True)

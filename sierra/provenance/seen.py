@@ -49,6 +49,12 @@ class Seen:
         return None
 
 
+def alone(path: Path) -> Seen:
+    """One file, as it is now."""
+    name = os.fsencode(path)
+    return Seen({name: _state(name)}, b"")
+
+
 def seen(root: Path, manifest: bytes, programs: Programs) -> Seen:
     """The files of a source in the folder `root` (of none, where the list is empty), and the programs, as they are now."""
     base = os.fsencode(root)

@@ -126,7 +126,10 @@ def needed(programs: Programs, search: str) -> tuple[Needed, ...]:
     called = {one.path for one in files[1:] if _is_called(one, search)}
     folders = (one for one in programs.all if one.kind == Kind.DISTRIBUTIONS and one.name.endswith(INSTALLED))
     return (
-        *(Needed(one.name, one.path, one.sha256, search if one.path in called else "") for one in files),
+        *(
+            Needed(one.name, one.path, one.sha256, search if one.path in called else "", link=one.kind == Kind.LINK)
+            for one in files
+        ),
         *(Needed(one.name, one.path, holds=element.installed(one.path)) for one in folders),
     )
 

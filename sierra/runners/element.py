@@ -122,8 +122,9 @@ class Settings(NamedTuple):
     """A folder of the node, with `$NAME` or `${NAME}` of its environment; None: $SLURM_TMPDIR, $TMPDIR or /tmp."""
     needs: List[Dict[str, Any]]
     """Files that must be as they are where it was submitted: `name`, `path`, `sha256` (empty: it must be there), and `search`:
-    the PATH by which runs find what they call by that name (empty: they name it by its path). Or, where there is a list
-    `holds`, folders (`path`, as in a PATH) that must have these distributions, and no others: see `installed`.
+    the PATH by which runs find what they call by that name (empty: they name it by its path); where it is a `link`, what that
+    says is what counts, and not what it leads to. Or, where there is a list `holds`, folders (`path`, as in a PATH) that must
+    have these distributions, and no others: see `installed`.
     """
     record: List[str]
     """Names, or patterns, of variables to record."""
@@ -519,9 +520,9 @@ class Needs:
         """Raises Trouble where one is not; what seems untouched since the last time is not read again."""
         for need in self._needs:
             try:
-                found = os.stat(need["path"])
+                found = os.stat(need["path"], follow_symlinks=not need.get("link"))
                 seen = (found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns, found.st_ctime_ns)
-                if self._seen.get(need["path"]) != seen and need["sha256"] not in ("", digest_of(need["path"])):
+                if self._seen.get(need["path"]) != seen and need["sha256"] not in ("", hash_of(need)):
                     raise Trouble("%s: %s is another than on the host that submitted" % (need["name"], need["path"]))
             except OSError as error:
                 raise Trouble("%s: %s: %s" % (need["name"], need["path"], error.strerror)) from error
@@ -551,6 +552,11 @@ def found_by_name(need: Dict[str, Any]) -> str:
     """The path of a file; of what is called by its name, that which is found here."""
     found = shutil.which(need["name"], path=need["search"]) if need.get("search") else None
     return found or str(need["path"])
+
+
+def hash_of(need: Dict[str, Any]) -> str:
+    """Of a file's content, or of what a link says."""
+    return hashlib.sha256(os.fsencode(os.readlink(need["path"]))).hexdigest() if need.get("link") else digest_of(need["path"])
 
 
 def digest_of(path: str) -> str:

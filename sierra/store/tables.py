@@ -362,7 +362,7 @@ RECORDED = {
                 "as the command calls it; of a library, as the loader does; of what lies in the project or is mounted, "
                 "{project}/… or {mount}/…",
             ),
-            ("kind", TEXT, "program, library, distributions (what a Python has installed) or file"),
+            ("kind", TEXT, "program, library, distributions (what a Python has installed), file or link"),
             (
                 "version",
                 TEXT,

@@ -1,0 +1,47 @@
+"""What podman's configuration gives to all containers, which no option of a single one takes away.
+
+Files are read as podman does (containers.conf(5)): each says over what those before it say, and where a variable names one, no
+other counts.
+"""
+
+from __future__ import annotations
+
+import os
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+
+KEYS = ("volumes", "mounts", "devices")
+NAME = "containers.conf"
+
+
+def trouble() -> str:
+    """Why runs would reach what nobody has recorded, and what to do about it; empty where they don't."""
+    found: dict[str, Path] = {}
+    for file in _files():
+        try:
+            said = tomllib.loads(file.read_text("utf-8")).get("containers", {})
+        except (OSError, ValueError):  # podman says so itself
+            continue
+        for key in KEYS:
+            if key in said:
+                found.pop(key, None)
+                found |= {key: file} if said[key] else {}
+    for key, file in found.items():
+        return (
+            f"{file} gives {key} to all containers, so that runs would reach what is not recorded; name them in [container] of "
+            f"sierra.toml instead, and in CONTAINERS_CONF a file without"
+        )
+    return ""
+
+
+def _files() -> Iterator[Path]:
+    if only := os.environ.get("CONTAINERS_CONF"):
+        yield Path(only)
+    else:
+        own = Path(os.environ.get("XDG_CONFIG_HOME") or Path(os.environ.get("HOME", "/"), ".config"), "containers")
+        for folder in (Path("/usr/share/containers"), Path("/etc/containers"), *([own] if os.geteuid() else [])):
+            yield folder / NAME
+            yield from sorted((folder / f"{NAME}.d").glob("*.conf"))
+    if last := os.environ.get("CONTAINERS_CONF_OVERRIDE"):
+        yield Path(last)
