@@ -7,6 +7,7 @@ commands are, too. What is as it is there:
 - an array of one index is refused (OpenPBS), and so is a script on the standard input of none (here: at all);
 - of what has ended, nothing is known (153); with a history, that it has ended (35); Torque shows it for a while, as C;
 - the elements of a living array that have ended are X, and the array's own exit status is 0 whatever theirs are;
+- what a job printed is copied to the host of `qsub`, also where that is `/dev/null`, which may take long; until then it is E;
 - text is folded, by a line feed and a tab; JSON may be broken by a quote;
 - jobs that wait for others are held by the system; where those fail, they are deleted.
 """
@@ -45,6 +46,7 @@ DEFAULTS: dict[str, Any] = {
     "broken_json": False,
     "always_V": False,
     "slow": 0,
+    "copying": 0,
 }
 
 
@@ -254,7 +256,7 @@ def alive(job: dict[str, Any]) -> bool:
 
 def schedule(folder: Path, state: dict[str, Any]) -> None:
     """Begin what has a slot; jobs that wait for one that failed are deleted."""
-    free = state["slots"] - sum(task["state"] == "R" for job in state["jobs"].values() for task in job["tasks"].values())
+    free = state["slots"] - sum(task["state"] in "RE" for job in state["jobs"].values() for task in job["tasks"].values())
     for number, job in state["jobs"].items():
         waits = job["depend"] and after(state, job)
         for place, task in job["tasks"].items():
@@ -322,6 +324,11 @@ def execute(folder: str, number: str, place: str, shell: str, script: str) -> No
         os.killpg(task.pid, signal.SIGTERM)
     status = task.wait()
     with opened(Path(folder)) as state:
+        job = state["jobs"][number]
+        job["tasks"][place]["state"] = "E"
+    if state["dialect"] == "openpbs" and not job["output"].startswith("localhost:"):
+        time.sleep(state["copying"])
+    with opened(Path(folder)) as state:
         deliver(spool, state["jobs"][number], place, torque=state["dialect"] == "torque")
         state["jobs"][number]["tasks"][place].update(state="F", status=256 - status if status < 0 else status)
         schedule(Path(folder), state)
@@ -329,7 +336,7 @@ def execute(folder: str, number: str, place: str, shell: str, script: str) -> No
 
 def deliver(spool: Path, job: dict[str, Any], place: str, *, torque: bool) -> None:
     """Copy what a task printed where the job wants it; Torque adds an element's index, even to /dev/null."""
-    target = job["output"] + (f"-{place}" if torque and place else "")
+    target = job["output"].removeprefix("localhost:") + (f"-{place}" if torque and place else "")
     if target != "/dev/null":
         spool.replace(target if not target.startswith("/dev/") else spool.with_name("undelivered"))
 

@@ -164,6 +164,14 @@ def test_only_the_script_is_left_in_the_folder(server: pbs.Server, ask: Callable
     assert not list((request.folder.parent / "server").glob("undelivered"))
 
 
+@openpbs
+def test_an_end_waits_for_no_copy_of_what_was_printed(server: pbs.Server, ask: Callable[..., Request]) -> None:
+    server.set(copying=90)
+    scheduler = Pbs(ClusterTable())
+    scheduler.submit(ask())
+    until(ended(scheduler))
+
+
 def test_nothing_of_the_callers_goes_along_even_where_a_site_exports_all(
     server: pbs.Server, ask: Callable[..., Request], monkeypatch: pytest.MonkeyPatch
 ) -> None:
