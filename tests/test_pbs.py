@@ -313,6 +313,7 @@ def test_what_has_ended_is_not_alive(server: pbs.Server, ask: Callable[..., Requ
 
 
 def test_an_element_that_ended_in_an_array_that_lives_has_ended(server: pbs.Server, ask: Callable[..., Request]) -> None:
+    server.set(history=True)
     scheduler = Pbs(ClusterTable())
     scheduler.submit(ask("test $1 = 7 || sleep 60; exit 7", (3, 7, 9)))
     until(lambda: alive(scheduler) == {3, 9})
@@ -320,6 +321,19 @@ def test_an_element_that_ended_in_an_array_that_lives_has_ended(server: pbs.Serv
     assert tasks is not None
     status = "Exit_status" if scheduler.version().startswith("openpbs") else "exit_status"
     assert [(task.element, task.reason) for task in tasks if task.state is State.ENDED] == [(7, f"{status} 7")]
+
+
+@openpbs
+def test_what_an_array_says_of_itself_is_not_taken_for_the_end_of_an_element(
+    server: pbs.Server, ask: Callable[..., Request]
+) -> None:
+    server.set(array_status=1)
+    scheduler = Pbs(ClusterTable())
+    scheduler.submit(ask("test $1 = 7 || sleep 60; exit 7", (3, 7, 9)))
+    until(lambda: alive(scheduler) == {3, 9})
+    tasks = scheduler.look(NAME)
+    assert tasks is not None
+    assert [(task.element, task.reason) for task in tasks if task.state is State.ENDED] == [(7, "")]
 
 
 def test_each_look_is_one_call_that_names_the_jobs_once_they_are_known(server: pbs.Server, ask: Callable[..., Request]) -> None:
@@ -507,6 +521,15 @@ def test_a_recorded_array_of_openpbs_is_read() -> None:
 def test_of_a_recorded_array_without_elements_the_whole_is_told() -> None:
     (task,) = qstat.tasks(qstat.own(qstat.json_records((DATA / "arr.json").read_text()), "arr", "pbsu"))
     assert (task.job, task.element, task.state) == ("5[].pbs1", None, State.ENDED)
+
+
+@pytest.mark.parametrize(("answer", "reason"), [("ended-forgotten", ""), ("ended-remembered", "Exit_status 7")])
+def test_a_recorded_array_that_lives_is_read(answer: str, reason: str) -> None:
+    """Element 1 ended with 7, and element 2 well; without a history, and with one."""
+    tasks = list(qstat.tasks(list(qstat.json_records((DATA / f"{answer}.json").read_text()))))
+    states = [State.RUNNING, State.ENDED, State.ENDED, State.RUNNING]
+    assert [(task.element, task.state) for task in tasks] == list(enumerate(states))
+    assert [task.reason for task in tasks[1:3]] == [reason, ""]
 
 
 @pytest.mark.parametrize("text", ["", "{}", '{"timestamp": 1, "pbs_version": "23.06.06"}'])
