@@ -634,6 +634,21 @@ def test_a_batch_is_answered_though_an_element_is_deleted(server: pbs.Server, tm
 
 
 @pytest.mark.slow
+@openpbs
+def test_an_element_whose_time_was_over_says_so_where_pbs_does_not(server: pbs.Server, tmp_path: Path) -> None:
+    gate = tmp_path / "gate"
+    simulator = projects.SIMULATOR + WAITS.format(gate=str(gate))
+    root = projects.make(tmp_path / "swarm", projects.CONFIG + CLUSTER + "wall = 3\n", simulator=simulator)
+    words = (projects.SIERRA, "run", "population_size=1,2", "--on", "pbs", "--no-figures")
+    asked = subprocess.Popen(words, cwd=root, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    until(lambda: len(list(root.glob(".sierra/work/*/sent/*.json"))) > 1)
+    gate.touch()
+    _, err = asked.communicate(timeout=60)
+    assert asked.returncode == 0, err
+    assert re.search(r"submitted again: element: asked to end after \d s \(walltime of 3 s exceeded\)", err)
+
+
+@pytest.mark.slow
 def test_runs_see_the_devices_that_a_hook_of_pbs_has_set(
     server: pbs.Server, simulate: Callable[..., Simulated], tmp_path: Path
 ) -> None:
