@@ -6,7 +6,11 @@ commands are, too. What is as it is there:
 
 - an array of one index is refused (OpenPBS), and so is a script on the standard input of none (here: at all);
 - of what has ended, nothing is known (153); with a history, that it has ended (35); Torque shows it for a while, as C;
-- the elements of a living array that have ended are X, and the array's own exit status is 0 whatever theirs are;
+- the elements of a living array that have ended are X; the array's own exit status is 0 (or 1) whatever theirs are, and
+  without a history it is what the elements show, too;
+- only the array is held, or waits for others, and not its elements;
+- a job whose time is over is asked to end, and nobody says so afterwards but a history;
+- what a job printed is copied to the host of `qsub`, also where that is `/dev/null`, which may take long; until then it is E;
 - text is folded, by a line feed and a tab; JSON may be broken by a quote;
 - jobs that wait for others are held by the system; where those fail, they are deleted.
 """
@@ -45,6 +49,8 @@ DEFAULTS: dict[str, Any] = {
     "broken_json": False,
     "always_V": False,
     "slow": 0,
+    "copying": 0,
+    "array_status": 0,
 }
 
 
@@ -176,6 +182,7 @@ def qsub(folder: Path, state: dict[str, Any], words: list[str]) -> None:
         "tasks": {str(place): {"state": "Q", "pid": None, "status": None} for place in places or [""]},
         "comment": never(state, options),
         "hold": "n",
+        "wall": wall(options),
     }
     schedule(folder, state)
     print(identity(number, state["jobs"][number]))
@@ -233,6 +240,12 @@ def never(state: dict[str, Any], options: dict[str, list[str]]) -> str:
     return f"Can Never Run: Insufficient amount of resource: ncpus (R: {max(asked)} A: {most} T: {most})"
 
 
+def wall(options: dict[str, list[str]]) -> float | None:
+    """Seconds that a job may take."""
+    found = re.search(r"walltime=(\d+):(\d+):(\d+)", " ".join(options.get("l", [])))
+    return int(found[1]) * 3600 + int(found[2]) * 60 + int(found[3]) if found else None
+
+
 def identity(number: str, job: dict[str, Any], place: str = "") -> str:
     return f"{number}[{place}].{HOST}" if job["array"] else f"{number}.{HOST}"
 
@@ -254,7 +267,7 @@ def alive(job: dict[str, Any]) -> bool:
 
 def schedule(folder: Path, state: dict[str, Any]) -> None:
     """Begin what has a slot; jobs that wait for one that failed are deleted."""
-    free = state["slots"] - sum(task["state"] == "R" for job in state["jobs"].values() for task in job["tasks"].values())
+    free = state["slots"] - sum(task["state"] in "RE" for job in state["jobs"].values() for task in job["tasks"].values())
     for number, job in state["jobs"].items():
         waits = job["depend"] and after(state, job)
         for place, task in job["tasks"].items():
@@ -313,23 +326,33 @@ def execute(folder: str, number: str, place: str, shell: str, script: str) -> No
             os.killpg(task.pid, signal.SIGTERM)
 
     signal.signal(signal.SIGTERM, end)
-    with (Path(folder) / "lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)  # not before the server has noted that it was begun
+    with opened(Path(folder)) as state:  # not before the server has noted that it was begun
+        limit = state["jobs"][number]["wall"]
     spool = Path(folder) / f"{number}.{place}.OU"
     with spool.open("w") as output:
         task = subprocess.Popen([shell, script], stdout=output, stderr=output, process_group=0)
     if asked:
         os.killpg(task.pid, signal.SIGTERM)
-    status = task.wait()
+    status, over = -1, False
+    try:
+        status = task.wait(limit)
+    except subprocess.TimeoutExpired:
+        os.killpg(task.pid, signal.SIGTERM)
+        status, over = task.wait(), True
+    with opened(Path(folder)) as state:
+        job = state["jobs"][number]
+        job["tasks"][place]["state"] = "E"
+    if state["dialect"] == "openpbs" and not job["output"].startswith("localhost:"):
+        time.sleep(state["copying"])
     with opened(Path(folder)) as state:
         deliver(spool, state["jobs"][number], place, torque=state["dialect"] == "torque")
-        state["jobs"][number]["tasks"][place].update(state="F", status=256 - status if status < 0 else status)
+        state["jobs"][number]["tasks"][place].update(state="F", status=-29 if over else 256 - status if status < 0 else status)
         schedule(Path(folder), state)
 
 
 def deliver(spool: Path, job: dict[str, Any], place: str, *, torque: bool) -> None:
     """Copy what a task printed where the job wants it; Torque adds an element's index, even to /dev/null."""
-    target = job["output"] + (f"-{place}" if torque and place else "")
+    target = job["output"].removeprefix("localhost:") + (f"-{place}" if torque and place else "")
     if target != "/dev/null":
         spool.replace(target if not target.startswith("/dev/") else spool.with_name("undelivered"))
 
@@ -354,6 +377,9 @@ def qdel(folder: Path, state: dict[str, Any], words: list[str]) -> None:
             status = 35
         else:
             tasks = state["jobs"][meant[0]]["tasks"]
+            if meant[1] and tasks[meant[1]]["status"] is not None and state["dialect"] == "openpbs":
+                sys.stderr.write(f"qdel: Request invalid for finished array subjob {word}\n")
+                status = 55
             for task in [tasks[meant[1]]] if meant[1] else tasks.values():
                 kill(task)
     schedule(folder, state)
@@ -415,11 +441,11 @@ def listed(state: dict[str, Any], ids: list[str], *, torque: bool) -> tuple[int,
     for number in numbers:
         job = state["jobs"][number]
         if torque or alive(job):
-            records |= described(number, job, torque=torque)
+            records |= described(number, job, state, torque=torque)
     return status, records
 
 
-def described(number: str, job: dict[str, Any], *, torque: bool) -> dict[str, dict[str, Any]]:
+def described(number: str, job: dict[str, Any], state: dict[str, Any], *, torque: bool) -> dict[str, dict[str, Any]]:
     records = {}
     common = {
         "Job_Name": job["name"],
@@ -435,9 +461,11 @@ def described(number: str, job: dict[str, Any], *, torque: bool) -> dict[str, di
     if job["array"] and not torque:
         states = {task["state"] for task in job["tasks"].values()}
         letter = "H" if hold != "n" else "B" if states != {"Q"} else "Q"
-        records[identity(number, job)] = {**common, "job_state": letter, "Hold_Types": hold, "array": "True", "Exit_status": 0}
+        whole = {"job_state": letter, "Hold_Types": hold, "array": "True", "Exit_status": state["array_status"]}
+        records[identity(number, job)] = common | whole
     for place, task in job["tasks"].items():
-        letter = "H" if task["state"] == "Q" and hold != "n" else task["state"]
+        holds = task["state"] == "Q" and hold != "n" and (torque or not job["array"])
+        letter = "H" if holds else task["state"]
         if letter == "F":
             letter = "C" if torque else "X" if job["array"] else "F"
         record = {**common, "job_state": letter, "Hold_Types": hold}
@@ -447,6 +475,9 @@ def described(number: str, job: dict[str, Any], *, torque: bool) -> dict[str, di
             record |= {"exec_host": f"{HOST}/0"}
         if task["status"] is not None:
             record |= {"exit_status" if torque else "Exit_status": task["status"]}
+        if letter == "X" and not state["history"]:
+            record |= {"comment": "Subjob finished", "Exit_status": state["array_status"]}
+            record.pop("exec_host", None)
         records[identity(number, job, place)] = record
     return records
 

@@ -164,6 +164,14 @@ def test_only_the_script_is_left_in_the_folder(server: pbs.Server, ask: Callable
     assert not list((request.folder.parent / "server").glob("undelivered"))
 
 
+@openpbs
+def test_an_end_waits_for_no_copy_of_what_was_printed(server: pbs.Server, ask: Callable[..., Request]) -> None:
+    server.set(copying=90)
+    scheduler = Pbs(ClusterTable())
+    scheduler.submit(ask())
+    until(ended(scheduler))
+
+
 def test_nothing_of_the_callers_goes_along_even_where_a_site_exports_all(
     server: pbs.Server, ask: Callable[..., Request], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -305,6 +313,7 @@ def test_what_has_ended_is_not_alive(server: pbs.Server, ask: Callable[..., Requ
 
 
 def test_an_element_that_ended_in_an_array_that_lives_has_ended(server: pbs.Server, ask: Callable[..., Request]) -> None:
+    server.set(history=True)
     scheduler = Pbs(ClusterTable())
     scheduler.submit(ask("test $1 = 7 || sleep 60; exit 7", (3, 7, 9)))
     until(lambda: alive(scheduler) == {3, 9})
@@ -312,6 +321,19 @@ def test_an_element_that_ended_in_an_array_that_lives_has_ended(server: pbs.Serv
     assert tasks is not None
     status = "Exit_status" if scheduler.version().startswith("openpbs") else "exit_status"
     assert [(task.element, task.reason) for task in tasks if task.state is State.ENDED] == [(7, f"{status} 7")]
+
+
+@openpbs
+def test_what_an_array_says_of_itself_is_not_taken_for_the_end_of_an_element(
+    server: pbs.Server, ask: Callable[..., Request]
+) -> None:
+    server.set(array_status=1)
+    scheduler = Pbs(ClusterTable())
+    scheduler.submit(ask("test $1 = 7 || sleep 60; exit 7", (3, 7, 9)))
+    until(lambda: alive(scheduler) == {3, 9})
+    tasks = scheduler.look(NAME)
+    assert tasks is not None
+    assert [(task.element, task.reason) for task in tasks if task.state is State.ENDED] == [(7, "")]
 
 
 def test_each_look_is_one_call_that_names_the_jobs_once_they_are_known(server: pbs.Server, ask: Callable[..., Request]) -> None:
@@ -501,6 +523,15 @@ def test_of_a_recorded_array_without_elements_the_whole_is_told() -> None:
     assert (task.job, task.element, task.state) == ("5[].pbs1", None, State.ENDED)
 
 
+@pytest.mark.parametrize(("answer", "reason"), [("ended-forgotten", ""), ("ended-remembered", "Exit_status 7")])
+def test_a_recorded_array_that_lives_is_read(answer: str, reason: str) -> None:
+    """Element 1 ended with 7, and element 2 well; without a history, and with one."""
+    tasks = list(qstat.tasks(list(qstat.json_records((DATA / f"{answer}.json").read_text()))))
+    states = [State.RUNNING, State.ENDED, State.ENDED, State.RUNNING]
+    assert [(task.element, task.state) for task in tasks] == list(enumerate(states))
+    assert [task.reason for task in tasks[1:3]] == [reason, ""]
+
+
 @pytest.mark.parametrize("text", ["", "{}", '{"timestamp": 1, "pbs_version": "23.06.06"}'])
 def test_an_answer_without_jobs_has_none(text: str) -> None:
     assert list(qstat.json_records(text)) == []
@@ -600,6 +631,21 @@ def test_a_batch_is_answered_though_an_element_is_deleted(server: pbs.Server, tm
     text = again.read_text()
     assert "SIERRA_ELEMENTS=1" in text
     assert alive(Pbs(ClusterTable()), re.findall("-N (.*)", text)[0]) == set()
+
+
+@pytest.mark.slow
+@openpbs
+def test_an_element_whose_time_was_over_says_so_where_pbs_does_not(server: pbs.Server, tmp_path: Path) -> None:
+    gate = tmp_path / "gate"
+    simulator = projects.SIMULATOR + WAITS.format(gate=str(gate))
+    root = projects.make(tmp_path / "swarm", projects.CONFIG + CLUSTER + "wall = 3\n", simulator=simulator)
+    words = (projects.SIERRA, "run", "population_size=1,2", "--on", "pbs", "--no-figures")
+    asked = subprocess.Popen(words, cwd=root, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    until(lambda: len(list(root.glob(".sierra/work/*/sent/*.json"))) > 1)
+    gate.touch()
+    _, err = asked.communicate(timeout=60)
+    assert asked.returncode == 0, err
+    assert re.search(r"submitted again: element: asked to end after \d s \(walltime of 3 s exceeded\)", err)
 
 
 @pytest.mark.slow

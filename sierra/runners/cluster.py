@@ -55,6 +55,8 @@ UNREACHED_S = 20.0
 """How long a scheduler that is to cancel jobs may be out of reach, before that is left to whoever asks next."""
 TIMED = re.compile(r"time ?limit|timeout|walltime", re.IGNORECASE)
 """In words on how an element ended: its time was over."""
+ASKED = re.compile(r"asked to end after (\d+) s$")
+"""In what an element says itself: how long it had lasted."""
 RELAUNCHED = "launch failed"
 """What schedulers say of a job that they could not begin, though it can: it is submitted again."""
 
@@ -409,9 +411,15 @@ class Cluster:
         """Why an element is gone: by its own words, and the scheduler's."""
         share = self._shares[index]
         told = share.trouble or submission.last_line(self._session, str(index))
-        if not told or (share.word and share.word in told):
-            return share.trouble or share.word or "nobody says by what"
-        return f"{told} ({share.word})" if share.word else told
+        word = share.word or self._overdue(told)
+        if not told or (word and word in told):
+            return share.trouble or word or "nobody says by what"
+        return f"{told} ({word})" if word else told
+
+    def _overdue(self, told: str) -> str:
+        """For a scheduler that is silent on what has ended, as PBS without a history: whether an element's time was over."""
+        asked, wall = ASKED.search(told), self._table.wall
+        return f"walltime of {wall:g} s exceeded" if asked and wall and int(asked[1]) >= wall - 1 else ""
 
     def _submit_again(self) -> None:
         words = list(dict.fromkeys(self._again.values()))

@@ -43,7 +43,7 @@ Before anything executes, every file that `needs` names is hashed, once: where i
 that is the trouble, and nothing executes. Where it becomes another later, no run is packed that has ended since.
 SIGTERM ends what runs, with the grace time that jobs have, a second one without. Where FOLDER, or the attempt's own pack, has
 been removed, nobody waits for the results any more: what runs is ended. Exit status 0: finished; 1: asked to end; 3: trouble,
-which is said on stderr too.
+which is said on stderr too, and so is how long the task had lasted when it was asked.
 
     python3 -I -S FOLDER/element.py FOLDER --probe INDEX
 
@@ -650,11 +650,20 @@ class Asked:
 
     def __init__(self) -> None:
         self.times = 0
+        self.when = 0.0
         for signalled in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
             signal.signal(signalled, self._note)
 
     def _note(self, signalled: int, frame: Any) -> None:
+        self.when = self.when or time.clock_gettime(time.CLOCK_BOOTTIME)
         self.times += 1
+
+
+def born() -> float:
+    """When the task began, by the clock since boot: its script has become this process, by `exec`."""
+    with open("/proc/self/stat", "rb") as file:
+        ticks = int(file.read().rpartition(b")")[2].split()[19])
+    return ticks / os.sysconf("SC_CLK_TCK")
 
 
 class Journal:
@@ -949,7 +958,12 @@ def main(arguments: List[str]) -> int:
     asked = Asked()
     try:
         folder, index = os.path.abspath(arguments[0]), int(arguments[-1])
-        return 0 if attempt(folder, index, asked, probing="--probe" in arguments) else 1
+        probing = "--probe" in arguments
+        if attempt(folder, index, asked, probing=probing):
+            return 0
+        if asked.times and not probing:
+            say("asked to end after %.0f s" % (asked.when - born()))
+        return 1
     except Exception as error:
         say(reason_of(error))
         return 3

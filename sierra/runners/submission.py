@@ -108,13 +108,10 @@ def request(session: SessionPaths, name: str, elements: tuple[int, ...], python:
 
 
 def last_line(session: SessionPaths, index: str) -> str:
-    """The last that the newest log of an element says; empty where none says anything."""
-    logs = sorted(session.logs.glob(f"*[._]{index}.out"), key=lambda file: file.stat().st_mtime)
-    for log in reversed(logs):
-        said = log.read_bytes()[-4096:].decode("utf-8", "replace").strip().splitlines()
-        if said:
-            return said[-1]
-    return ""
+    """The last that the newest log of an element says; empty where it says nothing."""
+    newest = max(session.logs.glob(f"*[._]{index}.out"), key=lambda file: file.stat().st_mtime, default=None)
+    said = newest.read_bytes()[-4096:].decode("utf-8", "replace").strip().splitlines() if newest else []
+    return said[-1] if said else ""
 
 
 def sent(session: SessionPaths) -> list[Sent]:

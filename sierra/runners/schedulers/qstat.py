@@ -35,6 +35,8 @@ SPELLED = re.compile(r"\d{1,9}(-\d{1,9})?(\+\d{1,9}(-\d{1,9})?)*")
 ENDED = frozenset("FXC")
 WAITING = frozenset("QWT")
 NEVER = re.compile(r"can never run|too many failed attempts", re.IGNORECASE)
+FORGOTTEN = "Subjob finished"
+"""The comment of what OpenPBS knows no more of an element than that."""
 HOLDS = frozenset("sop")
 """Holds of the system (a launch that failed), of an operator, for a bad password. The user's own (u) is theirs to release,
 and Torque's a and l hold elements until the array is there or has a place."""
@@ -166,7 +168,12 @@ def _state(record: Record, whole: Record) -> tuple[State, str]:
 
 
 def _end(record: Record) -> str:
-    """How a task ended, where that is worth a word."""
+    """How a task ended, where that is worth a word.
+
+    Without a history, OpenPBS has forgotten an element that ended in an array that lives, and says what the array is instead.
+    """
+    if record.get("comment") == FORGOTTEN:
+        return ""
     for key in ("Exit_status", "exit_status"):
         if (status := record.get(key, "0")) != "0":
             return ": ".join(filter(None, (f"{key} {status}", ENDS.get((key, status)))))

@@ -13,6 +13,8 @@ and the job has a variable, SIERRA_ELEMENTS, that says the same to whom lists it
 
 PBS keeps what a job prints on the node until the end, and copies it by rules of each site's own. So scripts write into their
 log themselves, from their first line on. (Torque adds the index even to `/dev/null`: it gets a file of its own for its words.)
+OpenPBS takes `/dev/null` for one on the host of `qsub`, and copies what is empty there by scp; where that has no way, it tries
+so often that the job takes a minute and a half to end. The node's own, `localhost:/dev/null`, is copied to by nobody.
 
 Jobs may be executed again when their node is lost (`-r y`): OpenPBS takes no array that may not, they come back also where
 nobody follows them, and a second copy does no harm.
@@ -86,7 +88,7 @@ def script(request: Request, table: ClusterTable, dialect: Dialect) -> str:
 def _output(request: Request, dialect: Dialect) -> str:
     if dialect is Dialect.TORQUE and len(request.elements) > 1:
         return shlex.quote(str(request.folder / "pbs"))
-    return "/dev/null"
+    return "localhost:/dev/null" if dialect is Dialect.OPENPBS else "/dev/null"
 
 
 def _resources(table: ClusterTable, dialect: Dialect) -> Iterator[str]:
