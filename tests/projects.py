@@ -81,7 +81,7 @@ def sierra(
         input=stdin,
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=200,
         check=False,
         env={**os.environ, **(environment or {})},
     )
