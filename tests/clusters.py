@@ -15,11 +15,10 @@ import signal
 import socket
 import subprocess
 import tempfile
-import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
-from tests.waiting import until
+from tests.waiting import PATIENCE_S, until
 
 SBIN = ":/usr/sbin:/sbin"
 PROGRAMS = ("munged", "slurmctld", "slurmd", "sbatch", "unshare", "nsenter", "setpriv")
@@ -130,7 +129,7 @@ class Slurm:
         files = (f"--pid-file={key}/pid", f"--log-file={key}/log", f"--seed-file={key}/seed")
         munge = self.root / "munge.sock"
         self._spawn("munged", "munged", "-F", f"--socket={munge}", f"--key-file={key}/munge.key", *files, "--num-threads=4")
-        until(munge.exists, "munged listens", 10)
+        until(munge.exists, "munged listens")
         self._start("slurmctld", "slurmctld", "-D")
         for name in self.names:
             self.start_node(name)
@@ -167,7 +166,7 @@ class Slurm:
         """The daemon alone dies: the node's jobs live on, and SLURM will think that they are lost."""
         for pid in self._slurmd(node):
             os.kill(pid, signal.SIGKILL)
-        until(lambda: not self._slurmd(node), f"slurmd of {node} has ended", 10)
+        until(lambda: not self._slurmd(node), f"slurmd of {node} has ended")
 
     def start_slurmd(self, node: str) -> None:
         """The daemon alone comes back, on a node that is on."""
@@ -176,9 +175,18 @@ class Slurm:
         self._spawn(f"slurmd of {node}", *enter)
 
     def kill_controller(self, *, saved: bool = False) -> None:
-        """`saved`: not before it has saved what it knows, as it does every five seconds; else it may give ids twice."""
-        time.sleep(6 if saved else 0)
+        """`saved`: not before it has saved what it knows of jobs; else it may give ids twice."""
+        if saved:
+            self._until_saved()
         self._kill("slurmctld")
+
+    def _until_saved(self) -> None:
+        """Change a job, and wait for the file of all jobs, which is written again within five seconds."""
+        file = self.root / "state" / "job_state"
+        before = file.stat().st_mtime_ns if file.exists() else 0
+        job = self.command("squeue", "-h", "-a", "-o", "%A").split()[0]
+        self.command("scontrol", "update", f"jobid={job}", "AdminComment=saved")
+        until(lambda: file.stat().st_mtime_ns != before, "the controller saves what it knows")
 
     def start_controller(self) -> None:
         """Returns when it answers."""
@@ -200,7 +208,7 @@ class Slurm:
 
     def until_requeued(self) -> None:
         """Wait until a job waits for its start after it was requeued."""
-        until(lambda: "BeginTime" in self.command("squeue", "-h", "-a", "-o", "%r"), "a job is requeued", 30)
+        until(lambda: "BeginTime" in self.command("squeue", "-h", "-a", "-o", "%r"), "a job is requeued")
 
     def heal(self) -> None:
         """No jobs, and all nodes idle, whatever was done to it."""
@@ -241,7 +249,7 @@ class Slurm:
             told = (self.command("sinfo", "-N", "-h", "-o", "%N %T %E"), self.command("squeue", "-h", "-a", "-r", "-t", "all"))
             return "\n".join((f"nodes are idle; see {self.root}/log", *told))
 
-        until(self._is_idle, seen, 60)
+        until(self._is_idle, seen)
 
     def _is_idle(self) -> bool:
         states = self.nodes()
@@ -250,7 +258,7 @@ class Slurm:
                 self.resume(node)
         return set(states.values()) == {"idle"}
 
-    def until(self, job: str, *states: str, element: int | None = None, seconds: float = 30) -> None:
+    def until(self, job: str, *states: str, element: int | None = None, seconds: float = PATIENCE_S) -> None:
         """Wait until all elements of a job (or that one) are in one of these states."""
 
         def reached() -> bool:
@@ -277,7 +285,7 @@ class Slurm:
     def _start(self, name: str, *argv: str) -> None:
         """Start the controller; it is asked only once it listens, as its clients try for seconds otherwise."""
         self._spawn(name, *argv)
-        until(lambda: listens(self._ports[0]) or self._gone(name), f"{name} listens", 20)
+        until(lambda: listens(self._ports[0]) or self._gone(name), f"{name} listens")
         assert not self._gone(name), f"{name} has ended; see {self.root}/log"
 
     def _kill(self, name: str, number: signal.Signals = signal.SIGKILL) -> None:

@@ -6,14 +6,15 @@ import json
 import re
 import signal
 import subprocess
-import time
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from sierra.runners import submission
+from sierra.runners.packs import Started
 from sierra.runners.schedulers import State, Task
+from tests.batches import packed
 from tests.clusters import Slurm
 from tests.conftest import Simulated
 from tests.test_cluster_cli import QUERY, WAITS, Waiting, until
@@ -132,8 +133,7 @@ def test_how_many_runs_went_at_a_time_is_what_was_asked_for_there(waiting: Waiti
 @pytest.mark.slow
 def test_show_says_where_runs_were_executed_and_how_often_that_was_cut_off(waiting: Waiting) -> None:
     asking = waiting.follow()
-    waiting.project.until_executed(6, asking)
-    time.sleep(1)  # what began just before its element was asked to end is not told of
+    until(lambda: len(packed(waiting.project.folder, Started)) == 6, "elements tell that runs have begun")
     [job] = {name.partition("_")[0] for name, state in waiting.slurm.states().items() if state == "RUNNING"}
     waiting.slurm.command("scontrol", "requeue", f"{job}_0")
     waiting.slurm.until_requeued()
