@@ -21,10 +21,8 @@ elements = 3
 """
 WAITING = """\
 import os, sys, time
-import xml.etree.ElementTree as ET
 
-arena = ET.parse(sys.argv[1]).getroot()
-count = int(arena.find("swarm").get("count"))
+count = int(open(sys.argv[1]).read().split('<swarm count="')[1].split('"')[0])
 with open("swarm.csv", "w") as file:
     print("tick,coverage", file=file)
     print(0, count, sep=",", file=file)
