@@ -42,7 +42,7 @@ class Waiting:
 
     def submit(self, *words: str) -> dict[str, Any]:
         """Submit, and leave it; what was left."""
-        done = self.project.ask("run", *(words or QUERY), "--on", "slurm", "--detach", "--json")
+        done = self.project.quick("run", *(words or QUERY), "--on", "slurm", "--detach", "--json")
         assert done.returncode == 0, done.stderr
         [left] = json.loads(done.stdout)["left"]
         found: dict[str, Any] = left
