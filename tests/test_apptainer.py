@@ -105,7 +105,9 @@ def of(folder: Path, what: str) -> list[int]:
     return found
 
 
-@pytest.mark.parametrize("killed", ["sierra", "worker", "clients", "interrupted"])
+@pytest.mark.parametrize(
+    "killed", ["sierra", "clients", *(pytest.param(one, marks=pytest.mark.slow) for one in ("worker", "interrupted"))]
+)
 def test_whatever_is_killed_no_container_is_left(sleeping: tuple[Path, subprocess.Popen[str], str], killed: str) -> None:
     folder, asking, mark = sleeping
     if killed in ("sierra", "interrupted"):

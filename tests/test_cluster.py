@@ -84,7 +84,7 @@ def test_code_may_change_while_runs_wait(gated: Gated) -> None:
     is_whole(gated.project)
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
 def test_what_is_submitted_lives_on_without_its_submitter(gated: Gated, number: signal.Signals) -> None:
     asking = gated.ask()
     gated.until_begun(3)

@@ -265,8 +265,15 @@ def await_none(folder: Path, mark: str, seconds: float = PATIENCE_S / 2) -> None
     until(lambda: not list(containers.sleepers(mark)) + containers.left(folder), "nothing is left", seconds)
 
 
-@pytest.mark.parametrize("sleeping", ["run", "worker"], indirect=True)
-@pytest.mark.parametrize("killed", ["sierra", "worker", "clients", "interrupted"])
+@pytest.mark.parametrize(
+    ("sleeping", "killed"),
+    [
+        *(("run", killed) for killed in ("sierra", "worker", "clients", "interrupted")),
+        *(("worker", killed) for killed in ("sierra", "clients")),
+        *(pytest.param("worker", killed, marks=pytest.mark.slow) for killed in ("worker", "interrupted")),
+    ],
+    indirect=["sleeping"],
+)
 def test_whatever_is_killed_no_container_is_left_and_the_batch_can_be_finished(
     sleeping: tuple[Path, subprocess.Popen[str], str], killed: str
 ) -> None:

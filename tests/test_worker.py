@@ -607,6 +607,7 @@ def test_a_second_worker_goes_on_in_the_same_folder(start: Callable[..., Worker]
     assert [stdout(end) for end in worker.events("end")] == ["one\n", "two\n"]
 
 
+@pytest.mark.slow
 def test_ten_thousand_runs_stay_linear_and_small(start: Callable[..., Worker]) -> None:
     worker = start(2)
     count = 10_000
