@@ -156,6 +156,8 @@ def here(monkeypatch: pytest.MonkeyPatch) -> Iterator[type[Here]]:
     monkeypatch.setattr(Here, "word", "ENDED")
     monkeypatch.setattr(Here, "cancelled", None)
     monkeypatch.setattr(Here, "held", 0)
+    for name, seconds in (("FIRST_POLL_S", 0.1), ("LAST_POLL_S", 1.0), ("QUIET_S", 0.1)):  # it knows all at once
+        monkeypatch.setattr(cluster, name, seconds)
     yield Here
     for _, _, _, process in Here.tasks:
         cut_off(process)
@@ -366,9 +368,6 @@ def test_a_scheduler_that_is_asked_for_the_jobs_that_lived_sees_those_with_more_
 
     monkeypatch.setattr(Here, "submit", forgets)
     monkeypatch.setattr(Here, "look", remembers)
-    monkeypatch.setattr(cluster, "QUIET_S", 0.1)
-    monkeypatch.setattr(cluster, "FIRST_POLL_S", 0.1)
-    monkeypatch.setattr(cluster, "LAST_POLL_S", 0.1)
 
     def watch(progress: Progress) -> None:
         sent = [process for name, *_, process in Here.tasks if name.startswith("sierra-")]
@@ -668,11 +667,7 @@ def test_what_a_dead_submitter_had_not_handed_over_is_given_back_where_it_is_ref
     assert sorted(made.simulated.executed().values()) == [1] * 24
 
 
-def test_runs_that_take_their_node_down_hold_nothing_up(
-    untold: Callable[..., Clustered], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(cluster, "QUIET_S", 0.1)
-    monkeypatch.setattr(cluster, "FIRST_POLL_S", 0.1)
+def test_runs_that_take_their_node_down_hold_nothing_up(untold: Callable[..., Clustered]) -> None:
     made = untold(KILLS, "attempts = 1\n")
     runs = made.project.plan(*QUERY, runs=8).batch.runs
     made.gate.with_name("gate.which").write_text(f"{runs[0].id} {runs[-1].id}")
