@@ -109,6 +109,7 @@ def test_who_asks_meanwhile_always_sees_whole_records(simulate: Simulate) -> Non
         seen.add(row["n"])
         if len(seen) > 1:
             project.open()
+        time.sleep(0.1)
     assert len(seen) > 1
     assert [project.end_of(process).returncode for process in processes] == [0, 0]
 
