@@ -161,6 +161,7 @@ class Slurm:
         """A node as it is after it was switched on."""
         script = 'hostname "$1"; slurmd -D -N "$1" & sleep infinity & wait'  # a shell as the first process: it reaps
         self._spawn(node, "unshare", "--pid", "--fork", "--kill-child", "--mount-proc", "--uts", "sh", "-c", script, "sh", node)
+        self._until_slurmd(node)
 
     def kill_slurmd(self, node: str) -> None:
         """The daemon alone dies: the node's jobs live on, and SLURM will think that they are lost."""
@@ -173,6 +174,10 @@ class Slurm:
         [shell] = _children(self._processes[node].pid)
         enter = ("nsenter", f"--target={shell}", "--pid", "--uts", "--mount", "slurmd", "-D", "-N", node)
         self._spawn(f"slurmd of {node}", *enter)
+        self._until_slurmd(node)
+
+    def _until_slurmd(self, node: str) -> None:
+        until(lambda: self._slurmd(node), f"slurmd of {node} is there; see {self.root}/log")
 
     def kill_controller(self, *, saved: bool = False) -> None:
         """`saved`: not before it has saved what it knows of jobs; else it may give ids twice."""
@@ -342,10 +347,15 @@ def programs(require: Callable[..., str], names: Iterable[str]) -> None:
 
 
 def free_ports(count: int) -> list[int]:
-    """Ports of the loopback that nobody uses now."""
+    """Ports that nobody uses now, below those that Linux gives to connections: one of these may take what is not bound yet."""
+    ports: list[int] = []
     with contextlib.ExitStack() as stack:
-        servers = [stack.enter_context(socket.create_server(("127.0.0.1", 0))) for _ in range(count)]
-        return [server.getsockname()[1] for server in servers]
+        while len(ports) < count:
+            port = 10_000 + secrets.randbelow(20_000)
+            with contextlib.suppress(OSError):
+                stack.enter_context(socket.create_server(("", port)))
+                ports.append(port)
+    return ports
 
 
 def listens(port: int) -> bool:
