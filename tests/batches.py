@@ -10,6 +10,7 @@ from typing import Any
 import sierra
 from sierra import processes
 from sierra.api import Project
+from sierra.runners.packs import Pack, Started
 from tests import projects
 from tests.clusters import Slurm
 from tests.waiting import until
@@ -20,16 +21,14 @@ elements = 3
 """
 WAITING = """\
 import os, sys, time
-import xml.etree.ElementTree as ET
 
-arena = ET.parse(sys.argv[1]).getroot()
-count = int(arena.find("swarm").get("count"))
+count = int(open(sys.argv[1]).read().split('<swarm count="')[1].split('"')[0])
 with open("swarm.csv", "w") as file:
     print("tick,coverage", file=file)
     print(0, count, sep=",", file=file)
 with open({log!r}, "a") as log:
     print(os.environ["SIERRA_RUN_ID"], file=log, flush=True)
-while not os.path.exists({gate!r}):
+while not os.path.exists({gate!r}) and not os.path.exists({gate!r} + "." + os.environ["SIERRA_RUN_ID"]):
     time.sleep(0.02)
 """
 """A simulator that says that it has begun, and goes on once a gate is open."""
@@ -53,8 +52,9 @@ class Gated:
     def gate(self) -> Path:
         return self.root.with_name("gate")
 
-    def open(self) -> None:
-        self.gate.touch()
+    def open(self, run: str = "") -> None:
+        """Let all runs end, or that one."""
+        (self.gate.with_name(f"gate.{run}") if run else self.gate).touch()
 
     def begun(self) -> list[str]:
         """The runs that were begun, each as often as it was."""
@@ -70,11 +70,19 @@ class Gated:
     def until_begun(self, count: int) -> None:
         until(lambda: len(self.begun()) >= count, f"{count} runs begin")
 
+    def until_told(self, count: int) -> None:
+        """Wait until so many runs have begun, and elements have recorded that."""
+        until(lambda: len(packed(self.root, Started)) >= count, f"{count} runs are told of")
+
     def job(self) -> str:
         """The id of the one job that is there."""
         listed = self.slurm.command("squeue", "-h", "-t", "PENDING,RUNNING", "-o", "%F %j").splitlines()
         [job] = {line.split()[0] for line in listed if " sierra-" in line}
         return job
+
+    def node(self) -> str:
+        """A node that executes an element."""
+        return self.slurm.command("squeue", "-h", "-r", "-t", "RUNNING", "-j", self.job(), "-o", "%N").split()[0]
 
     @property
     def project(self) -> Project:
@@ -90,11 +98,17 @@ class Gated:
 
 def ended(process: subprocess.Popen[str], code: int = 0) -> str:
     """What a command printed on standard error, once it has ended as it should."""
-    out, err = process.communicate(timeout=100)
+    out, err = process.communicate(timeout=200)
     assert "Traceback" not in err, err
     assert "fault in SIERRA" not in err, err
     assert process.returncode == code, out + err
     return err
+
+
+def packed(root: Path, kind: type[Any]) -> list[Any]:
+    """What elements have packed so far of one kind, in the sessions of a project."""
+    packs = map(Pack, sorted(root.glob(".sierra/work/*/results/[0-9]*.pack")))
+    return [event for pack in packs for event in pack.read() if isinstance(event, kind)]
 
 
 def rows(project: Project, text: str) -> list[dict[str, Any]]:

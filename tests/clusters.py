@@ -15,11 +15,10 @@ import signal
 import socket
 import subprocess
 import tempfile
-import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
-from tests.waiting import until
+from tests.waiting import PATIENCE_S, until
 
 SBIN = ":/usr/sbin:/sbin"
 PROGRAMS = ("munged", "slurmctld", "slurmd", "sbatch", "unshare", "nsenter", "setpriv")
@@ -130,7 +129,7 @@ class Slurm:
         files = (f"--pid-file={key}/pid", f"--log-file={key}/log", f"--seed-file={key}/seed")
         munge = self.root / "munge.sock"
         self._spawn("munged", "munged", "-F", f"--socket={munge}", f"--key-file={key}/munge.key", *files, "--num-threads=4")
-        until(munge.exists, "munged listens", 10)
+        until(munge.exists, "munged listens")
         self._start("slurmctld", "slurmctld", "-D")
         for name in self.names:
             self.start_node(name)
@@ -162,23 +161,37 @@ class Slurm:
         """A node as it is after it was switched on."""
         script = 'hostname "$1"; slurmd -D -N "$1" & sleep infinity & wait'  # a shell as the first process: it reaps
         self._spawn(node, "unshare", "--pid", "--fork", "--kill-child", "--mount-proc", "--uts", "sh", "-c", script, "sh", node)
+        self._until_slurmd(node)
 
     def kill_slurmd(self, node: str) -> None:
         """The daemon alone dies: the node's jobs live on, and SLURM will think that they are lost."""
         for pid in self._slurmd(node):
             os.kill(pid, signal.SIGKILL)
-        until(lambda: not self._slurmd(node), f"slurmd of {node} has ended", 10)
+        until(lambda: not self._slurmd(node), f"slurmd of {node} has ended")
 
     def start_slurmd(self, node: str) -> None:
         """The daemon alone comes back, on a node that is on."""
         [shell] = _children(self._processes[node].pid)
         enter = ("nsenter", f"--target={shell}", "--pid", "--uts", "--mount", "slurmd", "-D", "-N", node)
         self._spawn(f"slurmd of {node}", *enter)
+        self._until_slurmd(node)
+
+    def _until_slurmd(self, node: str) -> None:
+        until(lambda: self._slurmd(node), f"slurmd of {node} is there; see {self.root}/log")
 
     def kill_controller(self, *, saved: bool = False) -> None:
-        """`saved`: not before it has saved what it knows, as it does every five seconds; else it may give ids twice."""
-        time.sleep(6 if saved else 0)
+        """`saved`: not before it has saved what it knows of jobs; else it may give ids twice."""
+        if saved:
+            self._until_saved()
         self._kill("slurmctld")
+
+    def _until_saved(self) -> None:
+        """Change a job, and wait for the file of all jobs, which is written again within five seconds."""
+        file = self.root / "state" / "job_state"
+        before = file.stat().st_mtime_ns if file.exists() else 0
+        job = self.command("squeue", "-h", "-a", "-o", "%A").split()[0]
+        self.command("scontrol", "update", f"jobid={job}", "AdminComment=saved")
+        until(lambda: file.stat().st_mtime_ns != before, "the controller saves what it knows")
 
     def start_controller(self) -> None:
         """Returns when it answers."""
@@ -200,7 +213,7 @@ class Slurm:
 
     def until_requeued(self) -> None:
         """Wait until a job waits for its start after it was requeued."""
-        until(lambda: "BeginTime" in self.command("squeue", "-h", "-a", "-o", "%r"), "a job is requeued", 30)
+        until(lambda: "BeginTime" in self.command("squeue", "-h", "-a", "-o", "%r"), "a job is requeued")
 
     def heal(self) -> None:
         """No jobs, and all nodes idle, whatever was done to it."""
@@ -241,7 +254,7 @@ class Slurm:
             told = (self.command("sinfo", "-N", "-h", "-o", "%N %T %E"), self.command("squeue", "-h", "-a", "-r", "-t", "all"))
             return "\n".join((f"nodes are idle; see {self.root}/log", *told))
 
-        until(self._is_idle, seen, 60)
+        until(self._is_idle, seen)
 
     def _is_idle(self) -> bool:
         states = self.nodes()
@@ -250,7 +263,7 @@ class Slurm:
                 self.resume(node)
         return set(states.values()) == {"idle"}
 
-    def until(self, job: str, *states: str, element: int | None = None, seconds: float = 30) -> None:
+    def until(self, job: str, *states: str, element: int | None = None, seconds: float = PATIENCE_S) -> None:
         """Wait until all elements of a job (or that one) are in one of these states."""
 
         def reached() -> bool:
@@ -277,7 +290,7 @@ class Slurm:
     def _start(self, name: str, *argv: str) -> None:
         """Start the controller; it is asked only once it listens, as its clients try for seconds otherwise."""
         self._spawn(name, *argv)
-        until(lambda: listens(self._ports[0]) or self._gone(name), f"{name} listens", 20)
+        until(lambda: listens(self._ports[0]) or self._gone(name), f"{name} listens")
         assert not self._gone(name), f"{name} has ended; see {self.root}/log"
 
     def _kill(self, name: str, number: signal.Signals = signal.SIGKILL) -> None:
@@ -334,10 +347,15 @@ def programs(require: Callable[..., str], names: Iterable[str]) -> None:
 
 
 def free_ports(count: int) -> list[int]:
-    """Ports of the loopback that nobody uses now."""
+    """Ports that nobody uses now, below those that Linux gives to connections: one of these may take what is not bound yet."""
+    ports: list[int] = []
     with contextlib.ExitStack() as stack:
-        servers = [stack.enter_context(socket.create_server(("127.0.0.1", 0))) for _ in range(count)]
-        return [server.getsockname()[1] for server in servers]
+        while len(ports) < count:
+            port = 10_000 + secrets.randbelow(20_000)
+            with contextlib.suppress(OSError):
+                stack.enter_context(socket.create_server(("", port)))
+                ports.append(port)
+    return ports
 
 
 def listens(port: int) -> bool:

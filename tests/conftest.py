@@ -20,7 +20,7 @@ from hypothesis import settings
 
 from sierra.store import Store
 from tests import clusters, projects, stores
-from tests.waiting import until
+from tests.waiting import PATIENCE_S, until
 
 # A shell that starts the tests in the background makes them, and all that they start, ignore these.
 signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -170,7 +170,7 @@ class Simulated:
         assert "fault in SIERRA" not in done.stderr
         return done
 
-    def end_of(self, process: subprocess.Popen[str], timeout: float = 60.0) -> subprocess.CompletedProcess[str]:
+    def end_of(self, process: subprocess.Popen[str], timeout: float = PATIENCE_S) -> subprocess.CompletedProcess[str]:
         out, err = process.communicate(timeout=timeout)
         assert "Traceback" not in err
         assert "fault in SIERRA" not in err

@@ -48,7 +48,7 @@ DEFAULTS: dict[str, Any] = {
     "down": False,
     "broken_json": False,
     "always_V": False,
-    "slow": 0,
+    "slow": "",
     "copying": 0,
     "array_status": 0,
 }
@@ -132,8 +132,8 @@ def main(folder: str, command: str, words: list[str]) -> None:
         if state["down"]:
             refuse(command, f"cannot connect to server {HOST} (errno=111)", 111, before="Connection refused\n")
         {"qsub": qsub, "qstat": qstat, "qdel": qdel}[command](Path(folder), state, words)
-    if command == "qstat" and state["slow"]:
-        time.sleep(state["slow"])
+    while command == "qstat" and state["slow"] and not Path(state["slow"]).exists():
+        time.sleep(0.02)
 
 
 def refuse(command: str, words: str, status: int, *, before: str = "") -> NoReturn:
@@ -287,6 +287,7 @@ def after(state: dict[str, Any], job: dict[str, Any]) -> bool:
 
 def begin(folder: Path, number: str, place: str, job: dict[str, Any], task: dict[str, Any], *, torque: bool) -> None:
     home = os.environ.get("HOME", "/")
+    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM})  # until who executes it can heed it
     environment = {
         "HOME": home,
         "PATH": "/usr/bin:/bin",
@@ -310,6 +311,7 @@ def begin(folder: Path, number: str, place: str, job: dict[str, Any], task: dict
         stderr=subprocess.DEVNULL,
         start_new_session=True,
     )
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGTERM})
     process.returncode = 0  # it is left alone; init takes it over
     task.update(state="R", pid=process.pid)
 
@@ -323,21 +325,23 @@ def execute(folder: str, number: str, place: str, shell: str, script: str) -> No
         nonlocal asked
         asked = True
         if task is not None:
-            os.killpg(task.pid, signal.SIGTERM)
+            with contextlib.suppress(ProcessLookupError):  # it has ended by itself
+                os.killpg(task.pid, signal.SIGTERM)
 
     signal.signal(signal.SIGTERM, end)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGTERM})
     with opened(Path(folder)) as state:  # not before the server has noted that it was begun
         limit = state["jobs"][number]["wall"]
     spool = Path(folder) / f"{number}.{place}.OU"
     with spool.open("w") as output:
         task = subprocess.Popen([shell, script], stdout=output, stderr=output, process_group=0)
     if asked:
-        os.killpg(task.pid, signal.SIGTERM)
+        end()
     status, over = -1, False
     try:
         status = task.wait(limit)
     except subprocess.TimeoutExpired:
-        os.killpg(task.pid, signal.SIGTERM)
+        end()
         status, over = task.wait(), True
     with opened(Path(folder)) as state:
         job = state["jobs"][number]

@@ -83,7 +83,7 @@ class Accounted(Slurm):
         self._account("add", "cluster", clusters.SETTINGS["ClusterName"])
 
     def _until_it_listens(self, name: str, port: int) -> None:
-        until(lambda: clusters.listens(port) or self._gone(name), f"{name} listens", 30)
+        until(lambda: clusters.listens(port) or self._gone(name), f"{name} listens")
         assert not self._gone(name), f"{name} has ended; see {self.root}/log"
 
     def _account(self, *words: str) -> None:

@@ -169,7 +169,7 @@ ASKED = ("run", "size=1", "--runs", "40", "--on", "slurm", "--no-figures")
 
 
 def test_a_dry_run_keeps_to_what_accounting_allows_and_says_whose_limit_it_is(limited: Callable[[str], Simulated]) -> None:
-    told = limited("elements = 30").ask(*ASKED, "-n", "--explain").stdout
+    told = limited("elements = 30").quick(*ASKED, "-n", "--explain").stdout
     for line in (
         "elements +5 +the jobs that the site allows \\(MaxSubmitJobsPerUser of QOS normal\\)",
         "jobs at a time +6 +the site allows no more: MaxSubmitJobsPerUser of QOS normal",
@@ -193,7 +193,7 @@ def test_what_accounting_does_not_allow_is_one_line_before_anything_is_lost(
 ) -> None:
     project = limited(table)
     for more in (("-n",), ()):
-        done = project.ask(*ASKED, *more)
+        done = project.quick(*ASKED, *more)
         assert done.returncode == 2
         [line] = [line for line in done.stderr.splitlines() if line.startswith("sierra:")]
         assert words in line

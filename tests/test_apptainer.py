@@ -13,7 +13,7 @@ import pytest
 from tests import containers
 from tests.projects import SIERRA
 from tests.test_containers import ENDED, ENDS, RUN, TOLD, isolated, rows, says, what_is_told
-from tests.waiting import until
+from tests.waiting import PATIENCE_S, until
 
 pytestmark = pytest.mark.real
 ENGINE = 'engine = "apptainer"'
@@ -61,7 +61,9 @@ def test_runs_are_isolated_as_in_podman(tmp_path: Path, python: Path, isolation:
 @pytest.mark.slow
 @pytest.mark.parametrize("isolation", ["run", "worker"])
 def test_each_way_to_end_is_told_apart(tmp_path: Path, python: Path, isolation: str) -> None:
-    folder = containers.make(tmp_path / "project", python, ENGINE, f'isolation = "{isolation}"', simulator=ENDS)
+    mark = f"61.{os.getpid()}"
+    simulator = ENDS.replace("{mark}", mark)
+    folder = containers.make(tmp_path / "project", python, ENGINE, f'isolation = "{isolation}"', simulator=simulator)
     with (folder / "sierra.toml").open("a") as file:
         file.write('[limits]\nwall = 3.0\ngrace = 1.0\nmemory = "120 MB"\n')
     says(folder, "run", "population_size=1,2,3,4,5,6,7,8,9", "--runs", "1", "--no-figures", code=1)
@@ -71,7 +73,7 @@ def test_each_way_to_end_is_told_apart(tmp_path: Path, python: Path, isolation: 
     found = {row["n"]: (row["status"], row["exit_code"], row["signal"]) for row in ended}
     assert found.pop(8)[0] == "memory"
     assert found == ENDED
-    assert list(containers.sleepers("61.5")) == []
+    assert list(containers.sleepers(mark)) == []
 
 
 @pytest.fixture
@@ -103,7 +105,9 @@ def of(folder: Path, what: str) -> list[int]:
     return found
 
 
-@pytest.mark.parametrize("killed", ["sierra", "worker", "clients", "interrupted"])
+@pytest.mark.parametrize(
+    "killed", ["sierra", "clients", *(pytest.param(one, marks=pytest.mark.slow) for one in ("worker", "interrupted"))]
+)
 def test_whatever_is_killed_no_container_is_left(sleeping: tuple[Path, subprocess.Popen[str], str], killed: str) -> None:
     folder, asking, mark = sleeping
     if killed in ("sierra", "interrupted"):
@@ -112,9 +116,9 @@ def test_whatever_is_killed_no_container_is_left(sleeping: tuple[Path, subproces
         assert of(folder, killed)
         for pid in of(folder, killed):
             os.kill(pid, signal.SIGKILL)
-    said, _ = asking.communicate(timeout=60)
+    said, _ = asking.communicate(timeout=PATIENCE_S)
     assert asking.returncode == {"sierra": -9, "worker": 3, "clients": 1, "interrupted": 130}[killed], said
-    until(lambda: not list(containers.sleepers(mark)), "nothing is left", 20)
+    until(lambda: not list(containers.sleepers(mark)), "nothing is left", PATIENCE_S / 2)
     (folder / "sim.sh").write_text(containers.SIMULATOR)
     assert "2 executed" in says(folder, "run", "population_size=1", "--no-figures")
 

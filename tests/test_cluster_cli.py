@@ -16,10 +16,12 @@ from typing import Any
 import pytest
 
 from sierra.runners import element
+from sierra.runners.packs import Ended, Started
 from tests import projects
+from tests.batches import packed
 from tests.clusters import Slurm
 from tests.conftest import Simulated
-from tests.waiting import until
+from tests.waiting import PATIENCE_S, until
 
 QUERY = ("size=1,2,3", "--runs", "2")
 WAITS = """
@@ -40,7 +42,7 @@ class Waiting:
 
     def submit(self, *words: str) -> dict[str, Any]:
         """Submit, and leave it; what was left."""
-        done = self.project.ask("run", *(words or QUERY), "--on", "slurm", "--detach", "--json")
+        done = self.project.quick("run", *(words or QUERY), "--on", "slurm", "--detach", "--json")
         assert done.returncode == 0, done.stderr
         [left] = json.loads(done.stdout)["left"]
         found: dict[str, Any] = left
@@ -63,8 +65,8 @@ class Waiting:
         return str(row["batch"])[:8]
 
     def alive(self) -> int:
-        """How many tasks the cluster has."""
-        return sum(state in ("PENDING", "RUNNING") for state in self.slurm.states().values())
+        """How many tasks the cluster has, with those that are about to have ended."""
+        return sum(state in ("PENDING", "RUNNING", "COMPLETING") for state in self.slurm.states().values())
 
     def good(self) -> int:
         return len(self.project.sql("SELECT DISTINCT run FROM executions WHERE status = 'ok'"))
@@ -127,7 +129,7 @@ def test_failures_of_what_is_followed_are_told_with_their_logs(waiting: Waiting)
 
 def test_status_says_how_it_stands_and_records_what_has_finished(waiting: Waiting) -> None:
     left = waiting.submit()
-    waiting.project.until_executed(3)
+    until(lambda: len(packed(waiting.project.folder, Started)) == 3, "elements tell that runs have begun")
     [now] = waiting.status()
     assert {name: now[name] for name in left} == left
     assert (now["done"], now["running"], now["queued"], now["attended"]) == (0, 3, 0, None)
@@ -160,8 +162,7 @@ def test_what_will_never_begin_is_told_in_the_scheduler_s_words(waiting: Waiting
     [job] = waiting.status()[0]["jobs"]
     waiting.project.until_executed(1)
     waiting.slurm.command("scontrol", "requeuehold", job)
-    until(lambda: "PENDING" in waiting.slurm.states().values(), "it is held")
-    assert "never begins: " in waiting.project.quick("status").stdout
+    until(lambda: "never begins: " in waiting.project.quick("status").stdout, "it is held")
 
 
 @pytest.mark.slow
@@ -214,7 +215,7 @@ def on_a_terminal(waiting: Waiting, answer: str) -> tuple[int, str]:
     asking = waiting.project.start("run", *QUERY, "--on", "slurm", "--no-figures", stdin=theirs, stdout=theirs, stderr=theirs)
     os.close(theirs)
     said, interrupted, answered = "", False, False
-    while select.select([terminal], [], [], 60)[0]:
+    while select.select([terminal], [], [], PATIENCE_S)[0]:
         try:
             said += os.read(terminal, 65536).decode()
         except OSError:  # it has ended
@@ -226,7 +227,7 @@ def on_a_terminal(waiting: Waiting, answer: str) -> tuple[int, str]:
             answered = True
             asking.send_signal(signal.SIGINT) if answer == "^C" else os.write(terminal, answer.encode())
     os.close(terminal)
-    return asking.wait(60), said
+    return asking.wait(PATIENCE_S), said
 
 
 # while another process follows
@@ -267,6 +268,7 @@ def test_cancelling_keeps_what_had_finished(waiting: Waiting) -> None:
     waiting.project.until_executed(3)
     for run in waiting.project.executed():
         waiting.gate.with_name(f"gate.{run}").touch()
+    until(lambda: len(packed(waiting.project.folder, Ended)) == 3, "elements tell that runs have ended")
     waiting.project.until_executed(6)
     done = waiting.project.quick("cancel", waiting.batch())
     assert done.returncode == 0, done.stderr

@@ -260,7 +260,7 @@ def test_an_element_at_its_time_limit_is_continued_by_another(gate: Callable[...
     job = gated.job()
     for element in range(3):
         gated.slurm.command("scontrol", "update", f"jobid={job}_{element}", "EndTime=now+2")
-    until(lambda: "TIMEOUT" in gated.slurm.states().values(), "the limit is hit", 70)
+    until(lambda: "TIMEOUT" in gated.slurm.states().values(), "the limit is hit", 200)
     gated.open()
     told = ended(asking)
     assert "TIMEOUT" in told
@@ -277,7 +277,7 @@ def test_what_is_preempted_goes_on_where_it_was(gate: Callable[..., Gated], star
     preempting = {"PreemptType": "preempt/partition_prio", "PreemptMode": "REQUEUE"}
     gated = gate(on=start(settings=preempting, partitions=partitions))
     asking = gated.ask()
-    gated.until_begun(3)
+    gated.until_told(3)
     high = gated.slurm.command("sbatch", "--parsable", "-p", "high", "-N3", "--exclusive", "-o/dev/null", "--wrap=sleep 1")
     gated.slurm.until(high, "COMPLETED")
     gated.slurm.release_requeued()
@@ -412,6 +412,7 @@ def test_who_asks_at_once_without_locks_executes_twice_and_why_says_so(gate: Cal
     command = [sys.executable, str(program), "run", *ASK]
     pipe = subprocess.PIPE
     askings = [subprocess.Popen(command, cwd=gated.root, stdout=pipe, stderr=pipe, text=True) for _ in range(2)]
+    until(lambda: len(list(gated.root.glob(".sierra/work/*/claims.json"))) == 2, "both have claimed what nobody executes")
     gated.until_begun(3)
     gated.open()
     for asking in askings:

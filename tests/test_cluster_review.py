@@ -8,13 +8,14 @@ import hashlib
 import itertools
 import os
 import pty
+import re
 import select
 import shutil
 import signal
 import subprocess
 import sys
 import tempfile
-import time
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -37,7 +38,7 @@ from tests import containers, projects
 from tests.clusters import Slurm
 from tests.conftest import Simulated
 from tests.users import a_user, called_as
-from tests.waiting import until
+from tests.waiting import PATIENCE_S, until
 
 QUERY = ("size=1,2,3",)
 CLUSTER = "\n[runners.here]\nelements = 1\n"
@@ -155,6 +156,8 @@ def here(monkeypatch: pytest.MonkeyPatch) -> Iterator[type[Here]]:
     monkeypatch.setattr(Here, "word", "ENDED")
     monkeypatch.setattr(Here, "cancelled", None)
     monkeypatch.setattr(Here, "held", 0)
+    for name, seconds in (("FIRST_POLL_S", 0.1), ("LAST_POLL_S", 1.0), ("QUIET_S", 0.1)):  # it knows all at once
+        monkeypatch.setattr(cluster, name, seconds)
     yield Here
     for _, _, _, process in Here.tasks:
         cut_off(process)
@@ -189,14 +192,14 @@ def test_who_detaches_on_a_terminal_is_not_asked_whether_to(simulate: Callable[.
     )
     os.close(theirs)
     said = ""
-    while "[D/c]" not in said and select.select([terminal], [], [], 30)[0]:
+    while "[D/c]" not in said and select.select([terminal], [], [], PATIENCE_S)[0]:
         try:
             said += os.read(terminal, 65536).decode()
         except OSError:  # it has ended
             break
     os.close(terminal)
     assert "detach or cancel?" not in said
-    assert process.wait(30) == 0
+    assert process.wait(PATIENCE_S) == 0
 
 
 # nothing is thrown away
@@ -220,11 +223,20 @@ def test_a_session_whose_scheduler_is_not_installed_here_is_kept(
 
 def test_what_ends_while_it_is_cancelled_is_kept(clustered: Callable[..., Clustered], monkeypatch: pytest.MonkeyPatch) -> None:
     made = clustered(WAITS)
+    submit, look = Here.submit, Here.look
+
+    def late_to_heed(self: Here, request: Request) -> str:
+        script = request.folder / "element.py"
+        text, found = re.subn(r"(?m)^SYNC_S = .*$", "SYNC_S = 600.0", script.read_text())
+        assert found == 1
+        script.write_text(text)
+        return submit(self, request)
+
+    monkeypatch.setattr(Here, "submit", late_to_heed)
     made.project.run(*QUERY, runs=1, runner="here", detach=True, figures=False)
     made.simulated.until_executed(1)
     monkeypatch.setattr(harvest, "READ_S", 60.0)
     monkeypatch.setattr(Here, "cancelled", made.gate.touch)
-    look = Here.look
 
     def late(self: Here, name: str) -> tuple[Task, ...] | None:
         until(lambda: all(process.poll() is not None for *_, process in Here.tasks))
@@ -340,6 +352,8 @@ def test_a_scheduler_that_is_asked_for_the_jobs_that_lived_sees_those_with_more_
     made.gate.unlink()
     monkeypatch.setattr(Here, "word", "TIMEOUT")
     submit, look = Here.submit, Here.look
+    looks: Counter[int] = Counter()
+    """How often it was asked for the elements, by how many there were."""
 
     def forgets(self: Here, request: Request) -> str:
         self.__dict__.pop(request.name, None)
@@ -349,21 +363,18 @@ def test_a_scheduler_that_is_asked_for_the_jobs_that_lived_sees_those_with_more_
         alive = self.__dict__.get(name)
         tasks = [task for task in look(self, name) or () if not alive or task.job in alive]
         self.__dict__[name] = {task.job for task in tasks if task.state is not State.ENDED}
+        looks[len(Here.tasks)] += name.startswith("sierra-")
         return tuple(tasks)
 
     monkeypatch.setattr(Here, "submit", forgets)
     monkeypatch.setattr(Here, "look", remembers)
-    monkeypatch.setattr(cluster, "QUIET_S", 0.1)
-    again: list[float] = []
 
     def watch(progress: Progress) -> None:
         sent = [process for name, *_, process in Here.tasks if name.startswith("sierra-")]
         if progress.running == 2 and len(sent) == 2:
             cut_off(sent[0])
-        elif len(sent) > 2:
-            again.append(time.monotonic())
-            if again[-1] - again[0] > 8:
-                made.gate.touch()
+        elif len(sent) > 2 and looks[len(Here.tasks)] > 10:
+            made.gate.touch()
 
     summary = made.project.run("size=2", runs=2, runner="here", watch=watch, figures=False)
     assert (summary.executed, summary.failed) == (2, 0), summary.failures
@@ -424,8 +435,8 @@ def test_a_copy_is_recorded_once_however_often_it_is_read(clustered: Callable[..
     [first] = set(made.simulated.executed())
     made.gate.with_name(f"gate.{first}").touch()
     made.simulated.until_executed(4)
+    until(lambda: project.status() and made.rows("SELECT * FROM copies"), "the copy is recorded")
     for _ in range(3):
-        time.sleep(0.5)
         project.status()
     assert made.rows("SELECT count(*) AS n FROM copies") == [{"n": 1}]
     made.gate.touch()
@@ -591,7 +602,10 @@ Here.submit = lambda self, request: os._exit(9)
 sierra.open(".").run("size=1,2,3", runs=8, runner="here", figures=False)
 """
 """A submitter that dies when it is about to hand over the first runs."""
-KILLS = 'case "$(cat "{gate}.which")" in *$SIERRA_RUN_ID*) sleep 0.5; kill -9 $(ps -o ppid= $PPID);; esac; ' + PRINTS
+PACKS = '"${gate%/*}"/*/.sierra/work/*/results/*.pack'
+TOLD = f'gate="{{gate}}"; until grep -aqs "start.*$SIERRA_EXECUTION" {PACKS}; do sleep 0.02; done; '
+"""Waits until the element has told that the run has begun."""
+KILLS = 'case "$(cat "{gate}.which")" in *$SIERRA_RUN_ID*) ' + TOLD + "kill -9 $(ps -o ppid= $PPID);; esac; " + PRINTS
 
 
 @pytest.fixture
@@ -662,11 +676,7 @@ def test_what_a_dead_submitter_had_not_handed_over_is_given_back_where_it_is_ref
     assert sorted(made.simulated.executed().values()) == [1] * 24
 
 
-def test_runs_that_take_their_node_down_hold_nothing_up(
-    untold: Callable[..., Clustered], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(cluster, "QUIET_S", 0.1)
-    monkeypatch.setattr(cluster, "FIRST_POLL_S", 0.1)
+def test_runs_that_take_their_node_down_hold_nothing_up(untold: Callable[..., Clustered]) -> None:
     made = untold(KILLS, "attempts = 1\n")
     runs = made.project.plan(*QUERY, runs=8).batch.runs
     made.gate.with_name("gate.which").write_text(f"{runs[0].id} {runs[-1].id}")

@@ -6,14 +6,15 @@ import json
 import re
 import signal
 import subprocess
-import time
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from sierra.runners import submission
+from sierra.runners.packs import Started
 from sierra.runners.schedulers import State, Task
+from tests.batches import packed
 from tests.clusters import Slurm
 from tests.conftest import Simulated
 from tests.test_cluster_cli import QUERY, WAITS, Waiting, until
@@ -43,7 +44,7 @@ def test_status_says_why_elements_wait_in_the_scheduler_s_words(waiting: Waiting
     until(lambda: waiting.status()[0]["waits"].endswith("BeginTime"), "nodes have been tried out")
     [now] = waiting.status()
     assert (now["queued"], now["running"], now["stuck"]) == (3, 0, None)
-    assert re.search(r"  3 queued \((.*: )?BeginTime\)  ", waiting.project.ask("status").stdout)
+    assert re.search(r"  3 queued \((.*: )?BeginTime\)  ", waiting.project.quick("status").stdout)
 
 
 def test_reasons_are_told_in_short_and_the_most_frequent_first() -> None:
@@ -109,9 +110,9 @@ def test_a_dry_run_speaks_of_the_probe_where_there_will_be_one(
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     waiting.open()
     for said in (True, False):
-        told = waiting.project.ask("run", *QUERY, "speed=1,2", "--on", "slurm", "-n").stderr
+        told = waiting.project.quick("run", *QUERY, "speed=1,2", "--on", "slurm", "-n").stderr
         assert ("nodes were not tried out within a day" in told) == said
-        waiting.project.ask("run", *QUERY, "--on", "slurm", "--no-figures")
+        waiting.project.quick("run", *QUERY, "--on", "slurm", "--no-figures")
 
 
 # once it is recorded
@@ -121,9 +122,9 @@ def test_a_dry_run_speaks_of_the_probe_where_there_will_be_one(
 def test_how_many_runs_went_at_a_time_is_what_was_asked_for_there(waiting: Waiting, detached: bool) -> None:
     waiting.open()
     words = ("run", *QUERY, "--on", "slurm", "--no-figures", "-j", "7")
-    assert waiting.project.ask(*words, *["--detach"] * detached).returncode == 0
+    assert waiting.project.quick(*words, *["--detach"] * detached).returncode == 0
     if detached:
-        assert waiting.project.ask("attach", waiting.batch(), "--no-figures").returncode == 0
+        assert waiting.project.quick("attach", waiting.batch(), "--no-figures").returncode == 0
     assert waiting.project.sql("SELECT runner, slots, executed FROM sessions") == [
         {"runner": "slurm", "slots": 6, "executed": 6}
     ]
@@ -132,8 +133,7 @@ def test_how_many_runs_went_at_a_time_is_what_was_asked_for_there(waiting: Waiti
 @pytest.mark.slow
 def test_show_says_where_runs_were_executed_and_how_often_that_was_cut_off(waiting: Waiting) -> None:
     asking = waiting.follow()
-    waiting.project.until_executed(6, asking)
-    time.sleep(1)  # what began just before its element was asked to end is not told of
+    until(lambda: len(packed(waiting.project.folder, Started)) == 6, "elements tell that runs have begun")
     [job] = {name.partition("_")[0] for name, state in waiting.slurm.states().items() if state == "RUNNING"}
     waiting.slurm.command("scontrol", "requeue", f"{job}_0")
     waiting.slurm.until_requeued()
@@ -142,17 +142,17 @@ def test_show_says_where_runs_were_executed_and_how_often_that_was_cut_off(waiti
     waiting.open()
     done = waiting.project.end_of(asking)
     assert done.returncode == 0, done.stderr
-    shown = json.loads(waiting.project.ask("show", waiting.batch(), "--json").stdout)["attempts"]
+    shown = json.loads(waiting.project.quick("show", waiting.batch(), "--json").stdout)["attempts"]
     assert [(one["element"], one["state"]) for one in shown] == [(0, "cut off"), *((n, "finished") for n in range(3))]
     [execution] = waiting.project.sql(
         "SELECT run, execution FROM executions JOIN attempts a USING (attempt) WHERE a.element = 0 ORDER BY run LIMIT 1"
     )
     for one in execution.values():
-        first, second = json.loads(waiting.project.ask("show", one[:12], "--json").stdout)["attempts"]
+        first, second = json.loads(waiting.project.quick("show", one[:12], "--json").stdout)["attempts"]
         assert (first["state"], first["cut"], first["executed"]) == ("cut off", 2, False)
         assert (second["state"], second["trouble"], second["executed"]) == ("finished", None, True)
         assert second["node"] in waiting.slurm.names
         assert first["job"] == f"{job}_0"
-        text = waiting.project.ask("show", one[:12]).stdout
+        text = waiting.project.quick("show", one[:12]).stdout
         assert "attempts:" in text
         assert "cut off" in text

@@ -29,7 +29,7 @@ Simulate = Callable[..., Any]
 def at_once(project: Any, askings: list[tuple[str, ...]]) -> list[Any]:
     """Start all of them together; how each ended."""
     processes = [project.start("run", *words, "-j", "2", "--no-figures") for words in askings]
-    ends = [project.end_of(process, 120) for process in processes]
+    ends = [project.end_of(process, 200) for process in processes]
     assert [line for end in ends for line in end.stderr.splitlines() if line.startswith("sierra:")] == []
     assert (project.work(), project.left_running()) == ([], [])
     return ends
@@ -109,6 +109,7 @@ def test_who_asks_meanwhile_always_sees_whole_records(simulate: Simulate) -> Non
         seen.add(row["n"])
         if len(seen) > 1:
             project.open()
+        time.sleep(0.1)
     assert len(seen) > 1
     assert [project.end_of(process).returncode for process in processes] == [0, 0]
 

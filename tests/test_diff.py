@@ -332,7 +332,7 @@ def test_inputs_that_the_store_has_lost_are_noted_and_the_rest_is_told(make: Mak
 
 def test_what_was_never_executed_is_not_said_to_be_executed_with_the_same(make: Make) -> None:
     root = make("import sys, time; time.sleep(0.4); sys.exit(1)\n")
-    sierra.open(root).run("population_size=1", runs=5, jobs=1, fail_fast=True, figures=False)
+    sierra.open(root).run("population_size=1", runs=20, jobs=1, fail_fast=True, figures=False)
     missing = "SELECT run FROM members WHERE run NOT IN (SELECT run FROM executions) ORDER BY number"
     one, other, *_ = sierra.open(root).sql(missing).column(0).to_pylist()
     said = diff(root, one, other)

@@ -275,14 +275,15 @@ def test_a_signal_to_all_processes_of_a_task_makes_no_result(folder: Folder) -> 
 
 def test_one_that_is_asked_twice_leaves_no_grace(folder: Folder, tmp_path: Path) -> None:
     asked = tmp_path / "asked"
-    folder.deal([job("deaf", f"trap 'touch \"{asked}\"' TERM; while :; do sleep 0.1; done", limits=Limits(grace_s=50))])
+    deaf = f"trap 'touch \"{asked}\"' TERM; touch '{tmp_path}/deaf'; while :; do sleep 0.1; done"
+    folder.deal([job("deaf", deaf, limits=Limits(grace_s=PATIENCE_S))])
     process = folder.start()
-    folder.until_started()
+    until((tmp_path / "deaf").exists)
     process.terminate()
     until(asked.exists)
     assert process.poll() is None
     process.terminate()
-    assert process.wait(30) == 1
+    assert process.wait(PATIENCE_S / 2) == 1
 
 
 def test_a_cancelled_session_begins_nothing_more(folder: Folder) -> None:

@@ -17,7 +17,7 @@ import pytest
 
 from tests import projects
 from tests.conftest import PRINTS, held
-from tests.waiting import until
+from tests.waiting import PATIENCE_S, until
 
 ASKED = ("run", "size.Log8", "--runs", "6", "-j", "2", "--no-figures")
 RUNS = 24
@@ -131,7 +131,7 @@ def test_an_asking_whose_terminal_is_closed_keeps_what_had_finished(simulate: Si
     os.close(theirs)
     project.until_executed(8, sierra)
     os.close(terminal)
-    assert sierra.wait(60) == 130
+    assert sierra.wait(PATIENCE_S) == 130
     assert (project.work(), project.left_running()) == ([], [])
     [counted] = project.sql("SELECT count(*) FILTER (status = 'ok') AS good, count(*) AS n FROM executions")
     assert 6 <= counted["good"] == counted["n"] < RUNS

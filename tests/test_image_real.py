@@ -25,7 +25,7 @@ from tests import images as made
 from tests import projects
 from tests.containers import sleepers
 from tests.projects import quick
-from tests.waiting import until
+from tests.waiting import PATIENCE_S, until
 
 pytestmark = pytest.mark.real
 RECIPES = Path(__file__).parents[1] / "containers"
@@ -239,7 +239,7 @@ def test_to_identify_an_unchanged_image_starts_no_podman(project: Project, stora
     project.pin(tag)
     time.sleep(2.1)  # what was changed just now is asked for again
     took = []
-    for _ in range(5):
+    for _ in range(20):
         began = time.perf_counter()
         images.verify(project.root, images.pinned(project.root, tag))
         took.append(time.perf_counter() - began)
@@ -334,7 +334,7 @@ def test_what_is_recorded_of_an_image_goes_with_the_last_run_in_it(busybox: Proj
 
 @pytest.mark.parametrize(
     ("rootfs", "containerfile"),
-    [("setsid sleep 8641 & sleep 8642", "FROM scratch\n"), ("", "FROM localhost/sierra/busybox\nRUN sleep 8641\n")],
+    [("setsid sleep {0}1 & sleep {0}2", "FROM scratch\n"), ("", "FROM localhost/sierra/busybox\nRUN sleep {0}1\n")],
     ids=["rootfs", "RUN"],
 )
 def test_an_interrupted_build_leaves_nothing(
@@ -344,21 +344,22 @@ def test_an_interrupted_build_leaves_nothing(
     monkeypatch.setenv("TMPDIR", str(tmp_path / "temporary"))
     folder = busybox.root / "containers" / "sim"
     folder.mkdir()
-    (folder / "Containerfile").write_text(containerfile)
+    mark = f"864.{os.getpid()}"
+    (folder / "Containerfile").write_text(containerfile.format(mark))
     if rootfs:
-        (folder / "rootfs").write_text(f"#!/bin/sh\n{rootfs}\n")
+        (folder / "rootfs").write_text(f"#!/bin/sh\n{rootfs.format(mark)}\n")
         (folder / "rootfs").chmod(0o755)
     else:
         busybox.build_image(BUSYBOX)
     process = subprocess.Popen(
         [projects.SIERRA, "image", "build", "containers/sim"], cwd=busybox.root, stderr=subprocess.PIPE, text=True
     )
-    until(lambda: any(sleepers("8641")) or process.poll() is not None)
+    until(lambda: any(sleepers(f"{mark}1")) or process.poll() is not None)
     process.send_signal(signal.SIGINT)
-    assert "Traceback" not in process.communicate(timeout=60)[1]
+    assert "Traceback" not in process.communicate(timeout=PATIENCE_S)[1]
     assert process.returncode == 130
-    assert not any(sleepers("8641"))
-    assert not any(sleepers("8642"))
+    assert not any(sleepers(f"{mark}1"))
+    assert not any(sleepers(f"{mark}2"))
     assert [path for path in (tmp_path / "temporary").iterdir() if path.name.startswith("sierra-")] == []
     listed = subprocess.run(["podman", "ps", "--all", "--external", "--quiet"], check=True, capture_output=True, text=True)
     assert listed.stdout == ""
@@ -368,11 +369,12 @@ def test_a_build_that_is_interrupted_as_it_starts_leaves_nothing(busybox: Projec
     folder = busybox.root / "containers" / "sim"
     folder.mkdir()
     (folder / "Containerfile").write_text("FROM scratch\n")
-    (folder / "rootfs").write_text("#!/bin/sh\nkill -INT $PPID\nsetsid sleep 8643 &\nsleep 8644\n")
+    mark = f"864.{os.getpid()}"
+    (folder / "rootfs").write_text(f"#!/bin/sh\nkill -INT $PPID\nsetsid sleep {mark}3 &\nsleep {mark}4\n")
     (folder / "rootfs").chmod(0o755)
     assert quick(busybox.root, "image", "build", "containers/sim").returncode == 130
-    assert not any(sleepers("8643"))
-    assert not any(sleepers("8644"))
+    assert not any(sleepers(f"{mark}3"))
+    assert not any(sleepers(f"{mark}4"))
 
 
 def test_a_full_disk_while_building_is_said(

@@ -15,6 +15,7 @@ from typing import Any
 import pytest
 
 from tests.projects import SIERRA, SIMULATOR, TEMPLATE, make, quick
+from tests.waiting import PATIENCE_S
 
 SHELL = '#!/bin/sh\nprintf "t,x\\n0,1\\n1,3\\n" > out.csv\n'
 
@@ -46,7 +47,7 @@ def answering(folder: Path, *answers: str, words: tuple[str, ...] = ("init",)) -
                 said += part
         except OSError:  # how Linux says that nobody has the other end any more
             pass
-        asking.wait(60)
+        asking.wait(PATIENCE_S)
     os.close(ours)
     return asking.returncode, said.decode().replace("\r", "")
 

@@ -351,20 +351,21 @@ def test_each_look_is_one_call_that_names_the_jobs_once_they_are_known(server: p
 
 
 def test_a_job_that_is_submitted_while_another_thread_looks_is_not_missed(
-    server: pbs.Server, ask: Callable[..., Request]
+    server: pbs.Server, ask: Callable[..., Request], tmp_path: Path
 ) -> None:
     server.waiting()
     scheduler = Pbs(ClusterTable())
     scheduler.submit(ask())
-    server.set(slow=1)
+    answer = tmp_path / "answer"
+    server.set(slow=str(answer))
     server.calls()
     looking = threading.Thread(target=scheduler.look, args=(NAME,))
     looking.start()
     until(lambda: bool(server.calls()))
     scheduler.submit(ask(elements=(7,)))
     assert looking.is_alive()
+    answer.touch()
     looking.join()
-    server.set(slow=0)
     for _ in range(2):
         assert alive(scheduler) == {0, 1, 2, 7}
 
@@ -619,7 +620,7 @@ def test_a_batch_is_answered_though_an_element_is_deleted(server: pbs.Server, tm
     again = tmp_path / "server" / f"{number + 1}.SC"
     until(again.exists)
     gate.touch()
-    out, err = asked.communicate(timeout=60)
+    out, err = asked.communicate(timeout=200)
     assert asked.returncode == 0, err
     assert "8 runs: 8 executed, 0 reused" in out
     jobs = sierra.open(root).sql("SELECT element, job FROM attempts WHERE state = 'finished' ORDER BY element").to_pylist()

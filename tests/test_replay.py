@@ -141,9 +141,11 @@ def test_another_machine_is_said_before_the_verdict(make: Make, monkeypatch: pyt
     assert libc == f"other machine: libc was {facts['libc']}, is musl 1.2"
 
 
-def test_a_run_that_fails_now_is_failed(make: Make) -> None:
-    root = make()
+def test_a_run_that_fails_now_is_failed(make: Make, tmp_path: Path) -> None:
+    slow = tmp_path / "slow"
+    root = make(f"{projects.SIMULATOR}import os, time\nif os.path.exists({str(slow)!r}):\n    time.sleep(60)\n")
     batch = ask(root)
+    slow.touch()
     (root / "sierra.toml").write_text((root / "sierra.toml").read_text() + "[limits]\nwall = 0.001\n")
     code, said = replay(root, batch)
     assert (code, said["verdict"]) == (1, "failed")
@@ -253,7 +255,7 @@ def test_equivalence_is_of_whole_experiments_and_never_hides_what_failed(make: M
         "different",
         ["equivalence is judged of whole experiments alone: replay without --runs"],
     )
-    declare(root, "[limits]\nwall = 0.001\n")
+    declare(root, '[limits]\noutput = "1 B"\n')
     assert replay(root, batch)[1]["verdict"] == "failed"
 
 

@@ -149,6 +149,7 @@ def test_what_is_not_there_or_ambiguous_is_refused(root: Path) -> None:
     assert stores.state(root) == before
 
 
+@pytest.mark.slow
 def test_killed_at_any_moment_it_is_before_or_after_and_again_finishes_it(recorded: Path, tmp_path: Path) -> None:
     numbers = random.Random(3)
     named = batches(recorded)

@@ -14,20 +14,23 @@ from sierra.provenance.program import NOTHING
 from sierra.provenance.seen import seen
 from sierra.provenance.source.manifest import Entry, listed
 from tests import projects
+from tests.conftest import PRINTS, held
+from tests.waiting import PATIENCE_S
 
-SCRIPT = r"sleep 0.3; printf 't,v\n1,1\n2,4\n' > swarm.csv"
 OTHER = r"printf 't,v\n1,1000\n2,4000\n' > swarm.csv"
 
 
 @pytest.mark.parametrize("git", [True, False])
 def test_runs_that_other_code_than_planned_may_have_made_never_count(simulate: Callable[..., Any], git: bool) -> None:
-    project = simulate(SCRIPT)
+    script = held(1)
+    project = simulate(script)
     if git:
         projects.commit(project.folder)
     asking = project.start("run", "size=1,2,3,4,5,6,7,8", "--runs", "1", "-j", "1", "--no-figures")
     project.until_executed(2, asking)
     code = (project.folder / "sim.sh").read_text()
-    (project.folder / "sim.sh").write_text(code.replace(SCRIPT, OTHER))
+    (project.folder / "sim.sh").write_text(code.replace(script, OTHER))
+    project.open()
     ended = project.end_of(asking)
     assert ended.returncode == 1
     assert "code or programs have changed since the runs began: sim.sh" in ended.stdout
@@ -39,7 +42,7 @@ def test_runs_that_other_code_than_planned_may_have_made_never_count(simulate: C
 
 def test_a_program_that_is_replaced_while_runs_execute_spoils_them(simulate: Callable[..., Any], tmp_path: Path) -> None:
     program = tmp_path / "sim"
-    program.write_text(f"#!/bin/sh\n{SCRIPT}\n")
+    program.write_text(f'#!/bin/sh\nuntil [ -e "{tmp_path}/gate" ]; do sleep 0.02; done; {PRINTS}\n')
     program.chmod(0o755)
     project = simulate(f'{program}; echo "$SIERRA_RUN_ID" >> "{tmp_path}/ended"')
     toml = project.folder / "sierra.toml"
@@ -50,6 +53,7 @@ def test_a_program_that_is_replaced_while_runs_execute_spoils_them(simulate: Cal
     replaced.write_text(f"#!/bin/sh\n{OTHER}\n")
     replaced.chmod(0o755)
     replaced.replace(program)
+    project.open()
     ended = project.end_of(asking)
     assert (ended.returncode, f"changed since the runs began: {program}" in ended.stdout) == (1, True)
     assert project.sql("SELECT DISTINCT status FROM executions") == [{"status": "failed"}]
@@ -82,31 +86,34 @@ def test_what_was_another_for_a_while_and_what_is_only_new(tmp_path: Path) -> No
 
 def test_a_replay_says_nothing_of_programs_that_were_replaced_meanwhile(simulate: Callable[..., Any], tmp_path: Path) -> None:
     program = tmp_path / "sim"
-    program.write_text(f"#!/bin/sh\n{SCRIPT}\n")
+    program.write_text(f'#!/bin/sh\nuntil [ -e "{tmp_path}/gate" ]; do sleep 0.02; done; {PRINTS}\n')
     program.chmod(0o755)
     project = simulate(str(program))
     toml = project.folder / "sierra.toml"
     toml.write_text(toml.read_text().replace('"sim.sh", "{input}"]', f'"sim.sh", "{{input}}", "{program}"]'))
+    project.open()
     assert project.quick("run", "size=1", "--runs", "3", "--no-figures").returncode == 0
     [row] = project.sql("SELECT batch FROM batches")
+    (tmp_path / "gate").unlink()
     replaying = project.start("replay", row["batch"], "-j", "1")
     project.until_executed(4, replaying)
     program.touch()
+    project.open()
     ended = project.end_of(replaying)
     assert (ended.returncode, "3 failed" in ended.stdout, "changed since the runs began" in ended.stdout) == (1, True, True)
 
 
 def test_what_it_says_itself_is_not_written_into_the_code(simulate: Callable[..., Any]) -> None:
-    project = simulate(SCRIPT)
+    project = simulate(PRINTS)
     ask = (projects.SIERRA, "run", "size=1", "--runs", "3", "--no-figures")
     log = project.folder / "nohup.out"
     with log.open("w") as out:
-        refused = subprocess.run(ask, cwd=project.folder, stdout=out, stderr=out, check=False, timeout=60)
+        refused = subprocess.run(ask, cwd=project.folder, stdout=out, stderr=out, check=False, timeout=PATIENCE_S)
     assert (refused.returncode, log.read_text().count("\n")) == (2, 1)
     assert "is written to nohup.out, which counts as code of the project" in log.read_text()
     (project.folder / ".gitignore").write_text("*.out\n")
     log.unlink()
     projects.commit(project.folder)
     with log.open("w") as out:
-        done = subprocess.run(ask, cwd=project.folder, stdout=out, stderr=out, check=False, timeout=60)
+        done = subprocess.run(ask, cwd=project.folder, stdout=out, stderr=out, check=False, timeout=PATIENCE_S)
     assert (done.returncode, "3 executed" in log.read_text()) == (0, True)

@@ -89,7 +89,10 @@ def open_terminal(answered: Path, tmp_path: Path) -> Iterator[Callable[[], Termi
         terminal.close()
 
 
-@pytest.mark.parametrize("word", ["exit", "quit", ".quit", ".exit", "\\q", "EXIT;", "\x04"])
+@pytest.mark.parametrize(
+    "word",
+    ["exit", "\\q", "\x04", *(pytest.param(word, marks=pytest.mark.slow) for word in ("quit", ".quit", ".exit", "EXIT;"))],
+)
 def test_the_prompt_can_be_left(open_terminal: Callable[[], Terminal], word: str) -> None:
     terminal = open_terminal()
     terminal.type(word if word == "\x04" else word + "\n")

@@ -309,9 +309,9 @@ ASKED = STUBBORN.replace("signal.SIG_IGN", "lambda *_: print('asked', flush=True
 def test_a_run_that_takes_too_long_and_heeds_no_request_is_killed_after_the_grace_time(
     execute: Callable[..., dict[str, Any]],
 ) -> None:
-    end = execute(python(STUBBORN, limits={"wall_s": 0.4, "grace_s": 0.4}))
+    end = execute(python(STUBBORN, limits={"wall_s": 2.0, "grace_s": 0.4}))
     assert (end["stopped"], end["signal"]) == ("timeout", signal.SIGKILL)
-    assert 0.8 <= end["ended"] - end["started"] < 5
+    assert 2.4 <= end["ended"] - end["started"] < 30
 
 
 def test_the_grace_time_is_also_a_childs_whose_shell_has_gone(execute: Callable[..., dict[str, Any]]) -> None:
@@ -321,10 +321,11 @@ def last(*_):
     time.sleep(0.5); open("saved", "w").write("all"); sys.exit()
 signal.signal(signal.SIGTERM, last); time.sleep(60)
 """
-    end = execute(job("/bin/sh", "-c", '"$0" -c "$1"; exit 1', sys.executable, child, limits={"wall_s": 0.4, "grace_s": 5}))
+    given = {"wall_s": 2.0, "grace_s": 40}
+    end = execute(job("/bin/sh", "-c", '"$0" -ISc "$1"; exit 1', sys.executable, child, limits=given))
     assert end["stopped"] == "timeout"
     assert [file["path"] for file in end["outputs"]] == ["saved"]
-    assert end["ended"] - end["started"] < 4
+    assert end["ended"] - end["started"] < 30
 
 
 def test_memory_is_that_of_all_processes_together(execute: Callable[..., dict[str, Any]]) -> None:
@@ -337,7 +338,7 @@ def test_memory_is_that_of_all_processes_together(execute: Callable[..., dict[st
 def test_cpu_time_has_a_limit(execute: Callable[..., dict[str, Any]]) -> None:
     end = execute(python("while True: pass", limits={"cpu_s": 0.5, "grace_s": 1}))
     assert end["stopped"] == "cpu"
-    assert end["ended"] - end["started"] < 10
+    assert end["ended"] - end["started"] < 30
 
 
 def test_logs_count_as_output(execute: Callable[..., dict[str, Any]]) -> None:
@@ -376,6 +377,7 @@ def test_what_has_left_its_group_is_ended_while_others_go_on(start: Callable[...
     worker = start(2)
     worker.send(job(sys.executable, "-c", ESCAPE, "0.1"), shell("exec sleep 60", name="two"))
     until(lambda: worker.events("end"))
+    worker.until_started(2)
     (two,) = [event["pid"] for event in worker.events("start") if event["execution"] == "two"]
     assert set(marked(mark)) == {worker.process.pid, two}
     worker.pipe.close()
@@ -423,7 +425,7 @@ def test_a_spare_folder_serves_another_run_as_good_as_new(start: Callable[..., W
         'echo x > "$SIERRA_RUN_DIR/beside"',
         'rm "$SIERRA_RUN_DIR/stderr"',
         'rmdir "$HOME"; ln -s / "$HOME"',
-        "env -i setsid sleep 1000 & sleep 0.3",
+        'env -i setsid sleep 1000 & until [ "$(cat /proc/$!/comm)" = sleep ]; do sleep 0.02; done',
         "head -c 3000000 /dev/zero > big",
     ],
 )
@@ -452,9 +454,15 @@ def test_where_nobody_tells_what_lives_on_no_folder_serves_another_run(start: Ca
     assert "spare" not in end
 
 
+ENDED = """
+setsid -f sh -c 'echo "$$" > new; mv new pid'; until [ -e pid ]; do sleep 0.01; done
+while grep -qs '^State:.[^Z]' "/proc/$(cat pid)/status"; do sleep 0.01; done
+"""
+
+
 def test_what_a_run_has_left_that_has_ended_is_put_away(start: Callable[..., Worker]) -> None:
     worker = start()
-    worker.send(shell("setsid -f true; sleep 0.2", name="one", used=None), shell("true", name="two", used=None))
+    worker.send(shell(ENDED, name="one", used=None), shell("true", name="two", used=None))
     worker.send(shell("ps -o stat= --ppid $PPID | grep -c Z", name="three", used=None))
     assert worker.finish() == 0
     assert [event["spare"] for event in worker.events("end")] == [True] * 3
@@ -504,7 +512,7 @@ process.stdin.write({text!r}.encode()); process.stdin.flush(); process.wait()
     until(lambda: b"start" in (folder / "journal.jsonl").read_bytes())
     os.kill(parent.pid, number)
     parent.wait()
-    until(lambda: not marked(mark), seconds=20)
+    until(lambda: not marked(mark))
     last = json.loads((folder / "journal.jsonl").read_text().splitlines()[-1])
     assert last["stopped"] == "interrupted"
 
@@ -599,6 +607,7 @@ def test_a_second_worker_goes_on_in_the_same_folder(start: Callable[..., Worker]
     assert [stdout(end) for end in worker.events("end")] == ["one\n", "two\n"]
 
 
+@pytest.mark.slow
 def test_ten_thousand_runs_stay_linear_and_small(start: Callable[..., Worker]) -> None:
     worker = start(2)
     count = 10_000

@@ -32,7 +32,8 @@ from sierra.model import Client, Result
 from sierra.paths import RUN_HOME, RUN_OUTPUT, RUN_TMP, StorePaths
 
 PATIENCE_S = 30.0
-SOON_S = 5.0
+SOON_S = 15.0
+"""What is waited for that comes at once, if it comes; both are less than the programs of these claims would last."""
 GRACE_S = 0.3
 WORDS = ("", "a b", " c ", "d\ne", "'f'", '"g"', "$HOME", "`h`", "i\\j", "*", "-k", "ü", "--", "a=b,c=d")
 VALUES = {
@@ -536,7 +537,7 @@ def _nothing_is_left(started: Started) -> None:
 
 
 def _wait(condition: Callable[[], bool], otherwise: str) -> None:
-    give_up = time.monotonic() + SOON_S
+    give_up = time.monotonic() + PATIENCE_S
     while not condition():
         _holds(time.monotonic() < give_up, otherwise)
         time.sleep(0.02)
