@@ -201,6 +201,29 @@ def test_the_variables_of_a_squashfs_are_those_that_it_sets(tmp_path: Path) -> N
     assert rows(folder, "SELECT DISTINCT gravity FROM swarm") == [{"gravity": 9.81}]
 
 
+def test_what_an_administrator_gives_to_all_containers_is_not_there(
+    tmp_path: Path, busybox: Path, apptainer: str, require: Callable[..., str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    require("root", there=os.geteuid() == 0)
+    told = subprocess.run([apptainer, "buildcfg"], capture_output=True, text=True, check=True).stdout
+    [theirs] = [line.partition("=")[2] for line in told.splitlines() if line.startswith("APPTAINER_CONF_FILE=")]
+    ours = tmp_path / "apptainer.conf"
+    ours.write_text(Path(theirs).read_text().replace("mount hostfs = no", "mount hostfs = yes"))
+    wrapper = tmp_path / "bin" / "apptainer"
+    wrapper.parent.mkdir()
+    wrapper.write_text(f'#!/bin/sh\ntest "$1" = buildcfg && exec echo "APPTAINER_CONF_FILE={ours}"\nexec {apptainer} "$@"\n')
+    wrapper.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{wrapper.parent}:{os.environ['PATH']}")
+    there = tmp_path / "of-the-host"
+    there.mkdir()
+    subprocess.run(["mount", "-t", "tmpfs", "none", there], check=True)
+    try:
+        looks = "grep of-the-host /proc/mounts && exit 9\n" + containers.SIMULATOR
+        assert "4 executed" in says(containers.make(tmp_path / "project", busybox, ENGINE, simulator=looks), *RUN)
+    finally:
+        subprocess.run(["umount", there], check=True)
+
+
 def test_limits_that_hold_and_those_that_were_asked_for_are_recorded(tmp_path: Path, busybox: Path) -> None:
     folder = containers.make(tmp_path / "project", busybox, ENGINE, "cpus = 1.0", "pids = 60")
     said = says(folder, *RUN)

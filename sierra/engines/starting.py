@@ -3,8 +3,8 @@
 What they allow depends on how they are installed. As root they mount squashfs files by the kernel; a user's namespace needs
 `squashfuse` and a `/dev/fuse` that can be opened, or the files in a folder. A user is root in a namespace of their own where
 the kernel allows it (`unshare`), as in podman, so that programs see the same user. Their administrator's configuration is
-taken, but for what would tell runs about the host: its users, its name servers, its time zone; only an installation with
-setuid insists on its own.
+taken, but for what would tell runs about the host: its users, its name servers, its time zone, its file systems, its graphics
+libraries; only an installation with setuid insists on its own.
 """
 
 from __future__ import annotations
@@ -27,10 +27,12 @@ from sierra.paths import user_apptainer, write_whole
 NAMES = ("apptainer", "singularity")
 LEAST = {"apptainer": (1, 1), "singularity-ce": (3, 10)}
 MAPPED, CONFIGURED, SQUASHFS = "mapped", "configured", "squashfs"
-ISOLATED = ("--containall", "--no-home", "--cleanenv", "--no-eval", "--no-privs", "--no-umask", "--no-mount=bind-paths")
+ISOLATED = ("--containall", "--no-home", "--cleanenv", "--no-eval", "--no-privs", "--no-umask", "--no-mount=bind-paths,hostfs")
 ALONE = ("--net", "--network=none")
 LIMITS = (f"--cpus={CPUS}", f"--pids-limit={PIDS}")
-SETTLED = re.compile(r"\s*(bind path|config (passwd|group|resolv_conf)|systemd cgroups)\s*=")
+SETTLED = re.compile(
+    r"\s*(bind path|config (passwd|group|resolv_conf)|mount hostfs|always use (nv|rocm)|systemd cgroups)\s*=", re.IGNORECASE
+)
 """What of the administrator's configuration is not taken."""
 HANDED_ON = re.compile(
     r"PATH|HOME|USER|LOGNAME|LANG|LC_\w+|TMPDIR|XDG_\w+|DBUS_SESSION_BUS_ADDRESS|(APPTAINER|SINGULARITY)_(TMPDIR|CACHEDIR|CONFIGDIR)"
@@ -183,7 +185,11 @@ def _configured(folder: Path, configuration: str, network: bool) -> str:
     """The file of the administrator's configuration with our changes."""
     theirs = Path(configuration).read_text(errors="surrogateescape").splitlines()
     systemd = Path("/run/systemd/system").exists()
-    ours = {"config passwd": False, "config group": False, "config resolv_conf": network, "systemd cgroups": systemd}
+    ours = {
+        **dict.fromkeys(("config passwd", "config group", "mount hostfs", "always use nv", "always use rocm"), False),
+        "config resolv_conf": network,
+        "systemd cgroups": systemd,
+    }
     lines = [line for line in theirs if not SETTLED.match(line)]
     text = "\n".join([*lines, *(f"{name} = {'yes' if value else 'no'}" for name, value in ours.items()), ""])
     return _kept(folder, text, "conf")
