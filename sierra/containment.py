@@ -145,7 +145,7 @@ class Containment:
             return {}
         # a replay's code lies in a folder of its own
         mounts = tuple(replace(one, source="{project}") if one.target == PROJECT else one for one in box.mounts)
-        said = self.engine.client(replace(box, session="", mounts=mounts), Process((), {}, (), "/"))
+        said = self.engine.client(replace(box, session="", mounts=mounts, files=""), Process((), {}, (), "/"))
         return {
             "engine": self.engine.name,
             "version": able.version,
@@ -211,6 +211,7 @@ def contain(
         pids=given.pids,
         wall=None if shared or bounds.wall_s is None else bounds.wall_s + bounds.grace_s + SPARE_S,
         shared=shared,
+        files=str(store.session(session).engine) if elsewhere else "",
     )
     return Containment(engine, able, box, (*notes, *_ignored(engine, able, box)), alone(Path(reference)) if theirs else None)
 

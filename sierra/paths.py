@@ -14,7 +14,7 @@ PROJECT/.sierra/work/<session>/     what executes now; gone once it is recorded
     lock  owner.0  left.0  claims.json  context.json  journal.jsonl  segment/
     <number>/                       one run: input files, stdout, stderr, home/ tmp/ output/
     source/                         the code, where it is not executed from the project itself
-    asking.json  submission.json  worker.py  element.py  machine.py  element.json  cancelled
+    asking.json  submission.json  worker.py  element.py  machine.py  element.json  cancelled  engine/
     elements/<index>.{jobs,failed,alone}  results/<index>.<attempt>.pack
     results/probe.<attempt>.pack  logs/  sent/<number>.json
                                     on a cluster: what was submitted, and what came of it; see sierra.runners.element
@@ -213,6 +213,11 @@ class SessionPaths:
     def worker(self) -> Path:
         """What executes runs, for hosts that do not have SIERRA."""
         return self.root / "worker.py"
+
+    @property
+    def engine(self) -> Path:
+        """The folder of what an engine needs to start containers, for hosts that do not have SIERRA."""
+        return self.root / "engine"
 
     @property
     def element_settings(self) -> Path:

@@ -29,6 +29,7 @@ from sierra.api import Project
 from sierra.asking import Progress
 from sierra.config import ClusterTable
 from sierra.errors import ConfigError, Full, Missing, SierraError
+from sierra.paths import user_apptainer
 from sierra.pipeline import Summary
 from sierra.runners import cluster, harvest, schedulers
 from sierra.runners.schedulers import Bounds, Request, State, Task
@@ -572,11 +573,14 @@ def test_links_in_what_is_mounted_are_what_they_say_on_nodes_too(contained: Call
     assert (summary.executed, summary.failed) == (2, 0)
 
 
-def test_nothing_of_sierra_is_needed_on_nodes_by_a_container_for_all_runs(contained: Callable[..., Project]) -> None:
-    project = contained(containers.python, 'isolation = "worker"')
+@pytest.mark.parametrize("isolation", ["run", "worker"])
+def test_nothing_of_sierra_is_needed_on_nodes_by_containers(contained: Callable[..., Project], isolation: str) -> None:
+    project = contained(containers.python, f'isolation = "{isolation}"')
     project.run("population_size=1", runner="here", detach=True, figures=False)
     [jobs] = project.paths.store.glob("work/*/elements/0.jobs")
-    assert worker.__file__ not in gzip.decompress(jobs.read_bytes()).decode()
+    told = gzip.decompress(jobs.read_bytes()).decode()
+    for only_here in (Path(worker.__file__).parent, user_apptainer()):
+        assert f"{only_here}/" not in told
     assert project.attach(jobs.parent.parent.name, figures=False).failed == 0
 
 

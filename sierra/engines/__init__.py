@@ -63,6 +63,8 @@ class Box:
     """Seconds after which a container is to end in any case, where that can be had: should nobody be left to end it."""
     shared: bool = False
     """Whether one container has many runs, one after the other, rather than one."""
+    files: str = ""
+    """A folder for what the engine itself needs wherever containers are started; empty where that is on this host alone."""
 
     @property
     def limits(self) -> dict[str, float]:

@@ -14,6 +14,7 @@ import signal
 from collections.abc import Iterator, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 from sierra import images
@@ -58,7 +59,7 @@ class Apptainer:
 
     def client(self, box: Box, process: Process) -> Client:
         way = starting.way()
-        argv = (*way.words(network=box.network), *_options(box, process), box.reference, *process.argv)
+        argv = (*way.words(network=box.network, files=box.files), *_options(box, process), box.reference, *process.argv)
         return Client(argv, {**starting.environment(), **dict(_given(way, box, process))})
 
     def sweep(self, sessions: Sequence[str]) -> None:
@@ -87,8 +88,13 @@ def _explained(complaint: str) -> str:
     return f"apptainer: {complaint}"
 
 
+@cache
+def _script(files: str) -> str:
+    return starting.kept(Path(files), SCRIPT.read_text(), "sh") if files else str(SCRIPT)
+
+
 def _options(box: Box, process: Process) -> Iterator[str]:
-    yield from map(mounted, (Mount(str(SCRIPT), SOURCED), *box.mounts, *process.mounts))
+    yield from map(mounted, (Mount(_script(box.files), SOURCED), *box.mounts, *process.mounts))
     yield from (mounted(Mount(device, device, writable=True)) for device in box.devices)
     if box.gpu:
         yield "--nv"

@@ -51,13 +51,13 @@ class Way:
     squashfs: bool
     """Whether the files of an image may be in a squashfs, or have to be in a folder."""
 
-    def words(self, *, network: bool = False) -> Iterator[str]:
-        """The command, up to the options that differ between containers."""
+    def words(self, *, network: bool = False, files: str = "") -> Iterator[str]:
+        """The command, up to the options that differ between containers. `files`: see `Box.files`."""
         if self.mapped:
             yield from ("unshare", "--map-root-user", "--")
         yield from (self.program, "--silent")
         if self.configuration:
-            yield f"--config={_configured(user_apptainer(), self.configuration, network)}"
+            yield f"--config={_configured(Path(files or user_apptainer()), self.configuration, network)}"
         yield from ("exec", *ISOLATED, f"--hostname={HOSTNAME}", *(() if network else ALONE))
 
     @property
@@ -192,10 +192,10 @@ def _configured(folder: Path, configuration: str, network: bool) -> str:
     }
     lines = [line for line in theirs if not SETTLED.match(line)]
     text = "\n".join([*lines, *(f"{name} = {'yes' if value else 'no'}" for name, value in ours.items()), ""])
-    return _kept(folder, text, "conf")
+    return kept(folder, text, "conf")
 
 
-def _kept(folder: Path, text: str, kind: str) -> str:
+def kept(folder: Path, text: str, kind: str) -> str:
     """A file that has this text, named by it."""
     data = text.encode(errors="surrogateescape")
     file = folder / f"{sha256(data)[:16]}.{kind}"
