@@ -548,14 +548,17 @@ class Worker:
         )
 
     def tidied(self, folder: str) -> str | None:
-        """Remove what a run has left beside its folder in places that the next run has too; why that can't be done."""
+        """Remove what a run has left beside its folder in places that the next run has too; why that can't be done, or why
+        the run may have lacked room there.
+        """
+        full = [place for place in self.shared if is_full(place)]
         for place, before in self.shared.items():
             for path in (os.path.join(place, name) for name in sorted(names_in(place) - before)):
                 if path != folder:
                     remove(path) if is_folder(path) else unlink(path)
                     if os.path.lexists(path):
                         return "what it left for other runs cannot be removed: " + path
-        return None
+        return "there was no room left in its container: " + full[0] if full else None
 
     def report(self, job: dict[str, Any], slot: int, folder: str, began: float, wall: float, **fields: Any) -> dict[str, Any]:
         """The line in the journal; `began` in seconds since the epoch, `wall` in seconds."""
@@ -824,6 +827,15 @@ def used(usage: Any) -> dict[str, Any]:
     """What a program and all that it waited for have used, by the kernel's account."""
     unit = 1 if sys.platform == "darwin" else 1024
     return {"user_s": usage.ru_utime, "system_s": usage.ru_stime, "max_rss_bytes": usage.ru_maxrss * unit}
+
+
+def is_full(place: str) -> bool:
+    """Whether what could be written to has no room left."""
+    try:
+        found = os.statvfs(place)
+    except OSError:
+        return False
+    return not found.f_flag & os.ST_RDONLY and bool(found.f_blocks) and found.f_bavail == 0
 
 
 def check_room(folder: str) -> None:

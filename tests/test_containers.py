@@ -362,6 +362,15 @@ echo 1,none,0 >> swarm.csv
     assert rows(folder, "SELECT DISTINCT place FROM swarm") == [{"place": "none"}]
 
 
+def test_a_run_that_found_no_room_in_a_container_has_failed(tmp_path: Path, python: Path) -> None:
+    fills = 'grep -q \'count="1"\' "$1" && cat /dev/zero 2>/dev/null > /dev/shm/full\n' + containers.SIMULATOR
+    folder = containers.make(tmp_path / "project", python, 'isolation = "worker"', simulator=fills)
+    says(folder, "run", "population_size=1,2", "--runs", "1", "--no-figures", "-j1", code=1)
+    ended = rows(folder, "SELECT population_size AS n, status, reason FROM executions JOIN points USING (run) ORDER BY n")
+    assert [(row["n"], row["status"]) for row in ended] == [(1, "failed"), (2, "ok")]
+    assert "no room left in its container: /dev/shm" in ended[0]["reason"]
+
+
 @pytest.mark.slow
 def test_a_run_that_stops_the_worker_in_its_container_is_ended_all_the_same(tmp_path: Path, python: Path) -> None:
     simulator = 'grep -q \'count="1"\' "$1" && kill -STOP $PPID && sleep 100\n' + containers.SIMULATOR
