@@ -118,6 +118,8 @@ class Containment:
         reference = self.box.reference
         if not Path(reference).is_absolute() or not Path(reference).is_file():
             return (*devices, *driver)
+        if self.seen:  # whatever lies there by now
+            return (*devices, *driver, Needed("the image", reference, self.box.image.sha256))
         digests = Digests()
         found = digests.of(reference)
         digests.save()
