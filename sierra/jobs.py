@@ -18,7 +18,7 @@ from typing import cast
 
 from sierra import worker
 from sierra.config import Project
-from sierra.engines import INSIDE, PROJECT, PYTHON, Box, Engine, Mount, Process
+from sierra.engines import INSIDE, PROJECT, PYTHON, WRITABLE, Box, Engine, Mount, Process
 from sierra.errors import ConfigError
 from sierra.hashing import digest_plain
 from sierra.images import Image
@@ -46,8 +46,6 @@ OWN = ("HOME", "TMPDIR")
 HERE = "\0"
 """The run's folder, which only the worker knows."""
 _IN_RUN = f"{INSIDE}/run"
-WRITABLE = ("/tmp", "/var/tmp", "/run", "/dev", "/dev/shm", "/dev/mqueue")  # noqa: S108 - the container's own
-"""Where runs may write in a container, beside folders of their own, whichever engine it is."""
 SEARCHED = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin"
 """The PATH of an image that has none of its own."""
 

@@ -5,7 +5,9 @@ that fulfils `Engine`; `sierra.engines.conformance` holds them to it.
 
 Engine and runner are independent: an engine turns a process that is to be contained into the client that starts it so, and
 nothing else in the program knows which engine it is. All engines give a process the same: a root that it can't write to,
-no network, no capabilities, the host name `run`, and below `INSIDE` the code, its inputs and its own folders.
+no network, no capabilities, the host name `run`, and below `INSIDE` the code, its inputs and its own folders. What else a
+process can write to (`WRITABLE`) is the container's own and none of the host's: the worker removes from there what runs leave
+that share a container.
 """
 
 from __future__ import annotations
@@ -32,6 +34,8 @@ PROJECT = f"{INSIDE}/project"
 PYTHON = "python3"
 """What `{python}` stands for in a container."""
 HOSTNAME = "run"
+WRITABLE = ("/tmp", "/var/tmp", "/run", "/dev", "/dev/shm", "/dev/mqueue")  # noqa: S108 - the container's own
+"""Where runs may write in a container, beside folders of their own, with one engine or another."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -26,7 +26,7 @@ from functools import cached_property
 from pathlib import Path
 
 from sierra import processes
-from sierra.engines import HOSTNAME, INSIDE, Abilities, Box, Engine, Mount, Process
+from sierra.engines import HOSTNAME, INSIDE, WRITABLE, Abilities, Box, Engine, Mount, Process
 from sierra.images import Image, Kind
 from sierra.model import Client, Result
 from sierra.paths import RUN_HOME, RUN_OUTPUT, RUN_TMP, StorePaths
@@ -304,6 +304,15 @@ def begins_in_its_folder(trial: Trial) -> None:
         _holds(path.stat().st_uid == os.geteuid(), f"the output {name} belongs to user {path.stat().st_uid}")
 
 
+def leaves_nothing_on_the_host(trial: Trial) -> None:
+    """What it writes elsewhere was the container's own: where runs share one, what they leave there is removed."""
+    if trial.contains:
+        name = f"sierra-{secrets.token_hex(8)}"
+        trial.script(f'for place in {" ".join(WRITABLE)}; do : > "$place/{name}"; done 2>/dev/null')
+        left = [place for place in WRITABLE if Path(place, name).exists()]
+        _holds(not left, f"what it wrote in {left} is on the host")
+
+
 def has_no_network(trial: Trial) -> None:
     """Unless it is asked for, or the engine says that it can't."""
     cards = [card for card in trial.saw("card") if card.partition(":")[0] != "lo"]
@@ -492,6 +501,7 @@ CLAIMS: tuple[Callable[[Trial], None], ...] = (
     has_no_network,
     has_the_network_where_asked,
     writes_where_it_may,
+    leaves_nothing_on_the_host,
     has_no_rights,
     has_no_name_of_the_hosts,
     ends_when_asked,
