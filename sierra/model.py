@@ -410,3 +410,5 @@ class Result:
     """On a cluster, the attempt at an element in which it was executed."""
     environment: str | None = None
     """What was around it, where that is not what is around this process."""
+    left_out: tuple[str, ...] = ()
+    """What it left that is no output, as it is neither a file nor a folder: links, sockets; not all where there are many."""

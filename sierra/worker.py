@@ -11,7 +11,7 @@ started. SIGTERM asks for the same, and a second SIGTERM for doing so without gr
 
 For each job the worker makes the folder FOLDER/<number>/ with the input files, `home`, `tmp` and `output`,
 starts the program in a session (and so a process group) of its own with `output` as its working directory,
-enforces the limits, and hashes what was left in `output`. In argv and environment, the character NUL stands
+enforces the limits, and hashes the files that were left in `output`. In argv and environment, the character NUL stands
 for the run's folder.
 
 A job with `used` in it lets a short run do without folders that are made and removed, which may take longer than itself: where
@@ -71,7 +71,7 @@ import subprocess
 import sys
 import threading
 import time
-from typing import Any, Iterator, TextIO
+from typing import Any, Iterable, Iterator, TextIO
 
 FOLDERS = ("home", "tmp", "output")
 LOGS = ("stdout", "stderr")
@@ -89,6 +89,7 @@ ROCR = "ROCR_VISIBLE_DEVICES"
 BELOW_ROCR = ("CUDA_VISIBLE_DEVICES", "HIP_VISIBLE_DEVICES", "GPU_DEVICE_ORDINAL")  # what AMD's count among those of ROCR
 DEVICES = (*BELOW_ROCR, ROCR, "NVIDIA_VISIBLE_DEVICES", "ZE_AFFINITY_MASK")
 LINE_BYTES = 1 << 16
+MOST_NAMED = 10  # of what a run leaves that is neither a file nor a folder
 
 
 class Journal:
@@ -852,23 +853,28 @@ def left_behind(folder: str, limits: dict[str, Any], stopped: str | None, spare:
     """
     allowed = limits.get("output_bytes")
     outputs: list[dict[str, Any]] = []
+    others: list[str] = []
     error = None
     try:
         if is_folder(folder):  # a link that a run put in its place may lead to anybody's files: hands off
             unlock(folder, 0o700)
             for name in () if spare else ("home", "tmp"):
                 remove(os.path.join(folder, name))
-            outputs = list(survey(os.path.join(folder, "output")))
+            files, others = found(os.path.join(folder, "output"))
+            outputs = list(described(files))
             if stopped is None and allowed is not None and size_of(folder) > allowed:
                 stopped = "output"
     except (OSError, RecursionError) as trouble:
         error = "its outputs cannot be read: " + explain(trouble)
-    return {"stopped": stopped, "outputs": outputs, "error": error}
+    left = {"stopped": stopped, "outputs": outputs, "error": error}
+    return {**left, "left_out": others[:MOST_NAMED]} if others else left
 
 
-def survey(root: str) -> Iterator[dict[str, Any]]:
-    """Each regular file below `root`, hashed, in the order of its path. Links are not followed."""
-    found = []
+def found(root: str) -> tuple[list[tuple[str, str]], list[str]]:
+    """The regular files below `root` (path, and path seen from there), and what else is there but folders; sorted. Links are
+    not followed.
+    """
+    files, others = [], []
     pending = [root] if is_folder(root) else []
     while pending:
         folder = pending.pop()
@@ -878,13 +884,20 @@ def survey(root: str) -> Iterator[dict[str, Any]]:
                 if entry.is_dir(follow_symlinks=False):
                     pending.append(entry.path)
                 elif entry.is_file(follow_symlinks=False):
-                    found.append(entry.path)
-    for path in sorted(found):
+                    files.append((entry.path, os.path.relpath(entry.path, root)))
+                else:
+                    others.append(os.path.relpath(entry.path, root))
+    return sorted(files), sorted(others)
+
+
+def described(files: Iterable[tuple[str, str]]) -> Iterator[dict[str, Any]]:
+    """Each file, hashed."""
+    for path, name in files:
         try:
-            yield describe(path, os.path.relpath(path, root))
+            yield describe(path, name)
         except PermissionError:
             unlock(path, 0o400)
-            yield describe(path, os.path.relpath(path, root))
+            yield describe(path, name)
 
 
 def names_in(folder: str) -> set[str]:

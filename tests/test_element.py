@@ -451,6 +451,7 @@ def test_a_run_that_put_links_in_place_of_its_files_gives_nobody_elses(folder: F
     )
     assert folder.run()[0] == 0
     assert [path for path, *_ in folder.ended()["log"].files] == ["output/good"]
+    assert folder.ended()["log"].result.left_out == ("out", "pipe")
     assert folder.ended()["folder"].files == ()
     assert b"a secret" not in folder.packs()[0].path.read_bytes()
     assert sorted(path.name for path in foreign.iterdir()) == ["out", "stdout"]

@@ -791,8 +791,10 @@ def test_whole_numbers_that_no_float_has_are_not_mixed_with_decimals(make: Make,
 
 def test_links_pipes_and_odd_names_among_the_outputs_do_no_harm(make: Make) -> None:
     project = make("write(good); os.symlink('out.csv', 'link.csv'); os.mkfifo('pipe.csv'); write(good, 'new\\nline.csv')")
-    assert run(project).failed == 0
+    summary = run(project)
+    assert summary.failed == 0
     assert project.store.outputs() == ["new_line", "out"]
+    assert "'link.csv' and 1 other are not recorded: only files are, and where a link leads is not followed" in summary.notes
 
 
 @pytest.mark.parametrize("kind", ["csv", "jsonl", "parquet"])

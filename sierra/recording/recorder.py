@@ -14,11 +14,11 @@ from sierra import engines, worker
 from sierra.hashing import merkle, short
 from sierra.model import OutputFile, Result, Status
 from sierra.paths import RUN_OUTPUT, RUN_STDERR, RUN_STDOUT, SessionPaths
-from sierra.recording.assigning import Assigning
+from sierra.recording.assigning import NOTED_AT_MOST, Assigning
 from sierra.recording.context import Context
 from sierra.recording.judging import Judged, doubted, judge
 from sierra.recording.logs import LOG_SHOWN, kept_of, last_words
-from sierra.recording.remarks import Remarks, as_files
+from sierra.recording.remarks import Remarks, as_files, lost
 from sierra.recording.tabled import Tabled, tabled
 from sierra.store import Store
 from sierra.store.objects import Objects
@@ -64,6 +64,7 @@ class Recorder:
         self._began = self._flushed = time.monotonic()
         self._shapes: dict[str, Shape] = {}
         self._assigning = Assigning(context.outputs)
+        self._left_out: dict[str, None] = {}
 
     def add(self, result: Result) -> Status:
         """Take one result; how it is judged so far. One that was interrupted is not kept."""
@@ -72,6 +73,7 @@ class Recorder:
         if status is Status.INTERRUPTED:
             discard(Path(result.directory))
         else:
+            self._left_out.update(dict.fromkeys(result.left_out[: max(NOTED_AT_MOST - len(self._left_out), 0)]))
             self._pending.append(Judged(result, status, reason))
             self._bytes += sum(file.bytes for file in result.outputs)
         return status
@@ -152,7 +154,7 @@ class Recorder:
         Asks the store, so it is to be called once, when all is recorded and `find_odd` has looked at it.
         """
         remarks = Remarks(self._store, self._context, self._shapes)
-        return [*self._twice(), *as_files(self._assigning.kept), *remarks.all()]
+        return [*self._twice(), *lost(list(self._left_out)), *as_files(self._assigning.kept), *remarks.all()]
 
     def _twice(self) -> Iterator[str]:
         """Runs that two attempts executed at a time."""

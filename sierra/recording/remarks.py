@@ -13,7 +13,8 @@ from sierra.recording.context import Context
 from sierra.recording.siblings import GOOD, asked, many
 from sierra.store import Question, Store
 from sierra.store.names import column_names, identifier
-from sierra.store.reading import AS_TEXT, Shape
+from sierra.store.reading import AS_TEXT, Shape, shown
+from sierra.wording import counted
 
 
 class Remarks:
@@ -91,6 +92,15 @@ class Remarks:
                     runs = f"{counts['text']} of {counts.total()} runs"
                     told = "most of its cells are numbers: decimal commas? NA?"
                     yield f"column {name!r} of output {output!r} is text in {runs}; {told}"
+
+
+def lost(names: Sequence[str]) -> Iterator[str]:
+    """What runs left in their outputs that is no file."""
+    if names:
+        these = (
+            f"{shown(names[0])!r} and {counted(len(names) - 1, 'other')} are" if len(names) > 1 else f"{shown(names[0])!r} is"
+        )
+        yield f"{these} not recorded: only files are, and where a link leads is not followed"
 
 
 def as_files(kept: Mapping[str, Mapping[str, None]]) -> Iterator[str]:

@@ -66,6 +66,7 @@ def _event(line: bytes) -> Started | Result | None:
         if event.pop("event") == "start":
             return Started(**event)
         event["outputs"] = tuple(OutputFile(**file) for file in event["outputs"])
+        event["left_out"] = tuple(event.get("left_out", ()))
         return Result(**event)
     except (ValueError, KeyError, TypeError):
         return None

@@ -132,6 +132,7 @@ class Pack:
     def _ended(self, fields: dict[str, Any], at: int) -> Ended:
         files = tuple((path, size, sha256) for path, size, sha256 in fields.pop("files"))
         fields["outputs"] = tuple(OutputFile(**file) for file in fields["outputs"])
+        fields["left_out"] = tuple(fields.get("left_out", ()))
         if not {(f"{RUN_OUTPUT}/{file.path}", file.bytes, file.sha256) for file in fields["outputs"]} <= set(files):
             raise ValueError("it tells of outputs that are not in it")
         del fields["size"]
