@@ -266,14 +266,31 @@ def test_what_waited_executes_only_where_the_other_ended_well(
 
 
 @openpbs
-def test_to_wait_for_a_job_that_is_forgotten_is_no_fault_of_the_project(
-    server: pbs.Server, ask: Callable[..., Request]
-) -> None:
+def test_what_waits_for_a_job_that_is_forgotten_is_gone_at_once(server: pbs.Server, ask: Callable[..., Request]) -> None:
     scheduler = Pbs(ClusterTable())
     first = scheduler.submit(ask("true", (0,), name="first"))
     until(ended(scheduler, "first"))
+    request = ask("echo done", after=first)
+    scheduler.submit(request)
+    assert alive(scheduler) == set()
+    assert "done\n" not in logs(request).values()
+
+
+@torque
+def test_to_wait_for_a_job_that_is_unknown_is_no_fault_of_the_project(server: pbs.Server, ask: Callable[..., Request]) -> None:
     with pytest.raises(Missing, match="no longer known"):
-        scheduler.submit(ask(after=first))
+        Pbs(ClusterTable()).submit(ask(after="99.pbs1"))
+
+
+@openpbs
+def test_a_server_that_dies_may_have_taken_the_job(server: pbs.Server, ask: Callable[..., Request]) -> None:
+    server.waiting()
+    server.set(dies=True)
+    scheduler = Pbs(ClusterTable())
+    with pytest.raises(Missing, match="Premature end of message"):
+        scheduler.submit(ask())
+    server.set(down=False)
+    assert alive(scheduler) == {0, 1, 2}
 
 
 # looking

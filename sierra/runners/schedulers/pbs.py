@@ -57,7 +57,7 @@ TORQUE = re.compile(r"^Version:\s*(\S+)", re.MULTILINE)
 JOB = re.compile(r"\d+(\[\])?(\.\S+)?")
 UNREACHABLE = re.compile(
     r"cannot connect|can not establish|connection (refused|reset|timed)|connection table full|no free connections"
-    r"|communication failure|shutting down|trqauthd|end of file|timed out"
+    r"|communication failure|protocol (error|failure)|premature end of message|shutting down|trqauthd|end of file|timed out"
     r"|unable to contact slurm|zero bytes|transport|could not establish a configuration",
     re.IGNORECASE,
 )
