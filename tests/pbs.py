@@ -12,7 +12,8 @@ commands are, too. What is as it is there:
 - a job whose time is over is asked to end, and nobody says so afterwards but a history;
 - what a job printed is copied to the host of `qsub`, also where that is `/dev/null`, which may take long; until then it is E;
 - text is folded, by a line feed and a tab; JSON may be broken by a quote;
-- jobs that wait for others are held by the system; where those fail, they are deleted.
+- jobs that wait for others are held by the system; where those fail, they are deleted; and so are those that wait for one
+  that OpenPBS does not know (any more): it takes them all the same.
 """
 
 from __future__ import annotations
@@ -46,6 +47,7 @@ DEFAULTS: dict[str, Any] = {
     "max_array_size": 10000,
     "history": False,
     "down": False,
+    "dies": False,
     "broken_json": False,
     "always_V": False,
     "slow": "",
@@ -130,8 +132,11 @@ def main(folder: str, command: str, words: list[str]) -> None:
         return
     with opened(Path(folder)) as state:
         if state["down"]:
-            refuse(command, f"cannot connect to server {HOST} (errno=111)", 111, before="Connection refused\n")
+            refuse(command, f"cannot connect to server {HOST} (errno=15010)", 111, before="Connection refused\n")
         {"qsub": qsub, "qstat": qstat, "qdel": qdel}[command](Path(folder), state, words)
+        if state["dies"]:
+            state.update(dies=False, down=True)
+            refuse(command, "Premature end of message", 1)
     while command == "qstat" and state["slow"] and not Path(state["slow"]).exists():
         time.sleep(0.02)
 
@@ -179,13 +184,15 @@ def qsub(folder: Path, state: dict[str, Any], words: list[str]) -> None:
         "variables": variables,
         "array": places is not None,
         "depend": depend[-1] if depend else "",
+        "in_vain": bool(depend) and not found(state, depend[-1].rpartition(":")[2]),
         "tasks": {str(place): {"state": "Q", "pid": None, "status": None} for place in places or [""]},
         "comment": never(state, options),
         "hold": "n",
         "wall": wall(options),
     }
     schedule(folder, state)
-    print(identity(number, state["jobs"][number]))
+    if not state["dies"]:
+        print(identity(number, state["jobs"][number]))
 
 
 def directives(text: str) -> list[str]:
@@ -227,7 +234,7 @@ def check(state: dict[str, Any], dialect: str, options: dict[str, list[str]], pl
     if dialect == "torque" and never(state, options):
         refuse("qsub", "Job exceeds queue resource limits MSG=cannot locate feasible nodes", 188)
     for word in options.get("W", []):
-        if word.startswith("depend=") and not found(state, word.rpartition(":")[2]):
+        if dialect == "torque" and word.startswith("depend=") and not found(state, word.rpartition(":")[2]):
             refuse("qsub", "Invalid Job Dependency", 1)
 
 
@@ -278,7 +285,7 @@ def schedule(folder: Path, state: dict[str, Any]) -> None:
 
 def after(state: dict[str, Any], job: dict[str, Any]) -> bool:
     first = state["jobs"][re.split(r"[\[.]", job["depend"].partition(":")[2])[0]]
-    failed = any(task["status"] for task in first["tasks"].values())
+    failed = job["in_vain"] or any(task["status"] for task in first["tasks"].values())
     for task in job["tasks"].values():
         if failed and not alive(first) and task["state"] == "Q":
             task.update(state="F", status=271)

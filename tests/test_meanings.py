@@ -79,7 +79,9 @@ def test_slurm_s_words_are_about_these_settings(words: str, settings: str) -> No
         ),
         ("Job exceeds queue resource limits MSG=cannot satisfy queue max walltime requirement", "partition wall"),
         ("illegal -J value", "elements"),
-        ("Unknown resource type  Resource_List.mempo", "constraint directives"),
+        ("Array job exceeds server or queue size limit", "elements"),
+        ("Unknown resource type  Resource_List.mempo", "gpus constraint directives"),
+        ("Unknown resource: ngpus", "gpus constraint directives"),
     ],
 )
 def test_pbs_words_are_about_these_settings(words: str, settings: str) -> None:

@@ -266,14 +266,31 @@ def test_what_waited_executes_only_where_the_other_ended_well(
 
 
 @openpbs
-def test_to_wait_for_a_job_that_is_forgotten_is_no_fault_of_the_project(
-    server: pbs.Server, ask: Callable[..., Request]
-) -> None:
+def test_what_waits_for_a_job_that_is_forgotten_is_gone_at_once(server: pbs.Server, ask: Callable[..., Request]) -> None:
     scheduler = Pbs(ClusterTable())
     first = scheduler.submit(ask("true", (0,), name="first"))
     until(ended(scheduler, "first"))
+    request = ask("echo done", after=first)
+    scheduler.submit(request)
+    assert alive(scheduler) == set()
+    assert "done\n" not in logs(request).values()
+
+
+@torque
+def test_to_wait_for_a_job_that_is_unknown_is_no_fault_of_the_project(server: pbs.Server, ask: Callable[..., Request]) -> None:
     with pytest.raises(Missing, match="no longer known"):
-        scheduler.submit(ask(after=first))
+        Pbs(ClusterTable()).submit(ask(after="99.pbs1"))
+
+
+@openpbs
+def test_a_server_that_dies_may_have_taken_the_job(server: pbs.Server, ask: Callable[..., Request]) -> None:
+    server.waiting()
+    server.set(dies=True)
+    scheduler = Pbs(ClusterTable())
+    with pytest.raises(Missing, match="Premature end of message"):
+        scheduler.submit(ask())
+    server.set(down=False)
+    assert alive(scheduler) == {0, 1, 2}
 
 
 # looking
@@ -606,16 +623,30 @@ while not os.path.exists({gate!r}):
 """
 
 
+def begun(server: pbs.Server, root: Path) -> int:
+    """Let jobs begin, once the elements of a batch are there; the number of their job.
+
+    Not before: they wait for a probe, which may have been before them, and to be forgotten.
+    """
+    until(lambda: [job for job in sent(root) if job])
+    server.begin()
+    return int(sent(root)[0].partition("[")[0])
+
+
+def sent(root: Path) -> list[str]:
+    return [json.loads(file.read_text())["job"] or "" for file in root.glob(".sierra/work/*/sent/0.json")]
+
+
 @pytest.mark.slow
 def test_a_batch_is_answered_though_an_element_is_deleted(server: pbs.Server, tmp_path: Path) -> None:
     gate = tmp_path / "gate"
     simulator = projects.SIMULATOR + WAITS.format(gate=str(gate))
     root = projects.make(tmp_path / HOSTILE, projects.CONFIG + CLUSTER, simulator=simulator)
     words = (projects.SIERRA, "run", "population_size.Log8", "--on", "pbs", "--no-figures")
+    server.waiting()
     asked = subprocess.Popen(words, cwd=root, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    number = begun(server, root)
     until(lambda: len(list(root.glob(".sierra/work/*/results/[0-9]*.pack"))) == 3)
-    [sent] = root.glob(".sierra/work/*/sent/0.json")
-    number = int(json.loads(sent.read_text())["job"].partition("[")[0])  # a probe may have been before it
     subprocess.run(["qdel", f"{number}[1].pbs1"], check=True)
     again = tmp_path / "server" / f"{number + 1}.SC"
     until(again.exists)
@@ -641,7 +672,9 @@ def test_an_element_whose_time_was_over_says_so_where_pbs_does_not(server: pbs.S
     simulator = projects.SIMULATOR + WAITS.format(gate=str(gate))
     root = projects.make(tmp_path / "swarm", projects.CONFIG + CLUSTER + "wall = 3\n", simulator=simulator)
     words = (projects.SIERRA, "run", "population_size=1,2", "--on", "pbs", "--no-figures")
+    server.waiting()
     asked = subprocess.Popen(words, cwd=root, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    begun(server, root)
     until(lambda: len(list(root.glob(".sierra/work/*/sent/*.json"))) > 1)
     gate.touch()
     _, err = asked.communicate(timeout=60)

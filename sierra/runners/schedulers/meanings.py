@@ -62,13 +62,13 @@ PBS = (
     _meaning(r"unauthori[sz]ed|not authori[sz]ed|access .*denied|no permission", "not open to you", "partition", "account"),
     _meaning(r"account", "not an account of yours", "account"),
     _meaning(r"walltime", "not so much time", "partition", "wall"),
+    _meaning(r"-J value|array", "such an array is not allowed", "elements"),
     _meaning(
         r"resource limits|can never run|enough total nodes|feasible|cannot satisfy|too many|exceeds",
         "no node, or no place in the queue, has all of that",
         *("partition", *SIZE, "wall", "elements"),
     ),
-    _meaning(r"-J value|array", "such an array is not allowed", "elements"),
-    _meaning(r"unknown resource|illegal attribute|option", "no such thing here", "constraint", "directives"),
+    _meaning(r"unknown resource|illegal attribute|option", "no such thing here", "gpus", "constraint", *DIRECTIVES),
 )
 
 

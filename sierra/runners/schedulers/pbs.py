@@ -6,8 +6,11 @@ handed, `qstat` what each answers. What holds for all:
 - The script is always a file: the wrapper takes none on its standard input. It is named without its folder, for the wrapper
   puts its words into a shell.
 - No history is asked for, which is off by default in OpenPBS, and `-x` means XML in Torque. A job that isn't listed has ended;
-  `qstat` with ids ends with 153 (unknown) or 35 (finished) then. An exit status is never believed: an array's is 0 whatever
-  became of its elements.
+  `qstat` with ids ends with 153 (unknown) or 35 (finished) then. An exit status is never believed: an array's is 0 or 1,
+  whatever became of its elements.
+- OpenPBS takes a job that waits for one that it does not know (any more), and deletes it at once: it is submitted again then.
+- Ids of one `qdel` are of whole jobs, or of elements and plain jobs: told of an array and an element of it at once, OpenPBS
+  deletes the element, keeps the array, and says that all is well.
 - Where nothing is known of a name, all jobs are listed, by one call; from then on, one call asks for the ids that were alive,
   until one of them isn't, for a list of a whole site is long.
 - Commands see few variables of the caller's (`PASSED`): a site may have made `-V` its default, and PBS_DPREFIX or SBATCH_*
@@ -57,7 +60,7 @@ TORQUE = re.compile(r"^Version:\s*(\S+)", re.MULTILINE)
 JOB = re.compile(r"\d+(\[\])?(\.\S+)?")
 UNREACHABLE = re.compile(
     r"cannot connect|can not establish|connection (refused|reset|timed)|connection table full|no free connections"
-    r"|communication failure|shutting down|trqauthd|end of file|timed out"
+    r"|communication failure|protocol (error|failure)|premature end of message|shutting down|trqauthd|end of file|timed out"
     r"|unable to contact slurm|zero bytes|transport|could not establish a configuration",
     re.IGNORECASE,
 )
