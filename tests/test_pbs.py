@@ -615,6 +615,7 @@ def test_a_batch_is_answered_though_an_element_is_deleted(server: pbs.Server, tm
     asked = subprocess.Popen(words, cwd=root, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     until(lambda: len(list(root.glob(".sierra/work/*/results/[0-9]*.pack"))) == 3)
     [sent] = root.glob(".sierra/work/*/sent/0.json")
+    until(lambda: json.loads(sent.read_text())["job"], "the job is noted")
     number = int(json.loads(sent.read_text())["job"].partition("[")[0])  # a probe may have been before it
     subprocess.run(["qdel", f"{number}[1].pbs1"], check=True)
     again = tmp_path / "server" / f"{number + 1}.SC"
@@ -631,7 +632,7 @@ def test_a_batch_is_answered_though_an_element_is_deleted(server: pbs.Server, tm
     ]
     text = again.read_text()
     assert "SIERRA_ELEMENTS=1" in text
-    assert alive(Pbs(ClusterTable()), re.findall("-N (.*)", text)[0]) == set()
+    until(ended(Pbs(ClusterTable()), re.findall("-N (.*)", text)[0]), "no task is left")
 
 
 @pytest.mark.slow
