@@ -662,7 +662,7 @@ def test_a_batch_is_answered_though_an_element_is_deleted(server: pbs.Server, tm
     ]
     text = again.read_text()
     assert "SIERRA_ELEMENTS=1" in text
-    assert alive(Pbs(ClusterTable()), re.findall("-N (.*)", text)[0]) == set()
+    until(ended(Pbs(ClusterTable()), re.findall("-N (.*)", text)[0]), "no task is left")
 
 
 @pytest.mark.slow

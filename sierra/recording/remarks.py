@@ -97,10 +97,8 @@ class Remarks:
 def lost(names: Sequence[str]) -> Iterator[str]:
     """What runs left in their outputs that is no file."""
     if names:
-        these = (
-            f"{shown(names[0])!r} and {counted(len(names) - 1, 'other')} are" if len(names) > 1 else f"{shown(names[0])!r} is"
-        )
-        yield f"{these} not recorded: only files are, and where a link leads is not followed"
+        others = f" and {counted(len(names) - 1, 'other')} are" if len(names) > 1 else " is"
+        yield f"{shown(names[0])!r}{others} not recorded: only files are, and where a link leads is not followed"
 
 
 def as_files(kept: Mapping[str, Mapping[str, None]]) -> Iterator[str]:
