@@ -8,25 +8,15 @@ import io
 import os
 import subprocess
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import typer.main
 
-from sierra import cli, plugins
+from sierra import cli
 
 typer.main.get_command = functools.cache(typer.main.get_command)
 """Else each command within this process would make all commands anew, which takes as long as what many of them do."""
-
-
-@functools.cache
-def _points(kind: str, path: tuple[str, ...], find: Callable[[str], Any] = plugins._entry_points) -> Any:
-    return find(kind)
-
-
-plugins._entry_points = lambda kind: _points(kind, tuple(sys.path))
-"""Else each batch within this process would look through all that is installed, three times."""
 
 SIERRA = Path(sys.executable).with_name("sierra")
 
