@@ -28,7 +28,7 @@ class Remarks:
     def all(self) -> list[str]:
         """A line each. Asks the store, so it is to be called once, when all is recorded and `find_odd` has looked at it."""
         forms = self._store.rows(GOOD + FORMS, **asked(self._context)) if self._shapes else []
-        return [*self._alone(forms), *self._renamed(), *self._of_kinds(forms)]
+        return [*self._alone(forms), *self._renamed(forms), *self._of_kinds(forms)]
 
     def _alone(self, forms: Sequence[Mapping[str, Any]]) -> Iterator[str]:
         """Columns that one run alone has in its whole batch, as it may be where there is one run per experiment."""
@@ -42,13 +42,17 @@ class Remarks:
                 whose = "one run has columns" if alone == 1 else f"{alone} runs have columns, each its own,"
                 yield f"output {name!r}: {whose} that no other run has; none of its experiment shows whether that is right"
 
-    def _renamed(self) -> Iterator[str]:
+    def _renamed(self, forms: Sequence[Mapping[str, Any]]) -> Iterator[str]:
         """Columns that SQL knows by another name, because an axis has theirs, and not their values."""
+        columns: dict[str, set[str]] = {}
+        for row in forms:
+            columns.setdefault(row["output"], set()).update(map(str.lower, json.loads(row["form"])["columns"]))
         if not self._shapes:
             return
         with self._store.ask(self._context.batch) as question:
-            for name in self._shapes:
-                for axis, column, called in _hidden(question, name):
+            axes = {axis.lower(): axis for axis in question.views.axes()}
+            for name in (name for name in self._shapes if not axes.keys().isdisjoint(columns.get(name, ()))):
+                for axis, column, called in _hidden(question, name, axes):
                     told = f"the column {column!r} of output {name!r} is called {called!r} in SQL"
                     yield f"{told}: {axis!r} there is the independent variable, and its values are others"
 
@@ -127,13 +131,10 @@ SELECT count(*), count_if(
 """
 
 
-def _hidden(question: Question, name: str) -> Iterator[tuple[str, str, str]]:
+def _hidden(question: Question, name: str, axes: Mapping[str, str]) -> Iterator[tuple[str, str, str]]:
     """The columns of an output that an axis hides in SQL, where their values differ: axis, column, what it is called there."""
-    axes = {axis.lower(): axis for axis in question.views.axes()}
     files = [path for segment in question.segments for output, path in segment.outputs() if output.lower() == name.lower()]
     question.views.make((name,))
-    if not axes or not files:
-        return
     described = question.run("DESCRIBE SELECT * FROM read_parquet($files, union_by_name = true)", {"files": files})
     stored = [row[0] for row in described]
     for column, called in zip(stored, column_names(stored, taken=axes.values()), strict=True):
