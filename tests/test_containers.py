@@ -268,9 +268,10 @@ def await_none(folder: Path, mark: str, seconds: float = PATIENCE_S / 2) -> None
 @pytest.mark.parametrize(
     ("sleeping", "killed"),
     [
-        *(("run", killed) for killed in ("sierra", "worker", "clients", "interrupted")),
-        *(("worker", killed) for killed in ("sierra", "clients")),
-        *(pytest.param("worker", killed, marks=pytest.mark.slow) for killed in ("worker", "interrupted")),
+        *(("run", killed) for killed in ("sierra", "interrupted")),
+        ("worker", "sierra"),
+        *(pytest.param("run", killed, marks=pytest.mark.slow) for killed in ("worker", "clients")),
+        *(pytest.param("worker", killed, marks=pytest.mark.slow) for killed in ("worker", "clients", "interrupted")),
     ],
     indirect=["sleeping"],
 )

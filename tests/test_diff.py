@@ -35,7 +35,7 @@ def make(tmp_path: Path) -> Make:
     return partial(made, tmp_path / "project")
 
 
-@pytest.fixture(params=["git", "none"])
+@pytest.fixture(params=["git", pytest.param("none", marks=pytest.mark.slow)])
 def make_either(request: pytest.FixtureRequest, tmp_path: Path) -> Make:
     """Makes a project, in git and outside."""
 

@@ -384,7 +384,13 @@ def test_declarations_that_are_damaged_take_no_execution_with_them(
     assert fsck(root).sound
 
 
-@pytest.mark.parametrize("tables", [("blobs", "batches", "experiments"), ("members", "recipes", "sources"), ("objects",)])
+@pytest.mark.parametrize(
+    "tables",
+    [
+        ("blobs", "batches", "experiments"),
+        *(pytest.param(those, marks=pytest.mark.slow) for those in (("members", "recipes", "sources"), ("objects",))),
+    ],
+)
 def test_what_says_that_there_is_a_batch_is_recorded_again(root: Path, tables: Sequence[str]) -> None:
     """Each of the tables in the segment of another batch."""
     folders = [path.parent for path in root.glob(".sierra/segments/*/members.parquet")]

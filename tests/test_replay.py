@@ -35,7 +35,7 @@ def make(tmp_path: Path) -> Make:
     )
 
 
-@pytest.fixture(params=["git", "none"])
+@pytest.fixture(params=["git", pytest.param("none", marks=pytest.mark.slow)])
 def make_either(request: pytest.FixtureRequest, make: Make) -> Make:
     """Makes a project, in git and outside."""
     return lambda *words: projects.commit(make(*words)) if request.param == "git" else make(*words)

@@ -21,7 +21,7 @@ if count == 2 and not os.path.exists(sys.argv[2]):
 )
 
 
-@pytest.fixture(params=["git", "none"])
+@pytest.fixture(params=["git", pytest.param("none", marks=pytest.mark.slow)])
 def half(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[Path, str]:
     """A project with a batch of which two of four runs have failed; they succeed once `mended` is there."""
     config = projects.CONFIG.replace("{input}", f"{{input}} {tmp_path}/mended")

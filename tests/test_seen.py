@@ -20,7 +20,7 @@ from tests.waiting import PATIENCE_S
 OTHER = r"printf 't,v\n1,1000\n2,4000\n' > swarm.csv"
 
 
-@pytest.mark.parametrize("git", [True, False])
+@pytest.mark.parametrize("git", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_runs_that_other_code_than_planned_may_have_made_never_count(simulate: Callable[..., Any], git: bool) -> None:
     script = held(1)
     project = simulate(script)
