@@ -205,15 +205,16 @@ class Slurm:
         """Have SLURM use a node again that was declared down."""
         self.command("scontrol", "update", f"nodename={node}", "state=resume")
 
-    def release_requeued(self, job: str = "") -> None:
-        """A job that was requeued (else: all that wait for it) may start again now, not only after two minutes."""
-        waiting = self.command("squeue", "-h", "-a", "-r", "-t", "PENDING", "-o", "%i %r").splitlines()
-        for one in [job] if job else [line.split()[0] for line in waiting if line.endswith("BeginTime")]:
-            self.command("scontrol", "update", f"jobid={one}", "StartTime=now")
+    def release_requeued(self, count: int = 1) -> None:
+        """Have elements that were requeued start again now, not only after two minutes; returns once so many wait."""
 
-    def until_requeued(self) -> None:
-        """Wait until a job waits for its start after it was requeued."""
-        until(lambda: "BeginTime" in self.command("squeue", "-h", "-a", "-o", "%r"), "a job is requeued")
+        def requeued() -> list[str]:
+            waiting = self.command("squeue", "-h", "-a", "-r", "-t", "PENDING", "-o", "%i %r").splitlines()
+            return [line.split()[0] for line in waiting if line.endswith("BeginTime")]
+
+        until(lambda: len(requeued()) >= count, f"{count} elements are requeued")
+        for one in requeued():
+            self.command("scontrol", "update", f"jobid={one}", "StartTime=now")
 
     def heal(self) -> None:
         """No jobs, and all nodes idle, whatever was done to it."""

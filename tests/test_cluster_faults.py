@@ -280,7 +280,7 @@ def test_what_is_preempted_goes_on_where_it_was(gate: Callable[..., Gated], star
     gated.until_told(3)
     high = gated.slurm.command("sbatch", "--parsable", "-p", "high", "-N3", "--exclusive", "-o/dev/null", "--wrap=sleep 1")
     gated.slurm.until(high, "COMPLETED")
-    gated.slurm.release_requeued()
+    gated.slurm.release_requeued(3)
     gated.until_begun(6)
     gated.open()
     ended(asking)

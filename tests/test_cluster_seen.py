@@ -136,7 +136,6 @@ def test_show_says_where_runs_were_executed_and_how_often_that_was_cut_off(waiti
     until(lambda: len(packed(waiting.project.folder, Started)) == 6, "elements tell that runs have begun")
     [job] = {name.partition("_")[0] for name, state in waiting.slurm.states().items() if state == "RUNNING"}
     waiting.slurm.command("scontrol", "requeue", f"{job}_0")
-    waiting.slurm.until_requeued()
     waiting.slurm.release_requeued()
     waiting.project.until_executed(8, asking)
     waiting.open()

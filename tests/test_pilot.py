@@ -248,7 +248,6 @@ def test_first_runs_that_lose_their_node_go_again(waiting: Simulated, slurm: Slu
     slurm.power_cut(node)
     slurm.declare_down(node)
     opened(waiting)
-    slurm.until_requeued()
     slurm.release_requeued()
     assert waiting.end_of(process, 100).returncode == 0
     assert waiting.sql("SELECT count(*) AS n FROM executions WHERE status = 'ok'") == [{"n": RUNS}]

@@ -549,7 +549,6 @@ def test_a_task_comes_back_that_lost_its_node(slurm: clusters.Slurm, request_of:
     slurm.declare_down(task.node)
     [again] = until(scheduler(), request.name, lambda seen: seen[0].reason == "BeginTime")
     assert again.state == State.QUEUED
-    slurm.until_requeued()
     slurm.release_requeued()
     [done] = until(scheduler(), request.name, ended)
     assert (done.reason, done.node == task.node) == ("COMPLETED", False)
