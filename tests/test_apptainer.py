@@ -123,6 +123,7 @@ def test_whatever_is_killed_no_container_is_left(sleeping: tuple[Path, subproces
     assert "2 executed" in says(folder, "run", "population_size=1", "--no-figures")
 
 
+@pytest.mark.slow
 def test_what_all_have_lost_is_ended_by_the_next_asking(sleeping: tuple[Path, subprocess.Popen[str], str]) -> None:
     folder, asking, mark = sleeping
     lost = (asking.pid, *of(folder, "worker"))

@@ -18,7 +18,7 @@ from sierra.keeping.findings import Kind
 from tests import containers, images, projects, stores
 from tests.test_fsck import seal
 
-pytestmark = pytest.mark.real
+pytestmark = [pytest.mark.real, pytest.mark.slow]
 LIMITS = '[limits]\nmemory = "64 MB"\n'
 VERSIONS = {"old": {"libc6": "2.36-9", "tzdata": "1"}, "new": {"libc6": "2.36-10", "zlib": "3"}}
 ENFORCED = Abilities("podman 1, runc 1", enforced=frozenset({"cpus", "pids"}), user="root")

@@ -27,7 +27,7 @@ from tests.containers import sleepers
 from tests.projects import quick
 from tests.waiting import PATIENCE_S, until
 
-pytestmark = pytest.mark.real
+pytestmark = [pytest.mark.real, pytest.mark.slow]
 RECIPES = Path(__file__).parents[1] / "containers"
 LAYERS = [
     made.layer(

@@ -34,7 +34,7 @@ SHAPES = [(0, 1, 2), (4,), (3, 7, 9, 10)]
 NAME = "sierra-0123abcd"
 
 
-@pytest.fixture(params=["openpbs", "torque"])
+@pytest.fixture(params=["openpbs", pytest.param("torque", marks=pytest.mark.slow)])
 def server(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[pbs.Server]:
     """A PBS that commands on the PATH speak to; home is a folder of its own."""
     home = tmp_path / "home"
