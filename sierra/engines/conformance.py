@@ -35,6 +35,8 @@ PATIENCE_S = 30.0
 SOON_S = 15.0
 """What is waited for that comes at once, if it comes; both are less than the programs of these claims would last."""
 GRACE_S = 0.3
+SETTLED_S = 1.0
+"""From a program's first word until signals are passed on to it: podman only begins to once it has started the program."""
 WORDS = ("", "a b", " c ", "d\ne", "'f'", '"g"', "$HOME", "`h`", "i\\j", "*", "-k", "ü", "--", "a=b,c=d")
 VALUES = {
     "PLAIN": "1",
@@ -355,6 +357,7 @@ def ends_when_asked(trial: Trial) -> None:
     """SIGTERM reaches the program, which may do something about it; then nothing is left."""
     started = trial.start("sh", "-c", "trap 'echo got; exit 5' TERM; echo ready; while :; do sleep 0.1; done")
     started.until_it_says("ready")
+    time.sleep(SETTLED_S)
     started.signal(signal.SIGTERM)
     trial.end(started, seconds=SOON_S, stopped="interrupted")
     started.stop()
