@@ -35,8 +35,6 @@ PATIENCE_S = 30.0
 SOON_S = 15.0
 """What is waited for that comes at once, if it comes; both are less than the programs of these claims would last."""
 GRACE_S = 0.3
-SETTLED_S = 1.0
-"""From a program's first word until signals are passed on to it: podman only begins to once it has started the program."""
 WORDS = ("", "a b", " c ", "d\ne", "'f'", '"g"', "$HOME", "`h`", "i\\j", "*", "-k", "ü", "--", "a=b,c=d")
 VALUES = {
     "PLAIN": "1",
@@ -227,9 +225,12 @@ def says_what_it_can(trial: Trial) -> None:
     able = trial.able
     _holds(not able.trouble, able.trouble)
     _is_one_line(able.version)
-    began = time.monotonic()
-    _holds(trial.engine.probe() == able, "another answer when asked again")
-    _holds(time.monotonic() - began < 1, "it looked again, though nothing has changed")
+    took = []
+    for _ in range(3):  # what it depends on may change meanwhile, as users come and go
+        began = time.monotonic()
+        _holds(trial.engine.probe() == able, "another answer when asked again")
+        took.append(time.monotonic() - began)
+    _holds(min(took) < 1, "it looked again, though nothing has changed")
     _holds(able.enforced <= {"memory", "cpus", "pids"}, f"unknown limits: {sorted(able.enforced)}")
 
 
@@ -357,9 +358,9 @@ def ends_when_asked(trial: Trial) -> None:
     """SIGTERM reaches the program, which may do something about it; then nothing is left."""
     started = trial.start("sh", "-c", "trap 'echo got; exit 5' TERM; echo ready; while :; do sleep 0.1; done")
     started.until_it_says("ready")
-    time.sleep(SETTLED_S)
     started.signal(signal.SIGTERM)
     trial.end(started, seconds=SOON_S, stopped="interrupted")
+    _wait(lambda: "got" in started.said() or not started.left(), "SIGTERM did not reach the program")  # podman's may end first
     started.stop()
     _holds("got" in started.said(), "SIGTERM did not reach the program")
     _nothing_is_left(started)
