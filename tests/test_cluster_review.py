@@ -393,9 +393,8 @@ def test_what_could_not_be_begun_is_submitted_again_and_that_is_said(
     assert "1 element is submitted again: launch failed requeued held (CANCELLED)" in said
 
 
-def test_what_others_give_back_is_executed_too(clustered: Callable[..., Clustered]) -> None:
-    made = clustered()
-    project = made.project
+def gives_back(project: Project) -> Callable[[Progress], None]:
+    """Has another session claim a run of the query's, and give it back once that is waited for."""
     other = Session(Store.create(project.paths.store).paths)
     other.claim({project.plan(*QUERY, runs=1).batch.runs[0].id})
 
@@ -403,7 +402,13 @@ def test_what_others_give_back_is_executed_too(clustered: Callable[..., Clustere
         if progress.elsewhere:
             other.close()
 
-    summary = project.run(*QUERY, runs=1, runner="here", watch=watch, figures=False)
+    return watch
+
+
+def test_what_others_give_back_is_executed_too(clustered: Callable[..., Clustered]) -> None:
+    made = clustered()
+    project = made.project
+    summary = project.run(*QUERY, runs=1, runner="here", watch=gives_back(project), figures=False)
     assert (summary.executed, summary.failed, summary.missing) == (3, 0, 0)
     assert made.simulated.work() == []
 
@@ -414,14 +419,7 @@ def test_what_is_said_of_a_job_before_is_not_of_what_was_given_back(
     monkeypatch.setattr(Here, "word", "FAILED")
     made = clustered("sleep 3; " + PRINTS, elements=2)
     project = made.project
-    other = Session(Store.create(project.paths.store).paths)
-    other.claim({project.plan(*QUERY, runs=1).batch.runs[0].id})
-
-    def watch(progress: Progress) -> None:
-        if progress.elsewhere:
-            other.close()
-
-    summary = project.run(*QUERY, runs=1, runner="here", watch=watch, figures=False)
+    summary = project.run(*QUERY, runs=1, runner="here", watch=gives_back(project), figures=False)
     handed_over = [request.elements for request in Here.requests if request.name.startswith("sierra-")]
     assert handed_over == [(0, 1), (0,)]
     assert (summary.executed, summary.failed, summary.missing) == (3, 0, 0)

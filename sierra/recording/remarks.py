@@ -27,14 +27,17 @@ class Remarks:
 
     def all(self) -> list[str]:
         """A line each. Asks the store, so it is to be called once, when all is recorded and `find_odd` has looked at it."""
-        forms = self._store.rows(GOOD + FORMS, **asked(self._context)) if self._shapes else []
+        if not self._shapes:
+            return []
+        rows = self._store.rows(GOOD + FORMS, **asked(self._context))
+        forms = [{**row, "columns": json.loads(row["form"])["columns"]} for row in rows]
         return [*self._alone(forms), *self._renamed(forms), *self._of_kinds(forms)]
 
     def _alone(self, forms: Sequence[Mapping[str, Any]]) -> Iterator[str]:
         """Columns that one run alone has in its whole batch, as it may be where there is one run per experiment."""
         sets: dict[str, Counter[tuple[str, ...]]] = {}
         for row in forms:
-            sets.setdefault(row["output"], Counter())[tuple(json.loads(row["form"])["columns"])] += row["executions"]
+            sets.setdefault(row["output"], Counter())[tuple(row["columns"])] += row["executions"]
         for name, counts in sets.items():
             declared = self._context.outputs.get(name)
             alone = sum(number == 1 for number in counts.values())
@@ -46,9 +49,7 @@ class Remarks:
         """Columns that SQL knows by another name, because an axis has theirs, and not their values."""
         columns: dict[str, set[str]] = {}
         for row in forms:
-            columns.setdefault(row["output"], set()).update(map(str.lower, json.loads(row["form"])["columns"]))
-        if not self._shapes:
-            return
+            columns.setdefault(row["output"], set()).update(map(str.lower, row["columns"]))
         with self._store.ask(self._context.batch) as question:
             axes = {axis.lower(): axis for axis in question.views.axes()}
             for name in (name for name in self._shapes if not axes.keys().isdisjoint(columns.get(name, ()))):
@@ -60,7 +61,7 @@ class Remarks:
         """Columns that hold one thing in some runs and another in others, and texts that were hardly meant as such."""
         kinds: dict[tuple[str, str], Counter[str]] = {}
         for row in forms:
-            for name, kind in json.loads(row["form"])["columns"].items():
+            for name, kind in row["columns"].items():
                 if kind != "empty" and row["output"] in self._shapes:
                     kinds.setdefault((row["output"], name), Counter())[kind] += row["executions"]
         for (output, name), counts in kinds.items():
@@ -135,6 +136,8 @@ def _hidden(question: Question, name: str, axes: Mapping[str, str]) -> Iterator[
     """The columns of an output that an axis hides in SQL, where their values differ: axis, column, what it is called there."""
     files = [path for segment in question.segments for output, path in segment.outputs() if output.lower() == name.lower()]
     question.views.make((name,))
+    if not files:
+        return
     described = question.run("DESCRIBE SELECT * FROM read_parquet($files, union_by_name = true)", {"files": files})
     stored = [row[0] for row in described]
     for column, called in zip(stored, column_names(stored, taken=axes.values()), strict=True):
