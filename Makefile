@@ -6,6 +6,7 @@ SHELL = /bin/sh
 unexport PYTHONDONTWRITEBYTECODE
 BIN = .venv/bin
 WORKERS = 2
+MINUTES = 10
 UV = uv==0.13.8
 
 # The newest Python that is really there: the first name that also runs, and can make virtual environments.
@@ -20,7 +21,7 @@ LOCKED = --no-compile --only-binary :all: --require-hashes --requirement require
 
 .DEFAULT_GOAL = help
 .DELETE_ON_ERROR:
-.PHONY: help install demo test slow check format bench schemas lock system dist clean
+.PHONY: help install demo test slow soak check format bench schemas lock system dist clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## /\1	/p' Makefile | expand -t 10
@@ -48,6 +49,10 @@ test: install ## all tests but the slow ones; more at once with WORKERS=8
 
 slow: install ## the tests that take long
 	$(BIN)/python -m pytest --numprocesses $(WORKERS) --dist worksteal -m slow
+
+soak: install ## random faults for MINUTES=10, from SEED on (STEPS=1 ONLY=… take one again); see tests/soak
+	$(BIN)/python -m tests.soak --minutes $(MINUTES) $(if $(SEED),--seed $(SEED)) $(if $(STEPS),--steps $(STEPS)) \
+		$(if $(ONLY),--only $(ONLY))
 
 check: install ## style, types, and the layers of the design
 	$(BIN)/ruff check
@@ -77,9 +82,9 @@ lock: ## write requirements.lock from pyproject.toml
 
 # What tests need besides comes as packages of Debian; apptainer, which it has no package of, by tests/system/apptainer.sh.
 CALLED = git gcc unshare podman runc newuidmap catatonit mksquashfs squashfuse mmdebstrap busybox /usr/bin/python3 mawk \
-	slurmctld slurmd sbatch munged qsub setpriv slurmdbd mariadbd my_print_defaults
+	slurmctld slurmd sbatch munged qsub setpriv slurmdbd mariadbd my_print_defaults faketime
 PACKAGES = git gcc libc6-dev util-linux podman runc uidmap catatonit squashfs-tools squashfuse mmdebstrap busybox-static \
-	python3 mawk slurmctld slurmd slurm-client munge slurm-wlm-torque slurmdbd mariadb-server-core mariadb-client-core
+	python3 mawk slurmctld slurmd slurm-client munge slurm-wlm-torque slurmdbd mariadb-server-core mariadb-client-core faketime
 
 system: ## install what SIERRA calls (git, podman), and what tests need (gcc, squashfs-tools, ...); as root, on Debian
 	@missing=; for program in $(CALLED); do \

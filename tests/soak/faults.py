@@ -1,0 +1,74 @@
+"""Commands that meet a fault at a named point: see hook/sitecustomize.py for what a point is."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from tests.projects import SIERRA
+
+HOOK = Path(__file__).with_name("hook")
+LONGEST_S = 300
+
+Action = Literal["kill", "interrupt", "ENOSPC", "EIO", "EACCES"]
+
+
+@dataclass(frozen=True, slots=True)
+class Ended:
+    """A `sierra` command that has ended."""
+
+    words: tuple[str, ...]
+    code: int
+    out: str
+    err: str
+    struck: bool = False
+    """Whether the fault came."""
+
+
+def sierra(
+    root: Path,
+    *words: str,
+    point: str = "",
+    action: Action = "kill",
+    prefix: tuple[str, ...] = (),
+    environment: Mapping[str, str] | None = None,
+) -> Ended:
+    """Call `sierra WORDS` in a project, with a fault at `point` where one is named; `prefix` is what starts it, as faketime."""
+    with tempfile.TemporaryDirectory(prefix="sierra-soak-") as folder:
+        struck = Path(folder, "struck")
+        setting = {"root": str(root), "point": point, "action": action, "struck": str(struck)}
+        faulty = {"PYTHONPATH": str(HOOK), "SIERRA_SOAK": json.dumps(setting)} if point else {}
+        done = _call(root, words, {**faulty, **(environment or {})}, prefix)
+        return Ended(words, done.returncode, done.stdout, done.stderr, struck.exists())
+
+
+def points(root: Path, *words: str) -> list[str]:
+    """The points that `sierra WORDS` passes, in their order."""
+    with tempfile.TemporaryDirectory(prefix="sierra-soak-") as folder:
+        log = Path(folder, "points")
+        setting = {"root": str(root), "log": str(log)}
+        done = _call(root, words, {"PYTHONPATH": str(HOOK), "SIERRA_SOAK": json.dumps(setting)})
+        assert done.returncode in (0, 1), done.stderr
+        return log.read_text().splitlines() if log.exists() else []
+
+
+def _call(
+    root: Path, words: tuple[str, ...], more: dict[str, str], prefix: tuple[str, ...] = ()
+) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [*prefix, str(SIERRA), *words],
+        cwd=root,
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        errors="replace",
+        timeout=LONGEST_S,
+        check=False,
+        env={**os.environ, **more},
+    )

@@ -1,0 +1,99 @@
+"""Place a fault at a named point of a `sierra` process or of its worker. Loaded through PYTHONPATH; see tests/soak/faults.py.
+
+Python reports every change to the file system, lock and started process as an audit event. A point is such an event, the
+path it concerns, and its place among equal ones: `driver os.rename .sierra/segments/# 1`. Nothing in SIERRA knows of this.
+"""
+
+import errno
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import threading
+
+EVENTS = ("open", "os.rename", "os.remove", "os.mkdir", "os.rmdir", "os.link", "os.symlink", "os.truncate", "fcntl.flock")
+WRITES = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC
+
+
+def install(role, setting):
+    """Watch this process; end it, stop it or refuse the operation at the point that is asked for."""
+    root, log = setting["root"] + "/", setting.get("log")
+    wanted, action = setting.get("point"), setting.get("action")
+    counts, here = {}, threading.local()
+
+    def hook(event, arguments):
+        if event not in EVENTS or getattr(here, "inside", False):
+            return
+        here.inside = True
+        try:
+            name = _name(role, event, arguments, root)
+            if name is None:
+                return
+            counts[name] = counts.get(name, 0) + 1
+            point = "%s %d" % (name, counts[name])
+            if log:
+                with open(log, "a") as file:
+                    file.write(point + "\n")
+        finally:
+            here.inside = False
+        if point == wanted:
+            _strike(action, setting["struck"], here)
+
+    sys.addaudithook(hook)
+
+
+def _name(role, event, arguments, root):
+    """The point's name without its number; None for what concerns nothing in the project."""
+    if event == "open" and not (isinstance(arguments[2], int) and arguments[2] & WRITES):
+        return None
+    path = arguments[1] if event == "os.rename" else arguments[0]
+    if isinstance(path, int):
+        try:
+            path = os.readlink("/proc/self/fd/%d" % path)
+        except OSError:
+            return None
+        if not path.startswith("/"):  # a pipe or a socket
+            return None
+    path = os.path.abspath(os.fsdecode(path))
+    if not path.startswith(root):
+        return None
+    return "%s %s %s" % (role, event, re.sub(r"[0-9a-f]{8,}|\d+|(?<=\.)[a-z0-9_]{8}(?=$|\.)", "#", path[len(root) :]))
+
+
+def _strike(action, struck, here):
+    here.inside = True
+    with open(struck, "w") as file:  # what asked for the fault sees that it came
+        file.write(action)
+    here.inside = False
+    if action == "kill":
+        os.kill(os.getpid(), signal.SIGKILL)
+    elif action == "interrupt":
+        os.kill(os.getpid(), signal.SIGINT)
+    else:
+        number = getattr(errno, action)
+        raise OSError(number, os.strerror(number))
+
+
+def _watch_workers(setting):
+    """Have workers, which are started without any site, begin with this file."""
+    start = subprocess.Popen.__init__
+
+    def init(self, args, *more, **options):
+        if isinstance(args, list) and len(args) > 3 and os.path.basename(args[3]) == "worker.py":
+            args = [*args[:3], __file__, json.dumps(setting), *args[3:]]
+        start(self, args, *more, **options)
+
+    subprocess.Popen.__init__ = init
+
+
+if __name__ == "__main__":
+    import runpy
+
+    setting, sys.argv = json.loads(sys.argv[1]), sys.argv[2:]
+    install("worker", setting)
+    runpy.run_path(sys.argv[0], run_name="__main__")
+elif "SIERRA_SOAK" in os.environ and os.path.basename(getattr(sys, "orig_argv", ["", ""])[1:2][0]) == "sierra":
+    install("driver", json.loads(os.environ["SIERRA_SOAK"]))
+    _watch_workers(json.loads(os.environ["SIERRA_SOAK"]))
