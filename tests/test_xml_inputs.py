@@ -17,6 +17,7 @@ from sierra.errors import ConfigError, Missing, SierraError, TemplateError
 from sierra.inputs import Template
 from sierra.inputs.xml import XmlTemplate
 from sierra.model import Add, Change, Remove, Rename, Set, Value
+from tests import projects
 
 MUJOCO = """<mujoco model="swarm">
   <option timestep="0.01" integrator="implicitfast"/>
@@ -685,6 +686,65 @@ def test_a_run_says_who_asks_for_what_is_wrong() -> None:
         render({})
     with pytest.raises(TemplateError, match=r"^the seed: .* U\+0007 .*template\.xml"):
         render({"seed": "\a"})
+
+
+# Paths that would be evaluated for ever
+
+
+MANY = "<a>" + '<b c="1"><d/></b>' * 2000 + "</a>"
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "//*[count(//*[count(//*[count(//*) > 0]) > 0]) > 0]/@c",
+        "/a/b[/a/b[/a/b[/a/b/d]/@c = 2]/@c = 2]/@c",
+        "//d[../../b[../b[../b/d[../../b/@c = 2]/@c = 2]/@c = 2]]",
+        "//b[preceding::d[following::d[preceding::d[following::b/@c = 2]]]]",
+    ],
+)
+def test_a_path_that_would_be_evaluated_for_ever_is_refused(path: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sierra.inputs.trial.LIMIT_S", 1)
+    with pytest.raises(TemplateError) as caught:
+        template(MANY).find(path)
+    assert str(caught.value).startswith(f"{path} takes more than 1 s of computing in template.xml; use a path")
+
+
+def test_the_command_line_names_such_a_path_in_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sierra.inputs.trial.LIMIT_S", 1)
+    wide = "//*[count(//*[count(//*[count(//*)>0])>0])>0]/@c"
+    folder = projects.make(tmp_path / "p", template=projects.TEMPLATE.replace("</arena>", MANY + "</arena>"))
+    ran = projects.quick(folder, "run", "noise=1", "--set", f"{wide}=2", "-n")
+    assert ran.returncode == 2
+    [line] = ran.stderr.splitlines()
+    assert wide in line
+
+
+@pytest.mark.parametrize(
+    ("path", "count"), [("//b[@c = //b/@c]/@c", 2000), ("//b[d and //b[d]]/d", 2000), ("//a|//b|//d", 4001)]
+)
+def test_a_path_that_may_take_long_and_does_not_selects_what_it_should(path: str, count: int) -> None:
+    assert len(template(MANY).find(path)) == count
+
+
+def test_a_path_that_may_take_long_and_is_none_is_told_as_any_other() -> None:
+    with pytest.raises(TemplateError, match=r"is not an XPath for template\.xml"):
+        template(MANY).find("//b[//b[//b[//b[]]]]")
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "/a/b[@c='//x']/@c",
+        "//b[@c > 0]/d",
+        "(//b)[2]/@c",
+        "a/b[starts-with(@c, '1')]/d",
+        ".//b[d][last()]",
+    ],
+)
+def test_a_usual_path_starts_no_process(path: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delattr("sierra.inputs.trial.subprocess.run")
+    assert template("<x>" + MANY * 10 + "</x>").find(path) is not None
 
 
 def seconds(call: Callable[[int], object], times: int) -> float:

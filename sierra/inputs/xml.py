@@ -16,7 +16,8 @@ the root's old name where the root is renamed.
 
 **Hostile input**: nothing is loaded (no DTD, no external entity, no network, no XInclude), and a document that
 *declares* an entity is refused, so there is nothing to expand. A reference that an external DTD would explain
-stays as it is. libxml2's own limits (depth 256, 10 MB for one text) hold.
+stays as it is. libxml2's own limits (depth 256, 10 MB for one text) hold. A path that would be evaluated for
+longer than a limit is refused: see `sierra.inputs.trial`.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ from lxml import etree
 
 from sierra.errors import ConfigError, TemplateError
 from sierra.hashing import sha256
-from sierra.inputs import Renderer
+from sierra.inputs import Renderer, trial
 from sierra.inputs.expressions import fill, names
 from sierra.model import Add, Change, Remove, Rename, Set, Value
 
@@ -100,6 +101,11 @@ class XmlDocument:
     def select(self, path: str, who: str = "") -> list[Any]:
         """The nodes that a path selects. Raises TemplateError where it is not a path to nodes."""
         shown = _line(path)
+        if not trial.ends(path, self._namespaces, self._root):
+            raise TemplateError(
+                f"{who}{shown} takes more than {trial.LIMIT_S} s of computing in {self._frame.name}; "
+                "use a path that visits the document less often, with fewer // and .. within [ ]"
+            )
         try:
             found = etree.XPath(path, namespaces=self._namespaces, regexp=False)(self._root)
         except (etree.XPathError, ValueError) as error:
