@@ -688,6 +688,54 @@ def test_a_run_says_who_asks_for_what_is_wrong() -> None:
         render({"seed": "\a"})
 
 
+# A number that is set to itself
+
+
+@pytest.mark.parametrize(
+    ("there", "value"),
+    [("0", "0.0"), ("0.0", "0"), ("1000", "1e3"), (" 5 ", "5.0"), ("-0.5", "-.5"), ("+1", "1"), ("2.", "2"), ("0.25", "25e-2")],
+)
+def test_a_number_in_another_spelling_leaves_the_bytes_as_they_are(there: str, value: str) -> None:
+    text = f'<a b="{there}"><c>{there}</c></a>'
+    sets = [Set("//c", value), Set("/a/@b", value)]
+    assert changed(text, *sets) == text
+    assert template(text).changed((), {}).per_run(sets)({}).decode() == text
+
+
+@pytest.mark.parametrize(
+    ("there", "value"),
+    [
+        ("0", "-0.0"),
+        ("007", "7"),
+        ("1.10", "1.1"),
+        ("1.1", "1.10"),
+        ("0", ""),
+        ("0", "false"),
+        ("1", "１"),
+        ("0.1", "0.1000000000000000055511151231257827"),
+        ("9007199254740992", "9007199254740993.0"),
+        ("1,0", "1,00"),
+        ("nan", "NaN"),
+        ("0x10", "16"),
+        ("1e999", "1e9999"),
+    ],
+)
+def test_what_is_not_surely_the_same_number_is_written(there: str, value: str) -> None:
+    text = f'<a b="{there}"/>'
+    assert changed(text, Set("/a/@b", value)) == f'<a b="{value}"/>'
+    assert template(text).changed((), {}).per_run([Set("/a/@b", value)])({}).decode() == f'<a b="{value}"/>'
+
+
+SPELLED = st.lists(st.sampled_from(["0", "0.0", "1", "1.0", "1e0", "x", "-0", "01"]), min_size=1, max_size=4)
+
+
+@given(SPELLED)
+def test_runs_are_given_the_bytes_that_the_same_changes_make_one_by_one(values: list[str]) -> None:
+    text = '<a b="0" c="1"><d>1.0</d></a>'
+    sets = [Set("//@*", value) for value in values[:2]] + [Set("//d | /a/@c", value) for value in values[2:]]
+    assert template(text).changed((), {}).per_run(sets)({}).decode() == changed(text, *sets)
+
+
 # Paths that would be evaluated for ever
 
 
@@ -710,6 +758,7 @@ def test_a_path_that_would_be_evaluated_for_ever_is_refused(path: str, monkeypat
     assert str(caught.value).startswith(f"{path} takes more than 1 s of computing in template.xml; use a path")
 
 
+@pytest.mark.slow
 def test_the_command_line_names_such_a_path_in_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sierra.inputs.trial.LIMIT_S", 1)
     wide = "//*[count(//*[count(//*[count(//*)>0])>0])>0]/@c"
