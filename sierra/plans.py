@@ -239,18 +239,22 @@ def _inside(template: str) -> list[str]:
     return [] if path.startswith((os.pardir, os.sep)) else [path]
 
 
+WRITTEN = ("value", "xml", "per_run")
+"""Keys whose texts may stand in an input; those of the others are XPaths and names, and `/x` is no file there."""
+
+
 def _written(config: Project) -> Iterator[str]:
-    """What the project may put into a template, whatever is asked: all texts of its changes."""
+    """Yield what the project may put into a template, whatever is asked: the texts of its changes."""
     changes = config.model_dump(include={"variables", "changes", "run_changes", "per_run", "controllers", "scenarios"})
-    pending: list[Any] = [changes]
+    pending: list[tuple[bool, Any]] = [(False, changes)]
     while pending:
         match pending.pop():
-            case str() as text:
+            case True, str() as text:
                 yield text
-            case dict() as table:
-                pending.extend(table.values())
-            case list() | tuple() as items:
-                pending.extend(items)
+            case stands, dict() as table:
+                pending.extend((stands or key in WRITTEN, value) for key, value in table.items())
+            case stands, list() | tuple() as items:
+                pending.extend((stands, item) for item in items)
 
 
 def _doubts(designed: Design, command: Sequence[str]) -> Iterator[str]:

@@ -313,6 +313,28 @@ def test_comments_and_what_sierra_reads_by_meaning_name_nothing(tmp_path: Path) 
     assert [one.name for one in project.plan("n=1").programs.all if one.kind == "file"] == []
 
 
+def test_tags_and_xpaths_name_nothing(tmp_path: Path) -> None:
+    """`</x>` is not the file `/x`, and neither is the XPath `/x`."""
+    for name in ("path", "value"):
+        (tmp_path / f"{name}.pgm").touch()
+    change = f"{{ set = '{tmp_path}/path.pgm', value = '{tmp_path}/value.pgm' }}"
+    more = f"[variables.v]\nset = '{tmp_path}/path.pgm'\n[scenarios.s]\nchanges = [{change}]\n"
+    project = make(tmp_path / "p", "true", more, '<e seed="0" n="0"><held.csv></held.csv><?held.csv?></e>')
+    (project.root / "held.csv").touch()
+    subprocess.run(["git", "init", "-q", project.root], check=True)
+    (project.root / ".gitignore").write_text("*.csv\n")
+    assert [one.name for one in project.plan("n=1").programs.all if one.kind == "file"] == [f"{tmp_path}/value.pgm"]
+
+
+def test_the_end_of_an_element_names_no_file_at_the_root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    looked_at: list[Path] = []
+    monkeypatch.setattr(named, "_is", lambda kind, path: looked_at.append(path))
+    (tmp_path / "t.xml").write_text('<e><x a="/y/z"></x><w>b.c</w></e>')
+    assert named.data(tmp_path / "t.xml", (), tmp_path, set(), ("t.xml",)) == NOTHING
+    assert {Path("/y/z"), tmp_path / "b.c"} <= set(looked_at)
+    assert not {Path("/x"), Path("/e"), Path("/w")} & set(looked_at)
+
+
 def test_a_file_that_only_the_query_names_is_said_not_to_count(tmp_path: Path) -> None:
     more = f"[variables.map]\nchanges = [{{ set = '//e/@m', value = '{tmp_path}/maps/{{map}}' }}]\n"
     project = make(tmp_path / "p", "true", more, '<e seed="0" n="0" m=""/>')

@@ -25,6 +25,8 @@ READ = (".xml", ".urdf", ".sdf", ".xacro", ".mjcf", ".argos", ".world", ".launch
 READABLE = 1 << 24
 """Bytes of the template, or of such a file, in which names are looked for."""
 LETTER = re.compile(r"[^\W\d_]")
+TAG = re.compile(r"""<[/?!]?[^\s<>"'/=]+""")
+"""The beginning of a tag in XML, with its name."""
 
 
 def files(
@@ -140,8 +142,11 @@ def _is(kind: Callable[[Path], bool], path: Path) -> bool:
 
 
 def _words(text: str) -> Iterator[str]:
-    """What may be a path, each once: attributes, texts, and parts of them, if there is a letter in them."""
-    said = re.sub(r"<!--.*?-->", "", text, flags=re.DOTALL)
+    """Yield what may be a path, each once: attributes, texts, and parts of them, if there is a letter in them.
+
+    Tags are none: `</x>` does not name the file `/x`.
+    """
+    said = TAG.sub("<", re.sub(r"<!--.*?-->", "", text, flags=re.DOTALL))
     pieces = (html.unescape(piece).strip() for piece in dict.fromkeys(re.split(r"[\"'<>\n]", said)))
     for word in dict.fromkeys(part for piece in pieces for part in (piece, *piece.split())):
         if len(word) <= LONGEST and "\0" not in word and LETTER.search(word):
