@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 from collections.abc import Iterator
 from typing import Any
 
@@ -16,8 +17,8 @@ from sierra.images import Contents
 from sierra.images.differing import files, packages
 from sierra.model import Value
 from sierra.plans import Plan
-from sierra.provenance import programs
-from sierra.provenance.source import changed
+from sierra.provenance import programs, source
+from sierra.provenance.source import changed, narrowing
 from sierra.store import Store
 from sierra.wording import few
 
@@ -201,7 +202,8 @@ def _source(plan: Plan, store: Store, tree: str) -> list[str]:
     if not rows or plan.source is None:
         return ["the source has changed"]
     paths = changed(store.object(rows[0]["files"]), plan.source.manifest)
-    return [f"the source has changed: {few(paths, SHOWN)}"]
+    advice = narrowing.advice(map(os.fsencode, paths), source.paths(plan.source.manifest))
+    return [f"the source has changed: {few(paths, SHOWN)}", *([] if advice == narrowing.ONLY_SAID else [advice])]
 
 
 def _asked(plan: Plan, before: dict[str, Any]) -> list[str]:
