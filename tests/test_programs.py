@@ -354,6 +354,44 @@ def test_hostile_texts_of_a_template_name_nothing(tmp_path: Path) -> None:
     assert named.data(tmp_path / "t.xml", (), tmp_path, set(), ("t.xml",)) == NOTHING
 
 
+INCLUDES = """\
+import pathlib, re, sys
+
+file = pathlib.Path(sys.argv[1])
+included = file.parent / re.search('file="(.*?)"', file.read_text())[1]
+pathlib.Path("out.csv").write_text(included.read_text())
+"""
+
+
+def test_a_relative_include_that_runs_do_not_find_is_told_what_to_write(tmp_path: Path) -> None:
+    project = make(tmp_path / "p", "python3 sim.py {input}", template='<e seed="0" n="0"><include file="parts/arm.xml"/></e>')
+    (project.root / "sim.py").write_text(INCLUDES)
+    (project.root / "parts").mkdir()
+    (project.root / "parts" / "arm.xml").write_text("v\n1\n")
+    failed = project.run("n=1", figures=False)
+    assert failed.failed == 1
+    [told] = [note for note in failed.notes if "relative path" in note]
+    assert told.startswith("the template names 'parts/arm.xml' by a relative path: it lies in the project")
+    linked = "sh -c 'ln -s {project}/parts {run}/ && exec python3 {project}/sim.py {input}'"
+    assert linked.split("exec")[0] in told
+    toml = project.root / "sierra.toml"
+    toml.write_text(toml.read_text().replace("'python3 sim.py {input}'", f'"{linked}"'))
+    mended = sierra.open(project.root).run("n=1", figures=False)
+    assert (mended.executed, mended.failed) == (1, 0)
+    assert not [note for note in mended.notes if "relative path" in note]
+
+
+def test_an_include_is_only_mentioned_where_it_may_be_why_runs_fail(tmp_path: Path) -> None:
+    template = '<e seed="0" n="0"><include file="arm.xml"/><other>no/such.xml</other></e>'
+    project = make(tmp_path / "p", "sh sim.sh {input}", template=template)
+    (project.root / "arm.xml").touch()
+    script = project.root / "sim.sh"
+    script.write_text("grep -q 'n=\"1\"' $1\n")
+    assert [note for note in project.run("n=1,2", figures=False).notes if "relative path" in note] == []
+    script.write_text("grep -q 'n=\"1\"' $1 || { echo cannot read arm.xml >&2; exit 1; }\n")
+    assert ["'arm.xml'" in note for note in project.run("n=1,2", figures=False).notes if "relative path" in note] == [True]
+
+
 def test_what_is_too_large_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(named, "LARGEST", 3)
     (tmp_path / "map.pgm").write_text("four")

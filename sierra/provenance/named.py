@@ -90,6 +90,14 @@ def uncounted(values: Iterable[str], template: Path, root: Path, source: Contain
     return [path for path in found if str(path) not in known and not _holds(source, path, root)]
 
 
+def beside(template: Path, texts: Iterable[str], root: Path) -> list[str]:
+    """Return the relative paths by which a template, and what is put into it, names files of the project."""
+    words = list(_words("\n".join((_text(template), *texts))))
+    folders = [folder for word in words if _is(Path.is_dir, folder := template.parent / word)]
+    relative = [word for word in words if not word.startswith("/")]
+    return [word for word in relative if any(_existing([word], (template.parent, root, *folders)))]
+
+
 def again(names: Iterable[str], root: Path) -> Programs:
     """The files that a record has by these names, where they are there: `{project}/…`, or where they were."""
     digests = Digests()

@@ -18,8 +18,8 @@ from sierra.start.source import found
 from sierra.wording import few
 
 SOURCE = (
-    "The code that results depend on is all of this folder, also files that are new in it: a change of any makes all runs new,\n"
-    "# and fails those that execute. Unless this names it:"
+    "The code that results depend on is all of this folder, also files that are new in it: a change of any makes all runs\n"
+    "# new, and fails those that execute. Unless this names it:"
 )
 quoted = partial(dumps, ensure_ascii=False)
 """As TOML writes texts and lists of them."""
