@@ -209,6 +209,7 @@ def _source(plan: Plan, store: Store, tree: str) -> list[str]:
 def _asked(plan: Plan, before: dict[str, Any]) -> list[str]:
     """What is asked for now that was not then."""
     now = batch_row(plan)
-    lines = [f"{name} was {before[name]!r} and is {now[name]!r}" for name in ASKED if before[name] != now[name]]
+    names = [name for name in ASKED if name not in now["axes"]]
+    lines = [f"{name} was {before[name]!r} and is {now[name]!r}" for name in names if before[name] != now[name]]
     lines += [f"--set {change} is new" for change in now["sets"] if change not in before["sets"]]
     return lines + [f"--set {change} is gone" for change in before["sets"] if change not in now["sets"]]
