@@ -4,7 +4,7 @@ import hashlib
 import os
 import re
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from xml.sax.saxutils import escape
 
@@ -18,6 +18,7 @@ from sierra.inputs import Template
 from sierra.inputs.xml import XmlTemplate
 from sierra.model import Add, Change, Remove, Rename, Set, Value
 from tests import projects
+from tests.effort import effort
 
 MUJOCO = """<mujoco model="swarm">
   <option timestep="0.01" integrator="implicitfast"/>
@@ -249,9 +250,8 @@ QUADRATIC = f'<!DOCTYPE r [<!ENTITY a "{"x" * 50_000}">]><r b="{"&a;" * 50_000}"
     ids=range(11),
 )
 def test_entities_and_bombs_are_refused_at_once(hostile: str) -> None:
-    begin = time.process_time()
     assert refused(hostile).startswith("template.xml:")
-    assert time.process_time() - begin < 1
+    assert effort(lambda: refused(hostile)) < 20
 
 
 def test_an_external_dtd_is_not_loaded(tmp_path: Path) -> None:
@@ -796,16 +796,9 @@ def test_a_usual_path_starts_no_process(path: str, monkeypatch: pytest.MonkeyPat
     assert template("<x>" + MANY * 10 + "</x>").find(path) is not None
 
 
-def seconds(call: Callable[[int], object], times: int) -> float:
-    begin = time.process_time()
-    for number in range(times):
-        call(number)
-    return time.process_time() - begin
-
-
-def test_ten_thousand_inputs_of_3_kb_are_rendered_in_less_than_a_second() -> None:
+def test_ten_thousand_inputs_of_3_kb_are_little_work() -> None:
     text = MUJOCO.replace("<actuator/>", "<actuator>" + '<motor name="fx" joint="x" gear="1"/>' * 70 + "</actuator>")
     assert len(text) > 3000
     render = template(text).changed((), {}).per_run([SEED])
     assert render({"seed": 7}) == text.replace('"42"', '"7"').encode()
-    assert any(seconds(lambda seed: render({"seed": seed}), 10_000) < 1 for _ in range(3))
+    assert effort(lambda: [render({"seed": seed}) for seed in range(10_000)]) < 20
