@@ -63,6 +63,7 @@ def test_code_that_changed_is_not_proposed_to_be_left_out(tmp_path: Path) -> Non
     names = ("sim.py", "README", "src/a.py", "data/b", ".gitignore", "lib x/c")
     manifest = listed(Entry("100644", "0" * 40, os.fsencode(name)) for name in names)
     taken = seen(tmp_path, manifest, NOTHING)
+    assert taken.advice([b"notes.py"]) == taken.advice([b"history.csv"]) == taken.advice([b"src/README.md"])
     assert taken.advice([b"sim.py", b"README"]) == taken.advice([b"src/README.md"]) == "[source] paths says what is code"
     assert 'paths = ["data", "lib x", "sim.py", "src"]' in taken.advice([b"README"])
     assert 'paths = ["lib x", "sim.py", "src"]' in taken.advice([b"README", b"data/b"])

@@ -358,7 +358,7 @@ class Argos:
         if walls and sorted((wall.axis, wall.high) for wall in walls) != [(0, False), (0, True), (1, False), (1, True)]:
             raise TemplateError(
                 f"{', '.join(map(repr, ids))}: not one wall on each of four sides; "
-                f"set walls in {TABLE} to the XPath of four boxes"
+                f"set walls in {TABLE} to the XPath of four boxes, or of none"
             )
         return walls
 

@@ -15,7 +15,7 @@ FOLDERS = re.compile(
 )
 """Folders that hardly hold code. Runs may read `data`, so that none is left out unless somebody says so."""
 FILES = re.compile(
-    r"(readme|licen[cs]e|copying|change(s|log)|history|news|authors|contribut(ing|ors)|citation|notes?|todo)(\..*)?"
+    r"(readme|licen[cs]e|copying|change(s|log)|history|news|authors|contribut(ing|ors)|citation|notes?|todo)(\.(txt|cff|html?))?"
     r"|nohup\.out|.*\.(md|rst|adoc|org|tex|bib|pdf|png|jpe?g|gif|svg|eps|mp4|webm|docx?|odt|pptx?|odp|log|ipynb)",
     re.I,
 )
