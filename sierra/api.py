@@ -81,6 +81,7 @@ class Project:
         The beginning of a recorded batch's id instead of a query is that batch, with the code and the inputs of then.
         """
         from sierra import plans, recalled
+        from sierra.explain import respelled
         from sierra.store import PREFIX
 
         [word] = query if len(query) == 1 else ("",)
@@ -91,7 +92,9 @@ class Project:
                 )
             return recalled.plan(self._loaded, self.store, word, contained=engine)
         asked = plans.ask(self._loaded, query, runs=runs, controller=controller, scenario=scenario, sets=sets)
-        return plans.plan(self._loaded, asked, engine=engine)
+        plan = plans.plan(self._loaded, asked, engine=engine)
+        store = self.stored()
+        return replace(plan, notes=(*plan.notes, *respelled(plan, store))) if store else plan
 
     def run(
         self,

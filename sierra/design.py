@@ -92,12 +92,14 @@ def design(query: Query, project: Project, platform: Platform, template: Templat
         independent_seeds=project.seed.independent,
     )
     sure: set[tuple[tuple[Change, ...], ...]] = set()
+    runs = lasting.different_runs(designed)[: None if project.run_changes else 1]
     for cell, where in placed:
-        platform.check(Changed(template, cell.changes, cell.values))
         layers = (Layer("", common), *_layers(where, query.sets, *per_run))
         alike = tuple(layer.changes for layer in layers)
         if alike not in sure and not lasting.check(template, designed, cell, layers):
             sure.add(alike)
+        for of_run in runs:
+            platform.check(Changed(template, (*cell.changes, *designed.per_run), {**cell.values, **of_run}), template)
     return designed
 
 

@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 from collections.abc import Iterator
 from typing import Any
 
-from sierra import images, recalled
+from sierra import images, query, recalled, scales
 from sierra.asked import batch_row, is_kept
 from sierra.containment import other_reach
-from sierra.errors import Damaged, Missing, NotFound
+from sierra.errors import Damaged, Missing, NotFound, SierraError
 from sierra.hashing import short
 from sierra.images import Contents
 from sierra.images.differing import files, packages
+from sierra.model import Value
 from sierra.plans import Plan
-from sierra.provenance import programs
-from sierra.provenance.source import changed
+from sierra.provenance import programs, source
+from sierra.provenance.source import changed, narrowing
 from sierra.store import Store
 from sierra.wording import few
 
@@ -69,6 +71,52 @@ def why_again(plan: Plan, store: Store | None) -> list[str]:
     if not rows or _asked(plan, rows[0]):
         return []
     return list(_made_from(plan, store, rows[0])) or [CHANGES]
+
+
+SPELLED = """
+SELECT batch, query FROM batches
+WHERE axes = $axes AND recipe = $recipe AND template_sha256 = $template_sha256 AND base_seed = $base_seed AND sets = $sets
+    AND controller IS NOT DISTINCT FROM $controller AND scenario IS NOT DISTINCT FROM $scenario
+    AND NOT EXISTS (SELECT 1 FROM batches WHERE batch = $batch)
+ORDER BY created DESC LIMIT $most
+"""
+SHARED = "SELECT 1 FROM members WHERE batch = $batch AND list_contains($runs, run) LIMIT 1"
+LOOKED_AT = 100
+
+
+def respelled(plan: Plan, store: Store) -> Iterator[str]:
+    """Yield a line where runs are new only because a number is written otherwise than in a recorded batch: 0.0 for 0.
+
+    Both are kept as they are written, since a simulator may tell them apart (roslaunch takes 1 for an int, 1.0 for a double).
+    """
+    if not any(isinstance(value, int | float) for axis in plan.batch.axes for value in axis.values):
+        return
+    row = batch_row(plan)
+    names = ("axes", "recipe", "template_sha256", "base_seed", "sets", "controller", "scenario", "batch")
+    for before in store.rows(SPELLED, most=LOOKED_AT, **{name: row[name] for name in names}):
+        found = _spelled_otherwise(plan, before["query"])
+        if found is None:
+            continue
+        name, now, then = found
+        runs = [one.runs[0].id for one in plan.batch.experiments if one.values[name] == now]
+        if not store.rows(SHARED, batch=before["batch"], runs=runs):
+            yield (
+                f"{name}={now} is written {then} in batch {short(before['batch'])} ({before['query']}), "
+                f"so that the input has other bytes and runs are new; write {name}={then} to reuse those"
+            )
+            return
+
+
+def _spelled_otherwise(plan: Plan, before: str) -> tuple[str, Value, Value] | None:
+    """Return the name of an axis and one of its values, now and in another query, that are one number in two spellings."""
+    with contextlib.suppress(SierraError):  # densities have values only with a template
+        asked = {one.name: scales.values(one.scale) for one in query.parse_all(before.split())}
+        for axis in plan.batch.axes:
+            theirs = {value: value for value in asked[axis.name]}
+            for value in axis.values:
+                if str(then := theirs.get(value, value)) != str(value):
+                    return axis.name, value, then
+    return None
 
 
 def _made_from(plan: Plan, store: Store, before: dict[str, Any]) -> Iterator[str]:
@@ -154,12 +202,14 @@ def _source(plan: Plan, store: Store, tree: str) -> list[str]:
     if not rows or plan.source is None:
         return ["the source has changed"]
     paths = changed(store.object(rows[0]["files"]), plan.source.manifest)
-    return [f"the source has changed: {few(paths, SHOWN)}"]
+    advice = narrowing.advice(map(os.fsencode, paths), source.paths(plan.source.manifest))
+    return [f"the source has changed: {few(paths, SHOWN)}", *([] if advice == narrowing.ONLY_SAID else [advice])]
 
 
 def _asked(plan: Plan, before: dict[str, Any]) -> list[str]:
     """What is asked for now that was not then."""
     now = batch_row(plan)
-    lines = [f"{name} was {before[name]!r} and is {now[name]!r}" for name in ASKED if before[name] != now[name]]
+    names = [name for name in ASKED if name not in now["axes"]]
+    lines = [f"{name} was {before[name]!r} and is {now[name]!r}" for name in names if before[name] != now[name]]
     lines += [f"--set {change} is new" for change in now["sets"] if change not in before["sets"]]
     return lines + [f"--set {change} is gone" for change in before["sets"] if change not in now["sets"]]

@@ -108,7 +108,7 @@ class Input:
 
 def check(template: Template, designed: Design, cell: Cell, layers: Layers) -> bool:
     """Raises QueryError where what an axis or `--set` sets is not so in the runs; whether only real values could tell."""
-    runs = _different_runs(designed)
+    runs = different_runs(designed)
     first = Input(template, layers, cell.values, runs[0])
     setting = [number for number, layer in enumerate(layers) if number and layer.sets and not layer.each_run]
     doubtful = [number for number in setting if _by_value(layers, number) or not _lasts_marked(first, number)]
@@ -125,8 +125,8 @@ def _check_each(made: Input, number: int) -> None:
             raise QueryError(_overwritten(made, number, change))
 
 
-def _different_runs(designed: Design) -> list[Mapping[str, Value]]:
-    """What per-run changes know in some runs: all values of the lists, and a seed that nobody has set by chance."""
+def different_runs(designed: Design) -> list[Mapping[str, Value]]:
+    """Return what per-run changes know in some runs: all values of the lists, and a seed that nobody has set by chance."""
     count = min(designed.query.runs, max([2, *map(len, designed.lists.values())]) if designed.per_run else 1)
     lists = [{name: values[number % len(values)] for name, values in designed.lists.items()} for number in range(count)]
     return [{**values, "seed": SOME_SEED, "run": number} for number, values in enumerate(lists)]

@@ -50,8 +50,9 @@ def batches(store: Store) -> list[dict[str, Any]]:
     `failed` and `missing` are runs without a good execution, tried or not; where the last asking ended well, both are 0 and
     nothing is counted again, unless records were rewritten since: executions may have been removed. `nondeterministic` are
     runs that gave other bytes when executed again, with the same programs, and beyond what the project declares to be
-    volatile or within tolerance. `clusters` are the sessions that were submitted for a batch and are not closed yet; what they
-    stand like, `sierra.standing` asks the schedulers.
+    volatile or within tolerance. `sets` is what was set for all runs beside; `unlike` is what else differs from the batch
+    before it in the list that is called the same. `clusters` are the sessions that were submitted for a batch and are not
+    closed yet; what they stand like, `sierra.standing` asks the schedulers.
     """
     with store.ask() as question:
         rewritten = any(segment.replaces for segment in question.segments)
@@ -65,6 +66,7 @@ def batches(store: Store) -> list[dict[str, Any]]:
         repeated = [row["batch"] for row in rows if row.pop("repeated")]
         found = question.sql(UNLIKE, batches=repeated).to_pylist() if repeated else []
         unlike = {row["batch"]: row["runs"] for row in found}
+        _add_settings(question, rows)
     there = _on_clusters(store)
     for row in rows:
         row["clusters"] = there.get(row["batch"], [])
@@ -74,6 +76,44 @@ def batches(store: Store) -> list[dict[str, Any]]:
             row["failed"] = count["failed"]
             row["missing"] = row["runs"] - count["good"] - count["failed"]
     return rows
+
+
+SETTINGS = """
+SELECT batch, axes, sets, base_seed, template_sha256, source, image, command, variables, reach
+FROM batches JOIN recipes USING (recipe)
+"""
+DIFFERENCES = {
+    "runs": "runs",
+    "base_seed": "base seed",
+    "template_sha256": "template",
+    "source": "code",
+    "image": "image",
+    "command": "command",
+    "variables": "environment",
+    "reach": "reach",
+}
+"""What people call that in which batches of one query differ."""
+ELSE = "settings"
+"""What `sierra.toml` changes in the template."""
+
+
+def _add_settings(question: Question, rows: Sequence[dict[str, Any]]) -> None:
+    """Add what tells batches apart that have one query: what was set, and what differs from the one before."""
+    settings = {row["batch"]: row for row in question.sql(SETTINGS).to_pylist()}
+    before: dict[tuple[Any, ...], dict[str, Any]] = {}
+    for row in rows:
+        own = {"axes": [], "sets": [], **settings.get(row["batch"], {}), "runs": row["runs"]}
+        row.update(_named(row, own["axes"]), sets=own["sets"], unlike=[])
+        called = (row["query"], row["controller"], row["scenario"], *own["sets"])
+        if (last := before.get(called)) is not None:
+            differing = [text for name, text in DIFFERENCES.items() if last.get(name) != own.get(name)]
+            row["unlike"] = differing or [ELSE]
+        before[called] = own
+
+
+def _named(row: Mapping[str, Any], axes: Sequence[str]) -> dict[str, Any]:
+    """Return the controller and the scenario of a whole batch: the project's own is not that of one with an axis of them."""
+    return {name: None if name in axes else row[name] for name in ("controller", "scenario")}
 
 
 def _on_clusters(store: Store) -> dict[str, list[dict[str, Any]]]:
@@ -99,7 +139,7 @@ def _batch(question: Question, found: Found) -> dict[str, Any]:
     row: dict[str, Any]
     [row] = question.sql("SELECT * FROM batches WHERE batch = $b", b=found.id).to_pylist()
     [recipe] = question.sql("SELECT * FROM recipes WHERE recipe = $r", r=row["recipe"]).to_pylist()
-    row["recipe"] = recipe
+    row |= {"recipe": recipe, **_named(row, row["axes"])}
     row["image"] = _image(question, recipe["image"])
     row["isolations"] = [_isolation(one) for one in question.sql(ISOLATIONS, b=found.id).to_pylist()]
     row["source"] = _source(question, found.id, recipe["source"])

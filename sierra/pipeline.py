@@ -17,7 +17,7 @@ from typing import Any
 from sierra import asked, recovery, runners
 from sierra.asking import Asking, How
 from sierra.model import Batch
-from sierra.plans import Plan, context, versioned
+from sierra.plans import Plan, context, out_of_reach, versioned
 from sierra.recording import find_odd
 from sierra.sessions import Session
 from sierra.states import FAILED, is_answered, states
@@ -153,6 +153,10 @@ def _summary(
     What is `missing` was not `executed`.
     `tried` are those of them that have failed, now or earlier.
     """
+    failures = tuple(_failures(plan, store, failed)) if failed else ()
+    if failures:
+        none_good = len(failed | missing) == runs
+        notes += tuple(out_of_reach(plan, None if none_good else [failure.log or "" for failure in failures]))
     return Summary(
         batch=plan.batch.id,
         query=plan.text,
@@ -167,7 +171,7 @@ def _summary(
         interrupted=interrupted,
         left=left,
         counts=tuple(_counts(plan.batch, failed | missing if failed else missing, tried)),
-        failures=tuple(_failures(plan, store, failed)) if failed else (),
+        failures=failures,
         notes=(*plan.notes, *dict.fromkeys(notes)),
     )
 

@@ -14,7 +14,7 @@ from sierra import containment, engines, images, inputs, jobs, platforms, query
 from sierra.checkout import Checkout, programs_in
 from sierra.config import LoadedProject, Output, Project, Success
 from sierra.design import design, mentions
-from sierra.engines import Engine
+from sierra.engines import PROJECT, Engine
 from sierra.errors import ConfigError, Missing, QueryError, UsageError
 from sierra.expansion import Expansion, Files
 from sierra.images import Image
@@ -26,6 +26,7 @@ from sierra.provenance.seen import Seen, seen
 from sierra.recording import Context
 from sierra.store.tables import RESERVED, check_name
 from sierra.version import __version__
+from sierra.wording import few
 
 BARE = re.compile(r"[^\W\d]\w*")
 """A word that is no criterion: it has no range."""
@@ -209,6 +210,35 @@ def _committed(root: Path, recipe: Recipe, code: source.Source, used: Programs) 
     return Checkout(root, recipe, code.manifest, known, lambda blob: None)
 
 
+def out_of_reach(plan: Plan, logs: Sequence[str] | None) -> Iterator[str]:
+    """Yield what to write where a template names files by relative paths, which lead nowhere from a run's folder.
+
+    `logs` are of runs that failed: only files that they mention are meant. Without, all are.
+    """
+    config, root = plan.project.config, plan.project.root
+    template = root / config.template
+    words = named.beside(template, _written(config), root)
+    made = set(plan.batch.runs[0].names)
+    meant = [word for word in words if word not in made and (logs is None or any(Path(word).name in log for log in logs))]
+    if meant:
+        first = os.path.normpath(os.path.relpath(template.parent / meant[0], root))
+        lies = "it lies" if len(meant) == 1 else "they lie"
+        yield (
+            f"the template names {few([repr(word) for word in meant], 3)} by a relative path: "
+            f"{lies} in the project, and runs execute elsewhere; {_reached(plan, first)}"
+        )
+
+
+def _reached(plan: Plan, path: str) -> str:
+    """Return how a template can name a file of the project, today."""
+    if plan.image is not None:
+        return f"write its path in the container, {PROJECT}/{path}"
+    link = path.split("/")[0]
+    linked = f"""command = "sh -c 'ln -s {{project}}/{link} {{run}}/ && exec …'", which links it beside the input"""
+    absolute = "write its absolute path (all ids are then those of this machine)"
+    return absolute if link == os.pardir else f"write {linked}, or {absolute.removeprefix('write ')}"
+
+
 def versioned(plan: Plan) -> Plan:
     """The plan, with what its programs say of themselves: for that, they are executed."""
     variables = jobs.declared(plan.batch.recipe.environment, plan.project.root)
@@ -239,18 +269,22 @@ def _inside(template: str) -> list[str]:
     return [] if path.startswith((os.pardir, os.sep)) else [path]
 
 
+WRITTEN = ("value", "xml", "per_run")
+"""Keys whose texts may stand in an input; those of the others are XPaths and names, and `/x` is no file there."""
+
+
 def _written(config: Project) -> Iterator[str]:
-    """What the project may put into a template, whatever is asked: all texts of its changes."""
+    """Yield what the project may put into a template, whatever is asked: the texts of its changes."""
     changes = config.model_dump(include={"variables", "changes", "run_changes", "per_run", "controllers", "scenarios"})
-    pending: list[Any] = [changes]
+    pending: list[tuple[bool, Any]] = [(False, changes)]
     while pending:
         match pending.pop():
-            case str() as text:
+            case True, str() as text:
                 yield text
-            case dict() as table:
-                pending.extend(table.values())
-            case list() | tuple() as items:
-                pending.extend(items)
+            case stands, dict() as table:
+                pending.extend((stands or key in WRITTEN, value) for key, value in table.items())
+            case stands, list() | tuple() as items:
+                pending.extend((stands, item) for item in items)
 
 
 def _doubts(designed: Design, command: Sequence[str]) -> Iterator[str]:

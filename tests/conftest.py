@@ -42,6 +42,15 @@ def no_progress() -> Iterator[None]:
 
 
 @pytest.fixture(autouse=True, scope="session")
+def no_early_segments() -> Iterator[None]:
+    """Into how many segments this process records does not depend on how long runs take."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("sierra.recording.recorder.SOON_S", 1e9)
+        patch.setattr("sierra.recording.recorder.LATE_S", 1e9)
+        yield
+
+
+@pytest.fixture(autouse=True, scope="session")
 def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     """Tests remember nothing of other days."""
     with pytest.MonkeyPatch.context() as patch:

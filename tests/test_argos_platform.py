@@ -105,7 +105,7 @@ def prepared(template: str = TEMPLATE, **options: object) -> Made:
     """What the platform makes of a template, and accepts."""
     driven = platform(**options)
     changes = driven.changes(reader(template))
-    driven.check(changed(template, changes))
+    driven.check(changed(template, changes), reader(template))
     return make(changes, template)
 
 
@@ -651,6 +651,8 @@ changes = [
     { set = "//box[@id='wall_south']/body/@position", value = "0,-10,0" },
     { set = "//box[@id='wall_east']/body/@position", value = "10,0,0" },
     { set = "//box[@id='wall_west']/body/@position", value = "-10,0,0" },
+    { set = "//box[@id='wall_north' or @id='wall_south']/@size", value = "20,0.1,0.5" },
+    { set = "//box[@id='wall_east' or @id='wall_west']/@size", value = "0.1,20,0.5" },
 ]
 [scenarios.plain]
 """
@@ -762,6 +764,81 @@ def test_threads_that_would_hang_are_refused_whoever_asks_for_them(tmp_path: Pat
     template = instead('threads="4"', 'threads="4" method="balance_length"')
     told = refused(argos_project(tmp_path / "p", template=template), "population_size=1", "--set", "//system/@threads=2")
     assert "hangs with 2 threads" in told
+
+
+SIZED = """
+side = { changes = [{ set = "//arena/@size", value = "{side},{side},2" }] }
+north = { changes = [{ set = "//arena/@center", value = "0,{north},1" }] }
+[scenarios.large]
+changes = [{ set = "//arena/@size", value = "20,20,2" }]
+"""
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("population_size=1", "--set", "//arena/@size=20,20,2"),
+        ("population_size=1", "--set", "/argos-configuration/arena/@size=10,20,2"),
+        ("side=10,20",),
+        ("population_size=1", "--scenario", "large"),
+        ("scenario=large", "population_size=1"),
+        ("north=3,6",),
+    ],
+)
+def test_whoever_changes_the_arena_alone_is_told_that_its_walls_stay(tmp_path: Path, words: tuple[str, ...]) -> None:
+    told = refused(argos_project(tmp_path / "p", CONFIG + SIZED), *words)
+    assert "'wall_" in told
+    assert "in [platforms.argos], or ask for arena=" in told
+
+
+def test_a_size_that_each_run_sets_leaves_no_walls_behind_either(tmp_path: Path) -> None:
+    run_changes = 'run_changes = [{ set = "//arena/@size", value = "{side},{side},2" }]\nper_run = { side = [10, 20] }\n'
+    folder = argos_project(tmp_path / "p", run_changes + CONFIG)
+    assert projects.quick(folder, "run", "population_size=1", "--runs", "1", "-n").returncode == 0
+    assert "20x20 arena" in refused(folder, "population_size=1", "--runs", "2")
+
+
+def test_walls_that_the_projects_own_changes_move_are_as_good(tmp_path: Path) -> None:
+    [row] = seen(argos_project(tmp_path / "p", CONFIG + BIG), "population_size=1", "--scenario", "big")
+    assert (row["x"], row["walls"]) == (20, 4)
+
+
+def test_walls_with_gaps_between_them_do_not_bound_the_arena(tmp_path: Path) -> None:
+    short = BIG.replace('value = "0.1,20,0.5"', 'value = "0.1,19,0.5"')
+    told = refused(argos_project(tmp_path / "p", CONFIG + short), "population_size=1", "--scenario", "big")
+    assert "'wall_east' ends 0.5 m before the edge of the 20x20 arena" in told
+
+
+def test_an_arena_that_becomes_higher_keeps_its_walls(tmp_path: Path) -> None:
+    folder = argos_project(tmp_path / "p", CONFIG.replace('arena = "10x10"', ""))
+    assert projects.quick(folder, "run", "population_size=1", "--set", "//arena/@size=5,5,3", "-n").returncode == 0
+
+
+def test_an_arena_without_walls_may_have_any_size(tmp_path: Path) -> None:
+    folder = argos_project(tmp_path / "p", CONFIG + SIZED, TEMPLATE.replace('id="wall_', 'id="block_'))
+    assert [row["x"] for row in seen(folder, "side=10,20")] == [10, 20]
+
+
+def test_boundaries_of_an_engine_do_not_stay_behind_either(tmp_path: Path) -> None:
+    bounded = '<dynamics2d id="dyn2d"><boundaries><top height="2"/></boundaries></dynamics2d>'
+    template = instead('<dynamics2d id="dyn2d"/>', bounded).replace('id="wall_', 'id="block_')
+    folder = argos_project(tmp_path / "p", CONFIG.replace('arena = "10x10"', ""), template)
+    assert "would not follow" in refused(folder, "population_size=1", "--set", "//arena/@size=20,20,2")
+
+
+def test_threads_of_runs_side_by_side_are_not_pinned_to_the_same_cores(tmp_path: Path) -> None:
+    template = instead('threads="4"', 'threads="4" pin_threads_to_cores="true"')
+    folder = argos_project(tmp_path / "p", template=template)
+    assert projects.quick(folder, "run", "population_size=1", "-n").returncode == 0
+    told = refused(folder, "population_size=1", "--set", "//system/@threads=2")
+    assert "runs side by side would share" in told
+    assert 'pin_threads_to_cores="false"' in told
+
+
+def test_a_controller_that_is_missing_is_told_how_to_name_it(tmp_path: Path) -> None:
+    told = refused(argos_project(tmp_path / "p", CONFIG.replace('controller = "foraging"\n', "")), "population_size=1")
+    assert "__CONTROLLER__ in the template needs a controller" in told
+    assert '--controller NAME, or controller = "NAME" in sierra.toml' in told
 
 
 def test_an_example_of_argos_own_becomes_this() -> None:

@@ -222,6 +222,32 @@ def test_people_read_tables(answered: Path, answer: dict[str, Any]) -> None:
     assert "population_size" in quick(answered, "show", answer["batch"]).stdout
 
 
+def test_batches_of_one_query_are_told_apart(tmp_path: Path) -> None:
+    config = CONFIG + '[controllers.a]\n[[controllers.a.changes]]\nset = "//swarm/@controller"\nvalue = "a"\n'
+    folder = make(tmp_path / "p", 'controller = "a"\n' + config + "[controllers.b]\n")
+    for words in (
+        ("controller=a,b",),
+        ("noise=1",),
+        ("noise=1", "--set", "//swarm/@count=2"),
+        ("noise=1", "--runs", "1"),
+    ):
+        assert quick(folder, "run", *words, "--no-figures").returncode == 0
+    template = folder / "arena.xml"
+    template.write_text(template.read_text().replace('size="10"', 'size="20"'))
+    assert quick(folder, "run", "noise=1", "--no-figures").returncode == 0
+    toml = folder / "sierra.toml"
+    toml.write_text('changes = [{ set = "//arena/@size", value = 30 }]\n' + toml.read_text())
+    assert quick(folder, "run", "noise=1", "--no-figures").returncode == 0
+    listed = json.loads(quick(folder, "ls", "--json").stdout)
+    assert [row["controller"] for row in listed] == [None, "a", "a", "a", "a", "a"]
+    assert [row["sets"] for row in listed] == [[], [], ["//swarm/@count=2"], [], [], []]
+    assert [row["unlike"] for row in listed] == [[], [], [], ["runs"], ["runs", "template"], ["settings"]]
+    header, *rows = quick(folder, "ls").stdout.splitlines()
+    assert header.split("  ")[0] == "batch"
+    assert "other than before" in header
+    assert "//swarm/@count=2" in rows[2]
+
+
 @pytest.mark.parametrize(
     ("prefix", "said"),
     [

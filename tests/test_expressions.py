@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Mapping
 from fractions import Fraction
 
@@ -12,6 +11,7 @@ from hypothesis import strategies as st
 from sierra.errors import ConfigError
 from sierra.inputs.expressions import MAX_LENGTH, fill, names
 from sierra.model import Value
+from tests.effort import effort
 
 AXES: Mapping[str, Value] = {"population_size": 8, "noise": 0.25, "scenario": "low", "seed": 42}
 
@@ -179,10 +179,11 @@ def test_what_is_not_arithmetic_is_refused(hostile: str) -> None:
     ],
 )
 def test_what_would_be_huge_or_infinite_is_refused_at_once(bomb: str) -> None:
-    begin = time.process_time()
-    with pytest.raises(ConfigError):
-        fill(bomb, AXES)
-    assert time.process_time() - begin < 0.5
+    def refused() -> None:
+        with pytest.raises(ConfigError):
+            fill(bomb, AXES)
+
+    assert effort(refused) < 10
 
 
 @pytest.mark.parametrize("value", [math.inf, -math.inf, math.nan, 2**2000])
@@ -212,10 +213,8 @@ def test_names_refuses_what_fill_refuses() -> None:
 
 
 def test_filling_ten_thousand_times_is_cheap() -> None:
-    def seconds() -> float:
-        begin = time.process_time()
+    def fill_all() -> None:
         for seed in range(10_000):
             fill("{seed}:{population_size * 2}", {"seed": seed, "population_size": 8})
-        return time.process_time() - begin
 
-    assert any(seconds() < 1 for _ in range(3))
+    assert effort(fill_all) < 20

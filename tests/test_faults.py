@@ -185,10 +185,9 @@ def test_failed_runs_are_results_and_the_rest_goes_on(simulate: Simulate) -> Non
 
 
 def test_the_first_failure_ends_all_if_asked_for(simulate: Simulate) -> None:
-    project = simulate('grep -q size=.1 "$1" && { sleep 0.2; exit 1; }\nsleep 60')
-    began = time.monotonic()
+    project = simulate('grep -q size=.1 "$1" && { sleep 0.2; exit 1; }\nsleep 600')
     done = project.quick("run", "size=1,2", "--runs", "3", "-j", "4", "--fail-fast", "--no-figures")
-    assert (done.returncode, time.monotonic() - began < 30) == (1, True)
+    assert done.returncode == 1
     assert project.sql("SELECT DISTINCT status FROM executions") == [{"status": "failed"}]
     assert (project.work(), project.left_running()) == ([], [])
 

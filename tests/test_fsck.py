@@ -249,6 +249,21 @@ def test_a_file_that_vanished_is_missed_though_manifest_does_not_list_it(root: P
         assert {kind for kind, _ in wrong(copy)} & {Kind.LOST, Kind.INCONSISTENT}, table
 
 
+def test_no_segment_of_several_is_overlooked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As many as a busy machine records: what one of them lacks is missed."""
+    monkeypatch.setattr(recorder, "PENDING_RUNS", 1)
+    root = projects.make(tmp_path / "several", simulator=stores.SIMULATOR)
+    sierra.open(root).run("population_size=1", runs=4, jobs=1, figures=False)
+    executed = sorted(path.parent.name for path in root.glob(".sierra/segments/*/executions.parquet"))
+    assert len(executed) > 1
+    for place, table in enumerate(("artifacts", "objects", "output.swarm", "executions")):
+        copy = stores.copy(root, root.with_name(table))
+        folder = copy / ".sierra" / "segments" / executed[place % len(executed)]
+        (folder / f"{table}.parquet").unlink()
+        seal(folder)
+        assert {kind for kind, _ in wrong(copy)} & {Kind.LOST, Kind.INCONSISTENT}, table
+
+
 def test_other_columns_and_what_is_no_parquet_are_named(root: Path) -> None:
     folder = segment_with(root, "executions")
     pq.write_table(pa.table({"execution": ["a"], "content": [b"x"]}), folder / "artifacts.parquet")

@@ -21,6 +21,7 @@ from sierra.provenance.program import fingerprint
 from sierra.provenance.source import Entry, Source, tree_hash
 from sierra.recording import Context, result_hash
 from sierra.seeds import seed
+from tests import projects
 
 TOML = """
 template = "t.xml"
@@ -139,6 +140,32 @@ def test_a_repository_around_a_project_changes_no_id(tmp_path: Path) -> None:
 def test_other_words_for_the_same_values_are_the_same_runs(tmp_path: Path) -> None:
     folder = project(tmp_path)
     assert ids(plan(folder, "n=1,2,4,8")) == ids(plan(folder, "n.Log8"))
+
+
+def test_setting_a_number_to_itself_in_another_spelling_makes_the_same_runs(tmp_path: Path) -> None:
+    opened = sierra.open(project(tmp_path))
+    same = opened.plan("montecarlo.C2", sets=[("//e/@n", "0.0")])
+    assert same.batch.id == opened.plan("montecarlo.C2").batch.id
+
+
+def test_new_runs_that_only_another_spelling_of_a_number_makes_are_told(tmp_path: Path) -> None:
+    """Both spellings are kept, since a simulator may tell an int from a double."""
+    folder = projects.make(tmp_path / "p")
+    assert projects.quick(folder, "run", "noise=0,0.5", "--no-figures").returncode == 0
+    for words in (("-n",), ("--no-figures",)):
+        ran = projects.quick(folder, "run", "noise=0.0,0.5", *words)
+        [line] = [line for line in ran.stderr.splitlines() if "written" in line]
+        assert line.startswith("note: noise=0.0 is written 0 in batch ")
+        assert line.endswith("write noise=0 to reuse those")
+    assert "is written" not in projects.quick(folder, "run", "noise=0.0,0.5", "-n").stderr
+
+
+def test_another_spelling_that_makes_the_same_runs_is_not_told(tmp_path: Path) -> None:
+    folder = projects.make(tmp_path / "p", template=projects.TEMPLATE.replace("0.1", "0.0"))
+    assert projects.quick(folder, "run", "noise=0", "--no-figures").returncode == 0
+    ran = projects.quick(folder, "run", "noise=0.0", "-n")
+    assert "0 of 2 runs would execute" in ran.stdout
+    assert "is written" not in projects.quick(folder, "run", "noise=0.0,1", "-n").stderr
 
 
 def test_more_runs_leave_the_first_as_they_were(tmp_path: Path) -> None:

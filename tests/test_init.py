@@ -301,6 +301,14 @@ def test_all_of_the_folder_is_source_until_somebody_narrows_it(folder: Path) -> 
     assert quick(folder, "run", "population_size.Log2", "-n").returncode == 0
 
 
+def test_notes_are_left_out_of_the_code_that_is_proposed(folder: Path) -> None:
+    for name in ("README.md", "notes.txt", "LICENSE", "poster.pdf", "CMakeLists.txt"):
+        (folder / name).write_text("")
+    assert quick(folder, "init", "-y").returncode == 0
+    text = (folder / "sierra.toml").read_text()
+    assert '# paths = ["CMakeLists.txt", "sim.py"]  # not LICENSE, README.md, notes.txt, poster.pdf\n' in text
+
+
 def test_what_is_source_is_asked_where_there_is_what_hardly_is(folder: Path) -> None:
     (folder / "results").mkdir()
     code, _ = answering(folder, "", "", "", "", "nope", "2")

@@ -109,7 +109,7 @@ class Sound:
     def criteria(self) -> Mapping[str, str]:
         return {"speed": "how fast"}
 
-    def check(self, document: Reader) -> None:
+    def check(self, document: Reader, template: Reader) -> None:
         pass
 
     def command(self) -> tuple[str, ...]:
@@ -232,14 +232,14 @@ def test_options_that_take_anything_are_noticed() -> None:
 
 def test_a_check_that_answers_or_rambles_is_noticed() -> None:
     class Answers(Sound):
-        def check(self, document: Reader) -> Any:
+        def check(self, document: Reader, template: Reader) -> Any:
             return False
 
     with pytest.raises(AssertionError, match="is False, not None"):
         check(Answers)
 
     class Rambles(Sound):
-        def check(self, document: Reader) -> None:
+        def check(self, document: Reader, template: Reader) -> None:
             raise TemplateError("no\nno")
 
     with pytest.raises(AssertionError, match="is not one line"):

@@ -313,6 +313,28 @@ def test_comments_and_what_sierra_reads_by_meaning_name_nothing(tmp_path: Path) 
     assert [one.name for one in project.plan("n=1").programs.all if one.kind == "file"] == []
 
 
+def test_tags_and_xpaths_name_nothing(tmp_path: Path) -> None:
+    """`</x>` is not the file `/x`, and neither is the XPath `/x`."""
+    for name in ("path", "value"):
+        (tmp_path / f"{name}.pgm").touch()
+    change = f"{{ set = '{tmp_path}/path.pgm', value = '{tmp_path}/value.pgm' }}"
+    more = f"[variables.v]\nset = '{tmp_path}/path.pgm'\n[scenarios.s]\nchanges = [{change}]\n"
+    project = make(tmp_path / "p", "true", more, '<e seed="0" n="0"><held.csv></held.csv><?held.csv?></e>')
+    (project.root / "held.csv").touch()
+    subprocess.run(["git", "init", "-q", project.root], check=True)
+    (project.root / ".gitignore").write_text("*.csv\n")
+    assert [one.name for one in project.plan("n=1").programs.all if one.kind == "file"] == [f"{tmp_path}/value.pgm"]
+
+
+def test_the_end_of_an_element_names_no_file_at_the_root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    looked_at: list[Path] = []
+    monkeypatch.setattr(named, "_is", lambda kind, path: looked_at.append(path))
+    (tmp_path / "t.xml").write_text('<e><x a="/y/z"></x><w>b.c</w></e>')
+    assert named.data(tmp_path / "t.xml", (), tmp_path, set(), ("t.xml",)) == NOTHING
+    assert {Path("/y/z"), tmp_path / "b.c"} <= set(looked_at)
+    assert not {Path("/x"), Path("/e"), Path("/w")} & set(looked_at)
+
+
 def test_a_file_that_only_the_query_names_is_said_not_to_count(tmp_path: Path) -> None:
     more = f"[variables.map]\nchanges = [{{ set = '//e/@m', value = '{tmp_path}/maps/{{map}}' }}]\n"
     project = make(tmp_path / "p", "true", more, '<e seed="0" n="0" m=""/>')
@@ -330,6 +352,44 @@ def test_hostile_texts_of_a_template_name_nothing(tmp_path: Path) -> None:
     texts = ("a/" * 5000, "/" + "x" * 4000, "/dev/zero", "/proc/kcore", "..", "/", "./" * 2000, "\0/x", "file://nowhere/x")
     (tmp_path / "t.xml").write_text("".join(f'<e a="{text}"/>' for text in texts))
     assert named.data(tmp_path / "t.xml", (), tmp_path, set(), ("t.xml",)) == NOTHING
+
+
+INCLUDES = """\
+import pathlib, re, sys
+
+file = pathlib.Path(sys.argv[1])
+included = file.parent / re.search('file="(.*?)"', file.read_text())[1]
+pathlib.Path("out.csv").write_text(included.read_text())
+"""
+
+
+def test_a_relative_include_that_runs_do_not_find_is_told_what_to_write(tmp_path: Path) -> None:
+    project = make(tmp_path / "p", "python3 sim.py {input}", template='<e seed="0" n="0"><include file="parts/arm.xml"/></e>')
+    (project.root / "sim.py").write_text(INCLUDES)
+    (project.root / "parts").mkdir()
+    (project.root / "parts" / "arm.xml").write_text("v\n1\n")
+    failed = project.run("n=1", figures=False)
+    assert failed.failed == 1
+    [told] = [note for note in failed.notes if "relative path" in note]
+    assert told.startswith("the template names 'parts/arm.xml' by a relative path: it lies in the project")
+    linked = "sh -c 'ln -s {project}/parts {run}/ && exec python3 {project}/sim.py {input}'"
+    assert linked.split("exec")[0] in told
+    toml = project.root / "sierra.toml"
+    toml.write_text(toml.read_text().replace("'python3 sim.py {input}'", f'"{linked}"'))
+    mended = sierra.open(project.root).run("n=1", figures=False)
+    assert (mended.executed, mended.failed) == (1, 0)
+    assert not [note for note in mended.notes if "relative path" in note]
+
+
+def test_an_include_is_only_mentioned_where_it_may_be_why_runs_fail(tmp_path: Path) -> None:
+    template = '<e seed="0" n="0"><include file="arm.xml"/><other>no/such.xml</other></e>'
+    project = make(tmp_path / "p", "sh sim.sh {input}", template=template)
+    (project.root / "arm.xml").touch()
+    script = project.root / "sim.sh"
+    script.write_text("grep -q 'n=\"1\"' $1\n")
+    assert [note for note in project.run("n=1,2", figures=False).notes if "relative path" in note] == []
+    script.write_text("grep -q 'n=\"1\"' $1 || { echo cannot read arm.xml >&2; exit 1; }\n")
+    assert ["'arm.xml'" in note for note in project.run("n=1,2", figures=False).notes if "relative path" in note] == [True]
 
 
 def test_what_is_too_large_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

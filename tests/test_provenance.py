@@ -349,6 +349,17 @@ def test_a_changed_source_file_is_named(tmp_path: Path) -> None:
     assert "the source has changed: sim.sh" in explain.why_new(project.plan("n=1"), project.store)
 
 
+def test_notes_that_make_runs_new_are_told_how_to_be_no_code(tmp_path: Path) -> None:
+    project = make_project(tmp_path / "p", "sh sim.sh {input}")
+    (project.root / "sim.sh").write_text("exit 0\n")
+    (project.root / "README.md").write_text("before\n")
+    project.run("n=1", figures=False)
+    (project.root / "README.md").write_text("after\n")
+    told = explain.why_new(project.plan("n=1"), project.store)
+    assert told[1] == "the source has changed: README.md"
+    assert 'write paths = ["sim.sh"] under [source] in sierra.toml' in told[2]
+
+
 def make_project(folder: Path, command: str) -> sierra.Project:
     folder.mkdir()
     toml = f"template = 't.xml'\ncommand = '{command}'\nruns = 2\nseed = '//e/@seed'\n[variables]\nn = '//e/@n'\n"

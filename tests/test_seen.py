@@ -40,6 +40,35 @@ def test_runs_that_other_code_than_planned_may_have_made_never_count(simulate: C
     assert project.sql("SELECT count(*) AS runs, max(v) AS v FROM swarm WHERE t = 2") == [{"runs": 8, "v": 4}]
 
 
+def test_notes_that_change_while_runs_execute_are_told_how_to_be_no_code(simulate: Callable[..., Any]) -> None:
+    project = simulate(held(1))
+    (project.folder / "notes.md").write_text("before")
+    (project.folder / "figures").mkdir()
+    (project.folder / "figures" / "a.png").write_text("before")
+    asking = project.start("run", "size=1,2,3", "--runs", "1", "-j", "1", "--no-figures")
+    project.until_executed(2, asking)
+    (project.folder / "notes.md").write_text("after")
+    project.open()
+    ended = project.end_of(asking)
+    advice = 'where these are no code, write paths = ["sim.sh"] under [source] in sierra.toml'
+    assert (ended.returncode, advice in ended.stdout) == (1, True)
+    with (project.folder / "sierra.toml").open("a") as toml:
+        toml.write('[source]\npaths = ["sim.sh"]\n')
+    assert project.quick("run", "size=1,2,3", "--runs", "1", "--no-figures").returncode == 0
+    (project.folder / "notes.md").write_text("later")
+    assert "0 of 3 runs would execute" in project.quick("run", "size=1,2,3", "--runs", "1", "-n").stdout
+
+
+def test_code_that_changed_is_not_proposed_to_be_left_out(tmp_path: Path) -> None:
+    names = ("sim.py", "README", "src/a.py", "data/b", ".gitignore", "lib x/c")
+    manifest = listed(Entry("100644", "0" * 40, os.fsencode(name)) for name in names)
+    taken = seen(tmp_path, manifest, NOTHING)
+    assert taken.advice([b"notes.py"]) == taken.advice([b"history.csv"]) == taken.advice([b"src/README.md"])
+    assert taken.advice([b"sim.py", b"README"]) == taken.advice([b"src/README.md"]) == "[source] paths says what is code"
+    assert 'paths = ["data", "lib x", "sim.py", "src"]' in taken.advice([b"README"])
+    assert 'paths = ["lib x", "sim.py", "src"]' in taken.advice([b"README", b"data/b"])
+
+
 def test_a_program_that_is_replaced_while_runs_execute_spoils_them(simulate: Callable[..., Any], tmp_path: Path) -> None:
     program = tmp_path / "sim"
     program.write_text(f'#!/bin/sh\nuntil [ -e "{tmp_path}/gate" ]; do sleep 0.02; done; {PRINTS}\n')

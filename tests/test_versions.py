@@ -51,6 +51,12 @@ def test_the_first_line_is_the_version(script: Callable[[str], Path]) -> None:
     assert said(script("echo sim 4 >&2")) == "sim 4"
 
 
+def test_colours_are_no_part_of_a_version(script: Callable[[str], Path]) -> None:
+    """ARGoS writes each piece of its first line in colour, also into a pipe."""
+    text = r"printf '\033[1;32mARGOS_VERSION=3.0.0-beta59\033[0m\n\033[1;32mARGOS_INSTALL_PREFIX=/usr\033[0m\n\033[0m'"
+    assert said(script(text)) == "ARGOS_VERSION=3.0.0-beta59"
+
+
 def test_it_is_asked_with_what_the_project_says(script: Callable[[str], Path]) -> None:
     assert said(script('echo "$@"'), ProgramsTable(versions={"sim": ("-v", "a b")})) == "-v a b"
     assert said(script("echo 1"), ProgramsTable(versions={"sim": ()})) is None

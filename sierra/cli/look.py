@@ -32,21 +32,21 @@ def ls(
     if as_json:
         print_json(batches)
         return
-    columns = ("batch", "asked", "query", "controller", "scenario", "experiments", "runs", "state")
-    rows = [
-        (
-            short(row["batch"]),
-            row["answered"] or row["created"],
-            row["query"],
-            row["controller"],
-            row["scenario"],
-            row["experiments"],
-            row["runs"],
-            _state(row),
-        )
-        for row in batches
-    ]
-    table(columns, rows, right=("experiments", "runs"))
+    columns = {
+        "batch": [short(row["batch"]) for row in batches],
+        "asked": [row["answered"] or row["created"] for row in batches],
+        **{name: [row[name] for row in batches] for name in ("query", "controller", "scenario")},
+        **_where_any("set", [" ".join(row["sets"]) for row in batches]),
+        **_where_any("other than before", [", ".join(row["unlike"]) for row in batches]),
+        **{name: [row[name] for row in batches] for name in ("experiments", "runs")},
+        "state": [_state(row) for row in batches],
+    }
+    table(tuple(columns), zip(*columns.values(), strict=True), right=("experiments", "runs"))
+
+
+def _where_any(name: str, texts: Sequence[str]) -> dict[str, Sequence[str]]:
+    """Return a column, where there is something in it."""
+    return {name: texts} if any(texts) else {}
 
 
 def show(

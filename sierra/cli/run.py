@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections import Counter
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Annotated, Any
@@ -184,7 +185,7 @@ def _check_log(plan: Plan) -> None:
     if log is not None:
         raise UsageError(
             f"what this says is written to {log}, which counts as code of the project, so that no run would count: "
-            "write it elsewhere, or have git ignore it ([source] paths says what is code)"
+            f"write it elsewhere, or have git ignore it ({plan.seen.advice([os.fsencode(log)])})"
         )
 
 

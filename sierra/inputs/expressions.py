@@ -35,6 +35,8 @@ _PLAIN = 1 << 62
 Number = int | float
 
 _PIECE = re.compile(r"\{\{|\}\}|\{([^{}]*)\}|[{}]")
+CHOSEN = ("controller", "scenario")
+"""Names that have a value only where somebody chooses one."""
 _CONSTANTS: Mapping[str, Number] = {"pi": math.pi}
 
 
@@ -150,6 +152,9 @@ def _text(expression: _Expression, values: Mapping[str, Value]) -> str:
         raise ConfigError(f"{expression.text!r} has no value: {error}") from error
     except LookupError as error:
         name = str(error.args[0])
+        if name in CHOSEN:
+            right = f'write --{name} NAME, or {name} = "NAME" in sierra.toml'
+            raise ConfigError(f"{expression.text!r} has no value: no {name} is chosen; {right}") from None
         raise ConfigError(f"unknown name {name!r} in {expression.text!r}{_nearest(name, values)}") from None
 
 

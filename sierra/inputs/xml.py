@@ -7,7 +7,8 @@ element cannot be selected.
 
 **Kept byte for byte**: all before the root element and after it (byte order mark, XML declaration, doctype,
 comments, final newline); within it comments, processing instructions, CDATA, white space between tags, order
-of attributes, prefixes; the encoding (what it lacks is written as `&#8364;`); CRLF line ends, where all are.
+of attributes, prefixes; the encoding (what it lacks is written as `&#8364;`); CRLF line ends, where all are; a number
+that is set to itself in another spelling (see `sierra.inputs.numbers`).
 
 **Not kept**, as the parser does not tell: quotes around attributes (always `"`), white space within tags
 (`<a />` and `<a></a>` become `<a/>`), references to characters (`&#233;` becomes `é`, `&quot;` in a text `"`),
@@ -16,7 +17,8 @@ the root's old name where the root is renamed.
 
 **Hostile input**: nothing is loaded (no DTD, no external entity, no network, no XInclude), and a document that
 *declares* an entity is refused, so there is nothing to expand. A reference that an external DTD would explain
-stays as it is. libxml2's own limits (depth 256, 10 MB for one text) hold.
+stays as it is. libxml2's own limits (depth 256, 10 MB for one text) hold. A path that would be evaluated for
+longer than a limit is refused: see `sierra.inputs.trial`.
 """
 
 from __future__ import annotations
@@ -34,8 +36,9 @@ from lxml import etree
 
 from sierra.errors import ConfigError, TemplateError
 from sierra.hashing import sha256
-from sierra.inputs import Renderer
+from sierra.inputs import Renderer, trial
 from sierra.inputs.expressions import fill, names
+from sierra.inputs.numbers import same
 from sierra.model import Add, Change, Remove, Rename, Set, Value
 
 Element = Any
@@ -100,6 +103,11 @@ class XmlDocument:
     def select(self, path: str, who: str = "") -> list[Any]:
         """The nodes that a path selects. Raises TemplateError where it is not a path to nodes."""
         shown = _line(path)
+        if not trial.ends(path, self._namespaces, self._root):
+            raise TemplateError(
+                f"{who}{shown} takes more than {trial.LIMIT_S} s of computing in {self._frame.name}; "
+                "use a path that visits the document less often, with fewer // and .. within [ ]"
+            )
         try:
             found = etree.XPath(path, namespaces=self._namespaces, regexp=False)(self._root)
         except (etree.XPathError, ValueError) as error:
@@ -147,22 +155,29 @@ class XmlDocument:
         while mark in self._body():
             mark += "_"
         document = XmlDocument(copy.deepcopy(self._root), self._frame, self._namespaces)
+        numbers: dict[_Gap, int] = {}
         for number, change in enumerate(changes):
             for place in document._places(change):
-                place.write(f"{mark}:{number}:{place.kind}:")
-        texts = re.split(f"{mark}:(\\d+):([a-z]+):", document._body())
-        frame = self._frame
-        pieces = [frame.encoded(text) for text in texts[::3]]
-        gaps = [(int(number), kind == "attribute") for number, kind in zip(texts[1::3], texts[2::3], strict=True)]
-        different = set(gaps)
-        following = list(zip(gaps, pieces[1:], strict=True))
+                was = place.read()
+                before = re.fullmatch(f"{mark}:(\\d+):", was or "")
+                gap = _Gap(number, place.kind == "attribute", int(before[1]) if before else was)
+                place.write(f"{mark}:{numbers.setdefault(gap, len(numbers))}:")
+        texts = re.split(f"{mark}:(\\d+):", document._body())
+        frame, gaps = self._frame, tuple(numbers)
+        pieces = [frame.encoded(text) for text in texts[::2]]
+        following = list(zip(map(int, texts[1::2]), pieces[1:], strict=True))
 
         def render(values: Mapping[str, Value]) -> bytes:
             filled = [_filled(change, values, frame) for change in changes]
-            written = {gap: frame.encoded(filled[gap[0]].translate(_ESCAPES[gap[1]])) for gap in different}
+            becomes: list[str] = []
+            for gap in gaps:
+                was = becomes[gap.was] if isinstance(gap.was, int) else gap.was
+                text = filled[gap.change]
+                becomes.append(text if was is None or not same(was, text) else was)
+            written = [frame.encoded(text.translate(_ESCAPES[gap.quoted])) for gap, text in zip(gaps, becomes, strict=True)]
             parts = [frame.before, pieces[0]]
-            for gap, piece in following:
-                parts += (written[gap], piece)
+            for number, piece in following:
+                parts += (written[number], piece)
             return b"".join((*parts, frame.after))
 
         return render
@@ -172,7 +187,7 @@ class XmlDocument:
             case Set():
                 text = _legal(filled(change.value), change, self._frame)
                 for place in self._places(change):
-                    place.write(text)
+                    place.update(text)
             case Add():
                 for parent in self._elements(change):
                     _insert(parent, self._piece(change, parent, filled), self._index(change, parent))
@@ -476,6 +491,23 @@ class _Place:
     kind: Literal["attribute", "text", "tail"]
     name: str = ""
 
+    def read(self) -> str | None:
+        """Return the text; None for an attribute that is not there yet."""
+        match self.kind:
+            case "attribute":
+                found = self.element.get(self.name)
+            case "text":
+                found = self.element.text or ""
+            case "tail":
+                found = self.element.tail or ""
+        return None if found is None else str(found)
+
+    def update(self, text: str) -> None:
+        """Write a text, unless what is there spells the same number."""
+        was = self.read()
+        if was is None or not same(was, text):
+            self.write(text)
+
     def write(self, text: str) -> None:
         match self.kind:
             case "attribute":
@@ -484,6 +516,16 @@ class _Place:
                 self.element.text = text
             case "tail":
                 self.element.tail = text
+
+
+@dataclass(frozen=True, slots=True)
+class _Gap:
+    """What a run fills in: by which change, whether within quotes, and what stood there."""
+
+    change: int
+    quoted: bool
+    was: str | int | None
+    """A text, the number of an earlier gap, or nothing."""
 
 
 def _place(node: Any) -> _Place | None:

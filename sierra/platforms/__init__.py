@@ -65,8 +65,11 @@ class Platform(Protocol):
         """The names of the criteria that `criterion` knows, each with a sentence."""
         ...
 
-    def check(self, document: Reader) -> None:
-        """Raises TemplateError where an experiment's input, with all changes made but those of each run, can't be right."""
+    def check(self, document: Reader, template: Reader) -> None:
+        """Raise TemplateError where the input of a run, with all changes made, can't be right.
+
+        `template` is as in its file. Where only the seed differs between the runs of an experiment, one of them is checked.
+        """
         ...
 
     def command(self) -> tuple[str, ...]:

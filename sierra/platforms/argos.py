@@ -6,6 +6,7 @@ What of the template is replaced in every run, and then left to the project's ow
   (or less than a tick) makes ARGoS run for ever, so that it is refused, whoever sets it.
 - `framework/system/@threads` becomes the option `threads`. The results are the same for any number; many
   runs side by side are faster than many threads, hence 0. With two or more, `method="balance_length"` hangs.
+  `pin_threads_to_cores` is refused where there are threads: it pins thread n of each run to core n.
 - The placeholder `__CONTROLLER__`, as a tag and as an attribute, becomes the controller's name.
 - `visualization` is taken out. So `argos3` needs no `-z`, and a camera is no part of a run's identity.
 
@@ -19,6 +20,9 @@ of ARGoS's where a smaller arena leaves a light outside):
   outer face on the edge: ARGoS ends a run as soon as a lit LED is outside `arena/@size`, so they can't stand on it.
 - The boxes of `distribute/position[@method="uniform"]` are stretched as the space between the walls is (or,
   without walls, the arena), and cut at the walls. A nest along one wall remains a nest along that wall.
+
+Where anything else changes the arena's size along x or y, or its centre (a variable, a scenario, `--set`, `run_changes`),
+the walls must have moved too: an input whose walls leave an edge by more than their thickness is refused.
 
 *Densities* are percent of robots per m² of `arena/@size`, as it is once project, controller, scenario, variables and
 `--set` have changed it: a population is ⌊area · density / 100⌋.
@@ -163,6 +167,7 @@ class Wall:
     position: Vector
     thickness: Fraction
     height: Fraction
+    length: Fraction
 
 
 @dataclass(frozen=True, slots=True)
@@ -221,10 +226,12 @@ class Argos:
     def criteria(self) -> Mapping[str, str]:
         return CRITERIA
 
-    def check(self, document: Reader) -> None:
-        """What ARGoS would run for ever, or hang in, or not find: whoever made it so."""
+    def check(self, document: Reader, template: Reader) -> None:
+        """Refuse what ARGoS would run for ever, hang in or not find, and an arena without its walls: whoever made it so."""
         _check_length(document)
         _check_method(document)
+        _check_pinning(document)
+        self._check_arena(document, template)
         if left := document.find(f"//@*[contains(., '{PLACEHOLDER}')]"):
             raise TemplateError(f"{left[0]!r} holds {PLACEHOLDER} among other text, or was added later; use {{controller}}")
 
@@ -296,7 +303,7 @@ class Argos:
         if not isinstance(scale, VariableDensity):
             raise QueryError(f"{name} has two densities and a count; use {name}.1p0.5p0.C4")
         size, path = _arena_size(template), self._population(template)
-        self._check_walls(template, size)
+        self._check_walls(template, size, "")
         populations = tuple(_agents(name, size.area, density) for density in scales.densities(scale))
         if len(set(populations)) < len(populations):
             raise QueryError(_too_close(name, size, scale, populations))
@@ -351,20 +358,27 @@ class Argos:
         if walls and sorted((wall.axis, wall.high) for wall in walls) != [(0, False), (0, True), (1, False), (1, True)]:
             raise TemplateError(
                 f"{', '.join(map(repr, ids))}: not one wall on each of four sides; "
-                f"set walls in {TABLE} to the XPath of four boxes"
+                f"set walls in {TABLE} to the XPath of four boxes, or of none"
             )
         return walls
 
-    def _check_walls(self, template: Reader, size: Size) -> None:
-        """The walls are the arena's edges, within their thickness; otherwise its area is not what robots have."""
-        arena = _space(_center(template), size)
-        for wall in self._walls(template):
-            outside = _face(wall, outer=True)
-            edge = (arena.high if wall.high else arena.low)[wall.axis]
-            if abs(outside - edge) > wall.thickness:
+    def _check_arena(self, document: Reader, template: Reader) -> None:
+        """Check that an arena with other edges than the template's has its walls there, whoever changed it."""
+        if not _has_other_edges(document, template):
+            return
+        size, everything = _arena_size(document), f"{BOUNDARIES}//@*"
+        self._check_walls(document, size, f", or ask for arena={size}")
+        if (found := document.find(everything)) and found == template.find(everything):
+            raise TemplateError(f"{BOUNDARIES} would not follow the {size} arena; change them as well")
+
+    def _check_walls(self, document: Reader, size: Size, otherwise: str) -> None:
+        """Check that the walls are the arena's edges, within their thickness; if not, robots don't have its area."""
+        arena = _space(_center(document), size)
+        for wall in self._walls(document):
+            if (wrong := _off_the_edge(wall, arena)) is not None:
                 raise TemplateError(
-                    f"{wall.id!r} is {_plain(abs(outside - edge))} m off the edge of the {size} arena, so that robots "
-                    f'don\'t have its area; set arena = "{size}" in {TABLE}, which moves the walls'
+                    f"{wall.id!r} {wrong} of the {size} arena, so that robots don't have its area; "
+                    f'set arena = "{size}" in {TABLE}{otherwise}: this moves the walls'
                 )
 
     def _moved(self, wall: Wall, arena: Space, why: str) -> tuple[Change, ...]:
@@ -410,6 +424,16 @@ def _check_method(document: Reader) -> None:
     threads = _at_most_one(document, f"{SYSTEM}/@threads") or "0"
     if _number(threads, f"{SYSTEM}/@threads") > 1 and _at_most_one(document, f"{SYSTEM}/@method") == "balance_length":
         raise TemplateError(f'{SYSTEM} has method="balance_length", which hangs with {threads} threads; use balance_quantity')
+
+
+def _check_pinning(document: Reader) -> None:
+    threads = _at_most_one(document, f"{SYSTEM}/@threads") or "0"
+    pinned = _at_most_one(document, f"{SYSTEM}/@pin_threads_to_cores") or "false"
+    if _number(threads, f"{SYSTEM}/@threads") > 0 and pinned.strip().lower() == "true":
+        raise TemplateError(
+            f'{SYSTEM} has pin_threads_to_cores="true", which pins thread n of each run to core n, '
+            'so that runs side by side would share the same cores; write pin_threads_to_cores="false"'
+        )
 
 
 def _quantity(path: str, population: int, why: str) -> Set:
@@ -524,7 +548,31 @@ def _wall(identity: str, size: Vector, position: Vector, positions: tuple[Vector
     middle = (min(places) + max(places)) / 2
     if size[0] == size[1] or position[axis] == middle:
         raise TemplateError(f"{identity!r} is no wall of one side; set walls in {TABLE} to the XPath of four boxes")
-    return Wall(identity, axis, position[axis] > middle, position, size[axis], size[2])
+    return Wall(identity, axis, position[axis] > middle, position, size[axis], size[2], size[1 - axis])
+
+
+def _off_the_edge(wall: Wall, arena: Space) -> str | None:
+    """Return how a wall fails to close its side of an arena, to within its thickness; None where it closes it."""
+    along = 1 - wall.axis
+    outside = _face(wall, outer=True)
+    off = abs(outside - (arena.high if wall.high else arena.low)[wall.axis])
+    if off > wall.thickness:
+        return f"is {_plain(off)} m off the edge"
+    low, high = wall.position[along] - wall.length / 2, wall.position[along] + wall.length / 2
+    gap = max(low - arena.low[along], arena.high[along] - high)
+    return f"ends {_plain(gap)} m before the edge" if gap > wall.thickness else None
+
+
+def _has_other_edges(document: Reader, template: Reader) -> bool:
+    """Return whether changes gave the arena another size along x or y, or moved its centre."""
+    paths = (f"{ARENA}/@size", f"{ARENA}/@center")
+    if all(document.find(path) == template.find(path) for path in paths):
+        return False
+    now = _space(_center(document), _arena_size(document))
+    try:
+        return now != _space(_center(template), _arena_size(template))
+    except TemplateError:  # changes mended what is wrong there
+        return True
 
 
 def _lifted(template: Reader, center: Vector, size: Size, why: str) -> tuple[Change, ...]:

@@ -40,7 +40,7 @@ class Command:
     def criteria(self) -> Mapping[str, str]:
         return {}
 
-    def check(self, document: Reader) -> None:
+    def check(self, document: Reader, template: Reader) -> None:
         """Nothing is known of what any program reads."""
 
     def command(self) -> tuple[str, ...]:

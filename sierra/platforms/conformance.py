@@ -93,7 +93,7 @@ def says_what_its_options_are(platform: Platform) -> None:
 def checks_in_one_line(platform: Platform, template: Reader) -> None:
     """An input is accepted, or refused as a user's error is: the template may be one that only changes make right."""
     try:
-        answer: object = platform.check(template)  # type: ignore[func-returns-value]
+        answer: object = platform.check(template, template)  # type: ignore[func-returns-value]
     except SierraError as error:
         _is_one_line(str(error))
         return

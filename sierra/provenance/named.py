@@ -25,6 +25,8 @@ READ = (".xml", ".urdf", ".sdf", ".xacro", ".mjcf", ".argos", ".world", ".launch
 READABLE = 1 << 24
 """Bytes of the template, or of such a file, in which names are looked for."""
 LETTER = re.compile(r"[^\W\d_]")
+TAG = re.compile(r"""<[/?!]?[^\s<>"'/=]+""")
+"""The beginning of a tag in XML, with its name."""
 
 
 def files(
@@ -88,6 +90,14 @@ def uncounted(values: Iterable[str], template: Path, root: Path, source: Contain
     return [path for path in found if str(path) not in known and not _holds(source, path, root)]
 
 
+def beside(template: Path, texts: Iterable[str], root: Path) -> list[str]:
+    """Return the relative paths by which a template, and what is put into it, names files of the project."""
+    words = list(_words("\n".join((_text(template), *texts))))
+    folders = [folder for word in words if _is(Path.is_dir, folder := template.parent / word)]
+    relative = [word for word in words if not word.startswith("/")]
+    return [word for word in relative if any(_existing([word], (template.parent, root, *folders)))]
+
+
 def again(names: Iterable[str], root: Path) -> Programs:
     """The files that a record has by these names, where they are there: `{project}/…`, or where they were."""
     digests = Digests()
@@ -140,8 +150,11 @@ def _is(kind: Callable[[Path], bool], path: Path) -> bool:
 
 
 def _words(text: str) -> Iterator[str]:
-    """What may be a path, each once: attributes, texts, and parts of them, if there is a letter in them."""
-    said = re.sub(r"<!--.*?-->", "", text, flags=re.DOTALL)
+    """Yield what may be a path, each once: attributes, texts, and parts of them, if there is a letter in them.
+
+    Tags are none: `</x>` does not name the file `/x`.
+    """
+    said = TAG.sub("<", re.sub(r"<!--.*?-->", "", text, flags=re.DOTALL))
     pieces = (html.unescape(piece).strip() for piece in dict.fromkeys(re.split(r"[\"'<>\n]", said)))
     for word in dict.fromkeys(part for piece in pieces for part in (piece, *piece.split())):
         if len(word) <= LONGEST and "\0" not in word and LETTER.search(word):

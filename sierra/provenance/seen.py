@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from sierra.provenance.program import Kind, Programs
+from sierra.provenance.source import narrowing
 from sierra.provenance.source.chosen import shown
 from sierra.provenance.source.manifest import REPOSITORY, read
 
@@ -28,6 +29,8 @@ class Seen:
     states: dict[bytes, State]
     root: bytes
     """The project's folder, as whose part a file is named."""
+    source: tuple[bytes, ...] = ()
+    """The files of the source, from there."""
 
     def doubt(self, since: str = "since the runs began") -> str | None:
         """What is not as it was, in a line that says why runs do not count; None where all is."""
@@ -35,7 +38,11 @@ class Seen:
         if not changed:
             return None
         names = [path.removeprefix(self.root + b"/") for path in changed]
-        return f"code or programs have changed {since}: {shown(names)} ([source] paths says what is code)"
+        return f"code or programs have changed {since}: {shown(names)} ({self.advice(names)})"
+
+    def advice(self, names: Iterable[bytes]) -> str:
+        """Return what to write where files are no code."""
+        return narrowing.advice(names, self.source)
 
     def named(self, descriptor: int) -> str | None:
         """The one of them that is open there; None where none is."""
@@ -59,7 +66,7 @@ def seen(root: Path, manifest: bytes, programs: Programs) -> Seen:
     """The files of a source in the folder `root` (of none, where the list is empty), and the programs, as they are now."""
     base = os.fsencode(root)
     paths = (*_files(base, manifest), *(os.fsencode(one.path) for one in programs.all if one.kind != Kind.DISTRIBUTIONS))
-    return Seen({path: _state(path) for path in paths}, base)
+    return Seen({path: _state(path) for path in paths}, base, tuple(read(manifest)))
 
 
 def _files(base: bytes, manifest: bytes) -> Iterator[bytes]:

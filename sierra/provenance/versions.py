@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import resource
 import secrets
 import select
@@ -34,6 +35,8 @@ MOST_SAID = 1 << 16
 LONGEST = 200
 MOST = 1024
 LIMITS = {resource.RLIMIT_FSIZE: 1 << 20, resource.RLIMIT_CPU: 2, resource.RLIMIT_CORE: 0}
+COLOUR = re.compile(rb"\x1b\[[0-9;:]*m")
+"""Select Graphic Rendition, ECMA-48, 8.3.117; of the control sequences, it alone moves nothing."""
 MARK = "SIERRA_VERSION_ASKED"
 
 
@@ -46,7 +49,7 @@ def asked(programs: Programs, table: ProgramsTable, variables: Mapping[str, str]
         words = _words(program, table, root)
         if not words or not Path(program.path).exists():
             return program.version
-        key = digest("version", {"programs": identity, "name": program.called, "words": list(words)})
+        key = digest("version", {"colours": False, "programs": identity, "name": program.called, "words": list(words)})
         known = remembered.get(key)
         if not isinstance(known, str):
             known = _say((program.path, *words), variables) or ""
@@ -143,8 +146,8 @@ def _end(process: subprocess.Popen[bytes], mark: str) -> None:
 
 
 def _first_line(said: bytes) -> str | None:
-    """The first line with something in it, if it is text."""
-    for line in said.splitlines():
+    """Return the first line with something in it, if it is text; without colours, which some write to a pipe too."""
+    for line in COLOUR.sub(b"", said).splitlines():
         with contextlib.suppress(UnicodeDecodeError):
             text = line.decode().strip()
             if text and text.isprintable():

@@ -13,6 +13,7 @@ from sierra.errors import Missing, UsageError
 from sierra.inputs import Template
 from sierra.paths import CONFIG, PYPROJECT
 from sierra.provenance.source import LEFT_OUT
+from sierra.provenance.source.narrowing import is_hardly_code
 from sierra.start.asking import Ask, Question, settled
 
 TEMPLATES = (".xml", ".argos", ".world", ".sdf", ".launch")
@@ -24,10 +25,6 @@ MAGIC = (b"#!", b"\x7fELF", b"\xcf\xfa\xed\xfe", b"\xca\xfe\xba\xbe")
 """How programs begin: scripts, and those of Linux and macOS. Where all files have the right to be executed, it tells them."""
 STARTED = (b"__main__", b"sys.argv", b"argparse")
 """What a file of Python names that does something when it is started, unlike a module that others import."""
-NO_CODE = re.compile(
-    r"(results?|outputs?|out|logs?|figures?|figs?|plots?|papers?|thesis|docs?|notes|slides|videos?|data|datasets?)", re.I
-)
-"""Folders that hardly hold code. Runs may read `data`, so that none is left out unless somebody says so."""
 
 
 def check(root: Path) -> None:
@@ -51,7 +48,7 @@ def doubts(root: Path) -> Iterator[str]:
 
 def template(root: Path, given: str | None, ask: Ask | None) -> tuple[str, Template]:
     """The template's path from the folder, and its content. Raises Missing, TemplateError."""
-    below = [name for name in listed(root) if not NO_CODE.fullmatch(name)]
+    below = [name for name in listed(root) if not is_hardly_code(name, is_folder=True)]
     found = _files(root, [""], TEMPLATES) or _files(root, below, TEMPLATES)
     default = found[0] if len(found) == 1 else "template.xml" if "template.xml" in found else None
     what = f"several could be the template ({', '.join(found)})" if found else f"no {', '.join(TEMPLATES)} file"

@@ -1,7 +1,7 @@
 """The source: which files here are the code that runs are made from.
 
 All files of a project count: rather too much than stale. What is written is therefore a comment that names the files and
-folders found, without those whose names say that they hold something else (results, figures, papers); it counts once
+folders found, without those whose names say that they are something else (results, figures, notes); it counts once
 somebody takes the `#` away, chooses it when asked (which happens only where there is such a folder), or says `--source`.
 """
 
@@ -15,6 +15,7 @@ from pathlib import Path
 
 from sierra.errors import UsageError
 from sierra.paths import CONFIG
+from sierra.provenance.source.narrowing import is_hardly_code
 from sierra.start import folder
 from sierra.start.asking import Ask, Question, settled
 
@@ -25,14 +26,14 @@ ALL = "."
 def found(root: Path, template: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """What is here beside the template, and what of it hardly is code."""
     names = [name for name in folder.listed(root) if name not in (template, CONFIG)]
-    left_out = tuple(name for name in names if folder.NO_CODE.fullmatch(name) and (root / name).is_dir())
+    left_out = tuple(name for name in names if is_hardly_code(name, is_folder=(root / name).is_dir()))
     return tuple(name for name in names if name not in left_out), left_out
 
 
 def choose(root: Path, template: str, given: Sequence[str], ask: Ask | None) -> tuple[str, ...]:
     """The paths that count; none is all of the folder. Raises UsageError for what is not in it."""
     proposed, left_out = found(root, template)
-    if not given and not (left_out and proposed):
+    if not given and not (proposed and any((root / name).is_dir() for name in left_out)):
         return ()
     question = Question(
         f"source: the code that results depend on; {ALL} is all of this folder, new files too."

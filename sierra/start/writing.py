@@ -15,8 +15,12 @@ from sierra.paths import CONFIG, write_whole
 from sierra.start import folder
 from sierra.start.asking import SHOWN
 from sierra.start.source import found
+from sierra.wording import few
 
-SOURCE = "The code that results depend on is all of this folder, also files that are new in it, unless this names it:"
+SOURCE = (
+    "The code that results depend on is all of this folder, also files that are new in it: a change of any makes all runs\n"
+    "# new, and fails those that execute. Unless this names it:"
+)
 quoted = partial(dumps, ensure_ascii=False)
 """As TOML writes texts and lists of them."""
 
@@ -76,5 +80,5 @@ def _lines(root: Path, guess: Guess) -> Iterator[str]:
     else:
         code, left_out = found(root, guess.template)
         proposed = code if 0 < len(code) <= SHOWN else ("src", "sim.py")
-        without = f"  # not {', '.join(left_out)}" if left_out else ""
+        without = f"  # not {few(left_out, SHOWN)}" if left_out else ""
         yield f"\n# {SOURCE}\n# [source]\n# paths = {quoted(proposed)}{without}"

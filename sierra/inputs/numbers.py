@@ -1,0 +1,33 @@
+"""Numbers that mean the same in two spellings, as `0` and `0.0`.
+
+A value that equals what a template has already leaves the template's bytes as they are: otherwise `--set x=0.0` over a `0`
+would make other runs of the same experiment. Only what is surely a number counts. `007` may be a name, and `1.10` a
+version, which is not `1.1`; `-0` is not `0`.
+"""
+
+from __future__ import annotations
+
+import re
+from fractions import Fraction
+
+LONGEST = 60
+"""Characters of a text that may be a number."""
+_NUMBER = re.compile(r"[+-]?(?:(?:0|[1-9][0-9]*)(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]{1,3})?")
+_VERSION = re.compile(r"\.[0-9]*[1-9]0+(?:[eE]|\Z)")
+"""What ends with zeros after other decimals."""
+
+
+def same(one: str, other: str) -> bool:
+    """Return whether two texts are the same, or spell the same number."""
+    if one == other:
+        return True
+    one, other = one.strip(), other.strip()
+    if one.isdecimal() and other.isdecimal() and one[0] != "0" != other[0]:
+        return one == other
+    if not (_is_number(one) and _is_number(other)) or one.startswith("-") != other.startswith("-"):
+        return False
+    return Fraction(one) == Fraction(other)
+
+
+def _is_number(text: str) -> bool:
+    return len(text) <= LONGEST and _NUMBER.fullmatch(text) is not None and _VERSION.search(text) is None

@@ -1,0 +1,91 @@
+"""XPath expressions that may take for ever are tried in a process of their own, which ends.
+
+libxml2 evaluates an expression without any limit, and nothing within a process can stop it: each step that starts from
+many nodes and goes to many more multiplies the work. So the work is estimated from the nodes of the document and the
+steps that may visit all of them. What is little is evaluated at once, as nearly every path is. What may be much is first
+evaluated by this file as a program, within a limit of computing time, so that a busy machine makes no difference.
+
+As a program it needs nothing but lxml: it reads one line of JSON (path, prefixes, limit in s), then the document.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import re
+import resource
+import subprocess
+import sys
+from collections.abc import Mapping
+from typing import Any
+
+from lxml import etree
+
+LIMIT_S = 2
+"""Computing time that one expression may take."""
+PATIENCE_S = 600
+LITTLE = 10**8
+"""Steps from node to node that are done in less than a second."""
+_LITERAL = re.compile(r"'[^']*'|\"[^\"]*\"")
+_WIDE = re.compile(
+    r"""// | \.\. | :: | \|                       # all descendants; parents; other axes; a union of node sets
+    | (?:[\[(,<>=+*-] | \b(?:and|or|div|mod)\b) \s* /(?!/)  # an absolute path that may be evaluated for each of many nodes
+    | (?:!=|[<>]=?|=) (?!\s*(?:''|[0-9.]*[0-9]))  # a comparison of node sets""",
+    re.VERBOSE,
+)
+_PREDICATE = re.compile(r"\[[^\[\]]*\]")
+_ended: set[tuple[str, int]] = set()
+"""Expressions that have been tried, with the number of nodes."""
+
+
+def ends(path: str, namespaces: Mapping[str, str], root: Any) -> bool:
+    """Return whether an expression is evaluated within the limit, for a document and all others of its size."""
+    exponent = _exponent(path)
+    if exponent < 2:
+        return True
+    nodes = sum(1 + len(element.attrib) for element in root.iter(etree.Element))
+    if nodes**exponent <= LITTLE or (path, nodes) in _ended:
+        return True
+    if _tried(path, namespaces, root):
+        _ended.add((path, nodes))
+        return True
+    return False
+
+
+def _exponent(path: str) -> int:
+    """Return the power of the number of nodes that the work grows with, at most: predicates are evaluated for each node."""
+    every = outer = _LITERAL.sub("''", path)
+    while (shorter := _PREDICATE.sub("", outer)) != outer:
+        outer = shorter
+    outside = len(_WIDE.findall(outer))
+    return len(_WIDE.findall(every)) - outside + max(1, outside)
+
+
+def _tried(path: str, namespaces: Mapping[str, str], root: Any) -> bool:
+    said = json.dumps([path, dict(namespaces), LIMIT_S]).encode()
+    document = etree.tostring(root, encoding="utf-8", with_tail=False)
+    try:
+        tried = subprocess.run(
+            [sys.executable, "-I", __file__],
+            input=said + b"\n" + document,
+            capture_output=True,
+            check=False,
+            timeout=PATIENCE_S,
+        )
+    except subprocess.TimeoutExpired:
+        return False
+    return tried.returncode == 0
+
+
+def _main() -> None:
+    """Evaluate what is on standard input; be killed by the kernel where that takes too long."""
+    path, namespaces, limit = json.loads(sys.stdin.buffer.readline())
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    resource.setrlimit(resource.RLIMIT_CPU, (limit, limit))
+    root = etree.fromstring(sys.stdin.buffer.read(), etree.XMLParser(resolve_entities=False, no_network=True))
+    with contextlib.suppress(etree.XPathError, ValueError):  # that is found again, and told, where it is evaluated for real
+        etree.XPath(path, namespaces=namespaces, regexp=False)(root)
+
+
+if __name__ == "__main__":
+    _main()
