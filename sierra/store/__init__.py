@@ -18,9 +18,10 @@ from sierra.errors import Damaged, Missing, NotFound, SierraError, SqlError
 from sierra.paths import StorePaths, write_whole
 from sierra.store.complaints import explain
 from sierra.store.connections import Connection
+from sierra.store.scans import plain, read_parquet
 from sierra.store.segments import Segment, Writer, disk_errors, listed
 from sierra.store.sharing import Shared
-from sierra.store.views import Views, outputs, read_parquet, tables_of
+from sierra.store.views import Views, outputs, tables_of
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -206,7 +207,7 @@ class Question:
         """What DuckDB complains of: the store's files, or the statement."""
         import duckdb
 
-        if f"{self._root}/segments/" in str(error) and not isinstance(error, duckdb.PermissionException):
+        if f"{self._root}/segments/" in plain(str(error)) and not isinstance(error, duckdb.PermissionException):
             return Damaged(f"the store cannot be read: {explain(error)}")
         return SqlError(explain(error))
 

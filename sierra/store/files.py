@@ -26,8 +26,9 @@ from sierra.store import Found, Question
 from sierra.store.complaints import explain, first_line
 from sierra.store.names import column_names, identifier
 from sierra.store.reading import is_number
+from sierra.store.scans import read_parquet
 from sierra.store.segments import MANIFEST, Segment
-from sierra.store.views import files_with, read_parquet
+from sierra.store.views import files_with
 
 INPUT_FOLDER = "input/"
 OUTPUT_FOLDER = "output/"

@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING, Any
 
 from sierra.errors import NotFound, SqlError
 from sierra.model import Axis, Value
-from sierra.store import Question, Store, read_parquet
+from sierra.store import Question, Store
 from sierra.store.complaints import explain
 from sierra.store.names import identifier
+from sierra.store.scans import read_parquet
 from sierra.store.segments import is_first_part
 from sierra.store.tables import RECORDED
 from sierra.store.views import files_with

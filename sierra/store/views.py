@@ -9,6 +9,7 @@ from typing import Any
 from sierra.errors import Damaged
 from sierra.store.complaints import first_line
 from sierra.store.names import column_names, identifier, quote
+from sierra.store.scans import read_parquet
 from sierra.store.segments import Segment, is_first_part
 from sierra.store.tables import DERIVED, RECORDED
 
@@ -255,15 +256,7 @@ def _pick(column: str, first: str | None) -> str:
 
 def files_with(files: Sequence[str], executions: str) -> str:
     """The statement for which of these files have a row of one of the executions that a query gives."""
-    return f"SELECT DISTINCT filename FROM {read_parquet(files, rows=True)} WHERE execution IN ({executions})"
-
-
-def read_parquet(files: Sequence[str], *, union: bool = False, rows: bool = False) -> str:
-    """The table function that reads these files; with `rows`, also each row's place in its file."""
-    listed = ", ".join(map(quote, files))
-    options = ", union_by_name = true" if union else ""
-    options += ", file_row_number = true, filename = true" if rows else ""
-    return f"read_parquet([{listed}]{options})"
+    return f"SELECT DISTINCT filename FROM {read_parquet(files, filename=True)} WHERE execution IN ({executions})"
 
 
 NAMED = re.compile(

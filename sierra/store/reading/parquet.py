@@ -7,10 +7,11 @@ from pathlib import Path
 from typing import Any
 
 from sierra.store.complaints import first_line
-from sierra.store.names import identifier, quote
+from sierra.store.names import identifier
 from sierra.store.reading.kinds import EMPTY, HUGE, alike, kind_of
 from sierra.store.reading.reader import FILE, Reader
 from sierra.store.reading.shapes import Part, Shape, Siblings, Written
+from sierra.store.scans import parquet_given, schemas_given
 
 
 class Parquet(Reader):
@@ -58,7 +59,7 @@ class Parquet(Reader):
         return written
 
     def _source(self) -> str:
-        return f"read_parquet($files, filename = {quote(FILE)}, union_by_name = true)"
+        return parquet_given(FILE)
 
     def _readable(self, files: Sequence[Written]) -> list[Written]:
         whole = f"SELECT count(COLUMNS(*)) FROM {self._source()}"
@@ -69,7 +70,7 @@ class Parquet(Reader):
         """Names and types of each file's columns; files that say the same are asked once."""
         rows = self.fetch(
             "SELECT file_name, list((name, type, type_length, num_children, converted_type, scale, precision, logical_type)"
-            "::VARCHAR) FROM parquet_schema($files) GROUP BY file_name",
+            f"::VARCHAR) FROM {schemas_given()} GROUP BY file_name",
             files,
         )
         by_path = {file.path: file for file in files}

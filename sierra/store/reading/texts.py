@@ -13,6 +13,7 @@ from sierra.store.reading.kinds import LOGICAL, WHOLE, alike, bit, common, kind_
 from sierra.store.reading.reader import FILE, Reader, these
 from sierra.store.reading.shapes import Group, Written
 from sierra.store.reading.telling import shown
+from sierra.store.scans import read_parquet
 
 AT_ONCE = 50
 """Columns that a statement looks at side by side: what DuckDB needs to plan it grows with their square."""
@@ -126,7 +127,7 @@ class Text(Reader):
         if not doubles or not files:
             return False
         stored = dict(zip(names, column_names(names), strict=True))
-        written = f"read_parquet({quote(str(target))})"
+        written = read_parquet([str(target)])
         if not self._any("isinf({})", (identifier(stored[name]) for name in doubles), written, {}):
             files = [file for file in files if self.has_underscores(file)]
             if not files:
