@@ -196,7 +196,7 @@ def _look_up(store: Store, found: Found, runs: int | None) -> _Record:
         by = question.sql(
             "SELECT DISTINCT programs, reading, environment FROM executions SEMI JOIN taken USING (execution) ORDER BY ALL"
         ).to_pylist()
-        cells = question.sql("SELECT * FROM experiments WHERE batch = $b", b=batch).to_pylist()
+        cells = question.cells(batch)
         [(axes,)] = question.run("SELECT axes FROM batches WHERE batch = $b", {"b": batch})
         tables = question.sql(
             "SELECT DISTINCT output FROM artifacts SEMI JOIN taken USING (execution) WHERE kind = 'table' ORDER BY 1"
@@ -209,7 +209,7 @@ def _look_up(store: Store, found: Found, runs: int | None) -> _Record:
         runs=taken,
         named=len(named),
         whole=len(taken) == len(good) and found.kind in ("batch", "experiment"),
-        cells={row["ordinal"]: {axis: row[axis] for axis in axes} for row in cells},
+        cells={place: {axis: row[axis] for axis in axes} for place, row in cells.items()},
         seeds=seeds,
         tables=tables.column(0).to_pylist(),
         environment=by[0]["environment"],

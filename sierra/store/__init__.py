@@ -32,6 +32,8 @@ CACHEDIR = (
     "Signature: 8a477f597d28d172789f06886806bc55\n"
     "# This folder was made by SIERRA and holds recorded experiments: do not delete it as if it were a cache.\n"
 )
+NOTE = "sierra:note"
+"""What a schema's metadata call that which a reader of an answer must know."""
 PREFIX = re.compile(r"[0-9a-f]{4,64}")
 
 
@@ -199,9 +201,14 @@ class Question:
                 answer = self._answer(text, parameters)
             if answer is None:
                 raise SqlError("that statement has no answer; ask with SELECT, DESCRIBE, SUMMARIZE or SHOW TABLES")
-            return apart(answer.to_arrow_table())
+            table = apart(answer.to_arrow_table())
+            return table.replace_schema_metadata({NOTE: "; ".join(self.views.told)}) if self._noted(text) else table
         except duckdb.Error as error:
             raise self._wrong(error) from error
+
+    def _noted(self, text: str) -> bool:
+        """Whether what is to be known of columns belongs to an answer: not to a list of all tables."""
+        return bool(self.views.told) and tables_of(text) is not None
 
     def _wrong(self, error: Exception) -> SierraError:
         """What DuckDB complains of: the store's files, or the statement."""
@@ -233,6 +240,20 @@ class Question:
                 yield from rows
         except duckdb.Error as error:
             raise self._wrong(error) from error
+
+    def cells(self, batch: str) -> dict[int, dict[str, Any]]:
+        """What is recorded of each experiment of a batch, by its place: its id, and the values of axes as they were given.
+
+        In the table `experiments`, a column has one type for all batches.
+        """
+        files = [s.files["experiments"] for s in self.segments if s.batch == batch[:12] and "experiments" in s.files]
+        if not files:
+            return {}
+        rows = self.connection.sql(
+            f"SELECT DISTINCT ON (ordinal) * FROM {read_parquet(files, union=True)} WHERE batch = $b ORDER BY ordinal",
+            params={"b": batch},
+        )
+        return {row["ordinal"]: row for row in rows.to_arrow_table().to_pylist()}
 
     def register(self, name: str, table: Any) -> None:
         """Make an Arrow table known to this connection by a name."""

@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any
 from sierra.errors import NotFound, SqlError
 from sierra.model import Axis, Value
 from sierra.store import Question, Store
+from sierra.store.columns import Relation, relation
 from sierra.store.complaints import explain
 from sierra.store.names import identifier
-from sierra.store.scans import read_parquet
 from sierra.store.segments import is_first_part
 from sierra.store.tables import RECORDED
 from sierra.store.views import files_with
@@ -35,6 +35,8 @@ class OutputTable:
     columns: tuple[str, ...]
     all_columns: tuple[str, ...]
     rows: int
+    mixed: tuple[str, ...] = ()
+    """Columns that hold numbers in some runs, and other things in others."""
 
 
 class Frame:
@@ -43,8 +45,9 @@ class Frame:
     def __init__(self, store: Store, batch: str, these: Mapping[str, str] | None = None) -> None:
         """`these`: instead of those that count, the execution of each of these runs."""
         self.batch = batch
-        self._question: Question = store.ask()
+        self._question: Question = store.ask(batch)
         self._loaded: set[str] = set()
+        self._relations: dict[str, Relation] = {}
         self._question.views.make(("members", "executions", "experiments", "batches", "counting"))
         self._members(these)
         self._files = self._output_files()
@@ -131,15 +134,21 @@ class Frame:
         """The tables that the batch's runs wrote."""
         found = []
         for name, files in sorted(self._files.items()):
-            source = read_parquet(files, union=True)
-            described = self._question.run(f"DESCRIBE SELECT * FROM {source}")
-            columns = [(row[0], row[1]) for row in described if row[0] not in ("run", "execution", "file")]
+            source = self._relation(name, files)
+            columns = [(name, kind) for name, kind in source.types.items() if name not in ("run", "execution", "file")]
             [(rows,)] = self._question.run(
-                f"SELECT coalesce(max(n), 0) FROM (SELECT count(*) AS n FROM {source} GROUP BY execution)"
+                f"SELECT coalesce(max(n), 0) FROM (SELECT count(*) AS n FROM {source.sql} GROUP BY execution)"
             )
-            numeric = tuple(c for c, kind in columns if kind.startswith(NUMERIC))
-            found.append(OutputTable(name, numeric, tuple(c for c, _ in columns), rows))
+            mixed = tuple(name for name in source.texts if name not in source.rounded)
+            numeric = tuple(c for c, kind in columns if kind.startswith(NUMERIC) and c not in mixed)
+            found.append(OutputTable(name, numeric, tuple(c for c, _ in columns), rows, mixed))
         return tuple(found)
+
+    def _relation(self, table: str, files: Sequence[str]) -> Relation:
+        """The rows of an output, whether they count or not."""
+        if table not in self._relations:
+            self._relations[table] = relation(self._question.run, files, f"execution IN ({MEMBERS})", rows=True)
+        return self._relations[table]
 
     def samples(self, table: str, column: str, time: str = "") -> None:
         """Make `samples` be one column of one output. Raises NotFound for what the batch does not have."""
@@ -166,7 +175,7 @@ class Frame:
             raise NotFound(f"{where}: {explain(error)}") from error
 
     def _load(self, table: str, files: list[str]) -> None:
-        source = read_parquet(files, union=True, rows=True)
+        source = self._relation(table, files).sql
         self._question.run(
             f'CREATE TEMP TABLE {identifier("data " + table)} AS SELECT m.experiment AS "# experiment", '
             'm.number AS "# number", row_number() OVER (PARTITION BY o.execution, m.experiment '

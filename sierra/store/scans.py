@@ -36,9 +36,8 @@ def read_parquet(files: Sequence[str], *, union: bool = False, filename: bool = 
     `union`: columns are found by their names in each file; else all files have those of the first. `filename`: also the file
     that a row is from. `rows`: that, and the row's place in it.
     """
-    listed = ", ".join(quote(steady(file)) for file in files)
     options = f"union_by_name = {_sql(union)}, filename = {_sql(filename or rows)}, file_row_number = {_sql(rows)}"
-    scan = f"read_parquet([{listed}], {UNGUESSED}, {options})"
+    scan = f"read_parquet([{_listed(files)}], {UNGUESSED}, {options})"
     named = "filename"
     for folder in {_odd_folder(file) for file in files if ODD.search(file)} if filename or rows else ():
         named = f"replace({named}, {quote(steady(folder + '/'))}, {quote(folder + '/')})"
@@ -50,9 +49,9 @@ def parquet_given(file: str) -> str:
     return f"read_parquet($files, {UNGUESSED}, union_by_name = true, filename = {quote(file)}, file_row_number = false)"
 
 
-def schemas_given() -> str:
-    """Return the relation of what the footers of $files say of columns."""
-    return "parquet_schema($files)"
+def parquet_schema(files: Sequence[str] = ()) -> str:
+    """Return the relation of what the footers of these files, else of $files, say of columns."""
+    return f"parquet_schema({f'[{_listed(files)}]' if files else '$files'})"
 
 
 def parquet_metadata(file: str) -> str:
@@ -111,7 +110,7 @@ def _descriptor(folder: str) -> int:
     """The number of a folder that is open, and stays so."""
     found = _open.get(folder)
     try:
-        if found is None or not os.path.samestat(os.fstat(found), os.stat(folder)):
+        if found is None or not os.path.samestat(os.fstat(found), Path(folder).stat()):
             _open[folder] = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
     except OSError as error:
         raise Missing(f"{folder}: {error.strerror}") from error
@@ -146,11 +145,15 @@ class Aliases:
         try:
             self._folder = self._folder or tempfile.TemporaryDirectory(prefix="sierra-")
             alias = Path(self._folder.name, str(self._count))
-            alias.symlink_to(os.path.abspath(path))
+            alias.symlink_to(Path(path).absolute())
         except OSError as error:
             raise Missing(f"cannot write to {tempfile.gettempdir()}: {error.strerror}") from error
         self._count += 1
         return steady(str(alias))
+
+
+def _listed(files: Sequence[str]) -> str:
+    return ", ".join(quote(steady(file)) for file in files)
 
 
 def _sql(value: bool) -> str:

@@ -41,7 +41,7 @@ def kind_of(kind: str) -> str:
 
 
 def is_number(kind: str) -> bool:
-    return kind.startswith(("DECIMAL", "DOUBLE", "FLOAT")) or kind.rstrip("0123456789").removeprefix("U").endswith("INT")
+    return kind.startswith(("DECIMAL", "DOUBLE", "FLOAT")) or kind.rstrip("0123456789").endswith(("INT", "INTEGER"))
 
 
 def bit(cell: str) -> str:
@@ -63,6 +63,11 @@ def no_nan(cell: str) -> str:
 def odd(cell: str) -> str:
     """Whether DuckDB takes a text for a number that it is not: 12_34 for 1234, 1e400 for infinity."""
     return f"(contains({cell}, '_') OR (isinf(TRY_CAST({cell} AS DOUBLE)) AND regexp_matches({cell}, '[0-9]')))"
+
+
+def reads_as(cell: str, kind: str) -> str:
+    """The number that a text is, as a type of numbers; NULL where it is none."""
+    return f"CASE WHEN NOT {odd(cell)} THEN TRY_CAST({no_nan(cell)} AS {kind}) END"
 
 
 def narrowest(bits: int) -> str | None:

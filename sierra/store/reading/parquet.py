@@ -11,7 +11,7 @@ from sierra.store.names import identifier
 from sierra.store.reading.kinds import EMPTY, HUGE, alike, kind_of
 from sierra.store.reading.reader import FILE, Reader
 from sierra.store.reading.shapes import Part, Shape, Siblings, Written
-from sierra.store.scans import parquet_given, schemas_given
+from sierra.store.scans import parquet_given, parquet_schema
 
 
 class Parquet(Reader):
@@ -70,7 +70,7 @@ class Parquet(Reader):
         """Names and types of each file's columns; files that say the same are asked once."""
         rows = self.fetch(
             "SELECT file_name, list((name, type, type_length, num_children, converted_type, scale, precision, logical_type)"
-            f"::VARCHAR) FROM {schemas_given()} GROUP BY file_name",
+            f"::VARCHAR) FROM {parquet_schema()} GROUP BY file_name",
             files,
         )
         by_path = {file.path: file for file in files}
