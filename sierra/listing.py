@@ -14,6 +14,7 @@ from sierra.paths import STORE, WORK
 from sierra.standing import submitted
 from sierra.store import Found, Question, Store
 from sierra.store.files import recorded, take
+from sierra.wording import natural
 
 BATCHES = """
 WITH last AS (
@@ -247,9 +248,8 @@ def _execution(question: Question, found: Found) -> dict[str, Any]:
     [row] = question.sql("SELECT * FROM executions WHERE execution = $e", e=found.id).to_pylist()
     row = _without_nulls(row)
     row["attempts"] = question.sql(ATTEMPTS_OF_RUN, r=row["run"], e=found.id).to_pylist()
-    row["artifacts"] = question.sql(
-        "SELECT * EXCLUDE (execution, run) FROM artifacts WHERE execution = $e ORDER BY path", e=found.id
-    ).to_pylist()
+    artifacts = question.sql("SELECT * EXCLUDE (execution, run) FROM artifacts WHERE execution = $e", e=found.id).to_pylist()
+    row["artifacts"] = sorted(artifacts, key=lambda artifact: natural(artifact["path"]))
     [recipe] = question.sql(RECIPE, r=row["run"]).to_pylist()
     row["image"] = _image(question, recipe["image"])
     row["reach"] = recipe["reach"] or []
