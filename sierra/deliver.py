@@ -24,7 +24,7 @@ from sierra.model import Axis
 from sierra.paths import ProjectPaths, write_whole
 from sierra.store import Store
 from sierra.store.columns import TEXT
-from sierra.store.frame import Column, Frame, OutputTable
+from sierra.store.frame import MIXED, Column, Frame, OutputTable
 from sierra.store.names import column_names
 from sierra.store.segments import disk_errors
 from sierra.version import __version__
@@ -32,7 +32,7 @@ from sierra.version import __version__
 TIMES = ("clock", "time", "tick", "t", "step", "iteration", "generation", "seconds")
 """Names under which a first column is taken for the time axis, where the project does not say."""
 MEASURES = ("final", "mean", "time_to")
-MIXED = "holds numbers in some runs, and other things in others"
+ONE_FILE = "[outputs.{}] file may name one of them"
 AT_MOST = 16
 """Default figures of one batch; further columns are said, and drawn when they are asked for."""
 
@@ -253,7 +253,12 @@ class _Gallery:
                 raise NotFound("it has no numeric column")
             time = self.time(output)
             column = next((c for c in output.columns if c != time), output.columns[0])
-            self._seen[output.name] = analysis.coverage(Column(self._frame, output.name, column, time))
+            try:
+                self._seen[output.name] = analysis.coverage(Column(self._frame, output.name, column, time))
+            except UsageError as error:
+                if output.files < 2:
+                    raise
+                raise UsageError(f"{error}. A run has {output.files} files of it: {ONE_FILE.format(output.name)}") from error
         return self._seen[output.name]
 
     def _output(self, figure: Figure) -> OutputTable:

@@ -354,7 +354,11 @@ def _experiments(
     now: metrics.Values = {}
     if stochastic:
         executions = {run.taken.run: str(run.execution) for runs in stochastic.values() for run in runs}
-        now = metrics.values(store, record.of.batch, executions, project.config.equivalence, declared)
+        try:
+            now = metrics.values(store, record.of.batch, executions, project.config.equivalence, declared)
+        except NotFound as error:
+            record.notes.append(f"[equivalence]: {error}; what was executed again has no value of it")
+            now = {name: {} for name in project.config.equivalence}
     for place, runs in by_place.items():
         found: tuple[Metric, ...] = ()
         if place in stochastic and was is not None:

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 MEMBERS = "SELECT execution FROM membership"
+MIXED = "holds numbers in some runs, and other things in others"
 NUMERIC = ("BIGINT", "DOUBLE", "FLOAT", "INTEGER", "DECIMAL", "SMALLINT", "TINYINT", "UBIGINT", "UINTEGER", "HUGEINT")
 
 
@@ -35,7 +36,9 @@ class OutputTable:
     columns: tuple[str, ...]
     all_columns: tuple[str, ...]
     rows: int
-    mixed: tuple[str, ...] = ()
+    files: int
+    """How many files the run with most of them has."""
+    mixed: tuple[str, ...]
     """Columns that hold numbers in some runs, and other things in others."""
 
 
@@ -136,12 +139,14 @@ class Frame:
         for name, files in sorted(self._files.items()):
             source = self._relation(name, files)
             columns = [(name, kind) for name, kind in source.types.items() if name not in ("run", "execution", "file")]
-            [(rows,)] = self._question.run(
-                f"SELECT coalesce(max(n), 0) FROM (SELECT count(*) AS n FROM {source.sql} GROUP BY execution)"
+            many = "count(DISTINCT file)" if "file" in source.types else "1"
+            [(rows, most)] = self._question.run(
+                f"SELECT coalesce(max(rows), 0), coalesce(max(files), 0) FROM (SELECT count(*) AS rows, {many} AS files "
+                f"FROM {source.sql} WHERE execution IN ({MEMBERS}) GROUP BY execution)"
             )
-            mixed = tuple(name for name in source.texts if name not in source.rounded)
+            mixed = _mixed(source)
             numeric = tuple(c for c, kind in columns if kind.startswith(NUMERIC) and c not in mixed)
-            found.append(OutputTable(name, numeric, tuple(c for c, _ in columns), rows, mixed))
+            found.append(OutputTable(name, numeric, tuple(c for c, _ in columns), rows, most, mixed))
         return tuple(found)
 
     def _relation(self, table: str, files: Sequence[str]) -> Relation:
@@ -155,6 +160,8 @@ class Frame:
         files = self._files.get(table)
         if files is None:
             raise NotFound(f"no output {table!r} in this batch; it has {', '.join(sorted(self._files)) or 'none'}")
+        if column in _mixed(self._relation(table, files)):
+            raise NotFound(f"column {column!r} of output {table!r} {MIXED}")
         if table not in self._loaded:
             self._load(table, files)
         described = self._question.run(f"DESCRIBE {identifier('data ' + table)}")
@@ -175,12 +182,13 @@ class Frame:
             raise NotFound(f"{where}: {explain(error)}") from error
 
     def _load(self, table: str, files: list[str]) -> None:
-        source = self._relation(table, files).sql
+        source = self._relation(table, files)
+        file = ", o.file" if "file" in source.types else ""
         self._question.run(
             f'CREATE TEMP TABLE {identifier("data " + table)} AS SELECT m.experiment AS "# experiment", '
-            'm.number AS "# number", row_number() OVER (PARTITION BY o.execution, m.experiment '
+            f'm.number AS "# number", row_number() OVER (PARTITION BY o.execution, m.experiment{file} '
             'ORDER BY o.filename, o.file_row_number) - 1 AS "# place", o.* EXCLUDE (execution, filename, file_row_number) '
-            f"FROM {source} o JOIN membership m ON o.execution = m.execution"
+            f"FROM {source.sql} o JOIN membership m ON o.execution = m.execution"
         )
         self._loaded.add(table)
 
@@ -206,6 +214,10 @@ class Column:
     def sql(self, text: str, /, **parameters: Any) -> pa.Table:
         self.frame.samples(self.table, self.column, self.time)
         return self.frame.sql(text, **parameters)
+
+
+def _mixed(relation: Relation) -> tuple[str, ...]:
+    return tuple(name for name in relation.texts if name not in relation.rounded)
 
 
 def _like(name: str, known: Sequence[str]) -> str:
