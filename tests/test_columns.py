@@ -12,6 +12,7 @@ import pyarrow.parquet as pq
 import pytest
 
 import sierra
+from sierra.api import Project
 from sierra.errors import UsageError
 from sierra.store.columns import Relation, relation
 from sierra.store.connections import connect
@@ -27,7 +28,7 @@ with open("t.csv", "w") as file:
 """
 
 
-def _made(root: Path, cells: dict[int, list[str]], *queries: str) -> tuple[sierra.Project, list[str]]:
+def _made(root: Path, cells: dict[int, list[str]], *queries: str) -> tuple[Project, list[str]]:
     """A project whose runs write these cells, by the number of robots; the batches that answer the queries."""
     project = sierra.open(projects.make(root, simulator=WRITES.format(cells=cells)))
     return project, [project.run(query, figures=False).batch for query in queries]
@@ -37,12 +38,12 @@ CELLS = {1: ["7.5", "1000", "30"], 2: ["7.5", "NA", "1e5"]}
 
 
 @pytest.fixture(scope="module")
-def two(tmp_path_factory: pytest.TempPathFactory) -> tuple[sierra.Project, list[str]]:
+def two(tmp_path_factory: pytest.TempPathFactory) -> tuple[Project, list[str]]:
     """A batch of numbers, and one of which a cell is NA."""
     return _made(tmp_path_factory.mktemp("two") / "p", CELLS, "population_size=1", "population_size=2")
 
 
-def test_the_numbers_of_a_batch_are_numbers_whatever_another_holds(two: tuple[sierra.Project, list[str]]) -> None:
+def test_the_numbers_of_a_batch_are_numbers_whatever_another_holds(two: tuple[Project, list[str]]) -> None:
     project, (numbers, texts) = two
     assert project.sql("SELECT max(v) AS m FROM t", within=numbers).to_pylist() == [{"m": 1000.0}]
     ordered = project.sql("SELECT DISTINCT v FROM t ORDER BY v", within=numbers).column(0).to_pylist()
@@ -51,7 +52,7 @@ def test_the_numbers_of_a_batch_are_numbers_whatever_another_holds(two: tuple[si
     assert project.statistics(numbers, "t", "v", measure="mean").column("mean").to_pylist() == pytest.approx([1037.5 / 3])
 
 
-def test_over_all_batches_numbers_stay_numbers_and_texts_stand_beside(two: tuple[sierra.Project, list[str]]) -> None:
+def test_over_all_batches_numbers_stay_numbers_and_texts_stand_beside(two: tuple[Project, list[str]]) -> None:
     project, _ = two
     rows = project.sql("SELECT DISTINCT v, v_text FROM t ORDER BY ALL").to_pylist()
     beside = [(7.5, "7.5"), (7.5, None), (30.0, None), (1000.0, None), (100000.0, "1e5"), (None, "NA")]
@@ -59,7 +60,7 @@ def test_over_all_batches_numbers_stay_numbers_and_texts_stand_beside(two: tuple
     assert project.sql("SELECT avg(v) AS m FROM t").column(0).to_pylist() == pytest.approx([(1037.5 + 100007.5) / 5])
 
 
-def test_that_a_column_is_not_of_one_type_is_said(two: tuple[sierra.Project, list[str]]) -> None:
+def test_that_a_column_is_not_of_one_type_is_said(two: tuple[Project, list[str]]) -> None:
     project, (numbers, _) = two
     told = "note: column 'v' of t holds numbers in some runs, and other things in others: these are in 'v_text'\n"
     asked = projects.quick(project.root, "sql", "SELECT max(v) FROM t")

@@ -8,6 +8,7 @@ import pytest
 
 import sierra
 import sierra.extract
+from sierra.api import Project
 from sierra.errors import UsageError
 from sierra.wording import natural
 from tests import projects
@@ -23,7 +24,7 @@ DECLARED = projects.CONFIG + '[outputs.floor]\nfile = "floor-*.csv"\n'
 REFUSED = "2 runs with more than one row at the same time; statistics over runs need one value per run and time"
 
 
-def _project(root: Path, *, rows: int = 1, ticks: str = "None", config: str = DECLARED, script: str = FLOORS) -> sierra.Project:
+def _project(root: Path, *, rows: int = 1, ticks: str = "None", config: str = DECLARED, script: str = FLOORS) -> Project:
     return sierra.open(projects.make(root, config, simulator=f"ROWS, TICKS = {rows}, {ticks}\n{script}"))
 
 
@@ -44,7 +45,7 @@ def test_several_rows_at_one_time_have_no_final_value(tmp_path: Path, rows: int,
         _explicit(project, summary.batch)
 
 
-def _explicit(project: sierra.Project, batch: str) -> None:
+def _explicit(project: Project, batch: str) -> None:
     """Draw a figure that the project asks for."""
     file = project.root / "sierra.toml"
     file.write_text(file.read_text() + '[figures.heat]\nkind = "summary"\ntable = "floor"\ncolumn = "heat"\n')

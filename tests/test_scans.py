@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import ast
+import os
 import re
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -12,7 +14,8 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 import sierra
-from sierra.store import scans
+from sierra.errors import Missing
+from sierra.store import Store, scans
 from sierra.store.connections import Connection, connect
 from sierra.store.reading import Shape, Written, read
 from tests import projects
@@ -159,6 +162,25 @@ def test_a_folder_that_took_the_place_of_another_is_read(tmp_path: Path) -> None
         found = connect().execute(f"FROM {scans.read_parquet([str(folder / 'a.parquet')])}").fetchall()
         assert found == [(number,)]
         folder.rename(tmp_path / f"old {number}")
+
+
+def test_a_store_is_refused_where_its_files_cannot_be_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(Missing, match=r"p\\xff/.sierra: no store can be in a folder whose name is no UTF-8; rename it"):
+        Store.create(Path(os.fsdecode(bytes(tmp_path) + b"/p\xff/.sierra")))
+    monkeypatch.setattr(scans, "OPEN", str(tmp_path / "nowhere"))
+    with pytest.raises(Missing, match=r"\[x\]/.sierra: cannot be read under this name here; rename what has one of"):
+        Store.create(tmp_path / "[x]" / ".sierra")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_folder_of_temporary_files_may_be_called_anything(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = Path(os.fsdecode(bytes(tmp_path) + b"/[t] \xff"))
+    folder.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(folder))
+    files = [_written(tmp_path / "out", "a*b", 3)]
+    target = tmp_path / "output.t.parquet"
+    assert read(connect(), files, Shape("csv"), target).rows == {("a*b", "a*b"): 3}
+    assert list(folder.iterdir()) == []
 
 
 def _check(root: Path, names: tuple[str, ...]) -> None:

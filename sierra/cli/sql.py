@@ -45,7 +45,8 @@ def sql(
     """Ask the store in SQL (DuckDB's).
 
     Nothing is changed, and nothing but the store can be read. Without --batch, outputs are those of all batches, whatever
-    code and settings they were made with.
+    code and settings they were made with. A column that holds numbers in some runs and texts in others is two: the texts of v
+    are in v_text.
 
     \b
     Examples:

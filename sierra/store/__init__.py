@@ -18,7 +18,7 @@ from sierra.errors import Damaged, Missing, NotFound, SierraError, SqlError
 from sierra.paths import StorePaths, write_whole
 from sierra.store.complaints import explain
 from sierra.store.connections import Connection
-from sierra.store.scans import plain, read_parquet
+from sierra.store.scans import check_folder, plain, read_parquet
 from sierra.store.segments import Segment, Writer, disk_errors, listed
 from sierra.store.sharing import Shared
 from sierra.store.views import Views, outputs, tables_of
@@ -52,6 +52,7 @@ class Store:
 
     def __init__(self, root: Path) -> None:
         """Open the store in the folder `root`. Raises Missing where there is none, Damaged where it is of another format."""
+        check_folder(root)
         self.paths = StorePaths(root)
         try:
             found = self.paths.format.read_text()
@@ -66,6 +67,7 @@ class Store:
     @classmethod
     def create(cls, root: Path) -> Store:
         """The store in `root`, made there if there is none. Any number of processes may do so at once."""
+        check_folder(root)
         paths = StorePaths(root)
         if not paths.format.exists():
             with disk_errors(root):

@@ -20,10 +20,11 @@ from types import TracebackType
 from sierra.errors import Missing
 from sierra.store.names import quote
 
-ODD = re.compile(r"^~|[*?\[]")
-"""What DuckDB does not take literally in a path: patterns, and the home folder."""
+ODD = re.compile(r"^~|[*?\[\udc80-\udcff]")
+"""What DuckDB does not take literally in a path: patterns, the home folder, and bytes that are no UTF-8."""
 OPEN = "/proc/self/fd"
 """Where Linux has a process's open files by number."""
+UNNAMED = "cannot be read under this name here; rename what has one of the characters ~ * ? [ in its name"
 UNGUESSED = "hive_partitioning = false, hive_types_autocast = false"
 
 _open: dict[str, int] = {}
@@ -97,12 +98,23 @@ def steady(path: str) -> str:
     return f"{OPEN}/{_descriptor(folder)}{path[len(folder) :]}"
 
 
+def check_folder(path: Path) -> None:
+    """Check that files in a folder can be read and written by their names. Raises Missing."""
+    try:
+        str(path).encode()
+    except UnicodeEncodeError as error:
+        shown = os.fsencode(path).decode("utf-8", "backslashreplace")
+        raise Missing(f"{shown}: no store can be in a folder whose name is no UTF-8; rename it") from error
+    if ODD.search(str(path)) and not Path(OPEN).is_dir():
+        raise Missing(f"{path}: {UNNAMED}")
+
+
 def _odd_folder(path: str) -> str:
     """The beginning of a path up to its last odd name, which must be a folder's."""
     *_, last = ODD.finditer(path)
     end = path.find("/", last.end())
     if end < 0 or not Path(OPEN).is_dir():
-        raise Missing(f"{path}: cannot be read under this name; rename what has one of the characters ~ * ? [ in its name")
+        raise Missing(f"{path}: {UNNAMED}")
     return path[:end]
 
 
