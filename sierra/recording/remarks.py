@@ -136,7 +136,7 @@ SELECT count(*), count_if(
 def _hidden(question: Question, name: str, axes: Mapping[str, str]) -> Iterator[tuple[str, str, str]]:
     """The columns of an output that an axis hides in SQL, where their values differ: axis, column, what it is called there."""
     question.views.make((name,))
-    for column, called in question.views.called.get(name, {}).items():
+    for column, called in question.views.called.get(name.lower(), {}).items():
         axis = axes.get(column.lower())
         if axis is not None and question.run(
             UNLIKE.format(axis=identifier(axis), column=identifier(called), table=identifier(name))

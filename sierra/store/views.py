@@ -62,7 +62,7 @@ class Views:
         self._own = [segment for segment in segments if within is not None and segment.batch == within[:12]]
         self._segments = segments
         self.called: dict[str, dict[str, str]] = {}
-        """By output whose view is made, what its columns are called there."""
+        """By output (in lower case) whose view is made, what its columns are called there."""
         self.told: list[str] = []
         """What must be known of columns that are not of one type."""
         self._made: set[str] = set()
@@ -204,8 +204,8 @@ class Views:
         renamed = ", ".join(f"{identifier(c)} AS {identifier(n)}" for c, n in zip(theirs, free, strict=True) if c != n)
         rename = f" RENAME ({renamed})" if renamed else ""
         *_, row = column_names(["row"], taken=(*axes, *free))
-        self.called[name] = dict(zip(theirs, free, strict=True))
-        self._tell(name, found, self.called[name])
+        self.called[name.lower()] = dict(zip(theirs, free, strict=True))
+        self._tell(name, found, self.called[name.lower()])
         ours = "".join(f"p.{identifier(axis)}, " for axis in axes)
         return (
             f"SELECT {ours}p.number, o.file_row_number AS {identifier(row)}, o.* EXCLUDE (file_row_number, filename){rename} "
