@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from decimal import Decimal
 from pathlib import Path
@@ -166,3 +167,28 @@ def test_columns_differ_in_case_alone_or_are_called_as_the_texts_of_others(tmp_p
     assert list(found.types) == ["v", "v_text_", "V_TEXT", "other"]
     rows = connection.execute(f"SELECT * FROM {found.sql} ORDER BY other NULLS FIRST").fetchall()
     assert rows == [(1, None, "mine", None), (None, "x", None, 3)]
+
+
+@pytest.mark.parametrize("kind", ["csv", "jsonl", "parquet"])
+def test_whole_numbers_beside_fractions_of_other_runs_keep_all_digits(tmp_path: Path, kind: str) -> None:
+    script = (
+        "import sys\nseed = int(open(sys.argv[1]).read().split('<random seed=\"')[1].split('\"')[0])\n"
+        f"cells = [{GREAT}, 0.5, 7, 1e300][seed % 4]\n"
+    )
+    writes = {
+        "csv": "open('t.csv', 'w').write(f'v\\n{cells}\\n')",
+        "jsonl": "open('t.jsonl', 'w').write(f'{{\"v\": {cells}}}\\n')",
+        "parquet": "import pyarrow as pa, pyarrow.parquet as pq\npq.write_table(pa.table({'v': [cells]}), 't.parquet')",
+    }[kind]
+    config = projects.CONFIG.replace("runs = 2", "runs = 12").replace("python3", sys.executable)
+    project = sierra.open(projects.make(tmp_path / "p", config, simulator=script + writes))
+    summary = project.run("population_size=1", figures=False)
+    assert (summary.runs, summary.failed) == (12, 0)
+    wrote = [[GREAT, 0.5, 7, 1e300][seed % 4] for seed in project.sql("SELECT seed FROM runs").column(0).to_pylist()]
+    assert wrote.count(GREAT)
+    assert wrote.count(0.5)
+    rows = project.sql("SELECT v, v_text FROM t ORDER BY ALL", within=summary.batch).to_pylist()
+    assert [row["v"] for row in rows] == sorted(map(float, wrote))
+    assert [row["v_text"] for row in rows if row["v_text"]] == [str(GREAT)] * wrote.count(GREAT)
+    assert project.statistics(summary.batch, "t", "v").column("n").to_pylist() == [12]
+    assert project.fsck().findings == ()

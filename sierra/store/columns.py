@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from sierra.store.names import column_names, identifier
-from sierra.store.reading.kinds import EMPTY, HUGE, bit, is_number, narrowest, reads_as
+from sierra.store.reading.kinds import EMPTY, HUGE, bit, is_inexact, is_number, is_whole, narrowest, reads_as
 from sierra.store.scans import parquet_schema, read_parquet, steady
 
 Fetch = Callable[[str], Sequence[Sequence[Any]]]
@@ -133,7 +133,7 @@ class _Mixed:
             return None
         if not is_number(kind):
             return f"CAST({self.column} AS VARCHAR)"
-        return f"CASE WHEN {_inexact(self.column, kind)} THEN CAST({self.column} AS VARCHAR) END" if self.rounded else None
+        return f"CASE WHEN {is_inexact(self.column, kind)} THEN CAST({self.column} AS VARCHAR) END" if self.rounded else None
 
 
 def _mixed(fetch: Fetch, column: str, kinds: Mapping[str, Sequence[str]], where: str) -> _Mixed:
@@ -153,7 +153,7 @@ def _mixed(fetch: Fetch, column: str, kinds: Mapping[str, Sequence[str]], where:
         return _Mixed(column, ("" if len(others) > 1 else next(iter(others), "BOOLEAN")) if alike else "VARCHAR", empty)
     kind = _widest([*numbers, *([narrowest(texts & 14) or "BIGINT"] if texts & 14 else [])])
     exact = [one for one in numbers if one not in ("DOUBLE", "FLOAT")] if kind == "DOUBLE" else []
-    rounded = any(seen(one, f"count_if({_inexact(column, one)}) > 0") for one in exact)
+    rounded = any(seen(one, f"count_if({is_inexact(column, one)}) > 0") for one in exact)
     return _Mixed(column, kind, empty, bool(others), rounded)
 
 
@@ -161,14 +161,9 @@ def _widest(kinds: Sequence[str]) -> str:
     """The type that holds all of these numbers: whole ones exactly, others as DOUBLE."""
     if len(set(kinds)) == 1:
         return kinds[0]
-    if all("INT" in kind or kind == HUGE for kind in kinds):
+    if all(map(is_whole, kinds)):
         return HUGE if {HUGE, "UBIGINT", "HUGEINT", "UHUGEINT"} & set(kinds) else "BIGINT"
     return "DOUBLE"
-
-
-def _inexact(column: str, kind: str) -> str:
-    """The condition that a number of some type is not the same as DOUBLE."""
-    return f"{column} IS NOT NULL AND TRY_CAST(CAST({column} AS DOUBLE) AS {kind}) IS DISTINCT FROM {column}"
 
 
 def _is_time(kind: str) -> bool:

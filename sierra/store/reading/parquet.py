@@ -8,7 +8,7 @@ from typing import Any
 
 from sierra.store.complaints import first_line
 from sierra.store.names import identifier
-from sierra.store.reading.kinds import EMPTY, HUGE, alike, kind_of
+from sierra.store.reading.kinds import EMPTY, HUGE, alike, is_inexact, is_whole, kind_of
 from sierra.store.reading.reader import FILE, Reader
 from sierra.store.reading.shapes import Part, Shape, Siblings, Written
 from sierra.store.scans import parquet_given, parquet_schema
@@ -46,7 +46,7 @@ class Parquet(Reader):
             name: {file.path: None if (kind := self._found[file.path][name]) == EMPTY else kind for file in files}
             for name in self.part.names
         }
-        written = list(zip(self.targets(), alike(files, kinds), strict=False))
+        written = list(zip(self.targets(), alike(files, kinds, self._inexact(files)), strict=False))
         try:
             for target, some in written:
                 types = {name: self._type(name, some) for name in self.part.names}
@@ -57,6 +57,21 @@ class Parquet(Reader):
                 target.unlink(missing_ok=True)
             raise
         return written
+
+    def _inexact(self, files: Sequence[Written]) -> set[str]:
+        """The columns of whole numbers in some files, and fractions in others, that DOUBLE does not hold."""
+        found = set()
+        for name in self.part.names:
+            whole = [file for file in files if is_whole(self._found[file.path][name])]
+            fractions = {"DOUBLE", "FLOAT"} & {self._found[file.path][name] for file in files}
+            if fractions and whole and self._any_inexact(name, whole):
+                found.add(name)
+        return found
+
+    def _any_inexact(self, name: str, files: Sequence[Written]) -> bool:
+        kind = self._type(name, files)
+        inexact = is_inexact(f"CAST({identifier(name)} AS {kind})", kind)
+        return bool(self.fetch(f"SELECT 1 FROM {self._source()} WHERE {inexact} LIMIT 1", files))
 
     def _source(self) -> str:
         return parquet_given(FILE)
