@@ -156,6 +156,8 @@ def test_values_of_several_types_are_kept_exactly(
 def test_rows_that_do_not_count_decide_no_type(merged: Callable[..., tuple[Relation, list[tuple[Any, ...]]]]) -> None:
     found, _ = merged(pa.array(["NA"]), pa.array([2]), where="place <> 0")
     assert dict(found.types) == {"v": "BIGINT", "place": "BIGINT"}
+    found, _ = merged(pa.array(["NA"]), pa.array([2]), where="place <> 1")
+    assert dict(found.types) == {"v": "VARCHAR", "place": "BIGINT"}
 
 
 def test_columns_differ_in_case_alone_or_are_called_as_the_texts_of_others(tmp_path: Path) -> None:

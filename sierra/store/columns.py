@@ -10,7 +10,7 @@ DuckDB's own union would make texts of all numbers, 1 of true, dates of whole nu
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -23,6 +23,8 @@ Fetch = Callable[[str], Sequence[Sequence[Any]]]
 PLACES = ("filename", "file_row_number")
 """Columns that say where a row is from; they stand behind all others."""
 TEXT = "_text"
+NUMBERS = 2 | 4 | 8
+"""What `bit` says of texts that are numbers."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,41 +46,67 @@ def relation(fetch: Fetch, files: Sequence[str], where: str = "true", *, rows: b
     `rows`: with the columns of `PLACES`.
     """
     described = _described(fetch, files)
-    union = len(described) > 1
-    types: dict[str, dict[str, list[str]]] = {}
-    names: dict[str, str] = {}
-    for some, columns in described:
-        for name, kind in columns.items():
-            names.setdefault(name.lower(), name)
-            types.setdefault(name.lower(), {}).setdefault(kind, []).extend(some)
-    mixed = {name: _mixed(fetch, identifier(names[name]), kinds, where) for name, kinds in types.items() if len(kinds) > 1}
-    if not mixed:
-        return Relation(read_parquet(files, union=union, rows=rows), {names[name]: next(iter(types[name])) for name in names})
-    beside = dict(zip(mixed, column_names([names[name] + TEXT for name in mixed], taken=names.values()), strict=True))
-    parts: dict[tuple[str | None, ...], list[str]] = {}
-    for some, columns in described:
-        theirs = {name.lower(): kind for name, kind in columns.items()}
-        parts.setdefault(tuple(theirs.get(name) for name in mixed), []).extend(some)
-    scans = []
-    for signature, some in parts.items():
-        cells, texts = [], []
-        for (name, one), its in zip(mixed.items(), signature, strict=True):
-            if its is not None:
-                cells.append(f"{one.cell(its)} AS {identifier(names[name])}")
-                texts += [f"{text} AS {identifier(beside[name])}"] if (text := one.text(its)) else []
-        replaced = f" REPLACE ({', '.join(cells)})" if cells else ""
-        scans.append(f"SELECT {', '.join([f'*{replaced}', *texts])} FROM {read_parquet(some, union=True, rows=rows)}")
+    names = _names(described)
+    types = _by_type(described)
+    first = {own: next(iter(types[name])) for name, own in names.items()}
+    several = [name for name in names if len(types[name]) > 1]
+    if not several:
+        return Relation(read_parquet(files, union=len(described) > 1, rows=rows), first)
+    called = column_names([names[name] + TEXT for name in several], taken=names.values())
+    mixed = {name: _mixed(fetch, names[name], beside, types[name], where) for name, beside in zip(several, called, strict=True)}
     kept: dict[str, str] = {}
     for name, own in names.items():
-        kept[own] = mixed[name].type if name in mixed else next(iter(types[name]))
-        kept |= {beside[name]: "VARCHAR"} if name in mixed and mixed[name].beside else {}
-    listed = ", ".join(map(identifier, [*kept, *(PLACES if rows else ())]))
-    return Relation(
-        f"(SELECT {listed} FROM ({' UNION ALL BY NAME '.join(scans)}))",
-        kept,
-        {names[name]: beside[name] for name, one in mixed.items() if one.beside},
-        frozenset(names[name] for name, one in mixed.items() if one.beside and not one.other),
+        kept |= mixed[name].types() if name in mixed else {own: first[own]}
+    columns = ", ".join(map(identifier, [*kept, *(PLACES if rows else ())]))
+    scans = " UNION ALL BY NAME ".join(
+        _scan(mixed.values(), kinds, some, rows=rows) for kinds, some in _parts(described, several).items()
     )
+    apart = [one for one in mixed.values() if one.apart]
+    return Relation(
+        f"(SELECT {columns} FROM ({scans}))",
+        kept,
+        {one.name: one.beside for one in apart},
+        frozenset(one.name for one in apart if not one.other),
+    )
+
+
+Described = Sequence[tuple[Sequence[str], Mapping[str, str]]]
+"""Files that have the same columns, and the types of these."""
+
+
+def _names(described: Described) -> dict[str, str]:
+    """The columns of all files in their order, as the first file calls them, by their names in lower case."""
+    found: dict[str, str] = {}
+    for _, columns in described:
+        for name in columns:
+            found.setdefault(name.lower(), name)
+    return found
+
+
+def _by_type(described: Described) -> dict[str, dict[str, list[str]]]:
+    """The files by column, in lower case, and type."""
+    found: dict[str, dict[str, list[str]]] = {}
+    for files, columns in described:
+        for name, kind in columns.items():
+            found.setdefault(name.lower(), {}).setdefault(kind, []).extend(files)
+    return found
+
+
+def _parts(described: Described, several: Sequence[str]) -> dict[tuple[str | None, ...], list[str]]:
+    """The files by what types they have in these columns."""
+    found: dict[tuple[str | None, ...], list[str]] = {}
+    for files, columns in described:
+        theirs = {name.lower(): kind for name, kind in columns.items()}
+        found.setdefault(tuple(map(theirs.get, several)), []).extend(files)
+    return found
+
+
+def _scan(mixed: Iterable[_Mixed], kinds: Iterable[str | None], files: Sequence[str], *, rows: bool) -> str:
+    """The query for rows of files that have these types in columns which others have otherwise."""
+    those = [(one, kind) for one, kind in zip(mixed, kinds, strict=True) if kind is not None]
+    cells = ", ".join(f"{one.cell(kind)} AS {identifier(one.name)}" for one, kind in those)
+    texts = "".join(f", {text} AS {identifier(one.beside)}" for one, kind in those if (text := one.text(kind)))
+    return f"SELECT *{f' REPLACE ({cells})' if cells else ''}{texts} FROM {read_parquet(files, union=True, rows=rows)}"
 
 
 def _described(fetch: Fetch, files: Sequence[str]) -> list[tuple[list[str], dict[str, str]]]:
@@ -100,9 +128,11 @@ def _described(fetch: Fetch, files: Sequence[str]) -> list[tuple[list[str], dict
 
 @dataclass(frozen=True, slots=True)
 class _Mixed:
-    """A column that has several types, as an identifier."""
+    """A column that has several types."""
 
-    column: str
+    name: str
+    beside: str
+    """What a column beside it is called."""
     type: str
     """That it becomes; empty where DuckDB's own is right."""
     empty: frozenset[str]
@@ -113,9 +143,17 @@ class _Mixed:
     """Whether there are numbers that DOUBLE does not hold."""
 
     @property
-    def beside(self) -> bool:
-        """Whether what is no number stands in a column beside it."""
+    def apart(self) -> bool:
+        """Whether something stands in a column beside it."""
         return self.other or self.rounded
+
+    @property
+    def column(self) -> str:
+        return identifier(self.name)
+
+    def types(self) -> dict[str, str]:
+        """What it becomes: itself, and the column beside it."""
+        return {self.name: self.type, **({self.beside: "VARCHAR"} if self.apart else {})}
 
     def cell(self, kind: str) -> str:
         """The expression of its value, in files where it has this type."""
@@ -129,32 +167,41 @@ class _Mixed:
 
     def text(self, kind: str) -> str | None:
         """The expression of what stands beside it."""
-        if not self.beside or kind in self.empty:
+        if not self.apart or kind in self.empty:
             return None
         if not is_number(kind):
             return f"CAST({self.column} AS VARCHAR)"
         return f"CASE WHEN {is_inexact(self.column, kind)} THEN CAST({self.column} AS VARCHAR) END" if self.rounded else None
 
 
-def _mixed(fetch: Fetch, column: str, kinds: Mapping[str, Sequence[str]], where: str) -> _Mixed:
+def _mixed(fetch: Fetch, name: str, beside: str, kinds: Mapping[str, Sequence[str]], where: str) -> _Mixed:
     """How a column is read that has these types, each in some files."""
+    column = identifier(name)
 
     def seen(kind: str, what: str) -> Any:
         [(found,)] = fetch(f"SELECT {what} FROM {read_parquet(kinds[kind], union=True)} WHERE {where}")
         return found
 
-    numbers = [kind for kind in kinds if is_number(kind)]
-    texts = (seen("VARCHAR", f"bit_or({bit(column)})") or 0) if "VARCHAR" in kinds else 0
-    filled = [kind for kind in kinds if kind not in (*numbers, EMPTY, "VARCHAR") and seen(kind, f"count({column}) > 0")]
-    others = [*filled, *(["VARCHAR"] if texts else [])]
+    def has_values(kind: str) -> bool:
+        return kind != EMPTY and bool(seen(kind, f"count({column}) > 0"))
+
+    others = [kind for kind in kinds if not is_number(kind) and has_values(kind)]
+    numbers = [kind for kind in kinds if is_number(kind) and (not others or has_values(kind))]
     empty = frozenset(kinds) - {*numbers, *others}
     if not numbers:
-        alike = len(others) < 2 or all(map(_is_time, others)) or not any(map(_is_plain, others))
-        return _Mixed(column, ("" if len(others) > 1 else next(iter(others), "BOOLEAN")) if alike else "VARCHAR", empty)
-    kind = _widest([*numbers, *([narrowest(texts & 14) or "BIGINT"] if texts & 14 else [])])
+        return _Mixed(name, beside, _common(others), empty)
+    texts = seen("VARCHAR", f"bit_or({bit(column)})") & NUMBERS if "VARCHAR" in others else 0
+    kind = _widest([*numbers, *([narrowest(texts) or ""] if texts else [])])
     exact = [one for one in numbers if one not in ("DOUBLE", "FLOAT")] if kind == "DOUBLE" else []
     rounded = any(seen(one, f"count_if({is_inexact(column, one)}) > 0") for one in exact)
-    return _Mixed(column, kind, empty, bool(others), rounded)
+    return _Mixed(name, beside, kind, empty, bool(others), rounded)
+
+
+def _common(kinds: Sequence[str]) -> str:
+    """The type that holds what are no numbers; empty where DuckDB's own does."""
+    if len(kinds) < 2:
+        return next(iter(kinds), "BOOLEAN")
+    return "" if all(map(_is_time, kinds)) or not any(map(_is_plain, kinds)) else "VARCHAR"
 
 
 def _widest(kinds: Sequence[str]) -> str:
