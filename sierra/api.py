@@ -160,7 +160,9 @@ class Project:
         """The answer to one SQL statement as an Arrow table (`.to_pandas()` makes it a data frame).
 
         `$name` in the statement takes its value from the keyword. With `within`, the beginning of a batch's id, members,
-        runs and outputs are those of that batch; else of all, whatever code they were made from. Raises SqlError.
+        runs and outputs are those of that batch; else of all, whatever code they were made from. Where a column holds numbers
+        in some runs and texts in others, the texts of v are in v_text, and the schema's metadata say so, `sierra:note`.
+        Raises SqlError.
         """
         return self.store.sql(text, within=None if within is None else self.batch(within), **parameters)
 

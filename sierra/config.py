@@ -261,8 +261,9 @@ class Output(Table):
     )
 
     def matches(self, path: str) -> bool:
-        """Whether a file of the output folder is meant; `*` matches slashes too."""
-        return fnmatch.fnmatchcase(path, self.file.removeprefix("./"))
+        """Return whether a file of the output folder is meant, by its name or as a glob; `*` matches slashes too."""
+        file = self.file.removeprefix("./")
+        return path == file or fnmatch.fnmatchcase(path, file)
 
     @property
     def kind(self) -> str:

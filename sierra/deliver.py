@@ -23,7 +23,8 @@ from sierra.hashing import sha256, short
 from sierra.model import Axis
 from sierra.paths import ProjectPaths, write_whole
 from sierra.store import Store
-from sierra.store.frame import Column, Frame, OutputTable
+from sierra.store.columns import TEXT
+from sierra.store.frame import MIXED, Column, Frame, OutputTable
 from sierra.store.names import column_names
 from sierra.store.segments import disk_errors
 from sierra.version import __version__
@@ -31,6 +32,7 @@ from sierra.version import __version__
 TIMES = ("clock", "time", "tick", "t", "step", "iteration", "generation", "seconds")
 """Names under which a first column is taken for the time axis, where the project does not say."""
 MEASURES = ("final", "mean", "time_to")
+ONE_FILE = "[outputs.{}] file may name one of them"
 AT_MOST = 16
 """Default figures of one batch; further columns are said, and drawn when they are asked for."""
 
@@ -189,6 +191,7 @@ class _Gallery:
         for output in self._outputs.values():
             time = self.time(output)
             columns = [column for column in output.columns if column != time]
+            notes += [f"no figure of column {one!r} of output {output.name!r}: it {MIXED}" for one in output.mixed]
             try:
                 self._coverage(output)
             except SierraError as error:
@@ -207,6 +210,9 @@ class _Gallery:
 
     def _check(self, output: OutputTable, columns: Sequence[str]) -> None:
         for column in columns:
+            if column in output.mixed:
+                told = f"{MIXED}; see {column + TEXT!r} in sierra sql"
+                raise UsageError(f"column {column!r} of output {output.name!r} {told}")
             if column not in output.columns:
                 raise NotFound(f"output {output.name!r} has no numeric column {column!r}; it has {', '.join(output.columns)}")
 
@@ -247,7 +253,12 @@ class _Gallery:
                 raise NotFound("it has no numeric column")
             time = self.time(output)
             column = next((c for c in output.columns if c != time), output.columns[0])
-            self._seen[output.name] = analysis.coverage(Column(self._frame, output.name, column, time))
+            try:
+                self._seen[output.name] = analysis.coverage(Column(self._frame, output.name, column, time))
+            except UsageError as error:
+                if output.files < 2:
+                    raise
+                raise UsageError(f"{error}. A run has {output.files} files of it: {ONE_FILE.format(output.name)}") from error
         return self._seen[output.name]
 
     def _output(self, figure: Figure) -> OutputTable:

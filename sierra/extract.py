@@ -123,9 +123,10 @@ def target_path(file: Recorded) -> str:
 
 def _chosen(files: Sequence[Recorded], patterns: Sequence[str]) -> Iterator[Recorded]:
     unused = set(patterns)
-    exact = unused & {file.path for file in files}
+    listed = unused & {file.path for file in files}
+    named = unused & {_name(file.path) for file in files}
     for file in files:
-        matching = [p for p in patterns if (p == file.path if p in exact else _matches(file.path, p))]
+        matching = [p for p in patterns if _matches(file.path, p, listed=p in listed, named=p in named)]
         unused.difference_update(matching)
         if matching or not patterns:
             yield file
@@ -135,9 +136,15 @@ def _chosen(files: Sequence[Recorded], patterns: Sequence[str]) -> Iterator[Reco
         raise NotFound(f"no recorded file {min(unused)!r}; there is {shown or 'none'}")
 
 
-def _matches(path: str, pattern: str) -> bool:
-    names = (path, path.removeprefix(INPUT_FOLDER).removeprefix(OUTPUT_FOLDER))
-    return pattern in names or any(fnmatch.fnmatchcase(name, pattern) for name in names)
+def _matches(path: str, pattern: str, *, listed: bool, named: bool) -> bool:
+    """Return whether a file is meant by a pattern, which is no glob where it is a file's path, or else its name, literally."""
+    if listed or named:
+        return pattern == (path if listed else _name(path))
+    return any(fnmatch.fnmatchcase(name, pattern) for name in (path, _name(path)))
+
+
+def _name(path: str) -> str:
+    return path.removeprefix(INPUT_FOLDER).removeprefix(OUTPUT_FOLDER)
 
 
 class _Whole:

@@ -14,6 +14,7 @@ from sierra.paths import STORE, WORK
 from sierra.standing import submitted
 from sierra.store import Found, Question, Store
 from sierra.store.files import recorded, take
+from sierra.wording import natural
 
 BATCHES = """
 WITH last AS (
@@ -199,12 +200,12 @@ def _experiments(question: Question, batch: str, axes: Sequence[str]) -> list[di
         "count(*) FILTER (good IS NULL AND last <> 'ok') AS failed "
         "FROM (SELECT DISTINCT ordinal, run FROM members WHERE batch = $b) "
         "LEFT JOIN tried USING (run) LEFT JOIN good USING (ordinal, run) GROUP BY ordinal) "
-        "SELECT x.* EXCLUDE (batch), c.runs, c.good, c.failed FROM experiments x JOIN counted c USING (ordinal) "
-        "WHERE x.batch = $b ORDER BY ordinal",
+        "SELECT ordinal, runs, good, failed FROM counted ORDER BY ordinal",
         b=batch,
     ).to_pylist()
+    cells = question.cells(batch)
     columns = ("ordinal", "experiment", *axes, "runs", "good", "failed")
-    return [{name: row[name] for name in columns} for row in rows]
+    return [{name: {**cells[row["ordinal"]], **row}[name] for name in columns} for row in rows if row["ordinal"] in cells]
 
 
 FAILURES = """
@@ -241,9 +242,7 @@ def _failures(
 
 
 def _experiment(question: Question, found: Found) -> dict[str, Any]:
-    [row] = question.sql(
-        "SELECT * FROM experiments WHERE experiment = $x AND batch = $b", x=found.id, b=found.batch
-    ).to_pylist()
+    [row, *_] = [row for row in question.cells(str(found.batch)).values() if row["experiment"] == found.id]
     [axes] = question.sql("SELECT axes FROM batches WHERE batch = $b", b=found.batch).column("axes").to_pylist()
     row = {name: row[name] for name in ("experiment", "batch", "ordinal", *axes)}
     row["runs"] = question.sql(
@@ -289,9 +288,8 @@ def _execution(question: Question, found: Found) -> dict[str, Any]:
     [row] = question.sql("SELECT * FROM executions WHERE execution = $e", e=found.id).to_pylist()
     row = _without_nulls(row)
     row["attempts"] = question.sql(ATTEMPTS_OF_RUN, r=row["run"], e=found.id).to_pylist()
-    row["artifacts"] = question.sql(
-        "SELECT * EXCLUDE (execution, run) FROM artifacts WHERE execution = $e ORDER BY path", e=found.id
-    ).to_pylist()
+    artifacts = question.sql("SELECT * EXCLUDE (execution, run) FROM artifacts WHERE execution = $e", e=found.id).to_pylist()
+    row["artifacts"] = sorted(artifacts, key=lambda artifact: natural(artifact["path"]))
     [recipe] = question.sql(RECIPE, r=row["run"]).to_pylist()
     row["image"] = _image(question, recipe["image"])
     row["reach"] = recipe["reach"] or []

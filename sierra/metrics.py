@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from sierra import analysis
 from sierra.analysis import equivalence
 from sierra.config import Equivalence, Output
+from sierra.errors import NotFound, SierraError, UsageError
 from sierra.store import Store
 from sierra.store.frame import Column, Frame
 
@@ -42,15 +43,28 @@ class Metric:
 def values(
     store: Store, batch: str, executions: Mapping[str, str], metrics: Mapping[str, Equivalence], outputs: Mapping[str, Output]
 ) -> Values:
-    """What the given execution of each run comes to, by metric. Raises NotFound for an output or a column that is not there."""
+    """What the given execution of each run comes to, by metric. Raises NotFound for an output or a column that is not there,
+    or of which runs have several values at one time.
+    """
     found: Values = {}
     with Frame(store, batch, executions) as frame:
         for name, metric in metrics.items():
             declared = outputs.get(metric.table)
             column = Column(frame, metric.table, metric.column, declared.time if declared else "")
+            _check_single(column)
             rows = analysis.reduced(column, metric.measure, metric.threshold).to_pylist()
             found[name] = {(row["experiment"], row["run"]): row["value"] for row in rows}
     return found
+
+
+def _check_single(column: Column) -> None:
+    """Check that no run has several rows at one time. Raises NotFound."""
+    try:
+        analysis.coverage(column)
+    except UsageError as error:
+        raise NotFound(f"output {column.table!r}: {error}") from error
+    except SierraError:
+        pass  # without rows, no run has a value
 
 
 def compare(metrics: Mapping[str, Equivalence], was: Values, now: Values, ordinal: int, runs: list[str]) -> Iterator[Metric]:

@@ -196,7 +196,7 @@ def _look_up(store: Store, found: Found, runs: int | None) -> _Record:
         by = question.sql(
             "SELECT DISTINCT programs, reading, environment FROM executions SEMI JOIN taken USING (execution) ORDER BY ALL"
         ).to_pylist()
-        cells = question.sql("SELECT * FROM experiments WHERE batch = $b", b=batch).to_pylist()
+        cells = question.cells(batch)
         [(axes,)] = question.run("SELECT axes FROM batches WHERE batch = $b", {"b": batch})
         tables = question.sql(
             "SELECT DISTINCT output FROM artifacts SEMI JOIN taken USING (execution) WHERE kind = 'table' ORDER BY 1"
@@ -209,7 +209,7 @@ def _look_up(store: Store, found: Found, runs: int | None) -> _Record:
         runs=taken,
         named=len(named),
         whole=len(taken) == len(good) and found.kind in ("batch", "experiment"),
-        cells={row["ordinal"]: {axis: row[axis] for axis in axes} for row in cells},
+        cells={place: {axis: row[axis] for axis in axes} for place, row in cells.items()},
         seeds=seeds,
         tables=tables.column(0).to_pylist(),
         environment=by[0]["environment"],
@@ -354,7 +354,11 @@ def _experiments(
     now: metrics.Values = {}
     if stochastic:
         executions = {run.taken.run: str(run.execution) for runs in stochastic.values() for run in runs}
-        now = metrics.values(store, record.of.batch, executions, project.config.equivalence, declared)
+        try:
+            now = metrics.values(store, record.of.batch, executions, project.config.equivalence, declared)
+        except NotFound as error:
+            record.notes.append(f"[equivalence]: {error}; what was executed again has no value of it")
+            now = {name: {} for name in project.config.equivalence}
     for place, runs in by_place.items():
         found: tuple[Metric, ...] = ()
         if place in stochastic and was is not None:

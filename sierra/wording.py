@@ -1,7 +1,8 @@
-"""Many things in one line: the first few of them, and how many more there are."""
+"""Many things in one line: the first few of them, and how many more there are; names in the order of their numbers."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Sequence
 
 
@@ -14,6 +15,12 @@ def few(things: Sequence[str], most: int) -> str:
 def counted(count: int, noun: str) -> str:
     """So many of them: `1 element`, `2 elements`."""
     return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+
+
+def natural(name: str) -> tuple[tuple[str | int, ...], str]:
+    """Return a key that sorts names by the numbers in them: floor-9 stands before floor-12."""
+    parts = re.split(r"([0-9]+)", name)
+    return tuple(int(part) if place % 2 else part for place, part in enumerate(parts)), name
 
 
 def spans(numbers: Iterable[int]) -> list[tuple[int, int]]:

@@ -45,7 +45,8 @@ def sql(
     """Ask the store in SQL (DuckDB's).
 
     Nothing is changed, and nothing but the store can be read. Without --batch, outputs are those of all batches, whatever
-    code and settings they were made with.
+    code and settings they were made with. A column that holds numbers in some runs and texts in others is two: the texts of v
+    are in v_text.
 
     \b
     Examples:
@@ -86,7 +87,12 @@ def _ask(store: Store, text: str, within: str | None) -> pa.Table:
 
 
 def write(answer: pa.Table, format: Format, output: Path | None) -> None:
-    """An answer in a format, to a file or to standard output."""
+    """An answer in a format, to a file or to standard output; what must be known of it, to standard error."""
+    from sierra.cli.output import note
+    from sierra.store import NOTE
+
+    if told := (answer.schema.metadata or {}).get(NOTE.encode()):
+        note(told.decode())
     if output is None and format is Format.parquet and sys.stdout.isatty():
         raise UsageError("Parquet is not for a terminal; say where with -o FILE")
     data = FORMATS[format](answer)

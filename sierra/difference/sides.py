@@ -143,8 +143,8 @@ def _source(question: Question, tree: str | None, known: str | None) -> dict[str
 
 
 def _experiments(question: Question, batch: str, table: str) -> list[dict[str, Any]]:
-    only = f"AND ordinal IN (SELECT ordinal FROM {table})"  # noqa: S608 - our own names
-    return _rows(question, f"SELECT * FROM experiments WHERE batch = $b {only} ORDER BY ordinal", b=batch)  # noqa: S608
+    places = {row["ordinal"] for row in _rows(question, f"SELECT ordinal FROM {table}")}  # noqa: S608 - our own names
+    return [row for place, row in question.cells(batch).items() if place in places]
 
 
 def _cells(batch: Mapping[str, Any], experiments: Sequence[Mapping[str, Any]]) -> dict[int, dict[str, Any]]:

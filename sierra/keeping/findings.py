@@ -130,10 +130,10 @@ def _experiments(question: Question, batch: str, places: Sequence[tuple[str, str
 
 def _values(question: Question, batch: str) -> dict[int, str]:
     """What each experiment of a batch is called: the values of its axes."""
-    rows = question.sql("SELECT * EXCLUDE (experiment, batch) FROM experiments WHERE batch = $b", b=batch).to_pylist()
+    own = ("experiment", "batch", "ordinal")
     return {
-        row["ordinal"]: ", ".join(f"{n}={v}" for n, v in row.items() if n != "ordinal" and v is not None) or "its experiment"
-        for row in rows
+        place: ", ".join(f"{n}={v}" for n, v in row.items() if n not in own and v is not None) or "its experiment"
+        for place, row in question.cells(batch).items()
     }
 
 

@@ -61,8 +61,7 @@ class Records:
     def raw(self, name: str) -> str:
         """All rows of a table as they stand in the files, with the file's name."""
         if name in self.files:
-            union = ", union_by_name = true" if name == "experiments" else ""
-            return read_parquet(self.files[name])[:-1] + f"{union}, filename = true)"
+            return read_parquet(self.files[name], union=name == "experiments", filename=True)
         columns = ", ".join(f'NULL::{c.type} AS "{c.name}"' for c in RECORDED[name].columns)
         return f"(SELECT {columns}, '' AS filename WHERE false)"
 

@@ -9,6 +9,7 @@ from sierra.config import Output
 from sierra.model import OutputFile, Result
 from sierra.store.reading import Shape, shown
 from sierra.store.tables import check_name
+from sierra.wording import natural
 
 AUTOMATIC = {".csv": "csv", ".tsv": "csv", ".parquet": "parquet", ".jsonl": "jsonl", ".ndjson": "jsonl"}
 AUTOMATIC_AT_MOST = 20
@@ -32,7 +33,7 @@ class Assigning:
     def of(self, result: Result) -> Iterator[tuple[str, Shape, OutputFile]]:
         """The files of one execution that become tables: the declared ones, then what ends like a table."""
         automatic = []
-        for file in result.outputs:
+        for file in sorted(result.outputs, key=lambda file: natural(file.path)):
             declared = next((n for n, o in self._outputs.items() if o.matches(file.path)), None)
             kind = self._outputs[declared].kind if declared else _automatic(file.path)
             if kind in (None, "file"):

@@ -12,7 +12,8 @@ from sierra.recording.assigning import NOTED_AT_MOST
 from sierra.recording.context import Context
 from sierra.recording.siblings import GOOD, asked, many
 from sierra.store import Question, Store
-from sierra.store.names import column_names, identifier
+from sierra.store.columns import TEXT
+from sierra.store.names import identifier
 from sierra.store.reading import AS_TEXT, Shape, shown
 from sierra.wording import counted
 
@@ -68,8 +69,8 @@ class Remarks:
             stored = {"text" if kind.endswith(AS_TEXT) else kind for kind in counts}
             if len(stored) > 1:
                 held = ", ".join(f"{many(kind)} in {count}" for kind, count in sorted(counts.items()))
-                as_text = "all as text, and a number's text need not be the file's (1e5 is 100000.0)"
-                seen = as_text if "text" in stored else "true as 1"
+                apart = f"the numbers in {name!r}, and what is none in {name + TEXT!r}"
+                seen = apart if "number" in stored else "all as text"
                 yield f"column {name!r} of output {output!r} holds {held} runs; SQL shows {seen}"
         texts = [key for key, counts in kinds.items() if counts["text"]]
         for output, name in texts:
@@ -134,13 +135,8 @@ SELECT count(*), count_if(
 
 def _hidden(question: Question, name: str, axes: Mapping[str, str]) -> Iterator[tuple[str, str, str]]:
     """The columns of an output that an axis hides in SQL, where their values differ: axis, column, what it is called there."""
-    files = [path for segment in question.segments for output, path in segment.outputs() if output.lower() == name.lower()]
     question.views.make((name,))
-    if not files:
-        return
-    described = question.run("DESCRIBE SELECT * FROM read_parquet($files, union_by_name = true)", {"files": files})
-    stored = [row[0] for row in described]
-    for column, called in zip(stored, column_names(stored, taken=axes.values()), strict=True):
+    for column, called in question.views.called.get(name.lower(), {}).items():
         axis = axes.get(column.lower())
         if axis is not None and question.run(
             UNLIKE.format(axis=identifier(axis), column=identifier(called), table=identifier(name))

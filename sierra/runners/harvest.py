@@ -6,6 +6,7 @@ Of two copies of a run the first that is seen is the run's; the others are told 
 from __future__ import annotations
 
 import contextlib
+import glob
 import gzip
 import json
 import tempfile
@@ -102,7 +103,7 @@ class Harvest:
         self._ended: set[bytes] = set()
         self._recorded = {bytes.fromhex(execution): attempt for execution, attempt in recorded.items()}
         prefix = f"sierra-taken-{session.root.name}-"
-        for left in Path(tempfile.gettempdir()).glob(f"{prefix}*"):  # by one who followed before, and was killed
+        for left in Path(tempfile.gettempdir()).glob(f"{glob.escape(prefix)}*"):  # by one who followed before, and was killed
             worker.remove(str(left))
         self._folder = Path(tempfile.mkdtemp(prefix=prefix))
         """Of this host, for the files of runs, until they are recorded."""

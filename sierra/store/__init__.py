@@ -18,9 +18,10 @@ from sierra.errors import Damaged, Missing, NotFound, SierraError, SqlError
 from sierra.paths import StorePaths, write_whole
 from sierra.store.complaints import explain
 from sierra.store.connections import Connection
+from sierra.store.scans import check_folder, plain, read_parquet
 from sierra.store.segments import Segment, Writer, disk_errors, listed
 from sierra.store.sharing import Shared
-from sierra.store.views import Views, outputs, read_parquet, tables_of
+from sierra.store.views import Views, outputs, tables_of
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -31,6 +32,8 @@ CACHEDIR = (
     "Signature: 8a477f597d28d172789f06886806bc55\n"
     "# This folder was made by SIERRA and holds recorded experiments: do not delete it as if it were a cache.\n"
 )
+NOTE = "sierra:note"
+"""What a schema's metadata call that which a reader of an answer must know."""
 PREFIX = re.compile(r"[0-9a-f]{4,64}")
 
 
@@ -49,6 +52,7 @@ class Store:
 
     def __init__(self, root: Path) -> None:
         """Open the store in the folder `root`. Raises Missing where there is none, Damaged where it is of another format."""
+        check_folder(root)
         self.paths = StorePaths(root)
         try:
             found = self.paths.format.read_text()
@@ -63,6 +67,7 @@ class Store:
     @classmethod
     def create(cls, root: Path) -> Store:
         """The store in `root`, made there if there is none. Any number of processes may do so at once."""
+        check_folder(root)
         paths = StorePaths(root)
         if not paths.format.exists():
             with disk_errors(root):
@@ -198,15 +203,20 @@ class Question:
                 answer = self._answer(text, parameters)
             if answer is None:
                 raise SqlError("that statement has no answer; ask with SELECT, DESCRIBE, SUMMARIZE or SHOW TABLES")
-            return apart(answer.to_arrow_table())
+            table = apart(answer.to_arrow_table())
+            return table.replace_schema_metadata({NOTE: "; ".join(self.views.told)}) if self._noted(text) else table
         except duckdb.Error as error:
             raise self._wrong(error) from error
+
+    def _noted(self, text: str) -> bool:
+        """Whether what is to be known of columns belongs to an answer: not to a list of all tables."""
+        return bool(self.views.told) and tables_of(text) is not None
 
     def _wrong(self, error: Exception) -> SierraError:
         """What DuckDB complains of: the store's files, or the statement."""
         import duckdb
 
-        if f"{self._root}/segments/" in str(error) and not isinstance(error, duckdb.PermissionException):
+        if f"{self._root}/segments/" in plain(str(error)) and not isinstance(error, duckdb.PermissionException):
             return Damaged(f"the store cannot be read: {explain(error)}")
         return SqlError(explain(error))
 
@@ -232,6 +242,20 @@ class Question:
                 yield from rows
         except duckdb.Error as error:
             raise self._wrong(error) from error
+
+    def cells(self, batch: str) -> dict[int, dict[str, Any]]:
+        """What is recorded of each experiment of a batch, by its place: its id, and the values of axes as they were given.
+
+        In the table `experiments`, a column has one type for all batches.
+        """
+        files = [s.files["experiments"] for s in self.segments if s.batch == batch[:12] and "experiments" in s.files]
+        if not files:
+            return {}
+        rows = self.connection.sql(
+            f"SELECT DISTINCT ON (ordinal) * FROM {read_parquet(files, union=True)} WHERE batch = $b ORDER BY ordinal",
+            params={"b": batch},
+        )
+        return {row["ordinal"]: row for row in rows.to_arrow_table().to_pylist()}
 
     def register(self, name: str, table: Any) -> None:
         """Make an Arrow table known to this connection by a name."""

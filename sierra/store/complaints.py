@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import re
 
+from sierra.store.scans import plain
+
 NESTED = re.compile(r'"exception_message":("(?:[^"\\]|\\.)*")')
 """Where a thread that writes complains, within another complaint, as JSON."""
 MOST = 400
@@ -23,4 +25,4 @@ def first_line(error: Exception) -> str:
 
 def _plain(error: Exception) -> str:
     found = NESTED.search(str(error))
-    return str(json.loads(found[1], strict=False)) if found else str(error)
+    return plain(str(json.loads(found[1], strict=False)) if found else str(error))

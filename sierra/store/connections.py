@@ -16,12 +16,14 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
+from sierra.store.scans import steady
+
 
 class Connection:
     """A cursor on a DuckDB of its own, which may read one folder and nothing else; for one question at a time."""
 
     def __init__(self, folder: Path) -> None:
-        self._folder = f"{folder}/"
+        self._folder = steady(f"{folder}/")
         kept = _idle.pop(os.getpid(), None)
         if kept is not None and kept[0] != self._folder:
             kept[1].close()
@@ -78,7 +80,7 @@ def connect() -> Any:
             "autoinstall_known_extensions": "false",
             "autoload_known_extensions": "false",
             # DuckDB allows to read what lies there, so it is nobody's; made and removed where it is needed.
-            "temp_directory": str(Path(tempfile.gettempdir(), f"sierra-{secrets.token_hex(8)}")),
+            "temp_directory": steady(str(Path(tempfile.gettempdir(), f"sierra-{secrets.token_hex(8)}"))),
             "python_enable_replacements": "false",
         },
     )

@@ -26,8 +26,10 @@ from sierra.store import Found, Question
 from sierra.store.complaints import explain, first_line
 from sierra.store.names import column_names, identifier
 from sierra.store.reading import is_number
+from sierra.store.scans import read_parquet
 from sierra.store.segments import MANIFEST, Segment
-from sierra.store.views import files_with, read_parquet
+from sierra.store.views import files_with
+from sierra.wording import natural
 
 INPUT_FOLDER = "input/"
 OUTPUT_FOLDER = "output/"
@@ -170,9 +172,12 @@ def recorded(question: Question, runs: Sequence[Taken], *, inputs: bool = False)
     question.register("taken", pa.table({name: list(values) for name, values in columns.items()}))
     with _readable():
         question.views.make(("members", "recipes", "artifacts", "objects"))
-        return [Recorded(runs[place], *rest) for place, *rest in question.each(FILES, {"all": not inputs})]
+        rows = [(place, Recorded(runs[place], *rest)) for place, *rest in question.each(FILES, {"all": not inputs})]
+    return [file for _, file in sorted(rows, key=lambda row: (row[0], PARTS.get(row[1].kind, 1), natural(row[1].path)))]
 
 
+PARTS = {"input": 0, "log": 2}
+"""The order of kinds of files; what runs wrote stands in the middle."""
 FILES = f"""
 WITH inputs AS (
     SELECT t.place, m.inputs, r.files, unnest(range(len(r.files))) AS nth
@@ -180,18 +185,17 @@ WITH inputs AS (
                        WHERE run IN (SELECT run FROM taken) GROUP BY run) m USING (run) JOIN recipes r USING (recipe)
 ),
 listed AS (
-    SELECT place, 0 AS part, '{INPUT_FOLDER}' || files[nth + 1] AS path, 'input' AS kind, NULL::BIGINT AS size,
+    SELECT place, '{INPUT_FOLDER}' || files[nth + 1] AS path, 'input' AS kind, NULL::BIGINT AS size,
            inputs[nth + 1] AS sha256, NULL AS output, NULL AS form, NULL::BIGINT AS rows FROM inputs
     UNION ALL
-    SELECT t.place, CASE a.kind WHEN 'log' THEN 2 ELSE 1 END,
-           CASE a.kind WHEN 'log' THEN a.path ELSE '{OUTPUT_FOLDER}' || a.path END, a.kind, a.size, a.sha256, a.output,
-           a.form, a.rows
+    SELECT t.place, CASE a.kind WHEN 'log' THEN a.path ELSE '{OUTPUT_FOLDER}' || a.path END, a.kind, a.size, a.sha256,
+           a.output, a.form, a.rows
     FROM taken t JOIN artifacts a USING (execution) WHERE $all
 ),
 kept AS (SELECT sha256, any_value(size) AS kept FROM objects GROUP BY sha256)
 SELECT l.place, l.path, l.kind, coalesce(l.size, k.kept), l.sha256, CASE WHEN l.kind <> 'table' THEN k.kept END,
        l.output, l.form, l.rows
-FROM listed l LEFT JOIN kept k ON k.sha256 = l.sha256 ORDER BY l.place, l.part, l.path
+FROM listed l LEFT JOIN kept k ON k.sha256 = l.sha256
 """
 
 

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 from sierra.errors import NotFound, SqlError
 from sierra.model import Axis, Value
-from sierra.store import Question, Store, read_parquet
+from sierra.store import Question, Store
+from sierra.store.columns import Relation, relation
 from sierra.store.complaints import explain
 from sierra.store.names import identifier
 from sierra.store.segments import is_first_part
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 MEMBERS = "SELECT execution FROM membership"
+MIXED = "holds numbers in some runs, and other things in others"
 NUMERIC = ("BIGINT", "DOUBLE", "FLOAT", "INTEGER", "DECIMAL", "SMALLINT", "TINYINT", "UBIGINT", "UINTEGER", "HUGEINT")
 
 
@@ -34,6 +36,10 @@ class OutputTable:
     columns: tuple[str, ...]
     all_columns: tuple[str, ...]
     rows: int
+    files: int
+    """How many files the run with most of them has."""
+    mixed: tuple[str, ...]
+    """Columns that hold numbers in some runs, and other things in others."""
 
 
 class Frame:
@@ -42,8 +48,9 @@ class Frame:
     def __init__(self, store: Store, batch: str, these: Mapping[str, str] | None = None) -> None:
         """`these`: instead of those that count, the execution of each of these runs."""
         self.batch = batch
-        self._question: Question = store.ask()
+        self._question: Question = store.ask(batch)
         self._loaded: set[str] = set()
+        self._relations: dict[str, Relation] = {}
         self._question.views.make(("members", "executions", "experiments", "batches", "counting"))
         self._members(these)
         self._files = self._output_files()
@@ -130,21 +137,31 @@ class Frame:
         """The tables that the batch's runs wrote."""
         found = []
         for name, files in sorted(self._files.items()):
-            source = read_parquet(files, union=True)
-            described = self._question.run(f"DESCRIBE SELECT * FROM {source}")
-            columns = [(row[0], row[1]) for row in described if row[0] not in ("run", "execution", "file")]
-            [(rows,)] = self._question.run(
-                f"SELECT coalesce(max(n), 0) FROM (SELECT count(*) AS n FROM {source} GROUP BY execution)"
+            source = self._relation(name, files)
+            columns = [(name, kind) for name, kind in source.types.items() if name not in ("run", "execution", "file")]
+            many = "count(DISTINCT file)" if "file" in source.types else "1"
+            [(rows, most)] = self._question.run(
+                f"SELECT coalesce(max(rows), 0), coalesce(max(files), 0) FROM (SELECT count(*) AS rows, {many} AS files "
+                f"FROM {source.sql} WHERE execution IN ({MEMBERS}) GROUP BY execution)"
             )
-            numeric = tuple(c for c, kind in columns if kind.startswith(NUMERIC))
-            found.append(OutputTable(name, numeric, tuple(c for c, _ in columns), rows))
+            mixed = _mixed(source)
+            numeric = tuple(c for c, kind in columns if kind.startswith(NUMERIC) and c not in mixed)
+            found.append(OutputTable(name, numeric, tuple(c for c, _ in columns), rows, most, mixed))
         return tuple(found)
+
+    def _relation(self, table: str, files: Sequence[str]) -> Relation:
+        """The rows of an output, whether they count or not."""
+        if table not in self._relations:
+            self._relations[table] = relation(self._question.run, files, f"execution IN ({MEMBERS})", rows=True)
+        return self._relations[table]
 
     def samples(self, table: str, column: str, time: str = "") -> None:
         """Make `samples` be one column of one output. Raises NotFound for what the batch does not have."""
         files = self._files.get(table)
         if files is None:
             raise NotFound(f"no output {table!r} in this batch; it has {', '.join(sorted(self._files)) or 'none'}")
+        if column in _mixed(self._relation(table, files)):
+            raise NotFound(f"column {column!r} of output {table!r} {MIXED}")
         if table not in self._loaded:
             self._load(table, files)
         described = self._question.run(f"DESCRIBE {identifier('data ' + table)}")
@@ -165,12 +182,13 @@ class Frame:
             raise NotFound(f"{where}: {explain(error)}") from error
 
     def _load(self, table: str, files: list[str]) -> None:
-        source = read_parquet(files, union=True, rows=True)
+        source = self._relation(table, files)
+        file = ", o.file" if "file" in source.types else ""
         self._question.run(
             f'CREATE TEMP TABLE {identifier("data " + table)} AS SELECT m.experiment AS "# experiment", '
-            'm.number AS "# number", row_number() OVER (PARTITION BY o.execution, m.experiment '
+            f'm.number AS "# number", row_number() OVER (PARTITION BY o.execution, m.experiment{file} '
             'ORDER BY o.filename, o.file_row_number) - 1 AS "# place", o.* EXCLUDE (execution, filename, file_row_number) '
-            f"FROM {source} o JOIN membership m ON o.execution = m.execution"
+            f"FROM {source.sql} o JOIN membership m ON o.execution = m.execution"
         )
         self._loaded.add(table)
 
@@ -196,6 +214,10 @@ class Column:
     def sql(self, text: str, /, **parameters: Any) -> pa.Table:
         self.frame.samples(self.table, self.column, self.time)
         return self.frame.sql(text, **parameters)
+
+
+def _mixed(relation: Relation) -> tuple[str, ...]:
+    return tuple(name for name in relation.texts if name not in relation.rounded)
 
 
 def _like(name: str, known: Sequence[str]) -> str:

@@ -10,7 +10,7 @@ from sierra.errors import Damaged
 from sierra.hashing import sha256
 from sierra.store import Question
 from sierra.store.files import holding
-from sierra.store.views import read_parquet
+from sierra.store.scans import read_parquet
 
 OWN = ("run", "execution", "file", "filename", "file_row_number")
 

@@ -23,8 +23,9 @@ from sierra.paths import StorePaths
 from sierra.store import Question
 from sierra.store.complaints import first_line
 from sierra.store.connections import connect
-from sierra.store.names import identifier, quote
+from sierra.store.names import identifier
 from sierra.store.objects import GROUP, ROWS
+from sierra.store.scans import copy, read_parquet
 from sierra.store.segments import (
     AFTER,
     MANIFEST,
@@ -39,7 +40,6 @@ from sierra.store.segments import (
 )
 from sierra.store.sharing import alone
 from sierra.store.tables import arrow_schema
-from sierra.store.views import read_parquet
 
 Drop = Mapping[str, Mapping[str, AbstractSet[str]]]
 """By table (`output`: all outputs) and column: a row goes where its value is one of these."""
@@ -260,7 +260,7 @@ def _write_output(target: Path, paths: Sequence[str], executions: AbstractSet[st
         stays = f"SELECT o.* FROM {read_parquet(paths)} o ANTI JOIN gone g ON o.execution = g.execution"
         before = connection.execute(SUM.format(rows=stays)).fetchall()[0]
         if before[0]:
-            connection.execute(f"COPY ({stays}) TO {quote(str(target))} (FORMAT parquet, COMPRESSION zstd)")
+            connection.execute(copy(stays, target))
             written = connection.execute(SUM.format(rows=f"SELECT * FROM {read_parquet([str(target)])}")).fetchall()[0]
             if written != before or not _schema(str(target)).equals(_schema(paths[0])):
                 raise Damaged(f"{paths[0]}: its rows are not the same written again; nothing was changed")

@@ -7,8 +7,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from sierra.errors import Damaged
+from sierra.store.columns import Relation, relation
 from sierra.store.complaints import first_line
 from sierra.store.names import column_names, identifier, quote
+from sierra.store.scans import read_parquet
 from sierra.store.segments import Segment, is_first_part
 from sierra.store.tables import DERIVED, RECORDED
 
@@ -57,6 +59,12 @@ class Views:
                 self._files.setdefault(name, []).append(path)
             for name, path in segment.outputs():
                 self._outputs.setdefault(spelled.setdefault(name.lower(), name), []).append(path)
+        self._own = [segment for segment in segments if within is not None and segment.batch == within[:12]]
+        self._segments = segments
+        self.called: dict[str, dict[str, str]] = {}
+        """By output (in lower case) whose view is made, what its columns are called there."""
+        self.told: list[str] = []
+        """What must be known of columns that are not of one type."""
         self._made: set[str] = set()
         self._there: list[str] = []
 
@@ -117,7 +125,7 @@ class Views:
         if files is None:
             columns = ", ".join(f"NULL::{c.type} AS {identifier(c.name)}" for c in RECORDED[name].columns)
             return f"SELECT {columns} WHERE false"
-        source = read_parquet(files, union=name == "experiments")
+        source = self._experiments(files) if name == "experiments" else read_parquet(files)
         if name in ONCE:
             keys = ONCE[name]
             others = [c for c in self._columns(name, source) if c not in keys]
@@ -131,6 +139,26 @@ class Views:
         if name == "members" and self._within is not None:
             return f"SELECT * FROM {source} WHERE batch = {quote(self._within)}"
         return f"SELECT * FROM {source}"
+
+    def _experiments(self, files: list[str]) -> str:
+        """The values of axes: those of one batch as they are, those of all with numbers apart from texts."""
+        own = [segment.files["experiments"] for segment in self._own if "experiments" in segment.files]
+        found = relation(self._fetch, own or files)
+        self._tell("experiments", found, {name: name for name in found.types})
+        return found.sql if self._within is None else f"(SELECT * FROM {found.sql} WHERE batch = {quote(self._within)})"
+
+    def _fetch(self, statement: str) -> list[tuple[Any, ...]]:
+        rows: list[tuple[Any, ...]] = self._execute(statement).fetchall()
+        return rows
+
+    def _tell(self, table: str, found: Relation, called: Mapping[str, str]) -> None:
+        """Note which columns have another one beside them."""
+        for name, text in found.texts.items():
+            column, beside = f"column {called[name]!r} of {table}", repr(called[text])
+            holds = "numbers in some runs, and other things in others: these are"
+            if name in found.rounded:
+                holds = "fractions in some runs, and whole numbers too great for them in others: all digits are"
+            self.told.append(f"{column} holds {holds} in {beside}")
 
     def _columns(self, name: str, source: str) -> list[str]:
         if name != "experiments":
@@ -169,26 +197,38 @@ class Views:
         self._make("counting")
         self._make("points")
         files = self._holding(self._outputs[name])
-        source = read_parquet(files, union=True)
+        found = relation(self._fetch, files, f"execution IN (SELECT execution FROM ({COUNTED}))", rows=True)
         axes = self.axes()
-        theirs = [row[0] for row in self._execute(f"DESCRIBE SELECT * FROM {source}").fetchall()]
+        theirs = list(found.types)
         free = column_names(theirs, taken=axes)
         renamed = ", ".join(f"{identifier(c)} AS {identifier(n)}" for c, n in zip(theirs, free, strict=True) if c != n)
         rename = f" RENAME ({renamed})" if renamed else ""
         *_, row = column_names(["row"], taken=(*axes, *free))
+        self.called[name.lower()] = dict(zip(theirs, free, strict=True))
+        self._tell(name, found, self.called[name.lower()])
         ours = "".join(f"p.{identifier(axis)}, " for axis in axes)
         return (
             f"SELECT {ours}p.number, o.file_row_number AS {identifier(row)}, o.* EXCLUDE (file_row_number, filename){rename} "
-            f"FROM {read_parquet(files, union=True, rows=True)} o JOIN points p ON o.run = p.run "
+            f"FROM {found.sql} o JOIN points p ON o.run = p.run "
             f"WHERE o.execution IN (SELECT execution FROM ({COUNTED}))"
         )
 
     def _holding(self, files: list[str]) -> list[str]:
         """Of an output whose columns may differ, the files with an execution that counts; what others have, nobody sees."""
-        if all(map(is_first_part, files)) and "findings" not in self._files:
+        if self._within is not None:
+            mine = self._of_batch(files)
+            files = [file for file in files if file in mine] or files
+        elif all(map(is_first_part, files)) and "findings" not in self._files:
             return files
         found = {row[0] for row in self._execute(files_with(files, f"SELECT execution FROM ({COUNTED})")).fetchall()}
         return [file for file in files if file in found] or files
+
+    def _of_batch(self, files: Sequence[str]) -> set[str]:
+        """Of these files, those of batches that recorded an execution that counts."""
+        batches = {
+            row[0][:12] for row in self._fetch(f"SELECT DISTINCT batch FROM executions SEMI JOIN ({COUNTED}) USING (execution)")
+        }
+        return {path for segment in self._segments if segment.batch in batches for path in segment.files.values()} & set(files)
 
 
 LATEST = """
@@ -255,15 +295,7 @@ def _pick(column: str, first: str | None) -> str:
 
 def files_with(files: Sequence[str], executions: str) -> str:
     """The statement for which of these files have a row of one of the executions that a query gives."""
-    return f"SELECT DISTINCT filename FROM {read_parquet(files, rows=True)} WHERE execution IN ({executions})"
-
-
-def read_parquet(files: Sequence[str], *, union: bool = False, rows: bool = False) -> str:
-    """The table function that reads these files; with `rows`, also each row's place in its file."""
-    listed = ", ".join(map(quote, files))
-    options = ", union_by_name = true" if union else ""
-    options += ", file_row_number = true, filename = true" if rows else ""
-    return f"read_parquet([{listed}]{options})"
+    return f"SELECT DISTINCT filename FROM {read_parquet(files, filename=True)} WHERE execution IN ({executions})"
 
 
 NAMED = re.compile(

@@ -19,6 +19,7 @@ kept as JSON. A column called as one of ours, or as another but for case, gets a
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +30,7 @@ from sierra.store.reading.reader import Reader
 from sierra.store.reading.separated import Csv
 from sierra.store.reading.shapes import Reading, Shape, Siblings, Written
 from sierra.store.reading.telling import difference, shown
+from sierra.store.scans import Aliases
 
 __all__ = [
     "AS_TEXT",
@@ -53,4 +55,6 @@ def read(connection: Any, files: Sequence[Written], shape: Shape, target: Path, 
     """
     connection.execute("SET disabled_optimizers = 'join_order,build_side_probe_side'")  # rows keep their order
     readers: Mapping[str, type[Reader]] = {"csv": Csv, "parquet": Parquet, "jsonl": Jsonl}
-    return readers[shape.format](connection, shape, target, siblings or Siblings()).read(files)
+    with Aliases() as aliases:
+        named = [replace(file, path=aliases.of(file.path)) for file in files]
+        return readers[shape.format](connection, shape, target, siblings or Siblings()).read(named)

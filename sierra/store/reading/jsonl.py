@@ -14,6 +14,7 @@ from sierra.store.reading.reader import FILE
 from sierra.store.reading.shapes import Part, Written
 from sierra.store.reading.telling import shown
 from sierra.store.reading.texts import Text
+from sierra.store.scans import objects_given
 
 
 class Jsonl(Text):
@@ -41,7 +42,7 @@ class Jsonl(Text):
         return found
 
     def _objects(self) -> str:
-        return f"read_ndjson_objects($files, filename = {quote(FILE)})"
+        return objects_given(FILE)
 
     def relation(self, names: Sequence[str], types: Mapping[str, str]) -> str:
         pointers = ("/" + name.replace("~", "~0").replace("/", "~1") for name in names)

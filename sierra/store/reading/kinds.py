@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 
 from sierra.store.names import quote
 from sierra.store.reading.shapes import Written
@@ -41,7 +41,16 @@ def kind_of(kind: str) -> str:
 
 
 def is_number(kind: str) -> bool:
-    return kind.startswith(("DECIMAL", "DOUBLE", "FLOAT")) or kind.rstrip("0123456789").removeprefix("U").endswith("INT")
+    return kind.startswith(("DECIMAL", "DOUBLE", "FLOAT")) or kind.rstrip("0123456789").endswith(("INT", "INTEGER"))
+
+
+def is_whole(kind: str) -> bool:
+    return "INT" in kind or kind == HUGE
+
+
+def is_inexact(column: str, kind: str) -> str:
+    """The condition that a number of some type is not the same as DOUBLE."""
+    return f"{column} IS NOT NULL AND TRY_CAST(CAST({column} AS DOUBLE) AS {kind}) IS DISTINCT FROM {column}"
 
 
 def bit(cell: str) -> str:
@@ -65,6 +74,11 @@ def odd(cell: str) -> str:
     return f"(contains({cell}, '_') OR (isinf(TRY_CAST({cell} AS DOUBLE)) AND regexp_matches({cell}, '[0-9]')))"
 
 
+def reads_as(cell: str, kind: str) -> str:
+    """The number that a text is, as a type of numbers; NULL where it is none."""
+    return f"CASE WHEN NOT {odd(cell)} THEN TRY_CAST({no_nan(cell)} AS {kind}) END"
+
+
 def narrowest(bits: int) -> str | None:
     """The narrowest type that holds all of these kinds."""
     if bits in (0, 1):
@@ -84,9 +98,18 @@ def common(kinds: Iterable[str | None]) -> str:
     return "DOUBLE" if "DOUBLE" in some else HUGE
 
 
-def alike(files: Sequence[Written], kept: Mapping[str, Mapping[str, str | None]]) -> list[list[Written]]:
-    """The files sorted by what their columns are to hold; a column without values goes with those that have most."""
-    kinds = {name: {path: kind_of(kind) for path, kind in seen.items() if kind} for name, seen in kept.items()}
+def alike(
+    files: Sequence[Written], kept: Mapping[str, Mapping[str, str | None]], apart: Collection[str] = ()
+) -> list[list[Written]]:
+    """Return the files sorted by what their columns are to hold; a column without values goes with those that have most.
+
+    `apart`: columns in which whole numbers are not kept with fractions, as DOUBLE does not hold them.
+    """
+
+    def sort(name: str, kind: str) -> str:
+        return "whole" if name in apart and is_whole(kind) else kind_of(kind)
+
+    kinds = {name: {path: sort(name, kind) for path, kind in seen.items() if kind} for name, seen in kept.items()}
     mixed = {name: Counter(seen.values()) for name, seen in kinds.items() if len(set(seen.values())) > 1}
     most = {name: counts.most_common(1)[0][0] for name, counts in mixed.items()}
     sorts: dict[tuple[str, ...], list[Written]] = {}

@@ -7,10 +7,11 @@ from pathlib import Path
 from typing import Any
 
 from sierra.store.complaints import first_line
-from sierra.store.names import identifier, quote
-from sierra.store.reading.kinds import EMPTY, HUGE, alike, kind_of
+from sierra.store.names import identifier
+from sierra.store.reading.kinds import EMPTY, HUGE, alike, is_inexact, is_whole, kind_of
 from sierra.store.reading.reader import FILE, Reader
 from sierra.store.reading.shapes import Part, Shape, Siblings, Written
+from sierra.store.scans import parquet_given, parquet_schema
 
 
 class Parquet(Reader):
@@ -45,7 +46,7 @@ class Parquet(Reader):
             name: {file.path: None if (kind := self._found[file.path][name]) == EMPTY else kind for file in files}
             for name in self.part.names
         }
-        written = list(zip(self.targets(), alike(files, kinds), strict=False))
+        written = list(zip(self.targets(), alike(files, kinds, self._inexact(files)), strict=False))
         try:
             for target, some in written:
                 types = {name: self._type(name, some) for name in self.part.names}
@@ -57,8 +58,23 @@ class Parquet(Reader):
             raise
         return written
 
+    def _inexact(self, files: Sequence[Written]) -> set[str]:
+        """The columns of whole numbers in some files, and fractions in others, that DOUBLE does not hold."""
+        found = set()
+        for name in self.part.names:
+            whole = [file for file in files if is_whole(self._found[file.path][name])]
+            fractions = {"DOUBLE", "FLOAT"} & {self._found[file.path][name] for file in files}
+            if fractions and whole and self._any_inexact(name, whole):
+                found.add(name)
+        return found
+
+    def _any_inexact(self, name: str, files: Sequence[Written]) -> bool:
+        kind = self._type(name, files)
+        inexact = is_inexact(f"CAST({identifier(name)} AS {kind})", kind)
+        return bool(self.fetch(f"SELECT 1 FROM {self._source()} WHERE {inexact} LIMIT 1", files))
+
     def _source(self) -> str:
-        return f"read_parquet($files, filename = {quote(FILE)}, union_by_name = true)"
+        return parquet_given(FILE)
 
     def _readable(self, files: Sequence[Written]) -> list[Written]:
         whole = f"SELECT count(COLUMNS(*)) FROM {self._source()}"
@@ -69,7 +85,7 @@ class Parquet(Reader):
         """Names and types of each file's columns; files that say the same are asked once."""
         rows = self.fetch(
             "SELECT file_name, list((name, type, type_length, num_children, converted_type, scale, precision, logical_type)"
-            "::VARCHAR) FROM parquet_schema($files) GROUP BY file_name",
+            f"::VARCHAR) FROM {parquet_schema()} GROUP BY file_name",
             files,
         )
         by_path = {file.path: file for file in files}

@@ -9,9 +9,10 @@ from typing import Any
 
 from sierra.errors import Missing
 from sierra.store.complaints import first_line
-from sierra.store.names import column_names, identifier, quote
+from sierra.store.names import column_names, identifier
 from sierra.store.reading.shapes import Part, Reading, Shape, Siblings, Written
 from sierra.store.reading.telling import shown
+from sierra.store.scans import copy, parquet_metadata, read_parquet
 
 FILE = "# file"
 """What DuckDB calls the file that a row is from: no name that a column is likely to have."""
@@ -117,7 +118,7 @@ class Reader:
     def _lacking(self, target: Path) -> set[str]:
         """The columns of a Parquet file that have no value in some row."""
         rows = self.sql.execute(
-            f"SELECT path_in_schema FROM parquet_metadata({quote(str(target))}) GROUP BY 1 "
+            f"SELECT path_in_schema FROM {parquet_metadata(str(target))} GROUP BY 1 "
             "HAVING coalesce(max(stats_null_count), 1) > 0"
         ).fetchall()
         return {row[0].partition(", ")[0] for row in rows} | {row[0] for row in rows}
@@ -154,12 +155,8 @@ class Reader:
         self.sql.register("owners", owners)
         self.sql.execute("SET threads = 1")  # several would put the pieces of a large file in any order
         try:
-            self.sql.execute(
-                f"COPY (SELECT o.run, o.execution, {name}{named} FROM {source} t "
-                f"JOIN owners o ON t.{identifier(FILE)} = o.path) "
-                f"TO {quote(str(target))} (FORMAT parquet, COMPRESSION zstd)",
-                these(files),
-            )
+            rows = f"SELECT o.run, o.execution, {name}{named} FROM {source} t JOIN owners o ON t.{identifier(FILE)} = o.path"
+            self.sql.execute(copy(rows, target), these(files))
         except self.error:
             target.unlink(missing_ok=True)
             raise
@@ -174,7 +171,7 @@ class Reader:
         name = "file" if self.shape.many else "NULL"
         only = {(file.execution, shown(file.name) if self.shape.many else None): file.name for file in files}
         filled = "".join(f", count({identifier(column)})" for column in columns)
-        statement = f"SELECT execution, {name}, count(*){filled} FROM read_parquet({quote(str(target))}) GROUP BY 1, 2"
+        statement = f"SELECT execution, {name}, count(*){filled} FROM {read_parquet([str(target)])} GROUP BY 1, 2"
         for execution, file, count, *values in self.sql.execute(statement).fetchall():
             yield (execution, only[execution, file]), count, values
 

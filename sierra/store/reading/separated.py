@@ -12,11 +12,11 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from sierra.store.names import quote
 from sierra.store.reading.reader import FILE
 from sierra.store.reading.shapes import Part, Written
 from sierra.store.reading.telling import shown
 from sierra.store.reading.texts import Text
+from sierra.store.scans import csv_given
 
 DELIMITERS = (",", "\t", ";", "|")
 HEAD_BYTES = 4096
@@ -84,15 +84,9 @@ class Csv(Text):
         super().one(files)
 
     def relation(self, names: Sequence[str], types: Mapping[str, str]) -> str:
-        columns = ", ".join(
-            f"c{place}: {quote('DOUBLE' if types[name] == 'DOUBLE' else 'VARCHAR')}" for place, name in enumerate(names)
-        )
-        longest = f", max_line_size = {self._longest + 1}" if self._longest >= 2_000_000 else ""
-        return (
-            f"read_csv($files, columns = {{{columns}}}, auto_detect = false, header = {str(self.shape.header).lower()}, "
-            f"delim = {quote(self.part.delimiter)}, quote = '\"', escape = '\"', nullstr = '', filename = {quote(FILE)}, "
-            f"strict_mode = true{longest})"
-        )
+        columns = {f"c{place}": "DOUBLE" if types[name] == "DOUBLE" else "VARCHAR" for place, name in enumerate(names)}
+        longest = self._longest + 1 if self._longest >= 2_000_000 else None
+        return csv_given(columns, FILE, delimiter=self.part.delimiter, header=self.shape.header, longest=longest)
 
     def has_underscores(self, file: Written) -> bool:
         with Path(file.path).open("rb") as data:

@@ -9,11 +9,29 @@ from typing import Any
 
 from sierra.store.complaints import first_line
 from sierra.store.names import column_names, identifier, quote
-from sierra.store.reading.kinds import LOGICAL, WHOLE, alike, bit, common, kind_of, kinds_of, narrowest, no_nan, odd, right_kind
+from sierra.store.reading.kinds import (
+    LOGICAL,
+    WHOLE,
+    alike,
+    bit,
+    common,
+    is_whole,
+    kind_of,
+    kinds_of,
+    narrowest,
+    no_nan,
+    odd,
+    right_kind,
+)
 from sierra.store.reading.reader import FILE, Reader, these
 from sierra.store.reading.shapes import Group, Written
 from sierra.store.reading.telling import shown
+from sierra.store.scans import read_parquet
 
+Found = Mapping[str, Mapping[str, str | None]]
+"""By column and file, the type that holds what is there."""
+Target = tuple[Path, list[Written], dict[str, dict[str, str]]]
+"""A Parquet file that was written, of which files, and what these have in each column."""
 AT_ONCE = 50
 """Columns that a statement looks at side by side: what DuckDB needs to plan it grows with their square."""
 
@@ -36,7 +54,7 @@ class Text(Reader):
     def one(self, files: Sequence[Written]) -> None:
         names = self.part.names
         try:
-            written = self._write(files, self._quickly_seen(files, names))
+            written = self._exactly(files, self._quickly_seen(files, names))
         except (self.error, _MisreadError):
             texts = dict.fromkeys(names, "VARCHAR")
 
@@ -46,15 +64,25 @@ class Text(Reader):
             self.halve(files, lambda some: self._try(some, names), explain)
             files = self.sound(files)
             try:
-                written = self._write(files, self._seen(files, names), by_text=True) if files else []
+                written = self._exactly(files, self._seen(files, names), by_text=True) if files else []
             except self.error as error:
                 raise self.unwritten(error) from error
         for target, some, kinds in written:
             self.done(target, some, kinds)
 
+    def _exactly(self, files: Sequence[Written], found: Found, *, by_text: bool = False) -> list[Target]:
+        """As `_write`, with whole numbers that DOUBLE does not hold apart from fractions of other files."""
+        apart: frozenset[str] = frozenset()
+        while True:
+            try:
+                return self._write(files, found, apart, by_text=by_text)
+            except _RoundedError as error:
+                found = {**found, **{name: {**found[name], **seen} for name, seen in error.found.items()}}
+                apart |= error.found.keys()
+
     def _write(
-        self, files: Sequence[Written], found: Mapping[str, Mapping[str, str | None]], *, by_text: bool = False
-    ) -> list[tuple[Path, list[Written], dict[str, dict[str, str]]]]:
+        self, files: Sequence[Written], found: Found, apart: frozenset[str] = frozenset(), *, by_text: bool = False
+    ) -> list[Target]:
         """Write what the files hold, as their types were found; with `by_text`, slower, numbers too that DuckDB does not know.
 
         Where it was written, what, and what it is.
@@ -62,11 +90,11 @@ class Text(Reader):
         names = self.part.names
         texts = dict.fromkeys(names, "VARCHAR")
         kept = self._kept(files, found)
-        written: list[tuple[Path, list[Written], dict[str, dict[str, str]]]] = []
+        written: list[Target] = []
         try:
             targets = self.targets()
             usual = next(targets)
-            for some in alike(files, kept):
+            for some in alike(files, kept, apart):
                 # what will hardly count goes where SQL does not look for types (see `Views._holding`)
                 odd = any((file.execution, file.name) in self.hints for file in some)
                 target = next(targets) if odd or written else usual
@@ -76,7 +104,9 @@ class Text(Reader):
                 self.write(target, some, self.relation(names, texts if by_text else types), columns)
                 if not by_text and self._misread(target, some, names, types):
                     raise _MisreadError
-        except (self.error, _MisreadError):
+                if rounded := self._rounded(target, some, {n: kind for n, kind in types.items() if n not in apart}):
+                    raise _RoundedError(rounded)
+        except (self.error, _MisreadError, _RoundedError):
             for target, _, _ in written:
                 target.unlink(missing_ok=True)
             raise
@@ -126,7 +156,7 @@ class Text(Reader):
         if not doubles or not files:
             return False
         stored = dict(zip(names, column_names(names), strict=True))
-        written = f"read_parquet({quote(str(target))})"
+        written = read_parquet([str(target)])
         if not self._any("isinf({})", (identifier(stored[name]) for name in doubles), written, {}):
             files = [file for file in files if self.has_underscores(file)]
             if not files:
@@ -134,6 +164,26 @@ class Text(Reader):
         places = {name: place for place, name in enumerate(names)}
         relation = self.relation(names, dict.fromkeys(names, "VARCHAR"))
         return self._any(odd("{}"), (f"c{places[name]}" for name in doubles), relation, these(files))
+
+    def _rounded(self, target: Path, files: Sequence[Written], types: Mapping[str, str]) -> Found:
+        """Columns of great numbers written as DOUBLE in which some files have whole ones alone, and others fractions: the
+        type in each file.
+        """
+        stored = dict(zip(self.part.names, column_names(self.part.names), strict=True))
+        doubles = [name for name, kind in types.items() if kind == "DOUBLE" and len(files) > 1]
+        great = f"isfinite({{}}) AND abs({{}}) > {2**53}"
+
+        def any_great(names: Sequence[str]) -> bool:
+            return self._any(great, (identifier(stored[name]) for name in names), read_parquet([str(target)]), {})
+
+        if not doubles or not any_great(doubles):
+            return {}
+        seen = self._seen(files, self.part.names, [name for name in doubles if any_great([name])])
+        return {
+            n: kinds
+            for n, kinds in seen.items()
+            if "DOUBLE" in kinds.values() and any(map(is_whole, filter(None, kinds.values())))
+        }
 
     def _any(self, condition: str, cells: Iterable[str], relation: str, given: Mapping[str, Any]) -> bool:
         """Whether a condition holds for any of these cells of any row."""
@@ -209,3 +259,12 @@ class Text(Reader):
 
 class _MisreadError(Exception):
     """Something that is no number was written as one."""
+
+
+class _RoundedError(Exception):
+    """Whole numbers were written as DOUBLE that may not hold them."""
+
+    def __init__(self, found: Found) -> None:
+        """`found`: by column and file, what there is."""
+        super().__init__()
+        self.found = found
