@@ -127,7 +127,7 @@ def _image(plan: Plan, store: Store, before: dict[str, Any]) -> Iterator[str]:
 def _recorded(store: Store, identity: str | None) -> Contents | None:
     """What is recorded of an image; None where it can't be read, which is for fsck to say."""
     with contextlib.suppress(Missing, NotFound, Damaged):
-        return recalled.inside(store, identity) if identity else None
+        return recalled.image_contents(store, identity) if identity else None
     return None
 
 

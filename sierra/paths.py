@@ -68,7 +68,7 @@ class ProjectPaths:
 
     def drawn(self, batch: str) -> Path:
         """What the figures of a batch were drawn from: their names, each with a hash."""
-        return self.figures / batch / DRAWN
+        return inside(self.figures, batch) / DRAWN
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,7 +108,7 @@ class StorePaths:
         return self.root / "images"
 
     def image(self, folder: str) -> ImagePaths:
-        return ImagePaths(self.images / folder)
+        return ImagePaths(inside(self.images, folder))
 
     @property
     def work_lock(self) -> Path:
@@ -126,7 +126,7 @@ class StorePaths:
 
     def kept(self, replay: str) -> Path:
         """What a replay leaves because it was asked to."""
-        return self.root / "kept" / replay
+        return inside(self.root / "kept", replay)
 
     def session(self, session: str) -> SessionPaths:
         return SessionPaths(self.work / session)

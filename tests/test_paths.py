@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sierra.errors import Damaged
-from sierra.paths import inside
+from sierra.paths import ProjectPaths, StorePaths, inside
 
 
 @pytest.mark.parametrize("name", ["", ".", "/etc/passwd", "..", "../x", "a/../../x", "a/..", "x\0y", "//x"])
@@ -60,3 +60,11 @@ def test_no_name_leads_outside(tmp_path_factory: pytest.TempPathFactory, name: s
         return
     assert found.resolve().is_relative_to(root.resolve())
     assert found.resolve() != root.resolve()
+
+
+@pytest.mark.parametrize("name", ["..", "../../../x", "/etc", ""])
+def test_the_folders_of_a_store_that_are_called_by_ids_stay_in_it(tmp_path: Path, name: str) -> None:
+    store = StorePaths(tmp_path)
+    for named in (store.image, store.kept, ProjectPaths(tmp_path).drawn):
+        with pytest.raises(Damaged):
+            named(name)

@@ -456,3 +456,39 @@ def test_lists_and_structures_are_compared_too() -> None:
 def test_where_all_is_volatile_that_is_said() -> None:
     assert "every column" in of_tables(pa.table({"v": [1]}), pa.table({"v": [2]}), Rules(volatile=["v"])).why
     assert "every line" in of_texts(b"a\n", b"b\n", ["^"]).why
+
+
+def change(root: Path, table: str, **columns: list[Any]) -> None:
+    """Write other values into a table of a store, as a stranger could."""
+    for file in root.glob(f".sierra/segments/*/{table}.parquet"):
+        rows = pq.read_table(file)
+        for name, values in columns.items():
+            place = rows.schema.get_field_index(name)
+            field = rows.schema.field(place)
+            rows = rows.set_column(place, field, pa.array(values * rows.num_rows, field.type))
+        pq.write_table(rows, file)
+
+
+@pytest.mark.parametrize("name", ["../../../x", "/tmp/sierra-x", "..", "a/../../../../x", ""])
+def test_an_input_that_a_strangers_store_names_outside_is_refused(make: Make, name: str) -> None:
+    root = make()
+    batch = ask(root)
+    change(root, "recipes", files=[[name]])
+    before = sorted(root.parent.rglob("*"))
+    ended = projects.quick(root, "replay", batch)
+    assert (ended.returncode, ended.stderr.count("\n")) == (1, 1)
+    assert f"the record names the path {name!r}, which is not inside" in ended.stderr
+    assert sorted(root.parent.rglob("*")) == before
+
+
+def test_what_is_brought_to_a_restored_source_stays_in_it(make: Make, tmp_path: Path) -> None:
+    (tmp_path / "shared").mkdir()
+    (tmp_path / "shared" / "map.csv").write_text("x")
+    root = make(projects.SIMULATOR + "open(sys.argv[2]).read()\n")
+    (root / "maps").symlink_to("../shared")
+    config = root / "sierra.toml"
+    config.write_text(config.read_text().replace("{input}", "{input} {project}/maps/map.csv"))
+    code, said = replay(root, ask(root), "--keep")
+    assert (code, said["verdict"]) == (0, "identical")
+    kept = Path(said["kept"], "source", "maps")
+    assert (kept.is_symlink(), (kept / "map.csv").read_text()) == (False, "x")
