@@ -23,17 +23,20 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 MEMBERS = "SELECT execution FROM membership"
-NUMERIC = ("BIGINT", "DOUBLE", "FLOAT", "INTEGER", "DECIMAL", "SMALLINT", "TINYINT", "UBIGINT", "UINTEGER", "HUGEINT")
+WHOLE = ("BOOLEAN", "BIGINT", "INTEGER", "SMALLINT", "TINYINT", "UBIGINT", "UINTEGER", "USMALLINT", "UTINYINT", "HUGEINT")
+NUMERIC = (*WHOLE, "DOUBLE", "FLOAT", "DECIMAL", "UHUGEINT")
 
 
 @dataclass(frozen=True, slots=True)
 class OutputTable:
-    """An output of a batch: its numeric columns, and how many rows its longest run has."""
+    """An output of a batch: its numeric columns, and how many rows its longest run has. False is 0, and true is 1."""
 
     name: str
     columns: tuple[str, ...]
     all_columns: tuple[str, ...]
     rows: int
+    whole: tuple[str, ...] = ()
+    """The numeric columns that hold nothing but whole numbers, or truth values."""
 
 
 class Frame:
@@ -136,8 +139,8 @@ class Frame:
             [(rows,)] = self._question.run(
                 f"SELECT coalesce(max(n), 0) FROM (SELECT count(*) AS n FROM {source} GROUP BY execution)"
             )
-            numeric = tuple(c for c, kind in columns if kind.startswith(NUMERIC))
-            found.append(OutputTable(name, numeric, tuple(c for c, _ in columns), rows))
+            numeric, whole = (tuple(c for c, kind in columns if _is_one_of(kind, kinds)) for kinds in (NUMERIC, WHOLE))
+            found.append(OutputTable(name, numeric, tuple(c for c, _ in columns), rows, whole))
         return tuple(found)
 
     def samples(self, table: str, column: str, time: str = "") -> None:
@@ -196,6 +199,11 @@ class Column:
     def sql(self, text: str, /, **parameters: Any) -> pa.Table:
         self.frame.samples(self.table, self.column, self.time)
         return self.frame.sql(text, **parameters)
+
+
+def _is_one_of(kind: str, kinds: Sequence[str]) -> bool:
+    """Return whether a type of DuckDB's is one of these: `DECIMAL(18,3)` is a DECIMAL, `BIGINT[]` is no BIGINT."""
+    return kind.partition("(")[0] in kinds and not kind.endswith("]")
 
 
 def _like(name: str, known: Sequence[str]) -> str:
