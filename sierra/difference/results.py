@@ -15,7 +15,7 @@ from math import hypot, isfinite, sqrt
 from typing import Any
 
 from sierra import deliver, outcomes
-from sierra.agreement import Agreement, Verdict
+from sierra.agreement import Agreement, Verdict, distance
 from sierra.analysis import student_t
 from sierra.config import LoadedProject, Output
 from sierra.difference.kinds import ARROW, Difference, Note, changed, shown
@@ -110,7 +110,7 @@ def _declared(question: Question, reading: str, project: LoadedProject) -> dict[
 def _growth(agreement: Agreement) -> Iterator[str]:
     """How a difference grows over the rows."""
     if agreement.growth:
-        yield ", ".join(f"{far:.3g} apart until {shown(until)}" for until, far in agreement.growth)
+        yield ", ".join(f"{distance(far)} apart until {shown(until)}" for until, far in agreement.growth)
 
 
 SHARED = """

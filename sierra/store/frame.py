@@ -154,7 +154,7 @@ class Frame:
         known = [row[0] for row in described if row[0] not in ("# experiment", "# number", "# place")]
         if time and time.lower() not in map(str.lower, known):
             raise NotFound(
-                f"output {table!r} has no column {time!r} to be its time ([outputs.{table}] time); {_like(time, known)}"
+                f"output {table!r} has no column {time!r} to be its time ([outputs.{table}] time); {like(time, known)}"
             )
         t = f"{identifier(time)}::DOUBLE" if time else '"# place"::DOUBLE'
         self._question.run("DROP VIEW IF EXISTS samples")
@@ -206,7 +206,7 @@ def _is_one_of(kind: str, kinds: Sequence[str]) -> bool:
     return kind.partition("(")[0] in kinds and not kind.endswith("]")
 
 
-def _like(name: str, known: Sequence[str]) -> str:
-    """Which of these names may be meant."""
+def like(name: str, known: Sequence[str]) -> str:
+    """Say which of these names may be meant."""
     close = difflib.get_close_matches(name, known, 1, cutoff=0.5)
     return f"did you mean {close[0]!r}?" if close else f"it has {', '.join(known[:10])}{', …' if len(known) > 10 else ''}"
