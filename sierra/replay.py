@@ -27,7 +27,7 @@ from sierra.model import Job, Run, Status
 from sierra.outcomes import compare_all
 from sierra.paths import SessionPaths
 from sierra.provenance import environment, programs, versions
-from sierra.provenance.program import Programs
+from sierra.provenance.program import Programs, mentioned
 from sierra.provenance.seen import Seen, seen
 from sierra.recalled import Recalled
 from sierra.recording import Context, Recorder
@@ -129,7 +129,7 @@ def replay(
             *record.notes,
             *contained.notes,
             *now.notes,
-            *_other_programs(record.of, now),
+            *_other_programs(record.of, now, root),
             *_other_machine(store, record, around),
         )
         for text in notes:
@@ -292,10 +292,11 @@ def _metrics(project: LoadedProject, store: Store, record: _Record, declared: Ma
         return None
 
 
-def _other_programs(of: Recalled, now: Programs) -> Iterator[str]:
-    """What is other about the programs, by name."""
+def _other_programs(of: Recalled, now: Programs, root: Path) -> Iterator[str]:
+    """What is other about the programs, by name; the code lies in `root`."""
     if now.id != of.fingerprint:
-        yield from (f"other programs: {line}" for line in programs.told(of.programs, now))
+        words = mentioned(of.recipe.command, root)
+        yield from (f"other programs: {line}" for line in programs.told(of.programs, now, words))
 
 
 def _other_machine(store: Store, record: _Record, around: Mapping[str, Any]) -> Iterator[str]:
