@@ -109,7 +109,7 @@ def replay(
         checkout = record.of.checkout(project, store)
         checkout.make(root)
         if image is not None and engine.name == "none":
-            hosted.check(record.of.recipe, recalled.image_contents(store, image.id), root)
+            record.notes += hosted.unlike(record.of.recipe, recalled.image_contents(store, image.id), root)
         variables = jobs.declared(record.of.recipe.environment, root, project.root)
         now = versions.asked(checkout.programs_in(root), project.config.programs, variables, root)
         around = environment.capture(__version__, project.config.environment.record)
