@@ -115,7 +115,9 @@ def of_tables(recorded: Any, found: Any, rules: Rules | None = None) -> Agreemen
 def other_columns(was: Sequence[str], now: Sequence[str]) -> str:
     """Say in a line which columns only one of two tables has, the first few by name."""
     lost, more = ([name for name in a if name not in b] for a, b in ((was, now), (now, was)))
-    sides = [f"{few([repr(name) for name in names], NAMED)} {what}" for names, what in ((lost, "gone"), (more, "new")) if names]
+    sides = [
+        f"{few([_cut(repr(name)) for name in names], NAMED)} {what}" for names, what in ((lost, "gone"), (more, "new")) if names
+    ]
     return f"other columns: {', '.join(sides)}" if sides else "the same columns in another order"
 
 
@@ -169,7 +171,7 @@ def _of_rows(recorded: Any, found: Any, rules: Rules, unlike: Sequence[str] = ()
     beyond = [one for one in parted if not one.keeps_to(rules.of(one.name))]
     if not beyond:
         far = max(parted, key=lambda one: one.rel)
-        return far.told(Verdict.WITHIN, f"at most {far.far()} in {far.name!r}")
+        return far.told(Verdict.WITHIN, f"at most {far.far()} in {far.called()}")
     first = min(beyond, key=lambda one: one.first or 0)
     return first.told(Verdict.DIFFERENT, _in_a_line(first, beyond))
 
@@ -178,7 +180,7 @@ def _equal(distances: Sequence[_Distance], unlike: Sequence[str]) -> str:
     """Say why two tables of other bytes are equal."""
     if unlike:
         every = " (which is every column)" * (not distances)
-        return f"only what is declared volatile{every} differs: {few([repr(name) for name in unlike], NAMED)}"
+        return f"only what is declared volatile{every} differs: {few([_cut(repr(name)) for name in unlike], NAMED)}"
     digits = " (of fractions, the 17 digits that a number holds)" * any(one.fractions for one in distances)
     return f"the same values{digits}, written in other bytes"
 
@@ -197,7 +199,7 @@ def _in_a_line(first: _Distance, parted: Sequence[_Distance]) -> str:
     parts = [first.where(), *([text] if (text := first.how_far()) else [])]
     if len(parted) > 1:
         ordered = [first, *(one for one in parted if one is not first)]
-        parts.append(f"{len(parted)} columns differ: {few([f'{one.name!r} in {one.rows()}' for one in ordered], NAMED)}")
+        parts.append(f"{len(parted)} columns differ: {few([f'{one.called()} in {one.rows()}' for one in ordered], NAMED)}")
     else:
         parts.append(f"in {first.rows()}")
     return "; ".join(parts)
@@ -310,7 +312,11 @@ class _Distance:
     def where(self) -> str:
         was, now = self._values()
         at = "" if self._time is None else f" (at {self._when(self.first or 0)})"
-        return f"row {self.first}{at}: {self.name!r} was {was} and is {now}"
+        return f"row {self.first}{at}: {self.called()} was {was} and is {now}"
+
+    def called(self) -> str:
+        """Its name as a line has it."""
+        return _cut(repr(self.name))
 
     def rows(self) -> str:
         """In how many rows it differs."""
