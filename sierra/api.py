@@ -310,10 +310,13 @@ class Project:
         return listing.listing(self.root, StorePaths(self.paths.store), named)
 
     def _image(self, name: str | None) -> str:
-        """An image's name as it was given, else the project's."""
-        if name is None and self.config.container is None:
+        """Return an image's name as the project writes what was given, else the project's."""
+        from sierra.images import naming
+
+        own = self.config.container.image if self.config.container else ""
+        if name is None and not own:
             raise UsageError(f'{self._loaded.file} names no image; name one here, or there: [container] image = "…"')
-        return name or (self.config.container.image if self.config.container else "")
+        return naming.spelled(self.root, name, own) if name else own
 
     def fsck(self, *, tell: Callable[[str], None] = lambda text: None) -> Report:
         """Check all that is recorded: see `sierra.keeping.checking.Report`. `tell` hears how far it has come."""

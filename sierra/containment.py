@@ -197,6 +197,8 @@ def contain(
     if shared and not inside.program(PYTHON):
         shared = False
         notes.append(f'isolation = "worker" needs {PYTHON} in the image, which it lacks: each run has a container of its own')
+    if inside.user:
+        notes.append(f"the image's USER {inside.user!r} is ignored: outside of the container, processes are {able.user}")
     if not elsewhere:
         _check_devices(recipe)
     box = Box(

@@ -82,12 +82,14 @@ def statistics(
     _check_reduction(measure, threshold, times)
     with Frame(store, batch) as frame:
         gallery = _Gallery(project, frame)
-        samples, seen = gallery.column(Figure(table=output, column=(column,)))
+        samples, seen, whole = gallery.column(Figure(table=output, column=(column,)))
         if measure is None:
-            table, text, notes = analysis.at_times(samples, times or "own", analysis.STATISTICS, seen)
+            table, text, notes = analysis.at_times(samples, times or "own", analysis.STATISTICS, seen, whole=whole)
         else:
-            table, text = analysis.by_experiment(samples, measure, analysis.STATISTICS, seen, threshold)
+            table, text = analysis.by_experiment(samples, measure, analysis.STATISTICS, seen, threshold, whole=whole)
             notes = []
+        if analysis.is_rate(table):
+            notes.append(f"{column} is 0 or 1 everywhere: low and high are Wilson's 95 % interval of a rate")
         notes = [*analysis.left_out([table], seen, gallery.planned, threshold), *notes]
         told = {"sierra:batch": batch, "sierra:sql": text, "sierra:note": "; ".join(notes)}
         return _with_axes(table, frame).replace_schema_metadata(told)
@@ -201,12 +203,12 @@ class _Gallery:
             found |= {_file_name(name, found): figure for name, figure in proposed.items()}
         return found, notes
 
-    def column(self, figure: Figure) -> tuple[Column, analysis.Coverage]:
-        """The one column that a figure names, as statistics see it."""
+    def column(self, figure: Figure) -> tuple[Column, analysis.Coverage, bool]:
+        """Return the one column that a figure names, as statistics see it, and whether it holds whole numbers alone."""
         output = self._output(figure)
         (column,) = figure.columns
         self._check(output, figure.columns)
-        return Column(self._frame, output.name, column, self.time(output)), self._coverage(output)
+        return Column(self._frame, output.name, column, self.time(output)), self._coverage(output), column in output.whole
 
     def _check(self, output: OutputTable, columns: Sequence[str]) -> None:
         for column in columns:
@@ -223,7 +225,9 @@ class _Gallery:
         columns = figure.columns or tuple(column for column in output.columns if column != time)[:1]
         self._check(output, columns)
         frames = {column: Column(self._frame, output.name, column, time) for column in columns}
-        computed = analysis.compute(figure, self._axes, frames, planned=self.planned, known=self._coverage(output))
+        computed = analysis.compute(
+            figure, self._axes, frames, planned=self.planned, known=self._coverage(output), whole=output.whole
+        )
         declared = self._config.outputs.get(output.name)
         return Drawing(
             name=name,

@@ -18,6 +18,7 @@ from sierra.images.differing import files, packages
 from sierra.model import Value
 from sierra.plans import Plan
 from sierra.provenance import programs, source
+from sierra.provenance.program import mentioned
 from sierra.provenance.source import changed, narrowing
 from sierra.store import Store
 from sierra.wording import few
@@ -140,7 +141,8 @@ WHERE programs = (
 
 def other_programs(plan: Plan, store: Store) -> list[str]:
     """Which programs are others than those that the batch was last executed with, a line each."""
-    return list(programs.told(store.rows(PROGRAMS, batch=plan.batch.id), plan.programs))
+    words = mentioned(plan.batch.recipe.command, plan.project.root)
+    return list(programs.told(store.rows(PROGRAMS, batch=plan.batch.id), plan.programs, words))
 
 
 def _recipe(plan: Plan, before: dict[str, Any]) -> list[str]:
@@ -167,7 +169,7 @@ def _image(plan: Plan, store: Store, before: dict[str, Any]) -> Iterator[str]:
         told = [f"{name} ({identity})" if name else identity for name, identity in zip(called, ids, strict=True)]
         yield f"the image was {told[0]} and is {told[1]}"
         if was and now:
-            yield _inside(was, now)
+            yield _inside(was, now, mentioned(recipe.command, plan.project.root))
     if reach := other_reach(before["reach"] or (), recipe.reach):
         yield f"what runs reach beyond the image has changed: {', '.join(reach)}"
 
@@ -175,7 +177,7 @@ def _image(plan: Plan, store: Store, before: dict[str, Any]) -> Iterator[str]:
 def _recorded(store: Store, identity: str | None) -> Contents | None:
     """What is recorded of an image; None where it can't be read, which is for fsck to say."""
     with contextlib.suppress(Missing, NotFound, Damaged):
-        return recalled.inside(store, identity) if identity else None
+        return recalled.image_contents(store, identity) if identity else None
     return None
 
 
@@ -186,10 +188,12 @@ def _known(plan: Plan, store: Store) -> Contents | None:
     return images.contents(store.paths, plan.image) or _recorded(store, plan.image.id)
 
 
-def _inside(was: Contents, now: Contents) -> str:
+def _inside(was: Contents, now: Contents, words: frozenset[str]) -> str:
     """The packages that differ, else the files."""
     changes = [
-        f"{change.text} ({manager})" for manager, those in packages(was.packages, now.packages).items() for change in those
+        f"{change.text} ({manager})"
+        for manager, those in packages(was.packages, now.packages, words).items()
+        for change in those
     ]
     if changes:
         return f"other packages in it: {few(changes, SHOWN)}"

@@ -1,15 +1,15 @@
-"""Executing on this machine itself what was recorded in an image: allowed where its programs are the image's, byte by byte.
+"""Executing on this machine itself what was recorded in an image: with this machine's programs, which may be others.
 
 What counts is what counts without an image (see `sierra.provenance.programs`): programs, the libraries that they load, what a
-Python has installed. Each must be in the image, where it is here, as the same file.
+Python has installed. What is not in the image, where it is here, as the same file, is named before anything executes.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 from sierra import jobs
-from sierra.errors import Missing
 from sierra.hashing import short
 from sierra.images import Contents
 from sierra.model import Recipe
@@ -20,13 +20,16 @@ from sierra.wording import few
 SHOWN = 3
 
 
-def check(recipe: Recipe, inside: Contents, root: Path) -> None:
-    """That this machine's programs are the image's; the code lies in `root`. Raises Missing, which names what differs."""
+def unlike(recipe: Recipe, inside: Contents, root: Path) -> Iterator[str]:
+    """Yield a line that says which of this machine's programs are not the image's, if any are; the code lies in `root`.
+
+    Raises Missing for a program that is not on this machine.
+    """
     words, variables = jobs.on_host(recipe, inside.image, root)
     found = programs.find(words, variables, root)
     other = [line for one in found.all if (line := _other(one, inside, root))]
     if other:
-        raise Missing(f"without a container, runs would not have the programs of {inside.image.name}: {few(other, SHOWN)}")
+        yield f"not contained, and with other programs than those of {inside.image.name}: {few(other, SHOWN)}"
 
 
 def _other(one: Program, inside: Contents, root: Path) -> str | None:

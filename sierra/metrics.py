@@ -7,7 +7,6 @@ Over the runs of one experiment, what they gave is held against what they give n
 from __future__ import annotations
 
 import math
-import statistics
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
@@ -83,14 +82,17 @@ def _compare(name: str, metric: Equivalence, pairs: list[tuple[float, float]]) -
             else f"{len(pairs)} runs with a value; two are needed"
         )
         return Metric(name, metric, None, None, None, f"{name}: {why}")
-    mean = statistics.fmean(old for old, _ in pairs)
+    mean, now = (equivalence.mean_of(values) for values in zip(*pairs, strict=True))
+    differences = [new - old for old, new in pairs]
+    if not all(map(math.isfinite, differences)):
+        return Metric(name, metric, mean, now, None, f"{name}: values differ by more than the largest number")
     margin = metric.margin or (metric.relative or 0.0) * abs(mean)
     if not margin > 0:
         return Metric(
             name, metric, mean, None, None, f"{name}: the recorded mean is 0, and so is 'relative' of it; use 'margin'"
         )
-    tested = equivalence.test([new - old for old, new in pairs], margin, metric.alpha)
-    return Metric(name, metric, mean, statistics.fmean(new for _, new in pairs), tested, _told(name, tested))
+    tested = equivalence.test(differences, margin, metric.alpha)
+    return Metric(name, metric, mean, now, tested, _told(name, tested))
 
 
 def _told(name: str, tested: equivalence.Tested) -> str:

@@ -6,7 +6,7 @@ import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
-from sierra.agreement import Agreement, Rules, Verdict, of_tables, of_texts
+from sierra.agreement import Agreement, Rules, Verdict, of_tables, of_texts, other_columns
 from sierra.config import Output
 from sierra.errors import Damaged
 from sierra.store import Question
@@ -138,7 +138,7 @@ def _without_rows(was: Artifact, now: Artifact) -> Agreement:
     """Two tables of which one or both have no row, and so are nothing but their columns' names."""
     columns, others = (list(json.loads(one["form"] or "{}").get("columns", ())) for one in (was, now))
     if columns != others:
-        return Agreement(Verdict.DIFFERENT, f"columns were {', '.join(columns)} and are {', '.join(others)}", form=True)
+        return Agreement(Verdict.DIFFERENT, other_columns(columns, others), form=True)
     if was["rows"] != now["rows"]:
         return Agreement(Verdict.DIFFERENT, f"{was['rows']} rows were recorded, {now['rows']} found")
     return Agreement(Verdict.EQUAL, "the same columns, and no rows")

@@ -21,13 +21,14 @@ from sierra.expansion import Files
 from sierra.hashing import short
 from sierra.images import Contents, Image
 from sierra.model import Axis, Batch, Experiment, Query, Recipe, Run
+from sierra.paths import inside
 from sierra.plans import Plan
 from sierra.provenance import environment
 from sierra.provenance.program import NOTHING
 from sierra.provenance.seen import seen
 from sierra.recording import rules_of
 from sierra.store import Question, Store
-from sierra.store.files import Taken, contents, recorded
+from sierra.store.files import INPUT_FOLDER, Taken, contents, recorded
 from sierra.version import __version__
 
 AT_A_TIME = 512
@@ -109,10 +110,10 @@ def image(project: LoadedProject, store: Store, recipe: Recipe) -> Image | None:
     if recipe.image is None:
         return None
     found = next((one for one in images.pins(project.root).values() if one.id == recipe.image), None)
-    return found or inside(store, recipe.image).image
+    return found or image_contents(store, recipe.image).image
 
 
-def inside(store: Store, identity: str) -> Contents:
+def image_contents(store: Store, identity: str) -> Contents:
     """What is recorded of an image. Raises Missing."""
     rows = store.rows("SELECT * FROM images WHERE image = $i LIMIT 1", i=identity)
     if not rows:
@@ -121,19 +122,24 @@ def inside(store: Store, identity: str) -> Contents:
 
 
 def inputs(store: Store, runs: Iterable[Taken]) -> Iterator[tuple[Taken, Files]]:
-    """The recorded input files of these runs. Raises Damaged where one is not in the store."""
+    """Yield the recorded input files of these runs.
+
+    Raises Damaged where one is not in the store, or has a name that leads out of the folder of its run.
+    """
     pending = iter(runs)
     with store.ask() as question:
         while some := list(itertools.islice(pending, AT_A_TIME)):
             files: dict[str, list[Any]] = {one.run: [] for one in some}
             listed = recorded(question, some, inputs=True)
+            for name in {file.path.removeprefix(INPUT_FOLDER) for file in listed}:
+                inside(store.paths.work, name)
             for file in listed:
                 files[file.taken.run].append(file)
             bytes_of = {one.file.sha256: b"".join(one.pieces) for one in contents(question, listed)}
             for one in some:
                 if not files[one.run]:
                     raise Damaged(f"the input of run {short(one.run)} is not in the store")
-                yield one, tuple((file.path.removeprefix("input/"), bytes_of[file.sha256]) for file in files[one.run])
+                yield one, tuple((file.path.removeprefix(INPUT_FOLDER), bytes_of[file.sha256]) for file in files[one.run])
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,7 @@ these never count in statistics, and nothing that was recorded changes.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -27,7 +27,7 @@ from sierra.model import Job, Run, Status
 from sierra.outcomes import compare_all
 from sierra.paths import SessionPaths
 from sierra.provenance import environment, programs, versions
-from sierra.provenance.program import Programs
+from sierra.provenance.program import Programs, mentioned
 from sierra.provenance.seen import Seen, seen
 from sierra.recalled import Recalled
 from sierra.recording import Context, Recorder
@@ -37,6 +37,8 @@ from sierra.signals import noted
 from sierra.states import seconds
 from sierra.store import Found, Store
 from sierra.store.files import Taken, take, where
+from sierra.store.frame import like
+from sierra.store.names import column_names
 from sierra.verdicts import Compared, OfExperiment, Replay, Tolerances, metric_rows, plain, verdict_rows
 from sierra.version import __version__
 
@@ -74,8 +76,8 @@ class _Record:
     cells: dict[int, dict[str, Any]]
     """The values of each experiment, by its place in the batch."""
     seeds: dict[str, int]
-    tables: list[str]
-    """The outputs that are tables."""
+    tables: dict[str, list[str]]
+    """The columns of the outputs that are tables."""
     environment: str
     notes: list[str]
 
@@ -107,7 +109,7 @@ def replay(
         checkout = record.of.checkout(project, store)
         checkout.make(root)
         if image is not None and engine.name == "none":
-            hosted.check(record.of.recipe, recalled.inside(store, image.id), root)
+            record.notes += hosted.unlike(record.of.recipe, recalled.image_contents(store, image.id), root)
         variables = jobs.declared(record.of.recipe.environment, root, project.root)
         now = versions.asked(checkout.programs_in(root), project.config.programs, variables, root)
         around = environment.capture(__version__, project.config.environment.record)
@@ -127,7 +129,7 @@ def replay(
             *record.notes,
             *contained.notes,
             *now.notes,
-            *_other_programs(record.of, now),
+            *_other_programs(record.of, now, root),
             *_other_machine(store, record, around),
         )
         for text in notes:
@@ -198,9 +200,7 @@ def _look_up(store: Store, found: Found, runs: int | None) -> _Record:
         ).to_pylist()
         cells = question.cells(batch)
         [(axes,)] = question.run("SELECT axes FROM batches WHERE batch = $b", {"b": batch})
-        tables = question.sql(
-            "SELECT DISTINCT output FROM artifacts SEMI JOIN taken USING (execution) WHERE kind = 'table' ORDER BY 1"
-        )
+        tables = {row["output"]: row["forms"] for row in question.sql(TABLES).to_pylist()}
         wrote = {row[0] for row in question.run(WROTE)}
         seeds = dict(question.run("SELECT run, seed FROM members WHERE batch = $b", {"b": batch}))
     record = _Record(
@@ -211,7 +211,7 @@ def _look_up(store: Store, found: Found, runs: int | None) -> _Record:
         whole=len(taken) == len(good) and found.kind in ("batch", "experiment"),
         cells={place: {axis: row[axis] for axis in axes} for place, row in cells.items()},
         seeds=seeds,
-        tables=tables.column(0).to_pylist(),
+        tables={name: _columns(forms) for name, forms in sorted(tables.items())},
         environment=by[0]["environment"],
         notes=[],
     )
@@ -227,6 +227,17 @@ def _look_up(store: Store, found: Found, runs: int | None) -> _Record:
     return record
 
 
+def _columns(forms: list[str | None]) -> list[str]:
+    """Return the columns of tables, as SQL calls them, by what is recorded of their form."""
+    named = (column_names(list(json.loads(form or "{}").get("columns", ()))) for form in forms)
+    return list(dict.fromkeys(name for names in named for name in names))
+
+
+TABLES = """
+SELECT output, list(DISTINCT form ORDER BY form) AS forms FROM artifacts SEMI JOIN taken USING (execution)
+WHERE kind = 'table' GROUP BY output
+"""
+"""What is recorded of the form of tables, by their output."""
 WROTE = "SELECT DISTINCT execution FROM artifacts SEMI JOIN taken USING (execution) WHERE kind <> 'log'"
 """The executions that left files, or tables."""
 
@@ -237,11 +248,33 @@ def _declared(record: _Record, project: LoadedProject, tolerances: Tolerances) -
     known = sorted({*declared, *record.tables})
     if unknown := tolerances.keys() - {"*", *known}:
         raise UsageError(f"--set-tolerance: no output {min(unknown)!r}; there is {', '.join(known) or 'none'}")
+    for name, columns in tolerances.items():
+        _check_columns(name, columns, record.tables)
+    for name, output in declared.items():
+        record.notes += _unused(name, output, record.tables.get(name))
     for name in known if tolerances else ():
         output = declared.get(name) or Output(file=name)
         asked = {**output.tolerance, **tolerances.get("*", {}), **tolerances.get(name, {})}
         declared[name] = output.model_copy(update={"tolerance": asked})
     return declared
+
+
+def _check_columns(output: str, columns: Iterable[str], tables: Mapping[str, list[str]]) -> None:
+    """Raise UsageError for a column that no table of that name has; `*` stands for all outputs, and for all columns."""
+    known = sorted({name for table, names in tables.items() if output in ("*", table) for name in names})
+    for column in columns:
+        if known and column not in ("*", *known):
+            where = "no output" if output == "*" else f"output {output!r}"
+            has = "has the" if output == "*" else "has no"
+            raise UsageError(f"--set-tolerance: {where} {has} column {column!r}; {like(column, known)}")
+
+
+def _unused(name: str, output: Output, columns: list[str] | None) -> Iterator[str]:
+    """Say which columns an output's declaration names that its table does not have."""
+    for key, names in (("tolerance", output.tolerance), ("volatile", output.volatile)) if columns else ():
+        for column in names:
+            if column not in ("*", *(columns or ())):
+                yield f"[outputs.{name}] {key}: the table has no column {column!r}; {like(column, columns or ())}"
 
 
 def _metrics(project: LoadedProject, store: Store, record: _Record, declared: Mapping[str, Output]) -> metrics.Values | None:
@@ -259,10 +292,11 @@ def _metrics(project: LoadedProject, store: Store, record: _Record, declared: Ma
         return None
 
 
-def _other_programs(of: Recalled, now: Programs) -> Iterator[str]:
-    """What is other about the programs, by name."""
+def _other_programs(of: Recalled, now: Programs, root: Path) -> Iterator[str]:
+    """What is other about the programs, by name; the code lies in `root`."""
     if now.id != of.fingerprint:
-        yield from (f"other programs: {line}" for line in programs.told(of.programs, now))
+        words = mentioned(of.recipe.command, root)
+        yield from (f"other programs: {line}" for line in programs.told(of.programs, now, words))
 
 
 def _other_machine(store: Store, record: _Record, around: Mapping[str, Any]) -> Iterator[str]:

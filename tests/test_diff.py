@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 import sierra
-from sierra.difference.results import Mean, welch
+from sierra.difference.results import Mean, newcombe, welch
 from tests import projects, stores
 
 Make = Callable[..., Path]
@@ -361,6 +361,25 @@ def test_the_interval_of_a_difference_is_welchs(seed: int) -> None:
     assert found[0] <= exact.low
     assert found[1] >= exact.high
     assert found == pytest.approx((exact.low, exact.high), rel=0.1, abs=0.1)
+
+
+def test_the_interval_of_a_difference_of_rates_is_newcombes() -> None:
+    """The first example of his paper: 56 of 70 and 48 of 80."""
+    from scipy import stats
+
+    def rate(good: int, n: int) -> Mean:
+        interval = stats.binomtest(good, n).proportion_ci(0.95, method="wilson")
+        return Mean(n, good / n, 0.0, (interval.low, interval.high))
+
+    assert newcombe(rate(48, 80), rate(56, 70)) == pytest.approx((0.0524, 0.3339), abs=5e-5)
+    assert newcombe(rate(0, 5), Mean(5, 0.5, 0.1)) is None
+
+
+@pytest.mark.parametrize("scale", [1e-300, 1e-170, 1e170, 1e300])
+def test_the_interval_of_a_difference_is_the_same_at_any_magnitude(scale: float) -> None:
+    one, other = (welch(Mean(5, 1.0 * by, 0.5 * by), Mean(7, 2.0 * by, 0.25 * by)) for by in (1.0, scale))
+    assert one is not None
+    assert other == pytest.approx((one[0] * scale, one[1] * scale), rel=1e-12)
 
 
 def test_runs_that_left_nothing_but_logs_are_not_said_to_have_the_same_results(make: Make) -> None:

@@ -78,6 +78,18 @@ def test_doctor_names_engines_that_are_not_there(pretended: Pretended, tmp_path:
         assert said[name]["remedy"]
 
 
+@pytest.mark.parametrize(("stored", "slow"), [("vfs", True), ("overlay", False)])
+def test_doctor_says_that_podman_is_slow_where_it_copies_images(
+    pretended: Pretended, tmp_path: Path, stored: str, slow: bool
+) -> None:
+    store = json.dumps({"store": {"graphDriverName": stored, "graphRoot": "/var/lib/containers"}})
+    script = podman(STARTS).replace("*info*)", f"*info*json*) echo '{store}' ;;\n*info*)")
+    pretended.program("podman", script)
+    check = doctor(tmp_path)["podman"]
+    assert check["state"] == "ok"
+    assert ("vfs" in check["found"] and "fuse-overlayfs" in check["remedy"]) == slow
+
+
 @pytest.mark.parametrize(
     ("complaint", "remedy"),
     [

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 import random
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy import stats
+from scipy import integrate, stats
 
 from sierra.analysis import equivalence, student_t
 
@@ -34,6 +35,46 @@ def test_the_power_is_about_what_simulation_shows(n: int, margin: float) -> None
     assert told == pytest.approx(shown, abs=0.06)
 
 
+@pytest.mark.parametrize("df", [1, 2, 3, 9, 40, 500])
+@pytest.mark.parametrize("delta", [0.5, 3.0, 5.0, 50.0])
+def test_the_power_is_the_integral_over_all_standard_deviations(df: int, delta: float) -> None:
+    """Written down a second time, over the ratio w of a sample's standard deviation to the true one."""
+    t = student_t.quantile(0.95, df)
+
+    def density(w: float) -> float:
+        return float((2 * stats.norm.cdf(delta - t * w) - 1) * 2 * df * w * stats.chi2.pdf(df * w * w, df))
+
+    end = min(delta / t, 20.0)
+    near = [w for w in (0.5, 0.9, 1.0, 1.1, 2.0, 4.0) if w < end]
+    expected, _ = integrate.quad(density, 0, end, points=near or None, limit=500)
+    assert equivalence.power(delta, t, df) == pytest.approx(expected, abs=1e-8)
+
+
+def test_the_power_of_three_pairs_is_not_that_of_the_central_approximation() -> None:
+    assert equivalence.power(3.0, student_t.quantile(0.95, 2), 2) == pytest.approx(0.436, abs=5e-4)
+
+
+def test_three_pairs_are_shown_to_be_equivalent_as_often_as_the_power_says() -> None:
+    draw, t = random.Random(3), student_t.quantile(0.95, 2)
+    samples = [[draw.gauss(0, 1) for _ in range(3)] for _ in range(4000)]
+    shown = sum(equivalence.test(sample, 3.0 / math.sqrt(3), 0.05).equivalent for sample in samples) / len(samples)
+    assert shown == pytest.approx(equivalence.power(3.0, t, 2), abs=0.03)
+
+
+@pytest.mark.parametrize("scale", [1e-300, 1e-150, 1e150, 1e300])
+def test_the_test_is_the_same_at_any_magnitude(scale: float) -> None:
+    values = [0.5, -0.25, 0.75, 0.125]
+    one, other = equivalence.test(values, 1.0, 0.05), equivalence.test([x * scale for x in values], scale, 0.05)
+    assert (other.p, other.power, other.equivalent) == pytest.approx((one.p, one.power, one.equivalent), rel=1e-9)
+    assert (other.low / scale, other.high / scale) == pytest.approx((one.low, one.high), rel=1e-9)
+
+
+def test_what_overflows_is_not_shown_to_be_equivalent() -> None:
+    tested = equivalence.test([1.7e308, 1.7e308, -1.7e308, 1.7e308], 1e308, 0.05)
+    assert (tested.difference, tested.equivalent) == (pytest.approx(0.85e308), False)
+    assert 0 <= tested.power < 0.05
+
+
 def test_what_is_a_margin_apart_is_rarely_taken_for_the_same() -> None:
     draw = random.Random(2)
     samples = [[draw.gauss(1, 1) for _ in range(20)] for _ in range(2000)]
@@ -47,7 +88,10 @@ def test_differences_that_are_all_the_same_need_no_distribution(values: list[flo
     assert equivalence.test(values, 1.0, 0.05).equivalent is equivalent
 
 
-@pytest.mark.parametrize(("values", "margin"), [([], 1.0), ([1.0], 1.0), ([1.0, 2.0], 0.0), ([1.0, 2.0], -1.0)])
+@pytest.mark.parametrize(
+    ("values", "margin"),
+    [([], 1.0), ([1.0], 1.0), ([1.0, math.inf], 1.0), ([1.0, math.nan], 1.0), ([1.0, 2.0], 0.0), ([1.0, 2.0], -1.0)],
+)
 def test_too_little_is_refused(values: list[float], margin: float) -> None:
     with pytest.raises(ValueError, match="are needed"):
         equivalence.test(values, margin, 0.05)

@@ -11,6 +11,7 @@ import subprocess
 import tarfile
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -419,6 +420,48 @@ def test_a_damaged_sif_is_refused(project: Project, system: bytes) -> None:
 def test_what_is_not_pinned_is_said_so(project: Project) -> None:
     with pytest.raises(Missing, match=r"^the image 'sim\.tar' is not pinned, .* run: sierra image pin sim\.tar$"):
         images.pinned(project.root, "sim.tar")
+
+
+def test_a_recipe_that_is_not_built_is_to_be_built_before_it_is_pinned(
+    project: Project, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recipe = project.root / "containers" / "sim"
+    recipe.mkdir(parents=True)
+    (recipe / "Containerfile").write_text("FROM scratch\n")
+    monkeypatch.setattr("sierra.images.storage.look", lambda name: None)
+    with pytest.raises(Missing) as raised:
+        images.pinned(project.root, "containers/sim")
+    build, pin = (str(raised.value).index(f"run: sierra image {verb} containers/sim") for verb in ("build", "pin"))
+    assert build < pin
+
+
+def test_a_path_of_this_machine_is_pinned_as_the_project_calls_it(project: Project) -> None:
+    made.docker_archive(project.root / "sim.tar", [BASE])
+    for name in (str(project.root / "sim.tar"), "./sim.tar", f"{project.root}/./sim.tar"):
+        assert quick(project.root, "image", "pin", name).returncode == 0
+    assert list(images.pins(project.root)) == ["sim.tar"]
+    there = made.docker_archive(project.root.parent / "there.tar", [TOP])
+    said = quick(project.root, "image", "pin", str(there))
+    assert f"note: {there} is a path of this machine alone" in said.stderr
+
+
+def test_what_is_built_from_outside_is_proposed_by_its_tag(project: Project, monkeypatch: pytest.MonkeyPatch) -> None:
+    for folder in (project.root / "sim", project.root.parent / "other"):
+        folder.mkdir()
+        (folder / "Containerfile").write_text("FROM scratch\n")
+    made.docker_archive(project.root / "sim.tar", [BASE])
+    image = images.named(project.root, "sim.tar")
+    monkeypatch.setattr("sierra.images.building.build", lambda root, name, network: replace(image, name=name))
+    for given, proposed in ((project.root / "sim", "sim"), (project.root.parent / "other", "localhost/sierra/other")):
+        said = quick(project.root, "image", "build", str(given)).stdout
+        assert said.endswith(f"next: sierra image pin {proposed}\n")
+
+
+def test_the_user_of_an_image_is_not_ignored_without_a_word(project: Project) -> None:
+    for user, told in (("sim", True), ("1000:1000", True), ("root", False), ("0:0", False), ("", False)):
+        file = project.root / "sim.tar"
+        made.docker_archive(file, [BASE], made.config([BASE], config={"User": user}))
+        assert (f"the image's USER {user!r} is ignored" in quick(project.root, "image", "pin", "sim.tar").stderr) == told
 
 
 def test_pins_are_the_same_text_in_whatever_order_they_are_made(project: Project) -> None:

@@ -15,8 +15,8 @@ import pytest
 
 import sierra
 from sierra.errors import Missing
-from sierra.provenance import libraries, named, programs
-from sierra.provenance.program import NOTHING, Program, Programs
+from sierra.provenance import libraries, named, program, programs
+from sierra.provenance.program import NOTHING, Kind, Program, Programs
 from tests import projects
 
 SEARCH = "/usr/bin:/bin"
@@ -454,3 +454,27 @@ def test_what_a_batch_and_an_execution_had_around_them_is_shown(tmp_path: Path) 
         assert {row["name"] for row in whole["programs"]} >= {"true", "libc.so.6"}
         assert whole["environment"]["limits"]["nofile"][0] > 0
         assert len(whole["environment"]["distributions"]) > 5
+
+
+def test_what_the_simulator_uses_stands_before_what_hardly_matters(tmp_path: Path) -> None:
+    (tmp_path / "sim.py").write_text("import sys\nfrom mujoco import MjModel\n")
+    words = program.mentioned(("python3", "{project}/sim.py", "{input}"), tmp_path)
+    names = ["attrs", "certifi", "glfw", "mujoco", "pip", "setuptools", "numpy"]
+    assert program.by_likelihood(names, words) == ["mujoco", "attrs", "glfw", "numpy", "certifi", "pip", "setuptools"]
+    assert program.by_likelihood(["adduser", "argos3-simulator", "apt"], program.mentioned(("argos3", "-c"), tmp_path)) == [
+        "argos3-simulator",
+        "adduser",
+        "apt",
+    ]
+    installed = [
+        Programs(
+            (
+                Program("python3: installed distributions", "/x", digit * 64, Kind.DISTRIBUTIONS, text),
+                Program("sim", "/s", digit),
+            )
+        )
+        for digit, text in (("a", "\n".join(f"{name}==1" for name in names)), ("b", "\n".join(f"{name}==2" for name in names)))
+    ]
+    told = list(programs.told(installed[0].rows(), installed[1], words))
+    assert told[0].startswith("sim: ")
+    assert told[1].startswith("python3: installed distributions: mujoco 1 recorded, 2 found, attrs")

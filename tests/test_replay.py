@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import venv
 from collections.abc import Callable
+from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
@@ -200,6 +201,39 @@ def test_a_tolerance_of_an_output_that_is_not_there_is_refused_before_anything_e
     ended = projects.quick(root, "replay", ask(root), "--set-tolerance", "swamp.coverage=rel:1")
     assert (ended.returncode, "no output 'swamp'; there is swarm" in ended.stderr) == (2, True)
     assert not sierra.open(root).sql("SELECT 1 FROM executions WHERE purpose <> 'run'").num_rows
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("covrage=rel:1", "no output has the column 'covrage'; did you mean 'coverage'?"),
+        ("swarm.coverag=rel:1", "output 'swarm' has no column 'coverag'; did you mean 'coverage'?"),
+        ("swarm.xyz=rel:1", "output 'swarm' has no column 'xyz'; it has coverage, tick"),
+    ],
+)
+def test_a_tolerance_of_a_column_that_is_not_there_is_refused_with_the_nearest_one(make: Make, text: str, said: str) -> None:
+    root = make()
+    ended = projects.quick(root, "replay", ask(root), "--set-tolerance", text)
+    assert (ended.returncode, ended.stderr) == (2, f"sierra: --set-tolerance: {said}\n")
+    assert not sierra.open(root).sql("SELECT 1 FROM executions WHERE purpose <> 'run'").num_rows
+
+
+def test_columns_that_are_declared_and_not_there_are_said(make: Make) -> None:
+    root = make()
+    batch = ask(root)
+    declare(root, f'{DECLARED}volatile = ["wall"]\ntolerance = {{ covrage = {{ rel = 1.0 }}, "*" = {{ abs = 1.0 }} }}\n')
+    assert replay(root, batch)[1]["notes"] == [
+        "[outputs.swarm] tolerance: the table has no column 'covrage'; did you mean 'coverage'?",
+        "[outputs.swarm] volatile: the table has no column 'wall'; it has tick, coverage",
+    ]
+
+
+def test_a_volatile_column_that_differs_is_said_by_name(make: Make) -> None:
+    root = make(NOISY, f'{DECLARED}volatile = ["coverage"]\n')
+    code, said = replay(root, ask(root))
+    assert (code, said["verdict"]) == (0, "equal")
+    whys = {one["why"] for one in said["outputs"] if one["verdict"] == "equal"}
+    assert whys == {"only what is declared volatile differs: 'coverage'"}
 
 
 def test_rows_in_another_order_differ_until_their_order_is_declared_to_mean_nothing(make: Make) -> None:
@@ -456,3 +490,120 @@ def test_lists_and_structures_are_compared_too() -> None:
 def test_where_all_is_volatile_that_is_said() -> None:
     assert "every column" in of_tables(pa.table({"v": [1]}), pa.table({"v": [2]}), Rules(volatile=["v"])).why
     assert "every line" in of_texts(b"a\n", b"b\n", ["^"]).why
+
+
+def change(root: Path, table: str, **columns: list[Any]) -> None:
+    """Write other values into a table of a store, as a stranger could."""
+    for file in root.glob(f".sierra/segments/*/{table}.parquet"):
+        rows = pq.read_table(file)
+        for name, values in columns.items():
+            place = rows.schema.get_field_index(name)
+            field = rows.schema.field(place)
+            rows = rows.set_column(place, field, pa.array(values * rows.num_rows, field.type))
+        pq.write_table(rows, file)
+
+
+@pytest.mark.parametrize("name", ["../../../x", "/tmp/sierra-x", "..", "a/../../../../x", ""])
+def test_an_input_that_a_strangers_store_names_outside_is_refused(make: Make, name: str) -> None:
+    root = make()
+    batch = ask(root)
+    change(root, "recipes", files=[[name]])
+    before = sorted(root.parent.rglob("*"))
+    ended = projects.quick(root, "replay", batch)
+    assert (ended.returncode, ended.stderr.count("\n")) == (1, 1)
+    assert f"the record names the path {name!r}, which is not inside" in ended.stderr
+    assert sorted(root.parent.rglob("*")) == before
+
+
+def test_what_is_brought_to_a_restored_source_stays_in_it(make: Make, tmp_path: Path) -> None:
+    (tmp_path / "shared").mkdir()
+    (tmp_path / "shared" / "map.csv").write_text("x")
+    root = make(projects.SIMULATOR + "open(sys.argv[2]).read()\n")
+    (root / "maps").symlink_to("../shared")
+    config = root / "sierra.toml"
+    config.write_text(config.read_text().replace("{input}", "{input} {project}/maps/map.csv"))
+    code, said = replay(root, ask(root), "--keep")
+    assert (code, said["verdict"]) == (0, "identical")
+    kept = Path(said["kept"], "source", "maps")
+    assert (kept.is_symlink(), (kept / "map.csv").read_text()) == (False, "x")
+
+
+def table(**columns: list[Any]) -> pa.Table:
+    return pa.table(columns)
+
+
+def test_equal_numbers_are_equal_to_the_digits_that_are_kept() -> None:
+    assert of_tables(table(v=[0.1]), table(v=[0.1])).why == (
+        "the same values (of fractions, the 17 digits that a number holds), written in other bytes"
+    )
+    assert of_tables(table(v=[1]), table(v=[1])).why == "the same values, written in other bytes"
+    old, new = (
+        pa.table({"v": pa.array([Decimal(text)], pa.decimal128(38, 30))}) for text in (f"0.{'1' * 20}1", f"0.{'1' * 20}2")
+    )
+    said = of_tables(old, new)
+    assert (said.verdict, said.abs) == (Verdict.DIFFERENT, pytest.approx(1e-21))
+    assert said.why.startswith(f"row 0: 'v' was 0.{'1' * 20}1")
+
+
+def test_large_whole_numbers_are_as_far_apart_as_they_are() -> None:
+    said = of_tables(table(v=[2**53]), table(v=[2**53 + 1]))
+    assert (said.verdict, said.abs) == (Verdict.DIFFERENT, 1.0)
+    assert "at worst 1 apart" in said.why
+    assert of_tables(table(v=[2**60 + 1]), table(v=[2**60 + 300])).abs == 299
+    assert of_tables(table(v=[2**53]), table(v=[2**53 + 1]), Rules({"v": Tolerance(abs=1)})).verdict is Verdict.WITHIN
+    assert of_tables(table(v=[2**53 + 1]), table(v=[2.0**53])).abs == 1
+
+
+def test_what_is_no_number_is_not_some_distance_apart() -> None:
+    for was, now in ((1.0, None), (1.0, float("nan")), (1.0, float("inf")), (None, 1.0)):
+        said = of_tables(pa.table({"v": pa.array([was], pa.float64())}), pa.table({"v": pa.array([now], pa.float64())}))
+        assert "apart" not in said.why
+        assert "None" not in said.why
+    assert (
+        "'v' was 1.0 and is missing" in of_tables(table(v=[1.0, 2.0]), pa.table({"v": pa.array([None, 2.0], pa.float64())})).why
+    )
+    said = of_tables(table(v=[0.0]), table(v=[0.5]))
+    assert "at worst 0.5 apart;" in said.why
+    assert "relative" not in said.why
+
+
+def test_all_columns_that_differ_are_named_or_counted() -> None:
+    old, new = ({f"c{n}": [0.0, 0.0, float(n) if now else 0.0] for n in range(7)} for now in (False, True))
+    said = of_tables(table(**old), table(**new))
+    assert (said.row, said.column) == (2, "c1")
+    assert "; 6 columns differ: 'c1' in 1 of 3 rows, 'c2' in 1 of 3 rows" in said.why
+    assert said.why.endswith(" and 2 more")
+
+
+def test_what_both_tables_have_is_compared_where_columns_or_rows_are_others() -> None:
+    wide = {f"column{n}": [1.0, 2.0] for n in range(500)}
+    said = of_tables(table(**wide, gone=[1, 1]), table(**wide, new=[1, 1]))
+    assert said.why == "other columns: 'gone' gone, 'new' new; 500 columns in both: the same"
+    said = of_tables(table(**wide, gone=[1, 1]), table(**{**wide, "column7": [1.0, 3.0]}))
+    assert (said.verdict, said.form, said.row, said.column) == (Verdict.DIFFERENT, True, 1, "column7")
+    assert "other columns: 'gone' gone; 500 columns in both: row 1: 'column7' was 2.0 and is 3.0" in said.why
+    assert len(of_tables(table(**wide), table(x=[1, 1])).why) < 200
+    assert of_tables(table(v=[1, 2]), table(v=[1, 2, 3])).why == "2 rows were recorded, 3 found; the first 2 are the same"
+    said = of_tables(table(v=[1, 2, 3]), table(v=[1, 5]))
+    assert (
+        said.why == "3 rows were recorded, 2 found; row 1: 'v' was 2 and is 5; at worst 3 apart (relative 1.5); in 1 of 2 rows"
+    )
+
+
+def test_binary_files_are_counted_and_not_shown() -> None:
+    said = of_texts(b"\x93NUMPY\0" + bytes(1000), b"\x93NUMPY\0" + bytes(500) + b"\1" * 500)
+    assert said.why == "binary: 500 of 1007 bytes differ, the first at offset 507"
+    assert of_texts(b"\0a", b"\0ab").why == "2 bytes were recorded, 3 found; binary: 0 of 2 bytes differ, the first at offset 2"
+    assert of_texts(b"a\nb\nc\n", b"a\nx\ny\n").why == "line 2 was 'b' and is 'x'; 2 of 4 lines differ"
+
+
+@given(st.lists(st.text(max_size=300), min_size=1, max_size=3), st.lists(st.text(max_size=300), min_size=1, max_size=3))
+def test_a_report_is_a_short_line_whatever_was_written(one: list[str], other: list[str]) -> None:
+    wide = {f"{n}{one[0]}": other for n in range(99)}
+    for found in (
+        of_tables(table(v=one), table(v=other)),
+        of_tables(table(**wide), table(b=other)),
+        of_tables(table(**wide), table(v=one)),
+    ):
+        assert len(found.why) < 700
+        assert "\n" not in found.why

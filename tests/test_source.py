@@ -699,6 +699,13 @@ def test_a_source_from_outside_git_is_restored_within_and_the_other_way(folder: 
         assert os.access(tmp_path / place / "a.txt", os.X_OK)
 
 
+@pytest.mark.parametrize("blob", ["--textconv", "HEAD:a", "0" * 39, "0" * 41, ""])
+def test_a_hash_of_a_hostile_list_that_is_none_never_reaches_git(folder: Path, git: Git, tmp_path: Path, blob: str) -> None:
+    commit(git, folder)
+    with pytest.raises(Damaged, match=r"whose hash .* is none of git's"):
+        source.restore("git:x", f"100644 {blob}\ta\0".encode(), folder, tmp_path / "out", nothing)
+
+
 @pytest.mark.parametrize(
     "path", [b"../out", b"/tmp/out", b"a/../../out", b".git/config", b"x/.GIT/hooks/y", b"link/out", b"a//b"]
 )

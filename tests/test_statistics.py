@@ -51,10 +51,10 @@ class Memory:
         return self.connection.sql(text, params=params).to_arrow_table()
 
 
-def over_runs(values: Iterable[float | None]) -> dict[str, Any]:
+def over_runs(values: Iterable[float | None], *, whole: bool = False) -> dict[str, Any]:
     """All statistics of one experiment whose runs ended with these values."""
     frame = Memory((0, number, 0.0, value) for number, value in enumerate(values))
-    table, _ = analysis.by_experiment(frame, "final", analysis.STATISTICS, analysis.coverage(frame))
+    table, _ = analysis.by_experiment(frame, "final", analysis.STATISTICS, analysis.coverage(frame), whole=whole)
     found: list[dict[str, Any]] = table.to_pylist()
     return found[0]
 
@@ -89,6 +89,97 @@ def test_all_statistics_are_those_of_numpy_and_scipy(values: list[float]) -> Non
     assert (found["min"], found["max"]) == (x.min(), x.max())
     assert found["iqm"] == near(scipy.stats.trim_mean(x, 0.25), rel=1e-12, abs=scale)
     assert (found["iqm_low"], found["iqm_high"]) == near(trimmed_interval(x), rel=1e-11, abs=30 * scale)
+
+
+SCALES = st.sampled_from([-1020, -1000, -700, 0, 700, 1000])
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.lists(st.integers(-1000, 1000), min_size=2, max_size=20), SCALES)
+def test_statistics_have_all_their_digits_at_any_magnitude(values: list[int], power: int) -> None:
+    """A power of two takes no digits away, so that what numpy says of small numbers holds for huge and tiny ones."""
+    x, scale = np.array(values, float), 2.0**power
+    found = over_runs((x * scale).tolist())
+    half = scipy.stats.t.ppf(0.975, len(x) - 1) * x.std(ddof=1) / math.sqrt(len(x))
+    expected = {
+        "mean": x.mean(),
+        "sd": x.std(ddof=1),
+        "low": x.mean() - half,
+        "high": x.mean() + half,
+        "median": np.median(x),
+        "q1": np.quantile(x, 0.25),
+        "q3": np.quantile(x, 0.75),
+        "iqm": scipy.stats.trim_mean(x, 0.25),
+    }
+    for name, value in expected.items():
+        assert found[name] / scale == pytest.approx(value, rel=1e-12, abs=1e-10), name
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.lists(st.integers(0, 2**20), min_size=2, max_size=20), st.sampled_from([1e6, 1e9, 1e12]))
+def test_a_large_mean_takes_no_digits_from_the_standard_deviation(values: list[int], offset: float) -> None:
+    exact = np.array([value / 2**12 for value in values])  # the offset leaves them as they are
+    found = over_runs((exact + offset).tolist())
+    assert found["sd"] == pytest.approx(exact.std(ddof=1), rel=1e-13)
+    assert found["mean"] - offset == pytest.approx(exact.mean(), abs=1e-15 * offset)
+
+
+def test_a_mean_of_huge_values_does_not_overflow() -> None:
+    found = over_runs([1e308, 1.5e308, 1.7e308, 1.6e308])
+    assert found["mean"] == pytest.approx(1.45e308, rel=1e-12)
+    assert (found["median"], found["iqm"]) == pytest.approx((1.55e308, 1.55e308), rel=1e-12)
+    assert found["sd"] == pytest.approx(np.std([1.0, 1.5, 1.7, 1.6], ddof=1) * 1e308, rel=1e-12)
+    assert measured("mean", [1e308, 1.5e308, 1.7e308])["mean"] == pytest.approx(1.4e308, rel=1e-12)
+    assert over_runs([-1.7e308, -1.7e308, 1.7e308, 1.7e308])["q1"] == -1.7e308
+
+
+def test_whiskers_and_iqm_of_one_huge_value_are_those_of_the_others() -> None:
+    found = over_runs([1e-200, 2e-200, 3e-200, 4e-200, 1e300])
+    assert (found["median"], found["iqm"]) == pytest.approx((3e-200, 3e-200), rel=1e-12)
+
+
+@given(st.floats(allow_nan=False, allow_infinity=False), st.integers(2, 12))
+@settings(max_examples=25, deadline=None)
+def test_values_that_are_all_the_same_are_their_own_mean(value: float, n: int) -> None:
+    found = over_runs([value] * n)
+    assert [found[name] for name in ("mean", "median", "q1", "q3", "iqm", "low", "high")] == [value] * 7
+    assert found["sd"] == 0
+
+
+@pytest.mark.parametrize(("good", "n"), [(0, 5), (5, 5), (1, 5), (3, 10), (100, 100), (1, 1000)])
+def test_the_interval_of_a_rate_is_wilsons_as_scipy_has_it(good: int, n: int) -> None:
+    found = over_runs([1.0] * good + [0.0] * (n - good), whole=True)
+    interval = scipy.stats.binomtest(good, n).proportion_ci(0.95, method="wilson")
+    assert (found["low"], found["high"]) == pytest.approx((interval.low, interval.high), rel=1e-12, abs=1e-15)
+    assert 0 <= found["low"] <= found["mean"] <= found["high"] <= 1
+    assert 0 <= found["iqm_low"] <= found["iqm_high"] <= 1
+    assert found["interval"] == "Wilson"
+
+
+def test_fractions_that_happen_to_be_the_same_are_no_rate() -> None:
+    assert [over_runs(values)["interval"] for values in ([0.0, 0.0], [1.0, 1.0], [0.0, 1.0], [0.0, 0.5, 1.0])] == [
+        "t",
+        "t",
+        "Wilson",
+        "t",
+    ]
+    assert over_runs([0.0, 2.0], whole=True)["interval"] == "t"
+    assert (over_runs([1.0], whole=True)["low"], over_runs([1.0], whole=True)["interval"]) == (None, None)
+
+
+def test_what_is_a_rate_is_one_in_all_experiments_and_at_all_times() -> None:
+    frame = Memory((e, run, float(t), float(e == 1 and run > t)) for e in range(2) for run in range(5) for t in range(3))
+    seen = analysis.coverage(frame)
+    for table in (
+        analysis.by_time(frame, ["interval"], seen)[0],
+        analysis.by_experiment(frame, "final", ["interval"], seen)[0],
+    ):
+        assert set(table["interval"].to_pylist()) == {"Wilson"}
+        assert table["high"].to_pylist()[0] == pytest.approx(0.434482, abs=1e-6)
+    late, _ = analysis.by_experiment(frame, "time_to", ["interval"], seen, 1.0, whole=True)
+    assert "Wilson" not in late["interval"].to_pylist()
+    note = analysis.compute(figure(), AXIS, {"energy": frame}).note
+    assert note.startswith("mean, Wilson's 95 % CI of a rate, n = 5")
 
 
 @settings(max_examples=15, deadline=None)
@@ -500,6 +591,25 @@ def test_statistics_in_python_take_the_times_and_say_what_was_done(simulated: An
         project.statistics(None, "swarm", "v", times="own")
     with pytest.raises(UsageError, match="'time_to' needs a threshold"):
         project.statistics(None, "swarm", "v", measure="time_to")
+
+
+BOOLEANS = r"""
+size=$(sed 's/.* size="\([0-9]*\)".*/\1/' "$1")
+[ "$size" = 3 ] && good=true || good=false
+printf 't,good,n\n1,false,0\n2,%s,0\n' $good > swarm.csv
+"""
+
+
+def test_truth_values_are_a_rate_with_wilsons_interval_and_that_is_said(simulate: Callable[..., Any]) -> None:
+    project = simulate(BOOLEANS)
+    assert project.quick("run", "size=1,3", "--runs", "5", "--no-figures").returncode == 0
+    said = project.quick("stats", "swarm", "good", "--json")
+    found = [(row["mean"], round(row["low"], 4), round(row["high"], 4), row["interval"]) for row in json.loads(said.stdout)]
+    assert found == [(0, 0, 0.4345, "Wilson"), (1, 0.5655, 1, "Wilson")]
+    assert "good is 0 or 1 everywhere: low and high are Wilson's 95 % interval of a rate" in said.stderr
+    assert {row["interval"] for row in json.loads(project.quick("stats", "swarm", "n", "--json").stdout)} == {"Wilson"}
+    batch = sierra.open(project.folder).batches[-1]["batch"]
+    assert project.quick("figures", batch, "swarm_good_summary").returncode == 0
 
 
 def test_an_axis_that_is_called_like_a_statistic_keeps_its_name(simulate: Callable[..., Any]) -> None:

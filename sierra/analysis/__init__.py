@@ -1,11 +1,12 @@
 """Statistics in SQL: each column of an output, for each experiment, over its runs.
 
 Each statistic is one file in `statistics/`: an expression over `x`, the sorted finite values, and over the statistics
-before it. Each measure, what a run is reduced to, is one file in `measures/`. A statement is put together from them:
+before it; what it calls `_…` is a step that nobody sees. Each measure, what a run is reduced to, is one file in `measures/`.
+A statement is put together from them:
 
     observations    one value per run (a measure), or per run and time
     grouped         the values of all runs of an experiment (`by_experiment`), or at one time (`by_time`), as the list x
-    SELECT          the statistics, from n onwards
+    (… SELECT *, n) SELECT *, mean) …    one statistic after the other, each of which may use those before it
 
 No value is averaged silently: what is missing (NULL or NaN) or infinite is left out and counted, and so is a run that
 never reached a threshold. One run has a mean but no interval.
@@ -18,10 +19,11 @@ The statements run on a `Frame`, which knows one relation, made by the store fro
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from statistics import NormalDist
 from typing import Any, Protocol
 
 from sierra.analysis import student_t
@@ -39,14 +41,19 @@ TIMES = ("own", "carry", "linear")
 STATISTICS: Mapping[str, tuple[str, ...]] = {
     "n": (),
     "mean": ("n",),
-    "sd": ("n",),
-    "interval": ("mean", "sd"),
+    "reach": ("mean",),
+    "sd": ("reach",),
+    "ends": ("n",),
+    "rate": ("ends",),
+    "interval": ("mean", "sd", "rate"),
     "median": ("n",),
     "quartiles": ("n",),
     "whiskers": ("quartiles",),
     "range": ("n",),
     "iqm": ("n",),
-    "iqm_interval": ("iqm",),
+    "iqm_reach": ("iqm",),
+    "iqm_half": ("iqm_reach",),
+    "iqm_interval": ("iqm_half", "rate"),
 }
 """The statistics, and which others each one's formula uses."""
 
@@ -125,12 +132,13 @@ def compute(
     *,
     planned: Mapping[int, int] | None = None,
     known: Coverage | None = None,
+    whole: Container[str] = (),
 ) -> Computed:
-    """What `figure` shows of the columns in `frames` (column's name → its samples).
+    """Compute what `figure` shows of the columns in `frames` (column's name → its samples).
 
     `planned` is how many runs each experiment should have, so that absent ones are said; `known` spares the time to
-    look at the same output again. Raises SierraError where there is nothing to show, UsageError where the figure does
-    not fit the batch.
+    look at the same output again; `whole` has the columns of whole numbers and truth values. Raises SierraError where
+    there is nothing to show, UsageError where the figure does not fit the batch.
     """
     _check(figure, axes, frames)
     seen = known or coverage(next(iter(frames.values())))
@@ -139,10 +147,10 @@ def compute(
     tables, texts = {}, []
     for column, frame in frames.items():
         if over_time(figure, axes, seen):
-            table, text, how = at_times(frame, figure.times, statistics, seen)
+            table, text, how = at_times(frame, figure.times, statistics, seen, whole=column in whole)
             notes |= dict.fromkeys(how)
         else:
-            table, text = by_experiment(frame, figure.measure, statistics, seen, figure.threshold)
+            table, text = by_experiment(frame, figure.measure, statistics, seen, figure.threshold, whole=column in whole)
         tables[column] = table
         texts.append(text)
     if not any(_total(table, "n") for table in tables.values()):
@@ -188,20 +196,31 @@ def over_time(figure: Figure, axes: Sequence[Axis], seen: Coverage) -> bool:
 
 
 def by_experiment(
-    frame: Frame, measure: str, statistics: Iterable[str], seen: Coverage, threshold: float | None = None
+    frame: Frame,
+    measure: str,
+    statistics: Iterable[str],
+    seen: Coverage,
+    threshold: float | None = None,
+    *,
+    whole: bool = False,
 ) -> tuple[Any, str]:
-    """Statistics over the runs of each experiment, each run reduced by `measure`; and the statement."""
+    """Return statistics over the runs of each experiment, each run reduced by `measure`; and the statement.
+
+    `whole`: the column holds nothing but whole numbers or truth values, which are a rate where all are 0 or 1.
+    """
     text = statement(_file(f"measures/{measure}"), "by_experiment", _ordered(statistics))
-    return _run(frame, text, seen, threshold=threshold)
+    return _run(frame, text, seen, rates=measure != "time_to", whole=whole, threshold=threshold)
 
 
-def by_time(frame: Frame, statistics: Iterable[str], seen: Coverage) -> tuple[Any, str]:
-    """Statistics over the runs of each experiment at each of their times; and the statement."""
+def by_time(frame: Frame, statistics: Iterable[str], seen: Coverage, *, whole: bool = False) -> tuple[Any, str]:
+    """Return statistics over the runs of each experiment at each of their times; and the statement."""
     text = statement("SELECT experiment, t, value FROM samples", "by_time", _ordered(statistics))
-    return _run(frame, text, seen)
+    return _run(frame, text, seen, whole=whole)
 
 
-def at_times(frame: Frame, times: str | None, statistics: Iterable[str], seen: Coverage) -> tuple[Any, str, list[str]]:
+def at_times(
+    frame: Frame, times: str | None, statistics: Iterable[str], seen: Coverage, *, whole: bool = False
+) -> tuple[Any, str, list[str]]:
     """As `by_time`, at the runs' `own` times or at common ones (`carry`, `linear`); the statement; what to say of it.
 
     None is `own` where most runs share their times, else `carry`. Common times lie at equal distances, as many as the
@@ -210,23 +229,29 @@ def at_times(frame: Frame, times: str | None, statistics: Iterable[str], seen: C
     if times not in (*TIMES, None):
         raise UsageError(f"unknown times {times!r}; known are {', '.join(TIMES)}")
     if times in ("own", None):
-        table, text = by_time(frame, statistics, seen)
+        table, text = by_time(frame, statistics, seen, whole=whole)
         runs = seen.runs.values()
         differ = max(runs) > 1 and seen.rows / max(1, table.num_rows) < sum(runs) / len(runs) / 2
         if times == "own" or not differ:
             return table, text, ["times differ: each run at its own"] if differ else []
     grid = _common(frame, seen)
-    table, text = resampled(frame, grid, statistics, seen, linear=times == "linear")
+    table, text = resampled(frame, grid, statistics, seen, linear=times == "linear", whole=whole)
     how = "interpolated linearly" if times == "linear" else "last values carried forward"
     return table, text, [f"{'times differ: ' if times is None else ''}{how} to {len(grid)} common times"]
 
 
 def resampled(
-    frame: Frame, grid: Sequence[float], statistics: Iterable[str], seen: Coverage, *, linear: bool = False
+    frame: Frame,
+    grid: Sequence[float],
+    statistics: Iterable[str],
+    seen: Coverage,
+    *,
+    linear: bool = False,
+    whole: bool = False,
 ) -> tuple[Any, str]:
     """As `by_time`, at the times of `grid`, which need not be times of any run; and the statement."""
     text = statement(_file("resample"), "by_time", _ordered(statistics))
-    return _run(frame, text, seen, grid=list(grid), linear=linear)
+    return _run(frame, text, seen, whole=whole and not linear, grid=list(grid), linear=linear)
 
 
 def reduced(frame: Frame, measure: str, threshold: float | None = None) -> Any:
@@ -240,13 +265,14 @@ def reduced(frame: Frame, measure: str, threshold: float | None = None) -> Any:
 
 def statement(observations: str, grouping: str, statistics: Iterable[str]) -> str:
     """A whole statement: the statistics of what `observations` selects, grouped `by_time` or `by_experiment`."""
-    keys = ("experiment", "t") if grouping == "by_time" else ("experiment",)
-    counts = ("missing", "infinite") if grouping == "by_time" else ("missing", "infinite", "never")
-    columns = ",\n".join([", ".join((*keys, *counts)), *(_file(f"statistics/{name}").rstrip() for name in statistics)])
+    keys = "experiment, t" if grouping == "by_time" else "experiment"
+    texts = [_file(f"statistics/{name}") for name in statistics]
+    steps = ["x", *re.findall(r" AS (_\w+)", _code("".join((_file(grouping), *texts))))]
     return (
         f"WITH observations AS (\n{observations.rstrip()}\n),\n"
         f"grouped AS (\n{_file(grouping)})\n"
-        f"SELECT {columns}\nFROM grouped\nORDER BY {', '.join(keys)}"
+        f"{'FROM (' * len(texts)}FROM grouped\n{''.join(f'SELECT *,{chr(10)}{text})' + chr(10) for text in texts)}"
+        f"SELECT * EXCLUDE ({', '.join(steps)})\nORDER BY {keys}"
     )
 
 
@@ -264,8 +290,9 @@ def _common(frame: Frame, seen: Coverage) -> list[float]:
     return grid
 
 
-def _run(frame: Frame, text: str, seen: Coverage, **params: Any) -> tuple[Any, str]:
+def _run(frame: Frame, text: str, seen: Coverage, *, whole: bool, rates: bool = True, **params: Any) -> tuple[Any, str]:
     most = max(seen.runs.values())
+    params |= {"z": NormalDist().inv_cdf((1 + LEVEL) / 2), "rates": rates, "whole": whole}
     return frame.sql(text, **_used(text, t=_t(most), **params)), _documented(text, most, **params)
 
 
@@ -321,7 +348,9 @@ def _note(figure: Figure, tables: Iterable[Any], seen: Coverage, planned: Mappin
     tables = list(tables)
     counts = [table.column("n").to_numpy() for table in tables]
     low, high = int(min(n.min() for n in counts)), int(max(n.max() for n in counts))
-    shown = f"{_shown(figure, several=high > 1)}, n = {low}" + (f"–{high}" if low < high else "")
+    shown = f"{_shown(figure, several=high > 1, rate=any(map(is_rate, tables)))}, n = {low}" + (
+        f"–{high}" if low < high else ""
+    )
     return [shown, *left_out(tables, seen, planned, figure.threshold, _marked(figure, tables[0]))]
 
 
@@ -360,10 +389,15 @@ def _nothing(figure: Figure, tables: Mapping[str, Any], seen: Coverage) -> str:
     return f"{columns} reaches the threshold {figure.threshold:.12g} in none of {runs}{missing}; there is no time to draw"
 
 
-def _shown(figure: Figure, *, several: bool) -> str:
+def is_rate(table: Any) -> bool:
+    """Return whether the intervals of computed statistics are those of a rate."""
+    return "interval" in table.column_names and "Wilson" in table.column("interval").to_pylist()
+
+
+def _shown(figure: Figure, *, several: bool, rate: bool) -> str:
     """What the marks of a figure stand for."""
     center = figure.center.replace("iqm", "interquartile mean")
-    spread = "quartiles" if figure.center == "median" else "95 % CI"
+    spread = "quartiles" if figure.center == "median" else "Wilson's 95 % CI of a rate" if rate else "95 % CI"
     match figure.kind:
         case "box":
             return "median, quartiles, whiskers to at most 1.5 IQR"

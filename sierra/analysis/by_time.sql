@@ -1,9 +1,10 @@
 -- x, per experiment and time: the finite values of all runs, sorted, so that no statistic depends on the order in which
--- threads deliver rows. What is not a number or infinite is not in x; it is counted.
+-- threads deliver rows; how many of them are neither 0 nor 1. What is not a number or infinite is not in x; it is counted.
 SELECT
   experiment,
   t,
   coalesce(list_sort(list(value) FILTER (isfinite(value))), []) AS x,
+  count(*) FILTER (isfinite(value) AND value NOT IN (0, 1)) AS _others,
   count(*) - count(value) FILTER (NOT isnan(value)) AS missing,
   count(*) FILTER (isinf(value)) AS infinite
 FROM observations

@@ -7,7 +7,7 @@ SELECT
   points.number,
   points.t,
   CASE WHEN $linear AND points.t > pieces.t
-    THEN pieces.value + (pieces.next_value - pieces.value) * (points.t - pieces.t) / (pieces.next_t - pieces.t)
+    THEN pieces.value + (pieces.next_value - pieces.value) * ((points.t - pieces.t) / (pieces.next_t - pieces.t))
     ELSE pieces.value
   END AS value
 FROM (

@@ -53,8 +53,9 @@ def build(
         image = opened.build_image(name, network=network)
         built.append(_image(image))
         if not as_json:
-            print(f"{image.id}  {image.name}, tagged {tag(opened.root, image.name)}")
-            print(f"next: sierra image pin {image.name}")
+            called = str(tag(opened.root, image.name))
+            print(f"{image.id}  {image.name}, tagged {called}")
+            print(f"next: sierra image pin {called if Path(image.name).is_absolute() else image.name}")
     if as_json:
         print_json(built)
 
@@ -125,9 +126,13 @@ def pin(name: Name = None, as_json: AsJson = False) -> None:
       sierra image pin localhost/sim:1
     """
     from sierra.cli.opened import project
-    from sierra.cli.output import print_json
+    from sierra.cli.output import note, print_json
 
     found = project().pin(name)
+    if Path(found.image.name).is_absolute():
+        note(f"{found.image.name} is a path of this machine alone; name a file of the project, or a tag, to have it elsewhere")
+    if found.user:
+        note(f"the image's USER {found.user!r} is ignored: outside of containers, processes are whoever executes them")
     if as_json:
         print_json(_contents(found))
     else:

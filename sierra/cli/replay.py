@@ -224,9 +224,10 @@ def _grown(agreement: Agreement) -> str:
     """How a difference grows, from where there is one."""
     from itertools import dropwhile
 
+    from sierra.agreement import distance
     from sierra.cli.output import cell
 
     apart = list(dropwhile(lambda part: part[1] == 0, agreement.growth))
     same = agreement.growth[: len(agreement.growth) - len(apart)]
     before = [f"the same until {cell(same[-1][0])}"] if same else []
-    return ", ".join([*before, f"apart {', '.join(f'{far:.3g} until {cell(until)}' for until, far in apart)}"])
+    return ", ".join([*before, f"apart {', '.join(f'{distance(far)} until {cell(until)}' for until, far in apart)}"])

@@ -52,7 +52,8 @@ def stats(
 
     For one column, and each experiment: n, mean, sd, the 95 % interval of the mean (low, high), median, quartiles,
     whiskers, range, interquartile mean (iqm) with its interval, and how many values are missing or infinite, or how many
-    runs never reached the threshold.
+    runs never reached the threshold. Of a rate, a column that is 0 or 1 (false or true) in all runs, the interval is Wilson's;
+    the column `interval` says so. (A column of fractions is a rate only if both 0 and 1 occur in the batch.)
 
     \b
     Examples:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from functools import partial
 
 from sierra.config import LoadedProject
 from sierra.difference import around, asked, code, files, images, results
@@ -76,7 +77,6 @@ Part = tuple[tuple[str, ...], Iterable[Difference]]
 
 
 AROUND = (
-    ("programs", "programs", around.programs),
     ("environment", "environment", around.environments),
     ("rules", "reading", around.rules),
 )
@@ -93,11 +93,12 @@ def _parts(
         pairs = pair(question, before, after)
         yield ("query",), asked.query(before, after, pairs)
         yield ("platform", "command", "variables"), asked.recipe(before, after)
-        yield ("image",), images.image(question, store, before, after)
+        yield ("image",), images.image(question, store, before, after, project.root)
         yield ("source",), code.source(store, project.root, before, after)
         if code.has_commits(before, after):
             yield ("commit",), code.commit(project.root, before, after)
-        for kind, what, compared in AROUND:
+        used = ("programs", "programs", partial(around.programs, root=project.root))
+        for kind, what, compared in (used, *AROUND):
             if all(around.known(question, side, what) for side in (before, after)):
                 yield (kind,), compared(question, before, after)
             else:

@@ -8,36 +8,42 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from sierra import containment
 from sierra.difference.kinds import ARROW, Difference, changed, shown
 from sierra.difference.sides import Side
 from sierra.hashing import short
-from sierra.provenance.program import called, versions
+from sierra.provenance.program import INSTALLED, by_likelihood, called, mentioned, versions
 from sierra.store import Question
 
 Rows = Sequence[Mapping[str, Any]]
 USED = "SELECT DISTINCT e.{what} AS id FROM {table} t JOIN executions e ON e.execution = t.execution"
 
 
-def programs(question: Question, before: Side, after: Side) -> Iterator[Difference]:
-    """Programs by name; where they lie makes no difference."""
-    yield from other_programs(question, *(_used(question, side, "programs") for side in (before, after)))
+def programs(question: Question, before: Side, after: Side, root: Path) -> Iterator[Difference]:
+    """Programs by name; where they lie makes no difference. What the command and its scripts in `root` name stands first."""
+    words = mentioned((*before.recipe["command"], *after.recipe["command"]), root)
+    was, now = (_used(question, side, "programs") for side in (before, after))
+    yield from other_programs(question, was, now, words)
 
 
-def other_programs(question: Question, before: Sequence[str], after: Sequence[str]) -> Iterator[Difference]:
+def other_programs(
+    question: Question, before: Sequence[str], after: Sequence[str], words: frozenset[str] = frozenset()
+) -> Iterator[Difference]:
     """The same of sets of programs, by their ids."""
     old, new = (_programs(_rows(question, ids, "programs")) for ids in (before, after))
     names = dict.fromkeys((*old, *new))
-    for name in sorted(names, key=lambda name: KINDS.get(name[0], len(KINDS))):
+    for name in sorted(names, key=lambda name: (name[1].endswith(INSTALLED), KINDS.get(name[0], len(KINDS)))):
         was, now = old.get(name, []), new.get(name, [])
         if {row["sha256"] for row in was} != {row["sha256"] for row in now}:
             line = f"{name[1]}: {_which(was)} {ARROW} {_which(now)}"
-            yield Difference("programs", name[1], line, list(was), list(now), tuple(_versions(was, now)))
+            yield Difference("programs", name[1], line, list(was), list(now), tuple(_versions(was, now, words)))
 
 
-KINDS = {None: 0, "program": 0, "distributions": 1, "library": 2, "file": 3}
+KINDS = {None: 0, "program": 0, "file": 1, "distributions": 2, "library": 3}
+"""The order of kinds; what a Python has installed stands after all of them."""
 
 
 def _programs(rows: Rows) -> dict[tuple[str | None, str], list[Mapping[str, Any]]]:
@@ -57,13 +63,13 @@ def _one(row: Mapping[str, Any]) -> str:
     return f"{shown(version)} ({short(row['sha256'])})" if version and "\n" not in version else short(row["sha256"])
 
 
-def _versions(was: Rows, now: Rows) -> Iterator[str]:
+def _versions(was: Rows, now: Rows, words: frozenset[str]) -> Iterator[str]:
     """Of what lists several versions, distributions say, those that differ; and where programs lie, if elsewhere."""
     if len(was) == len(now) == 1:
         listed = [row[0].get("version") or "" for row in (was, now)]
         if any("\n" in text for text in listed):
             old, new = map(versions, listed)
-            for name in sorted(old.keys() | new.keys()):
+            for name in by_likelihood(old.keys() | new.keys(), words):
                 if old.get(name) != new.get(name):
                     yield f"{name} {old.get(name) or 'not there'} {ARROW} {new.get(name) or 'not there'}"
         if was[0]["path"] != now[0]["path"]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from sierra import images
@@ -12,6 +13,7 @@ from sierra.difference.kinds import ARROW, Difference, changed
 from sierra.difference.sides import Side
 from sierra.errors import Damaged, NotFound
 from sierra.images.differing import Change, files, packages
+from sierra.provenance.program import mentioned
 from sierra.store import Question, Store
 from sierra.wording import few
 
@@ -20,14 +22,14 @@ DETAILS = 1000
 """Packages or files of which is told what became of them."""
 
 
-def image(question: Question, store: Store, before: Side, after: Side) -> Iterator[Difference]:
+def image(question: Question, store: Store, before: Side, after: Side, root: Path) -> Iterator[Difference]:
     """The image: which, its packages, its variables, its files; and what runs reach beyond it."""
     was, now = (side.recipe["image"] for side in (before, after))
     if was != now:
         old, new = (_row(question, identity) for identity in (was, now))
         yield Difference("image", "image", f"image: {_called(was, old)} {ARROW} {_called(now, new)}", was, now)
         if old and new:
-            yield from _inside(store, old, new)
+            yield from _inside(store, old, new, mentioned(after.recipe["command"], root))
     before_reach, reach = (side.recipe["reach"] or [] for side in (before, after))
     if told := other_reach(before_reach, reach):
         yield Difference("image", "reach", f"what runs reach beyond the image: {', '.join(told)}", before_reach, reach)
@@ -44,10 +46,11 @@ def _called(identity: str | None, row: Mapping[str, Any] | None) -> str:
     return f"{row['name']} ({images.short(identity)})" if row else f"{images.short(identity)}, of which nothing is recorded"
 
 
-def _inside(store: Store, old: Mapping[str, Any], new: Mapping[str, Any]) -> Iterator[Difference]:
+def _inside(store: Store, old: Mapping[str, Any], new: Mapping[str, Any], words: frozenset[str]) -> Iterator[Difference]:
     """What is in two images, what is likely to matter first."""
     yield from changed("image", "architecture", old["architecture"], new["architecture"])
-    for manager, changes in packages(*(json.loads(row["packages"]) for row in (old, new))).items():
+    was, now = (json.loads(row["packages"]) for row in (old, new))
+    for manager, changes in packages(was, now, words).items():
         yield _told(manager, f"{manager} packages of the image", changes)
     yield from changed("image", "variables", old["variables"], new["variables"], called="variables of the image")
     yield _files(store, old, new)

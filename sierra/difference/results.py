@@ -1,8 +1,9 @@
 """What came out: outputs of two executions place by place, results of runs that both have, means of runs that differ.
 
 Means are of the last value that each run wrote (the measure `final`), for each experiment that both have. The interval of
-their difference is Welch's (1947), of independent samples: degrees of freedom by Satterthwaite, rounded down. Where runs share
-their seeds, as they do by default, it is rather too wide.
+their difference is Welch's (1947), of independent samples: degrees of freedom by Satterthwaite, rounded down. That of two rates
+is Newcombe's (1998, Statist. Med. 17: 873-890, method 10), from Wilson's intervals of both. Where runs share their seeds, as
+they do by default, both are rather too wide.
 """
 
 from __future__ import annotations
@@ -10,11 +11,11 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from math import isfinite, sqrt
+from math import hypot, isfinite, sqrt
 from typing import Any
 
 from sierra import deliver, outcomes
-from sierra.agreement import Agreement, Verdict
+from sierra.agreement import Agreement, Verdict, distance
 from sierra.analysis import student_t
 from sierra.config import LoadedProject, Output
 from sierra.difference.kinds import ARROW, Difference, Note, changed, shown
@@ -109,7 +110,7 @@ def _declared(question: Question, reading: str, project: LoadedProject) -> dict[
 def _growth(agreement: Agreement) -> Iterator[str]:
     """How a difference grows over the rows."""
     if agreement.growth:
-        yield ", ".join(f"{far:.3g} apart until {shown(until)}" for until, far in agreement.growth)
+        yield ", ".join(f"{distance(far)} apart until {shown(until)}" for until, far in agreement.growth)
 
 
 SHARED = """
@@ -156,6 +157,8 @@ class Mean:
     n: int
     mean: float
     sd: float
+    rate: tuple[float, float] | None = None
+    """Wilson's interval, where it is a rate."""
 
 
 def means(
@@ -238,11 +241,13 @@ def _is_time(column: str, declared: str | None) -> bool:
 def _means(project: LoadedProject, store: Store, side: Side, output: str, column: str) -> dict[int, Mean]:
     """By the experiment's place."""
     table = deliver.statistics(project, store, side.batch["batch"], output, column, "final")
-    places, counts, values, spreads = (
-        table.column(name).to_pylist() for name in _names(table, "experiment", "n", "mean", "sd")
-    )
-    rows = zip(places, counts, values, spreads, strict=True)
-    return {place: Mean(n, mean, sd or 0.0) for place, n, mean, sd in rows if n and mean is not None}
+    names = _names(table, "experiment", "n", "mean", "sd", "low", "high", "interval")
+    rows = zip(*(table.column(name).to_pylist() for name in names), strict=True)
+    return {
+        place: Mean(n, mean, sd or 0.0, (low, high) if interval == "Wilson" else None)
+        for place, n, mean, sd, low, high, interval in rows
+        if n and mean is not None
+    }
 
 
 def _names(table: Any, *names: str) -> list[str]:
@@ -259,7 +264,7 @@ def _apart(
         return
     lines, beyond = [], 0
     for place, was, now in other:
-        interval = welch(was, now)
+        interval = newcombe(was, now) or welch(was, now)
         beyond += interval is not None and not interval[0] <= 0 <= interval[1]
         lines.append(f"{_where(before, place)}: {_compared(was, now, interval)}")
     called = f"results: mean of {column} ({output}, at the end)"
@@ -284,15 +289,25 @@ def _compared(was: Mean, now: Mean, interval: tuple[float, float] | None) -> str
     return f"{was.mean:.6g} {ARROW} {now.mean:.6g} ({now.mean - was.mean:+.4g}, {spread}, n = {was.n} and {now.n})"
 
 
+def newcombe(was: Mean, now: Mean) -> tuple[float, float] | None:
+    """Return the 95 % interval of the difference of two rates; None where one of them is none."""
+    if was.rate is None or now.rate is None:
+        return None
+    below = hypot(now.mean - now.rate[0], was.rate[1] - was.mean)
+    above = hypot(now.rate[1] - now.mean, was.mean - was.rate[0])
+    return now.mean - was.mean - below, now.mean - was.mean + above
+
+
 def welch(was: Mean, now: Mean) -> tuple[float, float] | None:
-    """The 95 % interval of the difference of two means; None where one of them is of less than two values."""
+    """Return the 95 % interval of the difference of two means; None where one of them is of less than two values."""
     if min(was.n, now.n) < 2:
         return None
-    parts = [one.sd**2 / one.n for one in (was, now)]
-    error = sqrt(sum(parts))
-    weight = sum(part**2 / (one.n - 1) for part, one in zip(parts, (was, now), strict=True))
-    freedom = sum(parts) ** 2 / weight if weight else float(was.n + now.n - 2)
-    if not (isfinite(error) and isfinite(freedom)):
+    errors = [one.sd / sqrt(one.n) for one in (was, now)]
+    error = hypot(*errors)
+    if not isfinite(error):
         return None
+    parts = [(one / error) ** 2 if error else 0.0 for one in errors]
+    weight = sum(part**2 / (one.n - 1) for part, one in zip(parts, (was, now), strict=True))
+    freedom = 1 / weight if weight else float(was.n + now.n - 2)
     t = student_t.quantiles((1 + LEVEL) / 2, max(1, int(freedom)))[-1]
     return now.mean - was.mean - t * error, now.mean - was.mean + t * error

@@ -76,6 +76,12 @@ class Contents:
             squashfs=row["squashfs"] or "",
         )
 
+    @property
+    def user(self) -> str:
+        """The user that the image names for its programs, unless that is root; engines are told another one."""
+        said = str((self.config.get("config") or {}).get("User") or "")
+        return "" if said.partition(":")[0] in ("", "0", "root") else said
+
     @cached_property
     def files(self) -> dict[str, Entry]:
         """Every path of it, without a slash before it."""

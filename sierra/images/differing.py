@@ -7,6 +7,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from sierra.provenance.program import by_likelihood
+
 
 @dataclass(frozen=True, slots=True)
 class Change:
@@ -20,15 +22,17 @@ class Change:
     """In a few words."""
 
 
-def packages(was: Mapping[str, Sequence[str]], now: Mapping[str, Sequence[str]]) -> dict[str, list[Change]]:
-    """The packages that differ, by who manages them; lists as `sierra.images.packages` has them."""
-    found = {manager: list(_packages(was.get(manager, ()), now.get(manager, ()))) for manager in sorted({*was, *now})}
+def packages(
+    was: Mapping[str, Sequence[str]], now: Mapping[str, Sequence[str]], words: frozenset[str] = frozenset()
+) -> dict[str, list[Change]]:
+    """The packages that differ, by who manages them; lists as `sierra.images.packages` has them. What `words` name is first."""
+    found = {manager: list(_packages(was.get(manager, ()), now.get(manager, ()), words)) for manager in sorted({*was, *now})}
     return {manager: changes for manager, changes in found.items() if changes}
 
 
-def _packages(was: Sequence[str], now: Sequence[str]) -> Iterator[Change]:
+def _packages(was: Sequence[str], now: Sequence[str], words: frozenset[str]) -> Iterator[Change]:
     old, new = _versions(was), _versions(now)
-    for name in sorted(old.keys() | new.keys()):
+    for name in by_likelihood(old.keys() | new.keys(), words):
         before, after = old.get(name), new.get(name)
         if before != after:
             text = (

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -28,6 +29,17 @@ def place(root: Path, name: str) -> Path | None:
     if path.exists():
         return path
     return path if name.startswith(("/", "./", "../")) or name.endswith(SUFFIXES) else None
+
+
+def spelled(root: Path, name: str, known: str = "") -> str:
+    """Return a name as a project writes it down: `known`, if that is the same file; a path in the project from its root.
+
+    `./sim/` and `/home/me/project/sim` both are `sim`, which is the same on every machine.
+    """
+    path = Path(os.path.normpath(root / name))
+    if not path.exists() or (known and path == Path(os.path.normpath(root / known))):
+        return known if known and path.exists() else name
+    return str(path.relative_to(root)) if path.is_relative_to(root) and path != root else name
 
 
 def tag(root: Path, name: str) -> str | None:

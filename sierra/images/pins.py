@@ -12,8 +12,9 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from sierra.errors import ConfigError, Missing
+from sierra.errors import ConfigError, Missing, SierraError
 from sierra.images.image import ID, Image, Kind
+from sierra.images.naming import named
 from sierra.paths import ProjectPaths, write_whole
 
 FORMAT = 1
@@ -23,8 +24,17 @@ def pinned(root: Path, name: str) -> Image:
     """What a name is pinned to. Raises Missing where it is not, ConfigError for a broken `sierra.lock`."""
     known = pins(root)
     if name not in known:
-        raise Missing(f"the image {name!r} is not pinned, so nothing runs in it; run: sierra image pin {name}")
+        raise Missing(f"the image {name!r} is not pinned, {_why(root, name)} run: sierra image pin {name}")
     return known[name]
+
+
+def _why(root: Path, name: str) -> str:
+    """Say what that means, or, where there is nothing yet that could be pinned, what comes before."""
+    try:
+        named(root, name)
+    except SierraError as error:
+        return f"and cannot be yet: {error}; then"
+    return "so nothing runs in it;"
 
 
 def pins(root: Path) -> dict[str, Image]:

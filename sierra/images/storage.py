@@ -57,6 +57,13 @@ def installed() -> bool:
     return shutil.which("podman") is not None
 
 
+def driver() -> str:
+    """Return what podman stores images by, as `overlay` or `vfs`; empty where it does not say."""
+    with contextlib.suppress(Missing, OSError, ValueError):
+        return Path(_lists(Remembered(user_images(), MOST))[0]).parent.name.removesuffix("-images")
+    return ""
+
+
 def identify(name: str) -> str | None:
     """The id of what a name stands for now: see `look`."""
     found = look(name)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import StrEnum
@@ -82,3 +84,39 @@ def versions(listed: str | None) -> dict[str, str]:
 def called(name: str) -> str:
     """What a program is called wherever it lies: its path's last part, or what stands for a path of the project."""
     return name if "{" in name else Path(name).name
+
+
+TOOLS = frozenset(
+    (
+        *("apt", "base", "build", "ca", "certifi", "coverage", "debconf", "dpkg", "hatchling", "iniconfig", "mypy", "pip"),
+        *("pluggy", "pygments", "pytest", "ruff", "setuptools", "tzdata", "uv", "virtualenv", "wheel"),
+    )
+)
+"""How the names of packages begin that hardly any result depends on."""
+EVERYWHERE = frozenset(("python", "python3", "project", "input", "output", "seed", "run"))
+"""Words of commands that name no package in particular."""
+IMPORT = re.compile(r"^\s*(?:import|from)\s+(\w+)", re.MULTILINE)
+READABLE = 1 << 20
+"""Bytes of a script in which imports are looked for."""
+
+
+def mentioned(command: Iterable[str], root: Path) -> frozenset[str]:
+    """Return the words of a command, and what those scripts import that it names and that are in the folder `root`."""
+    words: set[str] = set()
+    for word in command:
+        words |= set(re.findall(r"[a-z][a-z0-9_]{2,}", word.lower().replace("-", "_")))
+        with contextlib.suppress(OSError, ValueError), (root / word.removeprefix("{project}/")).open("rb") as script:
+            if word.endswith(".py"):
+                words |= {name.lower() for name in IMPORT.findall(script.read(READABLE).decode("utf-8", "replace"))}
+    return frozenset(words) - EVERYWHERE
+
+
+def by_likelihood(names: Iterable[str], words: frozenset[str] = frozenset()) -> list[str]:
+    """Return packages in the order in which results are likely to depend on them: what `words` name first, tools last."""
+
+    def weight(name: str) -> tuple[bool, bool, str]:
+        plain = name.lower().replace("-", "_")
+        begin = plain.partition("_")[0]
+        return not {plain, begin} & words, begin in TOOLS, name
+
+    return sorted(names, key=weight)

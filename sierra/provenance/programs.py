@@ -22,7 +22,7 @@ from sierra.errors import Missing
 from sierra.hashing import sha256, short
 from sierra.provenance import libraries, pythons
 from sierra.provenance.digests import Digests
-from sierra.provenance.program import INSTALLED, NOTHING, Kind, Program, Programs, called, versions
+from sierra.provenance.program import INSTALLED, NOTHING, Kind, Program, Programs, by_likelihood, called, versions
 from sierra.wording import few
 
 SHOWN = 5
@@ -168,8 +168,11 @@ def differing(
             yield name, was, program
 
 
-def told(before: Iterable[Mapping[str, Any]], now: Programs) -> Iterator[str]:
-    """What is other now than in the rows of `programs` that are recorded, a line each, and one for all libraries."""
+def told(before: Iterable[Mapping[str, Any]], now: Programs, words: frozenset[str] = frozenset()) -> Iterator[str]:
+    """Yield what is other now than in the rows of `programs` that are recorded, a line each, and one for all libraries.
+
+    What results are likely to depend on stands first: programs, then files, then packages, those that `words` name before.
+    """
     rows = list(before)
     several = {name for names in ([row["name"] for row in rows], [one.name for one in now.all]) for name in _ambiguous(names)}
 
@@ -178,12 +181,12 @@ def told(before: Iterable[Mapping[str, Any]], now: Programs) -> Iterator[str]:
 
     then, here = {key(row["name"]): row for row in rows}, {key(program.name): program for program in now.all}
     loaded = []
-    for name, was, program in differing(then, here):
+    for name, was, program in sorted(differing(then, here), key=lambda one: _installed(one[1], one[2])):
         kind = program.kind if program else was and was["kind"]
         if kind == Kind.LIBRARY:
             loaded.append(name)
         elif was and program and kind == Kind.DISTRIBUTIONS and was["version"] != program.version:
-            yield f"{name}: {few(list(_versions(was['version'], program.version)), SHOWN)}"
+            yield f"{name}: {few(list(_versions(was['version'], program.version, words)), SHOWN)}"
         else:
             yield f"{name}: {_said(was) if was else 'not'} recorded, {_said(program) if program else 'not'} found"
     if loaded:
@@ -202,9 +205,14 @@ def _said(one: Program | Mapping[str, Any]) -> str:
     return short(digest) if not version or "\n" in version else f"{version} ({short(digest)})"
 
 
-def _versions(before: str | None, now: str | None) -> Iterator[str]:
+def _installed(was: Mapping[str, Any] | None, now: Program | None) -> bool:
+    """Return whether it is all that a Python has installed, much of which no program may need."""
+    return (now.name if now else was["name"] if was else "").endswith(INSTALLED)
+
+
+def _versions(before: str | None, now: str | None, words: frozenset[str]) -> Iterator[str]:
     """The distributions that are others in two lists."""
     was, found = versions(before), versions(now)
-    for name in sorted(was.keys() | found.keys()):
+    for name in by_likelihood(was.keys() | found.keys(), words):
         if was.get(name) != found.get(name):
             yield f"{name} {was.get(name, 'not')} recorded, {found.get(name, 'not')} found"

@@ -13,7 +13,7 @@ from typing import Any
 from sierra import engines, worker
 from sierra.hashing import merkle, short
 from sierra.model import OutputFile, Result, Status
-from sierra.paths import RUN_OUTPUT, RUN_STDERR, RUN_STDOUT, SessionPaths
+from sierra.paths import RUN_OUTPUT, RUN_STDERR, RUN_STDOUT, SessionPaths, inside
 from sierra.recording.assigning import NOTED_AT_MOST, Assigning
 from sierra.recording.context import Context
 from sierra.recording.judging import Judged, doubted, judge
@@ -145,7 +145,7 @@ class Recorder:
         if self._folder is not None:
             self._folder.mkdir(parents=True, exist_ok=True)
             with contextlib.suppress(FileNotFoundError):
-                shutil.move(folder, self._folder / short(result.run))
+                shutil.move(folder, inside(self._folder, short(result.run)))
         discard(folder)
 
     def notes(self) -> list[str]:

@@ -25,12 +25,13 @@ if TYPE_CHECKING:
 
 MEMBERS = "SELECT execution FROM membership"
 MIXED = "holds numbers in some runs, and other things in others"
-NUMERIC = ("BIGINT", "DOUBLE", "FLOAT", "INTEGER", "DECIMAL", "SMALLINT", "TINYINT", "UBIGINT", "UINTEGER", "HUGEINT")
+WHOLE = ("BOOLEAN", "BIGINT", "INTEGER", "SMALLINT", "TINYINT", "UBIGINT", "UINTEGER", "USMALLINT", "UTINYINT", "HUGEINT")
+NUMERIC = (*WHOLE, "DOUBLE", "FLOAT", "DECIMAL", "UHUGEINT")
 
 
 @dataclass(frozen=True, slots=True)
 class OutputTable:
-    """An output of a batch: its numeric columns, and how many rows its longest run has."""
+    """An output of a batch: its numeric columns, and how many rows its longest run has. False is 0, and true is 1."""
 
     name: str
     columns: tuple[str, ...]
@@ -40,6 +41,8 @@ class OutputTable:
     """How many files the run with most of them has."""
     mixed: tuple[str, ...]
     """Columns that hold numbers in some runs, and other things in others."""
+    whole: tuple[str, ...] = ()
+    """The numeric columns that hold nothing but whole numbers, or truth values."""
 
 
 class Frame:
@@ -145,8 +148,10 @@ class Frame:
                 f"FROM {source.sql} WHERE execution IN ({MEMBERS}) GROUP BY execution)"
             )
             mixed = _mixed(source)
-            numeric = tuple(c for c, kind in columns if kind.startswith(NUMERIC) and c not in mixed)
-            found.append(OutputTable(name, numeric, tuple(c for c, _ in columns), rows, most, mixed))
+            numeric, whole = (
+                tuple(c for c, kind in columns if _is_one_of(kind, kinds) and c not in mixed) for kinds in (NUMERIC, WHOLE)
+            )
+            found.append(OutputTable(name, numeric, tuple(c for c, _ in columns), rows, most, mixed, whole))
         return tuple(found)
 
     def _relation(self, table: str, files: Sequence[str]) -> Relation:
@@ -168,7 +173,7 @@ class Frame:
         known = [row[0] for row in described if row[0] not in ("# experiment", "# number", "# place")]
         if time and time.lower() not in map(str.lower, known):
             raise NotFound(
-                f"output {table!r} has no column {time!r} to be its time ([outputs.{table}] time); {_like(time, known)}"
+                f"output {table!r} has no column {time!r} to be its time ([outputs.{table}] time); {like(time, known)}"
             )
         t = f"{identifier(time)}::DOUBLE" if time else '"# place"::DOUBLE'
         self._question.run("DROP VIEW IF EXISTS samples")
@@ -220,7 +225,12 @@ def _mixed(relation: Relation) -> tuple[str, ...]:
     return tuple(name for name in relation.texts if name not in relation.rounded)
 
 
-def _like(name: str, known: Sequence[str]) -> str:
-    """Which of these names may be meant."""
+def _is_one_of(kind: str, kinds: Sequence[str]) -> bool:
+    """Return whether a type of DuckDB's is one of these: `DECIMAL(18,3)` is a DECIMAL, `BIGINT[]` is no BIGINT."""
+    return kind.partition("(")[0] in kinds and not kind.endswith("]")
+
+
+def like(name: str, known: Sequence[str]) -> str:
+    """Say which of these names may be meant."""
     close = difflib.get_close_matches(name, known, 1, cutoff=0.5)
     return f"did you mean {close[0]!r}?" if close else f"it has {', '.join(known[:10])}{', …' if len(known) > 10 else ''}"

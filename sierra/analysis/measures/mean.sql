@@ -1,12 +1,22 @@
--- mean over time = (v₁ + … + v_k) / k over the run's k finite values: each row has the same weight.
--- Summed in sorted order, so that it does not depend on the order in which threads deliver rows.
+-- mean over time = (v₁ + … + v_k) / k over the run's k finite values: each row has the same weight; of huge values, whose sum
+-- overflows, v₁ / k + … + v_k / k. Summed in sorted order, so that it does not depend on the order in which threads deliver rows.
 SELECT
   experiment,
   run,
-  list_avg(list_sort(list(value) FILTER (isfinite(value)))) AS value,
-  count(*) - count(value) FILTER (NOT isnan(value)) AS missing,
-  count(*) FILTER (isinf(value)) AS infinite,
+  greatest(x[1], least(x[k], CASE WHEN greatest(-x[1], x[k]) < 1e300 THEN list_avg(x)
+    ELSE list_sum(list_transform(x, lambda v: v / k)) END)) AS value,
+  missing,
+  infinite,
   false AS never
-FROM samples
-WHERE isfinite(t)
-GROUP BY experiment, run
+FROM (
+  SELECT
+    experiment,
+    run,
+    list_sort(list(value) FILTER (isfinite(value))) AS x,
+    count(*) FILTER (isfinite(value)) AS k,
+    count(*) - count(value) FILTER (NOT isnan(value)) AS missing,
+    count(*) FILTER (isinf(value)) AS infinite
+  FROM samples
+  WHERE isfinite(t)
+  GROUP BY experiment, run
+)

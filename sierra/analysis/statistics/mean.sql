@@ -1,2 +1,3 @@
--- mean = (x₁ + … + xₙ) / n
-list_avg(x) AS mean
+-- mean = (x₁ + … + xₙ) / n, which rounding keeps within the values; of huge values, whose sum overflows, x₁ / n + … + xₙ / n
+greatest(x[1], least(x[n], CASE WHEN greatest(-x[1], x[n]) < 1e300 THEN list_avg(x)
+  ELSE list_sum(list_transform(x, lambda v: v / n)) END)) AS mean

@@ -9,6 +9,7 @@ A list of files may come from elsewhere: no path in it leaves the folder.
 from __future__ import annotations
 
 import os
+import re
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
@@ -20,6 +21,7 @@ from sierra.provenance.source.git import Git, in_repository
 from sierra.provenance.source.manifest import LINK, REPOSITORY, Files, is_blob, parts, read, tree_of, written
 from sierra.provenance.source.working import of_tree
 
+HASH = re.compile("[0-9a-f]{40}|[0-9a-f]{64}")
 Content = Callable[[str], bytes | None]
 
 
@@ -63,8 +65,11 @@ def _check(files: Files) -> None:
         above = (b"/".join(steps[:end]) for end in range(1, len(steps)))
         if any(step.lower() in (b"", b".", b"..", b".git") for step in steps) or any(one in files for one in above):
             raise Damaged(f"the recorded source has a file {shown([path])!r}, which no source can have")
-        if parts(what)[0] not in ("100644", "100755", LINK, REPOSITORY):
-            raise Damaged(f"the recorded source has a file {shown([path])!r} of the unknown mode {parts(what)[0]}")
+        mode, blob = parts(what)
+        if mode not in ("100644", "100755", LINK, REPOSITORY):
+            raise Damaged(f"the recorded source has a file {shown([path])!r} of the unknown mode {mode}")
+        if not HASH.fullmatch(blob):
+            raise Damaged(f"the recorded source has a file {shown([path])!r} whose hash {blob!r} is none of git's")
 
 
 def _lacking(git: Git | None, tree: str, files: Files) -> set[str]:
