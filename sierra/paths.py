@@ -28,7 +28,9 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePosixPath
+
+from sierra.errors import Damaged
 
 CONFIG = "sierra.toml"
 LOCK = "sierra.lock"
@@ -299,6 +301,30 @@ def _user(variable: str, fallback: str) -> Path:
     """By the XDG Base Directory Specification: a path there that is not absolute is not heeded."""
     said = Path(os.environ.get(variable, ""))
     return (said if said.is_absolute() else Path.home() / fallback) / "sierra"
+
+
+def inside(root: Path, name: str, *, link: bool = False) -> Path:
+    """Return the path that a name from a record has in the folder `root`. Every such name goes through here before it is used.
+
+    Raises Damaged for a name that leads outside: an absolute one, one with `..` in it, one that passes through a symbolic link
+    to somewhere else; and for an empty one, or one with the character NUL. `link`: the last part may be a link to anywhere,
+    because the caller does not follow it.
+    """
+    parts = PurePosixPath(name).parts
+    if not parts or "\0" in name or parts[0].startswith("/") or ".." in parts:
+        raise Damaged(_outside(root, name))
+    path = root.joinpath(*parts)
+    try:
+        end = (path.parent if link else path).resolve()
+    except (OSError, RuntimeError) as error:  # a link to itself
+        raise Damaged(_outside(root, name)) from error
+    if not end.is_relative_to(root.resolve()):
+        raise Damaged(_outside(root, name))
+    return path
+
+
+def _outside(root: Path, name: str) -> str:
+    return f"the record names the path {name!r}, which is not inside {root}; whoever made the record did not use SIERRA for it"
 
 
 def write_whole(path: Path, data: bytes) -> Path:
