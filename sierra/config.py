@@ -6,9 +6,11 @@ nearest right one. `schemas/sierra.toml.schema.json` is generated from these cla
 
 from __future__ import annotations
 
+import contextlib
 import difflib
 import fnmatch
 import json
+import os
 import re
 import shlex
 import tomllib
@@ -100,6 +102,13 @@ def _on_node(path: str) -> str:
     """A path that means the same whatever folder a task begins in."""
     if not path.startswith(("/", "$")):
         raise ValueError(f"{path!r} should be an absolute path on the node, as in /scratch or $TMPDIR/x")
+    return path
+
+
+def _elsewhere(path: str) -> str:
+    """A path that means the same whoever begins in whatever folder."""
+    if not path.startswith(("/", "~", "$")):
+        raise ValueError(f"{path!r} should be an absolute path, as in /scratch/me, ~/scratch or $SCRATCH")
     return path
 
 
@@ -382,6 +391,27 @@ class Source(Table):
     large: Size = Field(50_000_000, description="an untracked file of more bytes is an error, a number or as in `50 MB`")
 
 
+class StoreTable(Table):
+    """How the store is kept."""
+
+    work: Annotated[str, AfterValidator(_elsewhere)] | None = Field(
+        None,
+        description="where runs of this machine execute: a folder for each project is made in it; `~` and variables as in "
+        "`$SCRATCH` are filled in; in the store where absent",
+    )
+
+    def place(self) -> Path | None:
+        """Return the folder where runs execute, if it is not the store's. Raises Missing for a variable that is not set."""
+        if self.work is None:
+            return None
+        filled = Path(os.path.expandvars(self.work))
+        with contextlib.suppress(RuntimeError):  # there is no such user
+            filled = filled.expanduser()
+        if not filled.is_absolute() or "$" in str(filled):
+            raise Missing(f"[store] work: {self.work!r} is {str(filled)!r} here, and no absolute path; set the variable")
+        return filled
+
+
 class Determinism(Table):
     """Whether runs with the same seed give the same bytes."""
 
@@ -520,6 +550,7 @@ class Project(Table):
     environment: Environment = Environment()
     container: Container | None = Field(None, description="the image that runs execute in; on this machine where absent")
     source: Source = Source()
+    store: StoreTable = StoreTable()
     determinism: Determinism = Determinism()
     equivalence: Mapping[Name, Equivalence] = Field(
         default_factory=dict, description="for runs that are not deterministic: what must be the same in a replay, by name"

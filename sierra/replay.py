@@ -100,7 +100,7 @@ def replay(
     image = recalled.image(project, store, record.of.recipe)
     runner = runners.find(how.runner, project.config.runners)(how.slots)
     began = datetime.now(UTC)
-    session = Session(store.paths)
+    session = Session(store.paths, project.config.store.place())
     kept = store.paths.kept(session.id) if how.keep else None
     try:
         root = session.paths.source

@@ -31,6 +31,9 @@ CACHEDIR = (
     "Signature: 8a477f597d28d172789f06886806bc55\n"
     "# This folder was made by SIERRA and holds recorded experiments: do not delete it as if it were a cache.\n"
 )
+GITIGNORE = b"*\n"
+UNFINISHED = (".format.", "..gitignore.", ".CACHEDIR.TAG.")
+"""How files begin that are written beside their targets while a store is made."""
 PREFIX = re.compile(r"[0-9a-f]{4,64}")
 
 
@@ -66,10 +69,12 @@ class Store:
         paths = StorePaths(root)
         if not paths.format.exists():
             with disk_errors(root):
+                _check_free(root)
                 paths.segments.mkdir(parents=True, exist_ok=True)
-                paths.work.mkdir(exist_ok=True)
-                paths.gitignore.write_text("*\n")
-                paths.cachedir_tag.write_text(CACHEDIR)
+                if not paths.work.is_symlink():
+                    paths.work.mkdir(exist_ok=True)
+                write_whole(paths.gitignore, GITIGNORE)
+                write_whole(paths.cachedir_tag, CACHEDIR.encode())
                 write_whole(paths.format, FORMAT.encode())
         return cls(root)
 
@@ -157,6 +162,19 @@ class Store:
         """The content of a file of a source, by git's hash of it; None where only git has it. Raises NotFound, Damaged."""
         rows = self.rows("SELECT sha256 FROM blobs WHERE blob = $b LIMIT 1", b=blob)
         return self.object(rows[0]["sha256"]) if rows else None
+
+
+def _check_free(root: Path) -> None:
+    """Raise Missing for a folder that has no store, and holds what is no part of one."""
+    paths = StorePaths(root)
+    held = sorted(path.name for path in root.iterdir()) if root.is_dir() else []
+    strange = [name for name in held if name not in paths.NAMES and not name.startswith(UNFINISHED)]
+    if paths.gitignore.is_file() and paths.gitignore.read_bytes() not in (b"", GITIGNORE):
+        strange.append(paths.gitignore.name)
+    if strange and not paths.format.exists():
+        raise Missing(
+            f"{root} holds other things ({strange[0]!r}) and no store; move them away, and sierra run makes a store there"
+        )
 
 
 class Question:
