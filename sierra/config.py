@@ -34,7 +34,7 @@ from pydantic import (
 
 from sierra import directives
 from sierra.errors import ConfigError, Missing
-from sierra.paths import CONFIG, PYPROJECT
+from sierra.paths import CONFIG, PYPROJECT, STORE
 
 Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z_][A-Za-z0-9_]*$")]
 """A name that is also a column in SQL."""
@@ -571,6 +571,13 @@ class LoadedProject:
     root: Path
     file: Path
     config: Project
+    written: bool = True
+    """Whether there is such a file. A store without one is read all the same."""
+
+    def check_written(self) -> None:
+        """Raise Missing where nobody has written what to execute."""
+        if not self.written:
+            raise Missing(f"no {CONFIG} in {self.root}, only a store, which can be read; make one with: sierra init")
 
 
 def load(folder: Path) -> LoadedProject:
@@ -587,6 +594,22 @@ def load(folder: Path) -> LoadedProject:
         if file.is_file() and (table := read_toml(file).get("tool", {}).get("sierra")) is not None:
             return LoadedProject(root, file, parse(table, f"{file} [tool.sierra]"))
     raise Missing(f"no {CONFIG} in {folder} or above it; make one with: sierra init")
+
+
+def load_store(folder: Path) -> LoadedProject:
+    """Return the project that `folder` lies in, as `load` does; else the nearest store, as a project where nothing is declared.
+
+    Raises ConfigError, and Missing where there is neither.
+    """
+    try:
+        return load(folder)
+    except Missing:
+        for root in (folder.resolve(), *folder.resolve().parents):
+            if any((root / name).exists() for name in (CONFIG, PYPROJECT)):
+                raise
+            if (root / STORE).is_dir():
+                return LoadedProject(root, root / CONFIG, Project(template=""), written=False)
+        raise
 
 
 def parse(table: Mapping[str, Any], origin: str) -> Project:

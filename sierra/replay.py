@@ -8,6 +8,7 @@ these never count in statistics, and nothing that was recorded changes.
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -92,6 +93,8 @@ def replay(
 
     Raises NotFound for what is not there, Missing for what is needed and gone: the source, a program, an input.
     """
+    if not os.access(store.paths.root, os.W_OK):
+        raise Missing(f"cannot write to {store.paths.root}; a replay with --no-record does not need to")
     recovery.finish_dead(store)
     record = _look_up(store, store.resolve(prefix), how.runs)
     declared = _declared(record, project, how.tolerances)
@@ -179,6 +182,27 @@ def replay(
         return answer
     finally:
         session.close()
+
+
+def unrecorded(
+    project: LoadedProject,
+    store: Store,
+    prefix: str,
+    how: How,
+    watch: Watch = lambda progress: None,
+    say: Callable[[str], None] = lambda text: None,
+) -> Replay:
+    """Do as `replay` does, and write nothing to the store: all is recorded in one beside it, which is removed at the end.
+
+    Raises the same, and UsageError for what would need the record: to keep folders, or to execute on a cluster.
+    """
+    if how.keep:
+        raise UsageError("--keep leaves folders in the store; ask without --no-record")
+    if runners.find(how.runner, project.config.runners)(how.slots).stays:
+        raise UsageError(f"what {how.runner!r} executes is found again by the record; ask without --no-record")
+    place = project.config.store.place()
+    with store.beside(place) as other:
+        return replay(project, other, prefix, how, watch, say)
 
 
 def _look_up(store: Store, found: Found, runs: int | None) -> _Record:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -118,7 +119,9 @@ def _affected(read: Records, name: str, file: str) -> Affected:
 
 
 def _sessions(paths: StorePaths) -> Iterator[Finding]:
-    """Askings that died."""
+    """Askings that died. Where the store cannot be written, nobody works in it, and nobody can tell."""
+    if not all(os.access(path, os.W_OK) for path in (paths.root, paths.work) if path.exists()):
+        return
     try:
         with sessions.exclusively(paths) as locks:
             living = {one.root for one in sessions.alive(paths)}

@@ -7,8 +7,10 @@ no catalogue to get out of step.
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import re
+import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -53,6 +55,8 @@ class Store:
     def __init__(self, root: Path) -> None:
         """Open the store in the folder `root`. Raises Missing where there is none, Damaged where it is of another format."""
         self.paths = StorePaths(root)
+        self._beneath: Path | None = None
+        """The segments of another store, which are read too."""
         try:
             found = self.paths.format.read_text()
         except OSError as error:
@@ -82,9 +86,13 @@ class Store:
         """All segments that count now."""
         shared = Shared(self.paths.reading)
         try:
-            return list(listed(self.paths.segments))
+            return self._listed()
         finally:
             shared.close()
+
+    def _listed(self) -> list[Segment]:
+        beneath = [] if self._beneath is None else listed(self._beneath)
+        return [*beneath, *listed(self.paths.segments)]
 
     def writer(self, folder: Path, batch: str) -> Writer:
         """A segment to be written in `folder` (in this store's file system) and then published."""
@@ -93,6 +101,25 @@ class Store:
     def publish(self, writer: Writer) -> bool:
         """Make a written segment part of the store, whole; False if there was nothing in it."""
         return writer.publish(self.paths.segments)
+
+    @contextlib.contextmanager
+    def beside(self, folder: Path | None = None) -> Iterator[Store]:
+        """A store with the segments that this one has now, to be written to instead of it; it is removed at the end.
+
+        It is made in `folder`, or where temporary files belong.
+        """
+        with disk_errors(folder or Path(tempfile.gettempdir())):
+            if folder is not None:
+                folder.mkdir(parents=True, exist_ok=True)
+            made = tempfile.TemporaryDirectory(prefix="sierra-beside-", dir=folder, ignore_cleanup_errors=True)
+        shared = Shared(self.paths.reading)  # until the end: nobody tidies segments up
+        try:
+            with made as root:
+                other = Store.create(Path(root, "store"))
+                other._beneath = self.paths.segments
+                yield other
+        finally:
+            shared.close()
 
     # ------------------------------------------------------------ SQL
 
@@ -109,7 +136,7 @@ class Store:
         """A connection for several statements that all see the same state of the store, or of one batch in it."""
         shared = Shared(self.paths.reading)
         try:
-            return Question(self.paths.root, list(listed(self.paths.segments)), within, shared)
+            return Question(self.paths.root, self._listed(), within, shared, beneath=self._beneath)
         except BaseException:
             shared.close()
             raise
@@ -181,11 +208,20 @@ class Question:
     """One connection, on one state of the store; a context manager."""
 
     def __init__(
-        self, root: Path, segments: Sequence[Segment], within: str | None = None, shared: Shared | None = None
+        self,
+        root: Path,
+        segments: Sequence[Segment],
+        within: str | None = None,
+        shared: Shared | None = None,
+        *,
+        beneath: Path | None = None,
     ) -> None:
-        """`shared`: the lock that keeps these segments where they are, until the question is closed."""
+        """`shared`: the lock that keeps these segments where they are, until the question is closed.
+
+        `beneath`: the folder of those that are another store's.
+        """
         self._shared = shared
-        self._opened = Connection(StorePaths(root).segments)
+        self._opened = Connection(StorePaths(root).segments, *([beneath] if beneath else []))
         self.connection = self._opened.cursor
         self.segments = segments
         self.views = Views(self.connection, segments, within)
