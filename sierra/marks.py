@@ -98,8 +98,9 @@ def is_session(folder: Path) -> bool:
 def _is_signed(owner: Path) -> bool:
     """Check that a file names a process, or is empty: whoever began to write it was killed."""
     text = _beginning(owner)
-    with contextlib.suppress(ValueError):
-        return stat.S_ISREG(owner.lstat().st_mode) and (not text or set(json.loads(text)) >= SIGNED)
+    with contextlib.suppress(ValueError, RecursionError):
+        said = json.loads(text or "{}")
+        return stat.S_ISREG(owner.lstat().st_mode) and isinstance(said, dict) and (not text or said.keys() >= SIGNED)
     return False
 
 

@@ -28,10 +28,11 @@ PROJECT/.sierra/kept/<replay>/      what `sierra replay --keep` leaves: source/,
 
 from __future__ import annotations
 
+import json
 import os
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from sierra.errors import Damaged
 
@@ -355,6 +356,17 @@ def inside(root: Path, name: str, *, link: bool = False) -> Path:
 
 def _outside(root: Path, name: str) -> str:
     return f"the record names the path {name!r}, which is not inside {root}; whoever made the record did not use SIERRA for it"
+
+
+def read_record(path: Path) -> dict[str, Any]:
+    """Return the JSON object that a file of a session holds. Raises FileNotFoundError, and Damaged for what is none."""
+    try:
+        found = json.loads(path.read_bytes())
+        if isinstance(found, dict):
+            return found
+    except (ValueError, RecursionError):  # no UTF-8, no JSON, or one that never ends
+        pass
+    raise Damaged(f"{path}: holds no record that SIERRA wrote; move {path.parent} away, what is in it is not recorded yet")
 
 
 def write_whole(path: Path, data: bytes) -> Path:

@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from sierra import engines, sessions
-from sierra.errors import Damaged
+from sierra.errors import Damaged, SierraError
 from sierra.model import Result, Status
 from sierra.paths import RUN_OUTPUT, SessionPaths, inside
 from sierra.recording import Context, Recorder, find_odd
@@ -31,7 +31,7 @@ def finish_dead(store: Store) -> int:
 
 def _sweep(paths: SessionPaths) -> None:
     """Remove the containers that a session has left."""
-    with contextlib.suppress(OSError, ValueError, KeyError, TypeError):  # it died before anything was started
+    with contextlib.suppress(OSError, ValueError, KeyError, TypeError, SierraError):  # it died before anything was started
         context = Context.load(paths.context)
         engines.find(context.engine).sweep([paths.root.name])
 

@@ -194,8 +194,8 @@ def submitted(store: StorePaths) -> list[SessionPaths]:
 def claims(paths: SessionPaths) -> set[str]:
     """The runs that a session has claimed."""
     try:
-        return set(json.loads(paths.claims.read_text()))
-    except (OSError, json.JSONDecodeError):
+        return set(json.loads(paths.claims.read_bytes()))
+    except (OSError, ValueError, TypeError, RecursionError):
         return set()
 
 
@@ -203,8 +203,8 @@ def holder(paths: SessionPaths) -> str:
     """Who has a session, in words; its lock says so, or its last owner."""
     owners = sorted(paths.root.glob(paths.owner(0).with_suffix(".*").name), key=lambda file: int(file.suffix[1:]))
     for file in (paths.lock, *reversed(owners)):
-        with contextlib.suppress(OSError, ValueError):
-            found = json.loads(file.read_text())
+        with contextlib.suppress(OSError, ValueError, LookupError, TypeError, RecursionError):
+            found = json.loads(file.read_bytes())
             return f"process {found['pid']} on {found['where'][0]}"
     return "another process"
 
@@ -276,12 +276,12 @@ def _take_over(paths: SessionPaths) -> int | None:
         generation += 1
     file = paths.owner(generation)
     try:
-        owner = json.loads(file.read_text())
-    except json.JSONDecodeError:  # it is being written, or who began to has died
+        owner = json.loads(file.read_bytes())
+    except ValueError:  # it is being written, or who began to has died
         owner = None
     except OSError:
         return None
-    gone = owner and owner["born"] is not None and owner["where"] == _where() and owner != _process(owner["pid"])
+    gone = owner and owner.get("born") is not None and owner["where"] == _where() and owner != _process(owner["pid"])
     beats = owner is None or paths.submission.exists()
     if gone or paths.left(generation).exists() or (beats and _is_silent(file)):
         return generation + 1 if _own(paths, generation + 1) else None

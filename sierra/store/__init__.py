@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 
 FORMAT = "sierra store 2\n"
 """Of what segments hold, and of what it means that they lie there. Raised whenever an older SIERRA would read it wrongly."""
+FORMAT_BYTES = 100
+"""Are read of what says the format."""
 CACHEDIR = (
     "Signature: 8a477f597d28d172789f06886806bc55\n"
     "# This folder was made by SIERRA and holds recorded experiments: do not delete it as if it were a cache.\n"
@@ -58,7 +60,8 @@ class Store:
         self._beneath: Path | None = None
         """The segments of another store, which are read too."""
         try:
-            found = self.paths.format.read_text()
+            with self.paths.format.open("rb") as file:
+                found = file.read(FORMAT_BYTES).decode("utf-8", "backslashreplace")
         except OSError as error:
             raise Missing(f"no store in {root}: nothing has been run here yet (sierra run makes one)") from error
         if found != FORMAT:

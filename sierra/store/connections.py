@@ -59,7 +59,7 @@ class Connection:
 
 
 _idle: dict[int, tuple[tuple[str, ...], Any]] = {}
-"""By process, as what another has forked from has threads that are not there: the folders, and the DuckDB that may read them."""
+"""By process, as what another has forked from has threads that are not there: folders, and the DuckDB that may read them."""
 
 
 def _locked(folders: tuple[str, ...]) -> Any:
