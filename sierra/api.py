@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from sierra.keeping.repairing import Repair
     from sierra.pipeline import Summary
     from sierra.plans import Plan
+    from sierra.provenance.source import Shared
     from sierra.reasons import Why
     from sierra.runners.proposal import Proposal
     from sierra.standing import Standing
@@ -322,6 +323,18 @@ class Project:
         if name is None and self.config.container is None:
             raise UsageError(f'{self._loaded.file} names no image; name one here, or there: [container] image = "…"')
         return name or (self.config.container.image if self.config.container else "")
+
+    def push_sources(self, remote: str | None = None) -> list[Shared]:
+        """Push the recorded sources, of submodules too, to a remote of git's: see `sierra.provenance.source.sharing`."""
+        from sierra.provenance import source
+
+        return source.share(self.root, "push", remote)
+
+    def fetch_sources(self, remote: str | None = None) -> list[Shared]:
+        """Fetch the sources that others have pushed, of submodules too: see `sierra.provenance.source.sharing`."""
+        from sierra.provenance import source
+
+        return source.share(self.root, "fetch", remote)
 
     def fsck(self, *, tell: Callable[[str], None] = lambda text: None) -> Report:
         """Check all that is recorded: see `sierra.keeping.checking.Report`. `tell` hears how far it has come."""

@@ -47,7 +47,7 @@ class Safe:
 def guarded() -> Iterator[None]:
     """Make all that is printed meanwhile safe."""
     before = sys.stdout, sys.stderr
-    sys.stdout, sys.stderr = (Safe(stream) for stream in before)  # type: ignore[assignment]
+    sys.stdout, sys.stderr = (Safe(stream) for stream in before)
     try:
         yield
     finally:
