@@ -16,7 +16,7 @@ from pathlib import Path
 from sierra import jobs
 from sierra.errors import Missing
 from sierra.model import Recipe
-from sierra.paths import FIGURES, STORE
+from sierra.paths import FIGURES, STORE, inside
 from sierra.provenance import named, programs, source
 from sierra.provenance.program import NOTHING, Kind, Programs
 
@@ -70,9 +70,9 @@ class Checkout:
         else:
             source.restore(self.recipe.source, self.manifest, self.project, root, self.content, commit=self.commit)
         for name, _ in self.used:
-            inside = Path(name.removeprefix(INSIDE))
-            if name.startswith(INSIDE) and not inside.is_absolute() and ".." not in inside.parts:
-                _bring(self.project / inside, root / inside)
+            path = Path(name.removeprefix(INSIDE))
+            if name.startswith(INSIDE) and not path.is_absolute() and ".." not in path.parts:
+                _bring(self.project / path, root / path, root)
 
     def left_out(self) -> str:
         """What git ignores of the project and nobody has named, so that it is not in there: in a few words, or empty."""
@@ -94,14 +94,15 @@ class Checkout:
             return self.programs_in(root)
 
 
-def _bring(there: Path, here: Path) -> None:
-    """Copy what was not restored, or only as a link that leads out of the project."""
+def _bring(there: Path, here: Path, root: Path) -> None:
+    """Copy what was not restored, or only as a link that leads out of the project, to `here` in `root`. Raises Damaged."""
     if here.exists() and not here.is_symlink():
         return
     if not there.is_file():
         raise Missing(f"{there} is not there; runs need it, and the recorded source does not hold it: build or fetch it again")
     if (there.parent.parent / VENV).is_file():
         there, here = there.parent.parent, here.parent.parent
+    inside(root, str(here.relative_to(root)), link=True)
     here.parent.mkdir(parents=True, exist_ok=True)
     here.unlink(missing_ok=True)
     if there.is_dir():

@@ -72,7 +72,7 @@ class ProjectPaths:
 
     def drawn(self, batch: str) -> Path:
         """What the figures of a batch were drawn from: their names, each with a hash."""
-        return self.figures / batch / DRAWN
+        return inside(self.figures, batch) / DRAWN
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,7 +118,7 @@ class StorePaths:
         return self.root / "images"
 
     def image(self, folder: str) -> ImagePaths:
-        return ImagePaths(self.images / folder)
+        return ImagePaths(inside(self.images, folder))
 
     @property
     def identity(self) -> Path:

@@ -11,6 +11,9 @@ from pathlib import Path
 import pytest
 
 import sierra
+from sierra.checkout import _bring
+from sierra.errors import Damaged
+from sierra.paths import ProjectPaths, StorePaths
 from sierra.sessions import Session
 from sierra.store import Store
 from tests import projects, stores
@@ -259,3 +262,39 @@ def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
         ended = projects.quick(root, "run", "population_size=1", "--no-figures")
         assert (ended.returncode, ended.stderr.count("\n")) == (code, 1)
         assert "work" in ended.stderr
+
+
+# ---------------------------------------------------------------- names that a record gives
+
+
+def test_nothing_is_removed_through_a_link_in_the_place_of_images(recorded: Path, tmp_path: Path) -> None:
+    root = stores.copy(recorded, tmp_path / "project")
+    home = tmp_path / "home"
+    (home / "lib").mkdir(parents=True)
+    for name in (".cache.4194399", "lib/.so.4194399", "lib/.rootfs.sqfs.4194399"):
+        (home / name).write_text("theirs\n")
+    before = files(home)
+    (root / ".sierra" / "images").symlink_to(home)
+    assert projects.quick(root, "gc", "--yes").returncode == 0
+    assert files(home) == before
+
+
+def test_no_name_of_a_record_leaves_its_folder(tmp_path: Path) -> None:
+    store, project = StorePaths(tmp_path / ".sierra"), ProjectPaths(tmp_path)
+    for name in ("../x", "/x", "sha256-../../x", ""):
+        with pytest.raises(Damaged):
+            store.image(name)
+        with pytest.raises(Damaged):
+            project.drawn(name)
+
+
+def test_a_checkout_brings_nothing_through_a_link_out_of_it(tmp_path: Path, theirs: Path) -> None:
+    root, project = tmp_path / "root", tmp_path / "project"
+    (project / "out").mkdir(parents=True)
+    (project / "out" / "new").write_text("stranger's\n")
+    root.mkdir()
+    (root / "out").symlink_to(theirs)
+    before = files(theirs)
+    with pytest.raises(Damaged):
+        _bring(project / "out" / "new", root / "out" / "new", root)
+    assert files(theirs) == before

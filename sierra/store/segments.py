@@ -35,6 +35,7 @@ from typing import Any
 
 from sierra.errors import Missing
 from sierra.hashing import sha256, sha256_file
+from sierra.paths import inside
 from sierra.store.tables import arrow_schema
 
 MANIFEST = "MANIFEST"
@@ -165,7 +166,7 @@ class Writer:
             self.folder.rmdir()
             return False
         with disk_errors(self.folder):
-            target = segments / self.seal()
+            target = inside(segments, self.seal())
             try:
                 self.folder.rename(target)
             except OSError as error:
