@@ -175,10 +175,10 @@ def _write_once(path: Path, text: str) -> None:
     unfinished = path.with_name(f".{path.name}.{os.getpid()}")
     try:
         unfinished.write_text(f"{text}\n")
-        with contextlib.suppress(FileExistsError):
+        try:
             os.link(unfinished, path)
-    except PermissionError:  # a file system without hard links
-        if not os.path.lexists(path):
-            unfinished.rename(path)
+        except OSError:  # it is there already, or the file system has no hard links
+            if not os.path.lexists(path):
+                unfinished.rename(path)
     finally:
         unfinished.unlink(missing_ok=True)

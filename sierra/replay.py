@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -200,9 +200,10 @@ def unrecorded(
         raise UsageError("--keep leaves folders in the store; ask without --no-record")
     if runners.find(how.runner, project.config.runners)(how.slots).stays:
         raise UsageError(f"what {how.runner!r} executes is found again by the record; ask without --no-record")
-    place = project.config.store.place()
-    with store.beside(place) as other:
-        return replay(project, other, prefix, how, watch, say)
+    own = project.config.store.model_copy(update={"work": None})  # what is beside is elsewhere already
+    inner = replace(project, config=project.config.model_copy(update={"store": own}))
+    with store.beside(project.config.store.place()) as other:
+        return replay(inner, other, prefix, how, watch, say)
 
 
 def _look_up(store: Store, found: Found, runs: int | None) -> _Record:

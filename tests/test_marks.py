@@ -255,6 +255,25 @@ def test_what_a_session_says_of_elsewhere_is_removed_only_with_the_mark(recorded
         assert not session.exists()
 
 
+def test_elsewhere_may_be_another_disk_which_a_link_may_not_lead_to(tmp_path: Path, disk: Callable[[Path, str], Path]) -> None:
+    other = disk(tmp_path / "other", "16m")
+    root = scratch(tmp_path, "project", other / "made")
+    assert projects.quick(root, "run", "population_size=1", "--no-figures").returncode == 0
+    batch = sierra.open(root).batches[0]["batch"]
+    left = files(other)
+    assert [Path(path).name for path in left if not (other / path).is_dir()] == ["mark"]
+    for more in ((), ("--no-record",), ("--keep",)):
+        assert projects.quick(root, "replay", batch, *more).returncode == 0
+        assert files(other) == left
+    (other / "empty").mkdir()
+    (root / ".sierra" / "work").rename(tmp_path / "away")
+    (root / ".sierra" / "work").symlink_to(other / "empty")
+    ended = projects.quick(root, "run", "population_size=2", "--no-figures")
+    assert (ended.returncode, ended.stderr.count("\n")) == (3, 1)
+    assert "another file system" in ended.stderr
+    assert files(other / "empty") == []
+
+
 def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     for path, code in ((tmp_path / "file", 3), ("$NO_SUCH_VARIABLE/x", 3), ("relative", 2)):
