@@ -11,6 +11,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
     from sierra.keeping.repairing import Repair
     from sierra.pipeline import Summary
     from sierra.plans import Plan
+    from sierra.provenance.source import Shared
     from sierra.reasons import Why
     from sierra.runners.proposal import Proposal
     from sierra.standing import Standing
@@ -44,17 +46,28 @@ class Project:
     """One project: its `sierra.toml`, and the store beside it."""
 
     def __init__(self, path: str | os.PathLike[str] = ".") -> None:
-        self._loaded = config.load(Path(path))
-        self.paths = ProjectPaths(self._loaded.root)
+        """Open the project that the folder `path` lies in, or only the store there. Raises Missing where there is neither."""
+        self._found = config.load_store(Path(path))
+        self.paths = ProjectPaths(self._found.root)
+
+    @cached_property
+    def _loaded(self) -> config.LoadedProject:
+        """The project; where only a store is, its outputs are as they were last recorded."""
+        if self._found.written:
+            return self._found
+        from sierra import recalled
+
+        outputs = recalled.last_outputs(self.store)
+        return replace(self._found, config=self._found.config.model_copy(update={"outputs": outputs}))
 
     @property
     def root(self) -> Path:
         """The project's folder, absolute."""
-        return self._loaded.root
+        return self._found.root
 
     @property
     def config(self) -> config.Project:
-        """What `sierra.toml` says."""
+        """What `sierra.toml` says; where there is none, what follows from the store."""
         return self._loaded.config
 
     @property
@@ -189,21 +202,22 @@ class Project:
         engine: str | None = None,
         tolerances: Tolerances | None = None,
         keep: bool = False,
+        record: bool = True,
         watch: Watch | None = None,
         say: Callable[[str], None] | None = None,
     ) -> Replay:
         """Execute again, from the record alone, what an id names, and compare: see `sierra.verdicts.Replay`.
 
         `runs`: the first so many of each experiment. `tolerances`: by output and column (`*`: all), instead of what
-        `sierra.toml` declares. `keep`: leave the restored source and the folders of the runs. `say` hears what is
+        `sierra.toml` declares. `keep`: leave the restored source and the folders of the runs. Without `record`,
+        nothing is written to the store, which may be read-only. `say` hears what is
         other than it was recorded, before anything executes. Raises NotFound, and Missing for what is needed and gone.
         """
         from sierra import replay
 
         how = replay.How(_slots(jobs), runs, runner, engine, tolerances or {}, keep)
-        return replay.replay(
-            self._loaded, self.store, prefix, how, watch or (lambda progress: None), say or (lambda text: None)
-        )
+        execute = replay.replay if record else replay.unrecorded
+        return execute(self._loaded, self.store, prefix, how, watch or (lambda progress: None), say or (lambda text: None))
 
     def proposal(self, plan: Plan, runner: str) -> Proposal | None:
         """What answering a plan would ask of a cluster: see `sierra.runners.proposal`. None where nothing would."""
@@ -317,6 +331,18 @@ class Project:
         if name is None and not own:
             raise UsageError(f'{self._loaded.file} names no image; name one here, or there: [container] image = "…"')
         return naming.spelled(self.root, name, own) if name else own
+
+    def push_sources(self, remote: str | None = None) -> list[Shared]:
+        """Push the recorded sources, of submodules too, to a remote of git's: see `sierra.provenance.source.sharing`."""
+        from sierra.provenance import source
+
+        return source.share(self.root, "push", remote)
+
+    def fetch_sources(self, remote: str | None = None) -> list[Shared]:
+        """Fetch the sources that others have pushed, of submodules too: see `sierra.provenance.source.sharing`."""
+        from sierra.provenance import source
+
+        return source.share(self.root, "fetch", remote)
 
     def fsck(self, *, tell: Callable[[str], None] = lambda text: None) -> Report:
         """Check all that is recorded: see `sierra.keeping.checking.Report`. `tell` hears how far it has come."""

@@ -10,7 +10,7 @@ from typing import Any
 from sierra import images, sessions
 from sierra.hashing import sha256
 from sierra.model import Batch
-from sierra.paths import SessionPaths, write_whole
+from sierra.paths import SessionPaths, read_record, write_whole
 from sierra.plans import Plan, context
 from sierra.provenance import source
 from sierra.runners.submission import Submission
@@ -103,7 +103,7 @@ def finish(store: Store, session: Session, *, interrupted: bool) -> None:
     """Record how an asking went that another process had prepared; nothing where none had."""
     if not session.paths.asking.exists():
         return
-    record = json.loads(session.paths.asking.read_text())
+    record = read_record(session.paths.asking)
     runs, claimed = record.pop("runs"), len(sessions.claims(session.paths))
     [went] = store.rows(WENT, s=session.id)
     counts = {**went, "reused": runs - claimed, "missing": claimed - went["executed"], "interrupted": interrupted}

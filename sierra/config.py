@@ -6,9 +6,11 @@ nearest right one. `schemas/sierra.toml.schema.json` is generated from these cla
 
 from __future__ import annotations
 
+import contextlib
 import difflib
 import fnmatch
 import json
+import os
 import re
 import shlex
 import tomllib
@@ -32,7 +34,7 @@ from pydantic import (
 
 from sierra import directives
 from sierra.errors import ConfigError, Missing
-from sierra.paths import CONFIG, PYPROJECT
+from sierra.paths import CONFIG, PYPROJECT, STORE
 
 Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z_][A-Za-z0-9_]*$")]
 """A name that is also a column in SQL."""
@@ -100,6 +102,13 @@ def _on_node(path: str) -> str:
     """A path that means the same whatever folder a task begins in."""
     if not path.startswith(("/", "$")):
         raise ValueError(f"{path!r} should be an absolute path on the node, as in /scratch or $TMPDIR/x")
+    return path
+
+
+def _elsewhere(path: str) -> str:
+    """A path that means the same whoever begins in whatever folder."""
+    if not path.startswith(("/", "~", "$")):
+        raise ValueError(f"{path!r} should be an absolute path, as in /scratch/me, ~/scratch or $SCRATCH")
     return path
 
 
@@ -383,6 +392,27 @@ class Source(Table):
     large: Size = Field(50_000_000, description="an untracked file of more bytes is an error, a number or as in `50 MB`")
 
 
+class StoreTable(Table):
+    """How the store is kept."""
+
+    work: Annotated[str, AfterValidator(_elsewhere)] | None = Field(
+        None,
+        description="where runs of this machine execute: a folder for each project is made in it; `~` and variables as in "
+        "`$SCRATCH` are filled in; in the store where absent",
+    )
+
+    def place(self) -> Path | None:
+        """Return the folder where runs execute, if it is not the store's. Raises Missing for a variable that is not set."""
+        if self.work is None:
+            return None
+        filled = Path(os.path.expandvars(self.work))
+        with contextlib.suppress(RuntimeError):  # there is no such user
+            filled = filled.expanduser()
+        if not filled.is_absolute() or "$" in str(filled):
+            raise Missing(f"[store] work: {self.work!r} is {str(filled)!r} here, and no absolute path; set the variable")
+        return filled
+
+
 class Determinism(Table):
     """Whether runs with the same seed give the same bytes."""
 
@@ -521,6 +551,7 @@ class Project(Table):
     environment: Environment = Environment()
     container: Container | None = Field(None, description="the image that runs execute in; on this machine where absent")
     source: Source = Source()
+    store: StoreTable = StoreTable()
     determinism: Determinism = Determinism()
     equivalence: Mapping[Name, Equivalence] = Field(
         default_factory=dict, description="for runs that are not deterministic: what must be the same in a replay, by name"
@@ -541,6 +572,13 @@ class LoadedProject:
     root: Path
     file: Path
     config: Project
+    written: bool = True
+    """Whether there is such a file. A store without one is read all the same."""
+
+    def check_written(self) -> None:
+        """Raise Missing where nobody has written what to execute."""
+        if not self.written:
+            raise Missing(f"no {CONFIG} in {self.root}, only a store, which can be read; make one with: sierra init")
 
 
 def load(folder: Path) -> LoadedProject:
@@ -557,6 +595,22 @@ def load(folder: Path) -> LoadedProject:
         if file.is_file() and (table := read_toml(file).get("tool", {}).get("sierra")) is not None:
             return LoadedProject(root, file, parse(table, f"{file} [tool.sierra]"))
     raise Missing(f"no {CONFIG} in {folder} or above it; make one with: sierra init")
+
+
+def load_store(folder: Path) -> LoadedProject:
+    """Return the project that `folder` lies in, as `load` does; else the nearest store, as a project where nothing is declared.
+
+    Raises ConfigError, and Missing where there is neither.
+    """
+    try:
+        return load(folder)
+    except Missing:
+        for root in (folder.resolve(), *folder.resolve().parents):
+            if any((root / name).exists() for name in (CONFIG, PYPROJECT)):
+                raise
+            if (root / STORE).is_dir():
+                return LoadedProject(root, root / CONFIG, Project(template=""), written=False)
+        raise
 
 
 def parse(table: Mapping[str, Any], origin: str) -> Project:

@@ -126,8 +126,8 @@ class _Drawer:
         self._memory = memory
         self._again = again
         try:
-            self._drawn: dict[str, str] = json.loads(memory.read_text())
-        except (OSError, ValueError):
+            self._drawn: dict[str, str] = dict(json.loads(memory.read_bytes()))
+        except (OSError, ValueError, TypeError, RecursionError):
             self._drawn = {}
         self._before = dict(self._drawn)
 

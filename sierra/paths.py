@@ -9,10 +9,12 @@ PROJECT/sierra.lock                 what the names of images stand for; committe
 PROJECT/figures/<batch>/            what is drawn, and in .drawn.json from what
 PROJECT/.sierra/files               hashes of the project's files outside git; made again where it is gone
 PROJECT/.sierra/format              the version of the store's format
+PROJECT/.sierra/id                  the store's own id; see sierra.marks
 PROJECT/.sierra/segments/<segment>/ what is recorded; see sierra.store.segments
 PROJECT/.sierra/work/<session>/     what executes now; gone once it is recorded
-    lock  owner.0  left.0  claims.json  context.json  journal.jsonl  segment/
-    <number>/                       one run: input files, stdout, stderr, home/ tmp/ output/
+    lock  owner.0  left.0  claims.json  context.json  journal.jsonl  segment/  elsewhere
+    <number>/                       one run: input files, stdout, stderr, home/ tmp/ output/; or in the folder that
+                                    `elsewhere` names
     source/                         the code, where it is not executed from the project itself
     asking.json  submission.json  worker.py  element.py  machine.py  element.json  cancelled  engine/
     elements/<index>.{jobs,failed,alone}  results/<index>.<attempt>.pack
@@ -26,9 +28,11 @@ PROJECT/.sierra/kept/<replay>/      what `sierra replay --keep` leaves: source/,
 
 from __future__ import annotations
 
+import json
 import os
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
+from typing import Any, ClassVar
 
 from sierra.errors import Damaged
 
@@ -75,6 +79,12 @@ class ProjectPaths:
 class StorePaths:
     """The paths within one store."""
 
+    MARK: ClassVar[str] = "mark"
+    """The file by which a folder is known as one that SIERRA made; see `sierra.marks`."""
+    NAMES: ClassVar[frozenset[str]] = frozenset(
+        (".gitignore", "CACHEDIR.TAG", "damaged", "files", "format", "id", "images", "kept", "segments", "work")
+    )
+    """All that lies in a store."""
     root: Path
 
     @property
@@ -109,6 +119,15 @@ class StorePaths:
 
     def image(self, folder: str) -> ImagePaths:
         return ImagePaths(inside(self.images, folder))
+
+    @property
+    def identity(self) -> Path:
+        """The file with the store's own id."""
+        return self.root / "id"
+
+    @property
+    def work_mark(self) -> Path:
+        return self.work / self.MARK
 
     @property
     def work_lock(self) -> Path:
@@ -162,6 +181,18 @@ class SessionPaths:
     """The paths of one session's work: one asking of one query by one process."""
 
     root: Path
+    elsewhere: Path | None = None
+    """The folder where its runs execute, if that is another."""
+
+    @property
+    def runs(self) -> Path:
+        """The folder in which each run has one."""
+        return self.elsewhere or self.root
+
+    @property
+    def elsewhere_file(self) -> Path:
+        """Names the folder where runs execute, if that is another."""
+        return self.root / "elsewhere"
 
     @property
     def lock(self) -> Path:
@@ -325,6 +356,17 @@ def inside(root: Path, name: str, *, link: bool = False) -> Path:
 
 def _outside(root: Path, name: str) -> str:
     return f"the record names the path {name!r}, which is not inside {root}; whoever made the record did not use SIERRA for it"
+
+
+def read_record(path: Path) -> dict[str, Any]:
+    """Return the JSON object that a file of a session holds. Raises FileNotFoundError, and Damaged for what is none."""
+    try:
+        found = json.loads(path.read_bytes())
+        if isinstance(found, dict):
+            return found
+    except (ValueError, RecursionError):  # no UTF-8, no JSON, or one that never ends
+        pass
+    raise Damaged(f"{path}: holds no record that SIERRA wrote; move {path.parent} away, what is in it is not recorded yet")
 
 
 def write_whole(path: Path, data: bytes) -> Path:

@@ -89,7 +89,7 @@ def run(plan: Plan, store: Store, how: How) -> Summary:
         return _summary(plan, store, len({run.id for run in plan.batch.runs}))
     plan = versioned(plan)
     make = partial(runners.find(how.runner, plan.project.config.runners), how.slots)
-    session = Session(store.paths)
+    session = Session(store.paths, None if make().stays else plan.project.config.store.place())
     try:
         if not asked.is_kept(plan, store):
             asked.keep(plan, store, session.paths)

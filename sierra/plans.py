@@ -88,6 +88,7 @@ def ask(
 
     `sets` are pairs of an XPath and a value. Raises QueryError, UsageError.
     """
+    project.check_written()
     if runs is not None and runs < 1:
         raise UsageError(f"{runs} runs per experiment; ask for 1 or more")
     config = project.config

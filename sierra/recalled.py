@@ -44,6 +44,18 @@ FROM asked
 """
 
 
+LAST_DECLARED = """
+WITH used AS (SELECT reading, ended FROM sessions UNION ALL SELECT reading, ended FROM executions WHERE purpose = 'run')
+SELECT declared FROM readings WHERE reading = (SELECT arg_max(reading, ended) FROM used) LIMIT 1
+"""
+
+
+def last_outputs(store: Store) -> Mapping[str, Output]:
+    """Return what was last declared of outputs."""
+    rows = store.rows(LAST_DECLARED)
+    return rules_of(json.loads(rows[0]["declared"]))[0] if rows else {}
+
+
 @dataclass(frozen=True, slots=True)
 class Recalled:
     """All that runs of one batch have in common."""

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import os
+from dataclasses import replace
+from pathlib import Path
 
 from sierra import engines, sessions
+from sierra.errors import Damaged, SierraError
 from sierra.model import Result, Status
-from sierra.paths import SessionPaths
+from sierra.paths import RUN_OUTPUT, SessionPaths, inside
 from sierra.recording import Context, Recorder, find_odd
 from sierra.runners import orphans
 from sierra.runners.journal import Journal
@@ -27,14 +31,15 @@ def finish_dead(store: Store) -> int:
 
 def _sweep(paths: SessionPaths) -> None:
     """Remove the containers that a session has left."""
-    with contextlib.suppress(OSError, ValueError, KeyError, TypeError):  # it died before anything was started
+    with contextlib.suppress(OSError, ValueError, KeyError, TypeError, SierraError):  # it died before anything was started
         context = Context.load(paths.context)
-        engines.find(context.engine).sweep([context.session])
+        engines.find(context.engine).sweep([paths.root.name])
 
 
 def recover(store: Store, paths: SessionPaths) -> int:
     """Record what a session's journal says has finished, and the store does not have yet."""
-    results = [event for event in Journal(paths.journal).read() if isinstance(event, Result)]
+    events = [event for event in Journal(paths.journal).read() if isinstance(event, Result)]
+    results = [result for result in (_own(paths, event) for event in events) if result is not None]
     if not results:
         return 0
     context = Context.load(paths.context)
@@ -46,3 +51,18 @@ def recover(store: Store, paths: SessionPaths) -> int:
     recorder.flush()
     find_odd(store, paths, context)
     return sum(status is not Status.INTERRUPTED for status in added)
+
+
+def _own(paths: SessionPaths, result: Result) -> Result | None:
+    """Return a result with its folder as it is in this session, wherever the journal says; None where that has not its files.
+
+    The journal may be a stranger's, or the project may have been moved: no other folder is ever read or removed.
+    """
+    name = Path(result.directory).name
+    folder = paths.runs / name if name.isdigit() else paths.runs
+    try:
+        files = [inside(folder, f"{RUN_OUTPUT}/{file.path}") for file in result.outputs]
+        inside(paths.runs, f"{name}/{RUN_OUTPUT}")
+    except Damaged:
+        return None
+    return replace(result, directory=str(folder)) if all(os.path.lexists(file) for file in files) else None

@@ -8,8 +8,9 @@ these never count in statistics, and nothing that was recorded changes.
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -94,6 +95,8 @@ def replay(
 
     Raises NotFound for what is not there, Missing for what is needed and gone: the source, a program, an input.
     """
+    if not os.access(store.paths.root, os.W_OK):
+        raise Missing(f"cannot write to {store.paths.root}; a replay with --no-record does not need to")
     recovery.finish_dead(store)
     record = _look_up(store, store.resolve(prefix), how.runs)
     declared = _declared(record, project, how.tolerances)
@@ -102,7 +105,7 @@ def replay(
     image = recalled.image(project, store, record.of.recipe)
     runner = runners.find(how.runner, project.config.runners)(how.slots)
     began = datetime.now(UTC)
-    session = Session(store.paths)
+    session = Session(store.paths, project.config.store.place())
     kept = store.paths.kept(session.id) if how.keep else None
     try:
         root = session.paths.source
@@ -181,6 +184,28 @@ def replay(
         return answer
     finally:
         session.close()
+
+
+def unrecorded(
+    project: LoadedProject,
+    store: Store,
+    prefix: str,
+    how: How,
+    watch: Watch = lambda progress: None,
+    say: Callable[[str], None] = lambda text: None,
+) -> Replay:
+    """Do as `replay` does, and write nothing to the store: all is recorded in one beside it, which is removed at the end.
+
+    Raises the same, and UsageError for what would need the record: to keep folders, or to execute on a cluster.
+    """
+    if how.keep:
+        raise UsageError("--keep leaves folders in the store; ask without --no-record")
+    if runners.find(how.runner, project.config.runners)(how.slots).stays:
+        raise UsageError(f"what {how.runner!r} executes is found again by the record; ask without --no-record")
+    own = project.config.store.model_copy(update={"work": None})  # what is beside is elsewhere already
+    inner = replace(project, config=project.config.model_copy(update={"store": own}))
+    with store.beside(project.config.store.place()) as other:
+        return replay(inner, other, prefix, how, watch, say)
 
 
 def _look_up(store: Store, found: Found, runs: int | None) -> _Record:

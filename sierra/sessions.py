@@ -29,7 +29,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from sierra import worker
+from sierra import marks, worker
+from sierra.errors import Missing
 from sierra.paths import SessionPaths, StorePaths
 from sierra.store.segments import disk_errors
 
@@ -40,7 +41,8 @@ BEAT_S, SILENT_S = 20.0, 120.0
 class Session:
     """One asking, alive."""
 
-    def __init__(self, store: StorePaths) -> None:
+    def __init__(self, store: StorePaths, elsewhere: Path | None = None) -> None:
+        """Begin a session; its runs execute in a folder below `elsewhere`, if that is given. Raises Missing."""
         self.id = secrets.token_hex(8)
         self.paths: SessionPaths = store.session(self.id)
         self.store = store
@@ -52,6 +54,8 @@ class Session:
             _own(self.paths, 0)
             self._lock = _locked(self.paths.lock)
         _sign(self._lock)
+        if elsewhere is not None:
+            self._execute_below(elsewhere)
 
     @classmethod
     def adopted(cls, store: StorePaths, paths: SessionPaths) -> Session | None:
@@ -60,7 +64,7 @@ class Session:
         made.id, made.paths, made.store, made.recorded = paths.root.name, paths, store, True
         made._generation, made._beaten = 0, time.monotonic()
         with exclusively(store):
-            if not paths.submission.exists():
+            if not paths.submission.exists() or not marks.is_session(paths.root):
                 return None
             try:
                 made._lock = _locked(paths.lock, wait=False)
@@ -72,6 +76,14 @@ class Session:
             made._generation = generation
         _sign(made._lock)
         return made
+
+    def _execute_below(self, folder: Path) -> None:
+        try:
+            with disk_errors(folder):
+                self.paths = marks.make_elsewhere(self.store, self.paths, folder)
+        except Missing as error:
+            self.close()
+            raise Missing(f"[store] work: {error}") from error
 
     def beat(self) -> None:
         """Show that the session's owner lives, where no lock does."""
@@ -160,7 +172,7 @@ def alive(store: StorePaths) -> list[SessionPaths]:
 def exclusively(store: StorePaths) -> Iterator[bool]:
     """Alone among this store's sessions, for the moment that a claim takes; False where the file system has no locks."""
     with disk_errors(store.work):
-        store.work.mkdir(parents=True, exist_ok=True)
+        marks.mark_work(store)
         lock = _locked(store.work_lock)
     try:
         yield lock is not None
@@ -171,10 +183,7 @@ def exclusively(store: StorePaths) -> Iterator[bool]:
 
 def all_of(store: StorePaths) -> list[SessionPaths]:
     """All sessions that are there, alive or not."""
-    try:
-        return [SessionPaths(Path(entry.path)) for entry in os.scandir(store.work) if entry.is_dir()]
-    except FileNotFoundError:
-        return []
+    return list(marks.sessions(store))
 
 
 def submitted(store: StorePaths) -> list[SessionPaths]:
@@ -185,8 +194,8 @@ def submitted(store: StorePaths) -> list[SessionPaths]:
 def claims(paths: SessionPaths) -> set[str]:
     """The runs that a session has claimed."""
     try:
-        return set(json.loads(paths.claims.read_text()))
-    except (OSError, json.JSONDecodeError):
+        return set(json.loads(paths.claims.read_bytes()))
+    except (OSError, ValueError, TypeError, RecursionError):
         return set()
 
 
@@ -194,8 +203,8 @@ def holder(paths: SessionPaths) -> str:
     """Who has a session, in words; its lock says so, or its last owner."""
     owners = sorted(paths.root.glob(paths.owner(0).with_suffix(".*").name), key=lambda file: int(file.suffix[1:]))
     for file in (paths.lock, *reversed(owners)):
-        with contextlib.suppress(OSError, ValueError):
-            found = json.loads(file.read_text())
+        with contextlib.suppress(OSError, ValueError, LookupError, TypeError, RecursionError):
+            found = json.loads(file.read_bytes())
             return f"process {found['pid']} on {found['where'][0]}"
     return "another process"
 
@@ -210,15 +219,17 @@ def _claimed(store: StorePaths, own: str, *, submitted: bool) -> set[str]:
 
 
 def _remove(store: StorePaths, paths: SessionPaths) -> None:
-    """Remove a session's folder; its lock goes last, and at once with the folder, so that nobody finds half of it."""
-    if not worker.is_folder(str(paths.root)):
+    """Remove a session's folders; its lock goes last, and at once with the folder, so that nobody finds half of it."""
+    if not marks.is_session(paths.root):
         return
+    if paths.elsewhere is not None:
+        worker.remove(str(paths.elsewhere))
     with contextlib.suppress(OSError):
         paths.submission.unlink(missing_ok=True)  # first: half of what was submitted is not to be gone on with
         for entry in paths.root.iterdir():
             if worker.is_folder(str(entry)):
                 worker.remove(str(entry))
-            elif entry != paths.lock:
+            elif entry not in (paths.lock, paths.owner(0)):  # without these, nobody knows what it is
                 entry.unlink()
     with exclusively(store):
         worker.remove(str(paths.root))
@@ -226,7 +237,7 @@ def _remove(store: StorePaths, paths: SessionPaths) -> None:
 
 def _locked(path: Path, *, wait: bool = True) -> int | None:
     """A descriptor that holds the lock; None where the file system has no locks. BlockingIOError: somebody else has it."""
-    descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+    descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o644)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
     except OSError as error:
@@ -265,12 +276,12 @@ def _take_over(paths: SessionPaths) -> int | None:
         generation += 1
     file = paths.owner(generation)
     try:
-        owner = json.loads(file.read_text())
-    except json.JSONDecodeError:  # it is being written, or who began to has died
+        owner = json.loads(file.read_bytes())
+    except ValueError:  # it is being written, or who began to has died
         owner = None
     except OSError:
         return None
-    gone = owner and owner["born"] is not None and owner["where"] == _where() and owner != _process(owner["pid"])
+    gone = owner and owner.get("born") is not None and owner["where"] == _where() and owner != _process(owner["pid"])
     beats = owner is None or paths.submission.exists()
     if gone or paths.left(generation).exists() or (beats and _is_silent(file)):
         return generation + 1 if _own(paths, generation + 1) else None

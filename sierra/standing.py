@@ -6,7 +6,6 @@ each session, and once more while all of it waits for the small task that tries 
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from collections.abc import Set as AbstractSet
 from concurrent.futures import ThreadPoolExecutor
@@ -18,7 +17,7 @@ from sierra import sessions
 from sierra.attaching import attach
 from sierra.errors import NotFound, SierraError
 from sierra.following import Ears
-from sierra.paths import SessionPaths
+from sierra.paths import SessionPaths, read_record
 from sierra.runners import schedulers, submission
 from sierra.runners.schedulers import State, Task
 from sierra.runners.submission import Submission
@@ -158,8 +157,8 @@ SELECT session, count(*) AS executed, count(*) FILTER (NOT good) AS failed FROM 
 
 def _query(paths: SessionPaths) -> str | None:
     try:
-        query: str = json.loads(paths.asking.read_text())["query"]
-    except FileNotFoundError:
+        query: str = read_record(paths.asking)["query"]
+    except (FileNotFoundError, KeyError):
         return None
     return query
 

@@ -2,7 +2,7 @@
 
 One file on the standard library alone (Python 3.8 or newer), so that a node needs nothing installed:
 
-    worker.py FOLDER SLOTS [- PLACES] < jobs
+    worker.py FOLDER SLOTS [JOURNAL | - PLACES] < jobs
 
 Jobs come as lines of JSON, one run each, and end with the line `{"end": true}`. Whoever sends them through a
 pipe holds it open until the worker has ended. A pipe that is closed before, or an input that ends without that
@@ -20,7 +20,7 @@ Whoever does not need it any more may have its number be the `used` of a later j
 is made anew. A folder is spare only where nothing lives that its run has started; where that can't be told (a Python without
 ctypes, no /proc), none is.
 
-What happened is appended to FOLDER/journal.jsonl, a line for each event: `start` (process id and its start
+What happened is appended to JOURNAL (FOLDER/journal.jsonl), a line for each event: `start` (process id and its start
 time, so that an orphan can be recognised) and `end` (sierra.model.Result). A line that is cut short was never
 written. The exit status is 0 where all jobs have been executed, 1 where the worker was asked to stop, and 3
 where it could not go on (4: a disk has no room); its last line on stderr then says why.
@@ -358,13 +358,22 @@ class Worker:
     """Slots that take jobs from a queue, each a thread, and the main thread that watches over them."""
 
     def __init__(
-        self, folder: str, slots: int, *, piped: bool = False, adopts: bool = False, places: tuple[str, ...] = ()
+        self,
+        folder: str,
+        slots: int,
+        *,
+        journal: str | None = "",
+        adopts: bool = False,
+        places: tuple[str, ...] = (),
     ) -> None:
-        """`adopts`: whether this process becomes the parent of all orphans of its runs. `places`: folders that runs share."""
+        """`adopts`: whether this process becomes the parent of all orphans of its runs. `places`: folders that runs share.
+
+        `journal` is a file, by default in the folder; None is standard output.
+        """
         self.folder = folder
         self.adopts = adopts
         self.slots = slots
-        self.journal = Journal(None if piped else os.path.join(folder, "journal.jsonl"))
+        self.journal = Journal(os.path.join(folder, "journal.jsonl") if journal == "" else journal)
         self.host = socket.gethostname()
         self.jobs: queue.Queue[dict[str, Any] | None] = queue.Queue(maxsize=2 * slots)
         self.running: dict[int, Running] = {}
@@ -1194,8 +1203,9 @@ def become_subreaper(*, secretive: bool) -> bool:
 def main(arguments: list[str]) -> int:
     folder, slots = arguments[:2]
     piped = arguments[2:3] == ["-"]
+    journal = None if piped else "".join(arguments[2:3])
     adopts = become_subreaper(secretive=piped)
-    worker = Worker(os.path.abspath(folder), int(slots), piped=piped, adopts=adopts, places=tuple(arguments[3:]))
+    worker = Worker(os.path.abspath(folder), int(slots), journal=journal, adopts=adopts, places=tuple(arguments[3:]))
 
     for number in (signal.SIGQUIT, signal.SIGUSR1, signal.SIGUSR2, signal.SIGALRM):
         signal.signal(number, signal.SIG_DFL)  # ignored by whoever started this in the background, perhaps

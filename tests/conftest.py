@@ -200,7 +200,7 @@ class Simulated:
 
     def work(self) -> list[Path]:
         """The sessions that have left something."""
-        return sorted(path for path in self.folder.glob(".sierra/work/*") if path.name != "lock")
+        return sorted(path for path in self.folder.glob(".sierra/work/*") if path.name not in ("lock", "mark"))
 
     def journals(self) -> list[dict[str, Any]]:
         """What the journals of these sessions say."""

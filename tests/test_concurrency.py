@@ -160,7 +160,7 @@ def test_a_claim_holds_until_its_session_is_finished(tmp_path: Any) -> None:
         assert two.claim({"b"}) == set()
     assert two.claim({"b"}) == {"b"}
     two.close()
-    assert [path.name for path in store.work.iterdir()] == ["lock"]
+    assert sorted(path.name for path in store.work.iterdir()) == ["lock", "mark"]
 
 
 def test_sessions_that_come_and_go_are_never_taken_for_dead(tmp_path: Any) -> None:
@@ -185,7 +185,7 @@ def test_sessions_that_come_and_go_are_never_taken_for_dead(tmp_path: Any) -> No
     for watcher in watchers:
         watcher.join()
     assert wrong == []
-    assert [path.name for path in store.work.iterdir()] == ["lock"]
+    assert sorted(path.name for path in store.work.iterdir()) == ["lock", "mark"]
 
 
 def test_where_a_file_system_has_no_locks_claims_are_not_heeded(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:

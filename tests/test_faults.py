@@ -221,11 +221,13 @@ def test_a_worker_asked_to_end_is_replaced(simulate: Simulate) -> None:
 
 def test_half_written_files_of_a_killed_session_stop_nobody(simulate: Simulate) -> None:
     project = simulate()
-    for name, text in (("context.json", '{"sess'), ("claims.json", '["ab'), ("journal.jsonl", '{"event":"end"}\n{"ev')):
-        session = project.folder / ".sierra" / "work" / name.partition(".")[0]
+    half = (("context.json", '{"sess'), ("claims.json", '["ab'), ("journal.jsonl", '{"event":"end"}\n{"ev'), ("owner.0", ""))
+    for number, (name, text) in enumerate(half):
+        session = project.folder / ".sierra" / "work" / f"{number:016x}"
         session.mkdir(parents=True)
+        (session / "owner.0").write_text('{"pid": 4194399, "born": 1, "boot": null, "where": ["here"]}')
         (session / name).write_text(text)
-    (project.folder / ".sierra" / "work" / "empty").mkdir()
+    (project.folder / ".sierra" / "work" / "0123456789abcdef").mkdir()
     assert project.quick(*ASKED).returncode == 0
     assert_complete(project)
 

@@ -113,6 +113,17 @@ def test_layers_are_merged_as_engines_do_it(project: Project) -> None:
     assert found.sha256("/gone") == made.sha256(b"again")
 
 
+@pytest.mark.parametrize("kind", [tarfile.CHRTYPE, tarfile.BLKTYPE])
+def test_no_image_with_a_device_is_imported(project: Project, kind: bytes) -> None:
+    node = made.device("dev/sda")
+    node.type = kind
+    made.docker_archive(project.root / "sim.tar", [BASE, made.layer(node), made.layer((".wh.dev", ""))])
+    done = projects.quick(project.root, "image", "import", str(project.root / "sim.tar"))
+    assert (done.returncode, done.stderr.count("\n")) == (1, 1)
+    assert "'dev/sda' is a device" in done.stderr
+    assert list((project.root / ".sierra").glob("images/*")) == []
+
+
 def test_the_squashfs_has_what_the_layers_have(project: Project, require: Callable[..., str]) -> None:
     require("mksquashfs")
     odd = made.layer(("a b/c\\d\"e'", "1"), ("ünï/名", "2"), ("hard => ünï/名", ""), ("x" * 150 + "/y", ""), ("null", ""))

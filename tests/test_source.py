@@ -683,9 +683,84 @@ def test_another_clone_restores_a_clean_tree_from_its_commit(repository: Path, g
     assert restored(code, tmp_path / "clone", tmp_path / "out") == {"a.txt": "a", "sub/b.txt": "b"}
     with pytest.raises(Missing, match=r"file 'a\.txt' is neither in git .* nor in the store") as caught:
         source.restore(dirty.tree, dirty.manifest, tmp_path / "clone", tmp_path / "no", nothing, commit=dirty.commit)
-    assert f"fetch commit {str(dirty.commit)[:12]}" in one_line(caught)
+    assert "never committed: run sierra source fetch" in one_line(caught)  # the commit is there: to fetch it would not help
+    git("init", "-q", str(tmp_path / "empty"))
+    with pytest.raises(Missing) as caught:
+        source.restore(dirty.tree, dirty.manifest, tmp_path / "empty", tmp_path / "never", nothing, commit=dirty.commit)
+    assert f"fetch commit {str(dirty.commit)[:12]} (git fetch)" in one_line(caught)
     blob = hashlib.sha1(b"blob 9\0only here", usedforsecurity=False).hexdigest()
     assert restored(dirty, tmp_path / "clone", tmp_path / "yes", {blob: b"only here"}.get)["a.txt"] == "only here"
+
+
+def test_what_was_never_committed_comes_with_push_and_fetch(nested: Path, git: Git, tmp_path: Path) -> None:
+    bares = {path: tmp_path / f"{path.replace('/', '-')}.git" for path in (".", "one", "one/two")}
+    for path, bare in bares.items():
+        git("clone", "-q", "--bare", str(nested / path), str(bare))
+        git("remote", "add", "shared", str(bare), cwd=nested / path)
+    fill(nested, {"a.txt": "changed", "one/f": "changed", "one/two/f": "changed"})
+    code = capture(nested)
+    clone = tmp_path / "clone"
+    git("clone", "-q", str(bares["."]), str(clone))
+    git("submodule", "update", "-q", "--init", "--recursive", cwd=clone)
+    for path in ("one", "one/two"):
+        git("remote", "set-url", "origin", str(bares[path]), cwd=clone / path)
+    with pytest.raises(Missing, match="sierra source fetch"):
+        restored(code, clone, tmp_path / "before")
+    assert source.share(clone, "fetch")[0].sources == 0
+    before = state(nested, git)
+    pushed = source.share(nested, "push", "shared")
+    assert [(one.repository, one.remote, one.new > 0) for one in pushed] == [(path, "shared", True) for path in bares]
+    assert [one.new for one in source.share(nested, "push", "shared")] == [0, 0, 0]
+    assert state(nested, git) == before
+    files = dict(files_of(clone))
+    before = [git("status", "--porcelain=v2"), git("for-each-ref", "refs/heads", "refs/tags", "refs/remotes", cwd=clone)]
+    fetched = source.share(clone, "fetch")
+    assert [(one.repository, one.new) for one in fetched] == [(one.repository, one.new) for one in pushed]
+    assert [
+        git("status", "--porcelain=v2"),
+        git("for-each-ref", "refs/heads", "refs/tags", "refs/remotes", cwd=clone),
+    ] == before
+    assert dict(files_of(clone)) == files
+    there = restored(code, clone, tmp_path / "after")
+    assert {there[path] for path in ("a.txt", "one/f", "one/two/f")} == {"changed"}
+
+
+def test_a_submodule_that_was_changed_says_what_brings_the_changes(nested: Path, git: Git, tmp_path: Path) -> None:
+    fill(nested, {"one/f": "changed"})
+    code = capture(nested)
+    clone = tmp_path / "clone"
+    git("clone", "-q", str(nested), str(clone))
+    git("submodule", "update", "-q", "--init", "--recursive", cwd=clone)
+    source.share(nested, "push", str(clone))
+    with pytest.raises(Missing, match="submodule 'one'") as caught:
+        restored(code, clone, tmp_path / "out")
+    assert "sierra source fetch" in one_line(caught)
+
+
+def test_sources_are_pushed_and_fetched_by_command(repository: Path, git: Git, tmp_path: Path) -> None:
+    root = projects.commit(projects.make(tmp_path / "project"))
+    git("init", "-q", "--bare", str(tmp_path / "bare"))
+    refused = projects.quick(root, "source", "push")
+    assert (refused.returncode, refused.stderr.count("\n")) == (2, 1)
+    git("remote", "add", "origin", str(tmp_path / "bare"), cwd=root)
+    git("push", "-q", "origin", "HEAD:main", cwd=root)
+    (root / "sim.py").write_text((root / "sim.py").read_text() + "# never committed\n")
+    batch = sierra.open(root).run("population_size=1", runs=1, figures=False).batch
+    git("clone", "-q", "-b", "main", str(tmp_path / "bare"), str(tmp_path / "clone"))
+    clone = tmp_path / "clone"
+    shutil.copytree(root / ".sierra", clone / ".sierra")
+    refused = projects.quick(clone, "replay", batch)
+    assert (refused.returncode, "sierra source fetch" in refused.stderr) == (3, True)
+    done = projects.quick(root, "source", "push")
+    assert (done.returncode, done.stdout) == (0, ".: 1 source pushed to origin, 1 of them new\n")
+    done = projects.quick(clone, "source", "fetch", "--json")
+    assert json.loads(done.stdout) == [{"repository": ".", "remote": "origin", "sources": 1, "new": 1}]
+    assert projects.quick(clone, "replay", batch).returncode == 0
+    for words in (("source", "fetch", "--upload-pack=touch x"), ("source", "fetch", "nowhere"), ("source", "push", "ext::sh")):
+        refused = projects.quick(clone, *words)
+        assert refused.returncode in (2, 3)
+        assert refused.stderr.count("\n") == 1
+    assert projects.quick(projects.make(tmp_path / "none"), "source", "push").returncode == 2
 
 
 def test_a_source_from_outside_git_is_restored_within_and_the_other_way(folder: Path, git: Git, tmp_path: Path) -> None:

@@ -8,12 +8,21 @@ from typing import Any, NoReturn
 
 from sierra import signals
 from sierra.cli.app import app
+from sierra.cli.output import guarded
 from sierra.errors import SierraError
 
 
 def main() -> NoReturn:
     """The program `sierra`. Ends with the exit codes of `sierra.errors`; no traceback reaches a user."""
     signals.heed()
+    with guarded():
+        code = _ended()
+    sys.exit(code if isinstance(code, int) else 0)
+
+
+def _ended() -> object:
+    """Do what was asked; the exit code."""
+    code: object
     try:
         code = app(standalone_mode=False, prog_name="sierra")
     except SierraError as error:
@@ -25,7 +34,7 @@ def main() -> NoReturn:
         code = 0
     except Exception as error:
         code = _other(error)
-    sys.exit(code if isinstance(code, int) else 0)
+    return code
 
 
 def _other(error: Exception) -> int:

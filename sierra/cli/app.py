@@ -6,7 +6,24 @@ from typing import Annotated
 
 import typer
 
-from sierra.cli import cluster, deliver, diff, doctor, files, image, init, keep, look, replay, run, schema, sql, stats, why
+from sierra.cli import (
+    cluster,
+    deliver,
+    diff,
+    doctor,
+    files,
+    image,
+    init,
+    keep,
+    look,
+    replay,
+    run,
+    schema,
+    source,
+    sql,
+    stats,
+    why,
+)
 
 EXIT_CODES = (
     "Exit codes: 0 fine; 1 a run failed, results differ, or the store is damaged; 2 usage; "
@@ -69,6 +86,7 @@ for command in (
 ):
     app.command(epilog=EXIT_CODES)(command)
 
-for registered in image.app.registered_commands:
-    registered.epilog = EXIT_CODES
-app.add_typer(image.app, epilog=EXIT_CODES)
+for group in (image.app, source.app):
+    for registered in group.registered_commands:
+        registered.epilog = EXIT_CODES
+    app.add_typer(group, epilog=EXIT_CODES)

@@ -1,14 +1,62 @@
-"""How answers are printed: tables for people, JSON for programs."""
+"""How answers are printed: tables for people, JSON for programs.
+
+What is printed may come from a stranger's record: names, values, paths, the ends of logs, the words of a scheduler. `Safe` is
+the one place where it loses what steers a terminal. JSON has escapes of its own for the same, and files keep every byte.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
+import re
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from datetime import datetime
 from decimal import Decimal
-from typing import Any
+from typing import Any, TextIO
+
+STEERING = re.compile("[\0-\x08\x0b-\x1f\x7f-\x9f\u061c\u200b\u200e\u200f\u2028-\u202e\u2060-\u2069\ufeff\ud800-\udfff]")
+"""Control characters but tab and line feed, what turns the direction of text or cannot be seen, and bytes that are no UTF-8."""
+
+
+def safe(text: str) -> str:
+    """Return a text with an escape in the place of each character that steers a terminal, or hides."""
+    return STEERING.sub(lambda found: found[0].encode("unicode_escape").decode(), text)
+
+
+class Safe:
+    """A stream to a person, who sees what would steer the terminal; `raw` is the stream itself."""
+
+    def __init__(self, raw: TextIO) -> None:
+        self.raw = raw
+
+    def write(self, text: str) -> int:
+        self.raw.write(safe(text))
+        return len(text)
+
+    def writelines(self, lines: Iterable[str]) -> None:
+        for line in lines:
+            self.write(line)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.raw, name)
+
+
+@contextlib.contextmanager
+def guarded() -> Iterator[None]:
+    """Make all that is printed meanwhile safe."""
+    before = sys.stdout, sys.stderr
+    sys.stdout, sys.stderr = (Safe(stream) for stream in before)
+    try:
+        yield
+    finally:
+        sys.stdout, sys.stderr = before
+
+
+def raw(stream: Any) -> Any:
+    """Return the stream behind a safe one, for what draws on the terminal itself."""
+    return stream.raw if isinstance(stream, Safe) else stream
 
 
 def print_json(value: Any) -> None:
@@ -23,6 +71,7 @@ def as_json(value: Any) -> str:
 
 def table(columns: Sequence[str], rows: Iterable[Sequence[Any]], *, right: Iterable[str] = ()) -> None:
     """A table without lines, as wide as its content; long texts are not cut when nobody watches."""
+    columns = [cell(column) for column in columns]
     texts = [[cell(value) for value in row] for row in rows]
     widths = [max([len(column), *(len(row[place]) for row in texts)]) for place, column in enumerate(columns)]
     to_the_right = set(right)
@@ -46,7 +95,7 @@ def cell(value: Any) -> str:
         case datetime():
             return value.strftime("%Y-%m-%d %H:%M:%S")
         case _:
-            return " ".join(str(value).split("\n"))
+            return safe(" ".join(str(value).split("\n")))
 
 
 def readable(text: str) -> str:

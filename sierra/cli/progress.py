@@ -10,6 +10,7 @@ from typing import Any
 
 from sierra.asking import Progress
 from sierra.cli import leaving
+from sierra.cli.output import raw, safe
 from sierra.wording import counted
 
 FIRST_S, LAST_S = 10.0, 300.0
@@ -67,7 +68,7 @@ class _Bar(Display):
 
         self._began = time.monotonic()
         self._bars: Any = Bars(
-            BarColumn(bar_width=24), TextColumn("{task.description}"), console=Console(stderr=True), transient=True
+            BarColumn(bar_width=24), TextColumn("{task.description}"), console=Console(file=raw(sys.stderr)), transient=True
         )
         self._task: Any = None
 
@@ -104,7 +105,7 @@ def text(progress: Progress, seconds: float) -> str:
     if progress.running:
         parts.append(f"{progress.running} running")
     if progress.queued:
-        why = f" ({progress.waits})" if progress.waits else ""
+        why = f" ({safe(progress.waits)})" if progress.waits else ""
         parts.append(f"{counted(progress.queued, 'element')} queued{why}")
     if progress.elsewhere:
         parts.append(f"{progress.elsewhere} in another session")

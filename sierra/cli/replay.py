@@ -46,6 +46,7 @@ def replay(
     keep: Annotated[
         bool, typer.Option("--keep", help="Leave the restored source and the runs' folders, and say where.")
     ] = False,
+    no_record: Annotated[bool, typer.Option("--no-record", help="Write nothing to the store, which may be read-only.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead.")] = False,
     junit: Annotated[Path | None, typer.Option("--junit", metavar="FILE", help="Write the verdicts as JUnit XML, too.")] = None,
 ) -> None:
@@ -63,6 +64,7 @@ def replay(
       sierra replay 774d --set-tolerance swarm.coverage=rel:1e-9
       sierra replay 774d --on slurm
       sierra replay 774d --junit replay.xml --keep
+      sierra replay 774d --no-record
     """
     from sierra.cli import junit as junit_file
     from sierra.cli import opened
@@ -82,6 +84,7 @@ def replay(
             engine=engine,
             tolerances=asked,
             keep=keep,
+            record=not no_record,
             watch=display.show,
             say=None if as_json else note,
         )

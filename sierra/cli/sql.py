@@ -99,6 +99,9 @@ def write(answer: pa.Table, format: Format, output: Path | None) -> None:
     if output is not None:
         write_whole(output, data)
         return
+    if sys.stdout.isatty():
+        print(data.decode("utf-8", "replace"), end="")
+        return
     sys.stdout.flush()
     sys.stdout.buffer.write(data)
     sys.stdout.buffer.flush()

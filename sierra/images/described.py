@@ -29,7 +29,8 @@ from sierra.paths import ImagePaths, StorePaths, write_whole
 from sierra.provenance.digests import Digests
 
 FORMAT = 1
-UNFINISHED = re.compile(r"\..+\.\d+")
+UNFINISHED = re.compile(r"\.(saved\.\w+|image\.json|files\.jsonl|rootfs\.(sqfs|\d+))\.\d+")
+FOLDER = re.compile(r"[a-z0-9]+-[0-9a-f]{64}")
 DEFAULT_PATH = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin"
 """Where engines look for programs of an image that does not say."""
 EXECUTABLE = 0o111
@@ -178,8 +179,11 @@ def _read(said: Mapping[str, Any], listing: bytes, image: Image) -> Contents:
 
 def unfinished(store: StorePaths) -> Iterator[Path]:
     """What is not in its place yet, or was saved to be read; each name ends with the id of the process whose it is."""
+    if store.images.is_symlink():  # whose it is, nobody knows
+        return
     for path in (*store.images.glob(".*"), *store.images.glob("*/.*")):
-        if UNFINISHED.fullmatch(path.name):
+        placed = path.parent == store.images or (FOLDER.fullmatch(path.parent.name) and not path.parent.is_symlink())
+        if placed and UNFINISHED.fullmatch(path.name):
             yield path
 
 
@@ -220,11 +224,15 @@ def examine(root: Path, store: StorePaths, image: Image) -> Contents:
             return _keep(store, _with_recipe(root, of_archive(read, image)))
 
 
-def examine_again(root: Path, store: StorePaths, image: Image) -> Contents:
-    """As `examine`, but all of the image is read and checked, also where it is known; what was made of it stays."""
+def examine_again(root: Path, store: StorePaths, image: Image, *, foreign: bool = False) -> Contents:
+    """As `examine`, but all of the image is read and checked, also where it is known; what was made of it stays.
+
+    `foreign`: see `sierra.images.layers.merge`.
+    """
     known = contents(store, image)
     with _disk(store.images), opened(root, store, image) as read:
-        return _keep(store, replace(_with_recipe(root, of_archive(read, image)), squashfs=known.squashfs if known else ""))
+        found = _with_recipe(root, of_archive(read, image, foreign=foreign))
+        return _keep(store, replace(found, squashfs=known.squashfs if known else ""))
 
 
 def rootfs(root: Path, store: StorePaths, image: Image) -> Path:
@@ -275,9 +283,9 @@ def wanted(path: str) -> int:
     return packages.wanted(path) or variables.wanted(path)
 
 
-def of_archive(read: Archive, image: Image) -> Contents:
+def of_archive(read: Archive, image: Image, *, foreign: bool = False) -> Contents:
     """What is in an archive's image; all of it is read, and checked."""
-    return _of_rootfs(merge(read, wanted), image)
+    return _of_rootfs(merge(read, wanted, foreign=foreign), image)
 
 
 def _with_recipe(root: Path, found: Contents) -> Contents:

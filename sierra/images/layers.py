@@ -4,7 +4,8 @@ Each layer is a tar of what it changes: files, links and folders replace those o
 the layers below away, and `.wh..wh..opq` all that they have in its folder (image-spec, layer.md). Where that leaves a choice,
 it is as in an overlay file system, which is how podman and docker have layers: each is unpacked by itself, so that links are
 followed, and hard links made, within one layer only; and a folder on the way to a file takes the place of a link that a lower
-layer has there. Devices and pipes are left out: an engine brings its own.
+layer has there. Devices and pipes are left out: an engine brings its own. (One that unpacks the
+layers itself would make them, so that what a stranger gives may have no device.)
 
 The tree is only in memory, so no name in a layer ever is a path of this machine: absolute names are from the image's root, and
 what leads out of it is refused. Two passes over the layers: `merge` reads and hashes all files and knows the winners;
@@ -123,13 +124,18 @@ class Rootfs:
                 tar.members = []  # type: ignore[attr-defined]  # else it remembers all headers
 
 
-def merge(archive: Archive, wanted: Wanted = lambda path: 0) -> Rootfs:
-    """Read all layers, and see which files win. Raises Damaged for what is not as the archive says, or leads out of it."""
+def merge(archive: Archive, wanted: Wanted = lambda path: 0, *, foreign: bool = False) -> Rootfs:
+    """Read all layers, and see which files win. Raises Damaged for what is not as the archive says, or leads out of it.
+
+    `foreign`: it is a stranger's, and an engine will unpack it; raises Damaged for a device in any of its layers.
+    """
     root, count = _Node("folder", 0o755, 0), 0
     for place in range(len(archive.blobs)):
         what = f"{archive.path}: layer {place + 1}"
         with archive.layer(place) as stream:
             for ordinal, (member, tar) in enumerate(members(stream, what)):
+                if foreign and (member.ischr() or member.isblk()):
+                    raise Damaged(f"{what}: {member.name!r} is a device, which no image needs; build it again without")
                 _apply(root, member, tar, (place, ordinal), wanted, what)
                 count += 1
                 if count > MOST_FILES:

@@ -30,7 +30,7 @@ def take_in(root: Path, store: StorePaths, file: Path, name: str = "") -> Conten
         raise UsageError(f"{file} is {what}; docker-archive and oci-archive are imported")
     read = archive.read(file)
     image = read.image(name or str(file), file=str(file.resolve()))
-    found = described.examine_again(root, store, image)
+    found = described.examine_again(root, store, image, foreign=True)
     if not storage.installed():
         described.rootfs(root, store, image)
         return found

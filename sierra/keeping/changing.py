@@ -107,6 +107,6 @@ def undisturbed(store: StorePaths, session: Session, batches: AbstractSet[str]) 
 
 def _batch(paths: SessionPaths) -> str | None:
     try:
-        return str(json.loads(paths.context.read_text())["batch"])
-    except (OSError, ValueError, KeyError, TypeError):
+        return str(json.loads(paths.context.read_bytes())["batch"])
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return None

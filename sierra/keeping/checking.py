@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from sierra import sessions
+from sierra import marks, sessions
 from sierra.errors import Damaged, Missing, SierraError
 from sierra.keeping import contents, records
 from sierra.keeping.contents import Contents, Objects
@@ -58,7 +59,7 @@ def check(paths: StorePaths, root: Path, tell: Tell = lambda text: None) -> Chec
         read = Records(paths, found, objects)
         try:
             tell("checking records")
-            findings = [*_contents(read), *records.check(read, root), *_sessions(paths), *_left(found)]
+            findings = [*_contents(read), *records.check(read, root), *_sessions(paths), *_strange(paths), *_left(found)]
             executions = _count(read)
         finally:
             read.question.__exit__()
@@ -118,7 +119,9 @@ def _affected(read: Records, name: str, file: str) -> Affected:
 
 
 def _sessions(paths: StorePaths) -> Iterator[Finding]:
-    """Askings that died."""
+    """Askings that died. Where the store cannot be written, nobody works in it, and nobody can tell."""
+    if not all(os.access(path, os.W_OK) for path in (paths.root, paths.work) if path.exists()):
+        return
     try:
         with sessions.exclusively(paths) as locks:
             living = {one.root for one in sessions.alive(paths)}
@@ -130,6 +133,13 @@ def _sessions(paths: StorePaths) -> Iterator[Finding]:
         if session.root not in living:
             what = "an asking that died; sierra run or sierra gc finishes it"
             yield Finding(Kind.DEAD, f"work/{session.root.name}", what)
+
+
+def _strange(paths: StorePaths) -> Iterator[Finding]:
+    """What lies among the sessions and is none; nothing of it is ever removed."""
+    for path in marks.strange(paths):
+        name = path.relative_to(paths.root)
+        yield Finding(Kind.FOREIGN, str(name), "does not bear SIERRA's mark, and is left alone; move it away if it is yours")
 
 
 def _left(found: Contents) -> Iterator[Finding]:

@@ -16,9 +16,10 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from sierra import marks
 from sierra.hashing import sha256, unsealed
 from sierra.keeping.findings import Finding, Kind
-from sierra.paths import StorePaths
+from sierra.paths import WORK, StorePaths
 from sierra.store import CACHEDIR, FORMAT
 from sierra.store.complaints import first_line
 from sierra.store.objects import GROUP, ROWS
@@ -28,7 +29,7 @@ from sierra.store.views import ONCE
 
 NAME = re.compile(r"[0-9a-f]{12}-([0-9a-f]{16})")
 LINE = re.compile(r"([0-9a-f]{64})  ([^/\0]+)")
-UNFINISHED = re.compile(r"\.(format|gitignore|CACHEDIR\.TAG|MANIFEST)\.\d+")
+UNFINISHED = re.compile(r"\.(format|\.?gitignore|CACHEDIR\.TAG|MANIFEST|id)\.\d+")
 CHUNK = 1 << 20
 THREADS = 4
 EXPANDED = 256 << 20
@@ -103,13 +104,18 @@ def _top(paths: StorePaths) -> Iterator[Finding]:
     for entry in _entries(paths.root):
         path = Path(entry.path)
         if entry.name in FOLDERS:
-            if not entry.is_dir(follow_symlinks=False):
+            if not entry.is_dir(follow_symlinks=entry.name == WORK):
                 yield Finding(Kind.STRAY, _shown(paths, path), "is no folder")
         elif UNFINISHED.fullmatch(entry.name):
             yield Finding(Kind.LEFT, _shown(paths, path), "an unfinished file")
         elif entry.name in DERIVED:
             if not _is_sealed(path):
                 yield Finding(Kind.DAMAGED, entry.name, "is not what was written; sierra fsck --repair removes it")
+        elif entry.name == paths.identity.name:
+            if marks.id_in(path) is None:
+                yield Finding(
+                    Kind.DAMAGED, entry.name, "holds no id of a store; move it and work away, and SIERRA makes both again"
+                )
         elif entry.name not in FIXED:
             yield Finding(Kind.STRAY, _shown(paths, path), "does not belong to a store")
     if not paths.segments.is_dir():

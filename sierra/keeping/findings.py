@@ -33,12 +33,14 @@ class Kind(StrEnum):
     """An asking that died; `sierra run` or `sierra gc` finishes it."""
     LEFT = "left over"
     """Nobody needs it; `sierra gc` removes it."""
+    FOREIGN = "foreign"
+    """SIERRA did not make it, and leaves it alone."""
     UNKNOWN = "unknown"
     """What was around executions is not recorded: their asking was killed before its end."""
 
     @property
     def fine(self) -> bool:
-        return self in (Kind.DEAD, Kind.LEFT, Kind.UNKNOWN)
+        return self in (Kind.DEAD, Kind.LEFT, Kind.FOREIGN, Kind.UNKNOWN)
 
     @property
     def repairable(self) -> bool:

@@ -424,6 +424,9 @@ def _of_sources(records: Records) -> Affected:
     return of(records.question, batches=[row[0] for row in records.each(statement)])
 
 
+HEALS = "sierra source fetch brings what sierra source push has shared"
+
+
 def _gone(records: Records, root: Path) -> Iterator[Finding]:
     """Sources that git does not have any more."""
     for tree, files in list(records.each("SELECT tree, any_value(files) FROM sources WHERE vcs = 'git' GROUP BY tree")):
@@ -434,7 +437,7 @@ def _gone(records: Records, root: Path) -> Iterator[Finding]:
             return
         if not there:
             affected = _of_tree(records, tree)
-            yield Finding(Kind.GONE, "sources", f"{tree} is no longer in git: it can't be replayed here", affected)
+            yield Finding(Kind.GONE, "sources", f"{tree} is not in git: it can't be replayed here; {HEALS}", affected)
 
 
 CHECKS: Sequence[Check] = (

@@ -76,8 +76,8 @@ def repair(paths: StorePaths, root: Path, *, dry_run: bool = False, tell: Tell =
 
 def _ours(paths: StorePaths) -> None:
     """Raise Damaged for a store that says to be of another format: what is sound there would seem damaged here."""
-    with contextlib.suppress(OSError, UnicodeDecodeError):
-        found = paths.format.read_text()
+    with contextlib.suppress(OSError):
+        found = paths.format.read_bytes().decode("utf-8", "replace")
         if re.fullmatch(r"sierra store \d+\n", found) and found != FORMAT:
             told = f"this is {found.strip()!r}, which this SIERRA does not repair"
             raise Damaged(f"{paths.format}: {told}; if this SIERRA made it, let the file say {FORMAT.strip()!r}")

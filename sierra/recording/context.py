@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from sierra.config import Output, Success
+from sierra.errors import Damaged
 from sierra.hashing import digest
-from sierra.paths import write_whole
+from sierra.paths import read_record, write_whole
 from sierra.store.segments import disk_errors
 
+ID, SESSION = re.compile("[0-9a-f]{64}"), re.compile("[0-9a-f]{16}")
 UNREAD = {"units", "time", "tolerance", "ordered", "volatile"}
 """Of an output, what makes no difference to how it is recorded."""
 SAVED = ("session", "batch", "purpose", "environment", "programs", "engine", "isolation", "shared", "enforced")
@@ -67,9 +70,16 @@ class Context:
 
     @classmethod
     def load(cls, path: Path) -> Context:
-        fields = json.loads(path.read_text())
-        fields["outputs"], fields["success"] = rules_of(fields)
-        return cls(**fields)
+        """Raises FileNotFoundError, and Damaged for what nobody saved."""
+        fields = read_record(path)
+        try:
+            fields["outputs"], fields["success"] = rules_of(fields)
+            made = cls(**fields)
+            if ID.fullmatch(made.batch) and SESSION.fullmatch(made.session):
+                return made
+        except (ValueError, LookupError, TypeError, AttributeError):
+            pass
+        raise Damaged(f"{path}: is no context that this SIERRA wrote; move {path.parent} away, or go on with the one that did")
 
 
 def rules_of(declared: Mapping[str, Any]) -> tuple[dict[str, Output], Success]:

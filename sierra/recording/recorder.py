@@ -71,7 +71,7 @@ class Recorder:
         result = self._ended(result)
         status, reason = judge(result, self._context.outputs, self._context.success)
         if status is Status.INTERRUPTED:
-            discard(Path(result.directory))
+            discard(Path(result.directory), self._session)
         else:
             self._left_out.update(dict.fromkeys(result.left_out[: max(NOTED_AT_MOST - len(self._left_out), 0)]))
             self._pending.append(Judged(result, status, reason))
@@ -146,7 +146,7 @@ class Recorder:
             self._folder.mkdir(parents=True, exist_ok=True)
             with contextlib.suppress(FileNotFoundError):
                 shutil.move(folder, inside(self._folder, short(result.run)))
-        discard(folder)
+        discard(folder, self._session)
 
     def notes(self) -> list[str]:
         """What was recorded and is allowed, and yet hardly meant; a line each.
@@ -235,9 +235,10 @@ def result_hash(outputs: Iterable[OutputFile]) -> str:
     return merkle("result", (f"{file.sha256} {shown(file.path)}" for file in sorted(outputs, key=lambda file: file.path)))
 
 
-def discard(folder: Path) -> None:
-    """Remove a run's folder; what is recorded is not needed there any more."""
-    worker.remove(str(folder))
+def discard(folder: Path, session: SessionPaths) -> None:
+    """Remove a run's folder; what is recorded is not needed there any more. A run that could not begin has none of its own."""
+    if folder.name.isdigit() and folder not in (session.root, session.runs):
+        worker.remove(str(folder))
 
 
 def _moment(seconds: float) -> datetime:

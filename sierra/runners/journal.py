@@ -68,5 +68,5 @@ def _event(line: bytes) -> Started | Result | None:
         event["outputs"] = tuple(OutputFile(**file) for file in event["outputs"])
         event["left_out"] = tuple(event.get("left_out", ()))
         return Result(**event)
-    except (ValueError, KeyError, TypeError):
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
         return None

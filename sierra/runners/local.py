@@ -41,7 +41,7 @@ class Local:
         self._journal = Journal(session.journal)
         self._journal.skip()
         self._process = subprocess.Popen(
-            [sys.executable, "-I", "-S", str(Path(worker.__file__)), str(session.root), str(self._slots)],
+            [sys.executable, "-I", "-S", str(Path(worker.__file__)), str(session.runs), str(self._slots), str(session.journal)],
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,

@@ -17,7 +17,7 @@ from typing import Any
 
 from sierra.config import ClusterTable
 from sierra.errors import Damaged
-from sierra.paths import SessionPaths, write_whole
+from sierra.paths import SessionPaths, read_record, write_whole
 from sierra.runners.schedulers import Bounds, Request, State, Task
 from sierra.store.segments import disk_errors
 from sierra.wording import few
@@ -86,9 +86,8 @@ class Submission:
     @classmethod
     def load(cls, session: SessionPaths) -> Submission:
         """Raises FileNotFoundError, and Damaged where another version of SIERRA has written it."""
-        text = session.submission.read_text()
+        fields = read_record(session.submission)
         try:
-            fields = json.loads(text)
             made = cls(**{**fields, "counts": tuple(fields["counts"]), "past": tuple(fields.get("past", ()))})
             made.cluster, made.bounds  # noqa: B018 - they are validated
         except (TypeError, ValueError, LookupError) as error:
@@ -139,10 +138,9 @@ def waits(tasks: Iterable[Task]) -> str:
 
 def _read(file: Any) -> dict[str, Any]:
     try:
-        found: dict[str, Any] = json.loads(file.read_text())
+        return read_record(file)
     except FileNotFoundError:  # taken back meanwhile: the site took no more
         return {}
-    return found
 
 
 def jobs(session: SessionPaths) -> Iterator[str]:

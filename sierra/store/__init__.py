@@ -7,8 +7,10 @@ no catalogue to get out of step.
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import re
+import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,12 +30,17 @@ if TYPE_CHECKING:
 
 FORMAT = "sierra store 2\n"
 """Of what segments hold, and of what it means that they lie there. Raised whenever an older SIERRA would read it wrongly."""
+FORMAT_BYTES = 100
+"""Are read of what says the format."""
 CACHEDIR = (
     "Signature: 8a477f597d28d172789f06886806bc55\n"
     "# This folder was made by SIERRA and holds recorded experiments: do not delete it as if it were a cache.\n"
 )
 NOTE = "sierra:note"
 """What a schema's metadata call that which a reader of an answer must know."""
+GITIGNORE = b"*\n"
+UNFINISHED = (".format.", "..gitignore.", ".CACHEDIR.TAG.")
+"""How files begin that are written beside their targets while a store is made."""
 PREFIX = re.compile(r"[0-9a-f]{4,64}")
 
 
@@ -54,8 +61,11 @@ class Store:
         """Open the store in the folder `root`. Raises Missing where there is none, Damaged where it is of another format."""
         check_folder(root)
         self.paths = StorePaths(root)
+        self._beneath: Path | None = None
+        """The segments of another store, which are read too."""
         try:
-            found = self.paths.format.read_text()
+            with self.paths.format.open("rb") as file:
+                found = file.read(FORMAT_BYTES).decode("utf-8", "backslashreplace")
         except OSError as error:
             raise Missing(f"no store in {root}: nothing has been run here yet (sierra run makes one)") from error
         if found != FORMAT:
@@ -71,10 +81,12 @@ class Store:
         paths = StorePaths(root)
         if not paths.format.exists():
             with disk_errors(root):
+                _check_free(root)
                 paths.segments.mkdir(parents=True, exist_ok=True)
-                paths.work.mkdir(exist_ok=True)
-                paths.gitignore.write_text("*\n")
-                paths.cachedir_tag.write_text(CACHEDIR)
+                if not paths.work.is_symlink():
+                    paths.work.mkdir(exist_ok=True)
+                write_whole(paths.gitignore, GITIGNORE)
+                write_whole(paths.cachedir_tag, CACHEDIR.encode())
                 write_whole(paths.format, FORMAT.encode())
         return cls(root)
 
@@ -82,9 +94,13 @@ class Store:
         """All segments that count now."""
         shared = Shared(self.paths.reading)
         try:
-            return list(listed(self.paths.segments))
+            return self._listed()
         finally:
             shared.close()
+
+    def _listed(self) -> list[Segment]:
+        beneath = [] if self._beneath is None else listed(self._beneath)
+        return [*beneath, *listed(self.paths.segments)]
 
     def writer(self, folder: Path, batch: str) -> Writer:
         """A segment to be written in `folder` (in this store's file system) and then published."""
@@ -93,6 +109,25 @@ class Store:
     def publish(self, writer: Writer) -> bool:
         """Make a written segment part of the store, whole; False if there was nothing in it."""
         return writer.publish(self.paths.segments)
+
+    @contextlib.contextmanager
+    def beside(self, folder: Path | None = None) -> Iterator[Store]:
+        """A store with the segments that this one has now, to be written to instead of it; it is removed at the end.
+
+        It is made in `folder`, or where temporary files belong.
+        """
+        with disk_errors(folder or Path(tempfile.gettempdir())):
+            if folder is not None:
+                folder.mkdir(parents=True, exist_ok=True)
+            made = tempfile.TemporaryDirectory(prefix="sierra-beside-", dir=folder, ignore_cleanup_errors=True)
+        shared = Shared(self.paths.reading)  # until the end: nobody tidies segments up
+        try:
+            with made as root:
+                other = Store.create(Path(root, "store"))
+                other._beneath = self.paths.segments
+                yield other
+        finally:
+            shared.close()
 
     # ------------------------------------------------------------ SQL
 
@@ -109,7 +144,7 @@ class Store:
         """A connection for several statements that all see the same state of the store, or of one batch in it."""
         shared = Shared(self.paths.reading)
         try:
-            return Question(self.paths.root, list(listed(self.paths.segments)), within, shared)
+            return Question(self.paths.root, self._listed(), within, shared, beneath=self._beneath)
         except BaseException:
             shared.close()
             raise
@@ -164,15 +199,37 @@ class Store:
         return self.object(rows[0]["sha256"]) if rows else None
 
 
+def _check_free(root: Path) -> None:
+    """Raise Missing for a folder that has no store, and holds what is no part of one."""
+    paths = StorePaths(root)
+    held = sorted(path.name for path in root.iterdir()) if root.is_dir() else []
+    strange = [name for name in held if name not in paths.NAMES and not name.startswith(UNFINISHED)]
+    if paths.gitignore.is_file() and paths.gitignore.read_bytes() not in (b"", GITIGNORE):
+        strange.append(paths.gitignore.name)
+    if strange and not paths.format.exists():
+        raise Missing(
+            f"{root} holds other things ({strange[0]!r}) and no store; move them away, and sierra run makes a store there"
+        )
+
+
 class Question:
     """One connection, on one state of the store; a context manager."""
 
     def __init__(
-        self, root: Path, segments: Sequence[Segment], within: str | None = None, shared: Shared | None = None
+        self,
+        root: Path,
+        segments: Sequence[Segment],
+        within: str | None = None,
+        shared: Shared | None = None,
+        *,
+        beneath: Path | None = None,
     ) -> None:
-        """`shared`: the lock that keeps these segments where they are, until the question is closed."""
+        """`shared`: the lock that keeps these segments where they are, until the question is closed.
+
+        `beneath`: the folder of those that are another store's.
+        """
         self._shared = shared
-        self._opened = Connection(StorePaths(root).segments)
+        self._opened = Connection(StorePaths(root).segments, *([beneath] if beneath else []))
         self.connection = self._opened.cursor
         self.segments = segments
         self.views = Views(self.connection, segments, within)

@@ -20,15 +20,15 @@ from sierra.store.scans import steady
 
 
 class Connection:
-    """A cursor on a DuckDB of its own, which may read one folder and nothing else; for one question at a time."""
+    """A cursor on a DuckDB of its own, which may read some folders and nothing else; for one question at a time."""
 
-    def __init__(self, folder: Path) -> None:
-        self._folder = steady(f"{folder}/")
+    def __init__(self, *folders: Path) -> None:
+        self._folders = tuple(steady(f"{folder}/") for folder in folders)
         kept = _idle.pop(os.getpid(), None)
-        if kept is not None and kept[0] != self._folder:
+        if kept is not None and kept[0] != self._folders:
             kept[1].close()
             kept = None
-        self._database = _locked(self._folder) if kept is None else kept[1]
+        self._database = _locked(self._folders) if kept is None else kept[1]
         self._settings: list[str] = []
         self.cursor = self._database.cursor()
 
@@ -49,8 +49,9 @@ class Connection:
             self.close()
             return
         self.cursor.close()
-        if Path(self._folder).is_absolute() and not Path(spilled).exists() and os.getpid() not in _idle:
-            _idle[os.getpid()] = (self._folder, self._database)
+        absolute = all(Path(folder).is_absolute() for folder in self._folders)
+        if absolute and not Path(spilled).exists() and os.getpid() not in _idle:
+            _idle[os.getpid()] = (self._folders, self._database)
         else:
             self._database.close()
 
@@ -59,13 +60,13 @@ class Connection:
         self._database.close()
 
 
-_idle: dict[int, tuple[str, Any]] = {}
-"""By process, as what another has forked from has threads that are not there: the folder, and the DuckDB that may read it."""
+_idle: dict[int, tuple[tuple[str, ...], Any]] = {}
+"""By process, as what another has forked from has threads that are not there: folders, and the DuckDB that may read them."""
 
 
-def _locked(folder: str) -> Any:
+def _locked(folders: tuple[str, ...]) -> Any:
     database = connect()
-    database.execute("SET allowed_directories = $folders", {"folders": [folder]})
+    database.execute("SET allowed_directories = $folders", {"folders": list(folders)})
     database.execute("SET enable_external_access = false")
     return database
 

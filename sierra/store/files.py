@@ -404,7 +404,7 @@ class _Part:
         if self._sound is None:
             path = Path(self._path)
             try:
-                listed = path.with_name(MANIFEST).read_text().splitlines()
+                listed = path.with_name(MANIFEST).read_text("utf-8", "replace").splitlines()
                 self._sound = f"{sha256_file(path)}  {path.name}" in listed
             except OSError:
                 self._sound = False

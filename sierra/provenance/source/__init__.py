@@ -39,6 +39,7 @@ from sierra.provenance.source.manifest import (
 )
 from sierra.provenance.source.outside import LEFT_OUT
 from sierra.provenance.source.restoring import is_there, restore
+from sierra.provenance.source.sharing import Shared, share
 
 SWHID = "swh:1:dir:"
 LARGE = 50_000_000
@@ -185,6 +186,7 @@ __all__ = [
     "LEFT_OUT",
     "SWHID",
     "Entry",
+    "Shared",
     "Source",
     "blobs",
     "capture",
@@ -196,6 +198,7 @@ __all__ = [
     "paths",
     "repositories",
     "restore",
+    "share",
     "tree_hash",
     "tree_of",
 ]

@@ -25,6 +25,9 @@ ALWAYS = (
     "--no-pager",
 )
 
+NETWORK = ("GIT_SSH", "GIT_SSH_COMMAND", "GIT_SSH_VARIANT", "GIT_ASKPASS", "GIT_SSL_CAINFO", "GIT_SSL_CAPATH", "GIT_SSL_CERT")
+"""Variables by which git reaches other machines."""
+
 
 class Git:
     """Git in one folder; what it prints, as bytes. Raises Missing for what git complains of."""
@@ -44,12 +47,15 @@ class Git:
         none: int = 0,
         at_top: bool = False,
         into: Path | None = None,
+        network: bool = False,
     ) -> bytes:
         """Run it. With `index`, it works on that file in the place of the user's; with `into`, the folder is the working tree.
 
+        With `network`, how the user has git reach others is heeded too.
+
         Where it is `optional`, a failure is no error, but no output; so is the exit status `none`.
         """
-        environment = _environment()
+        environment = _environment() | ({name: os.environ[name] for name in NETWORK if name in os.environ} if network else {})
         if index is not None:
             environment["GIT_INDEX_FILE"] = str(index)
         cwd = self.top if at_top else self.root

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from sierra.provenance.source.git import Git
 from sierra.provenance.source.remote import without_credentials
 
@@ -19,10 +21,33 @@ def describe(git: Git, commit: str | None, *, dirty: bool) -> str | None:
 
 def remote(git: Git, branch: str | None) -> str | None:
     """The address of the remote that the branch follows, of `origin`, or of the only one there is; without credentials."""
-    said = git("config", "-z", "--get-regexp", r"^(remote\..*\.url|branch\..*\.remote)$", optional=True)
-    settings = dict(line.partition("\n")[::2] for line in said.decode("utf-8", "replace").split("\0") if line)
-    addresses = {key[len("remote.") : -len(".url")]: value for key, value in settings.items() if key.startswith("remote.")}
-    followed = settings.get(f"branch.{branch}.remote", "origin")
-    only = next(iter(addresses.values())) if len(addresses) == 1 else None
-    address = addresses.get(followed) or addresses.get("origin") or only
+    settings = _settings(git)
+    addresses = _addresses(settings)
+    address = addresses.get(_followed(settings, branch) or "")
     return (without_credentials(address) or None) if address else None
+
+
+def remotes(git: Git) -> set[str]:
+    """Return the names of all remotes."""
+    return set(_addresses(_settings(git)))
+
+
+def default_remote(git: Git) -> str | None:
+    """Return the name of the remote that the checked out branch follows, of `origin`, or of the only one there is."""
+    branch = git("symbolic-ref", "--quiet", "--short", "HEAD", optional=True).decode("utf-8", "replace").strip()
+    return _followed(_settings(git), branch)
+
+
+def _settings(git: Git) -> dict[str, str]:
+    said = git("config", "-z", "--get-regexp", r"^(remote\..*\.url|branch\..*\.remote)$", optional=True)
+    return dict(line.partition("\n")[::2] for line in said.decode("utf-8", "replace").split("\0") if line)
+
+
+def _addresses(settings: Mapping[str, str]) -> dict[str, str]:
+    return {key[len("remote.") : -len(".url")]: value for key, value in settings.items() if key.startswith("remote.")}
+
+
+def _followed(settings: Mapping[str, str], branch: str | None) -> str | None:
+    addresses = _addresses(settings)
+    wanted = (settings.get(f"branch.{branch}.remote", "origin"), "origin", *(addresses if len(addresses) == 1 else ()))
+    return next((name for name in wanted if addresses.get(name)), None)

@@ -22,6 +22,7 @@ from sierra.provenance.source.manifest import LINK, REPOSITORY, Files, is_blob, 
 from sierra.provenance.source.working import of_tree
 
 HASH = re.compile("[0-9a-f]{40}|[0-9a-f]{64}")
+FETCH = "run sierra source fetch (once sierra source push has been run where it was recorded)"
 Content = Callable[[str], bytes | None]
 
 
@@ -48,8 +49,8 @@ def restore(tree: str, manifest: bytes, root: Path, target: Path, content: Conte
         if found is None and git is not None and blob not in lacking and mode != REPOSITORY:
             found = git("cat-file", "blob", blob)
         if found is None or not is_blob(found, blob):
-            fetch = f"; fetch commit {commit[:12]} (git fetch)" if commit else ""
-            raise Missing(f"the source's file {shown([path])!r} is neither in git at {root} nor in the store{fetch}")
+            told = f"the source's file {shown([path])!r} is neither in git at {root} nor in the store"
+            raise Missing(f"{told}; {_healing(git, commit)}")
         _write(target / os.fsdecode(path), mode, found)
 
 
@@ -70,6 +71,15 @@ def _check(files: Files) -> None:
             raise Damaged(f"the recorded source has a file {shown([path])!r} of the unknown mode {mode}")
         if not HASH.fullmatch(blob):
             raise Damaged(f"the recorded source has a file {shown([path])!r} whose hash {blob!r} is none of git's")
+
+
+def _healing(git: Git | None, commit: str | None) -> str:
+    """Say what brings a source that git lacks."""
+    if git is None:
+        return f"clone the repository that has {f'commit {commit[:12]}' if commit else 'it'}, and replay there"
+    if commit and not git.has(commit):
+        return f"fetch commit {commit[:12]} (git fetch); if files were changed then, also: {FETCH}"
+    return f"it was never committed: {FETCH}"
 
 
 def _lacking(git: Git | None, tree: str, files: Files) -> set[str]:
@@ -114,7 +124,10 @@ def _checkout(git: Git, files: Files, target: Path, commit: str | None) -> None:
 def _checkout_inside(root: Path, path: bytes, thing: str, target: Path) -> None:
     inside = root / os.fsdecode(path)
     if not (inside / ".git").exists() or not Git(inside).has(thing):
-        raise Missing(f"the submodule {shown([path])!r} does not have {thing[:12]}; fetch it (git submodule update --init)")
+        there = (inside / ".git").exists()
+        how = f"if files were changed in it then: {FETCH}" if there else "git submodule update --init brings it"
+        also = "git submodule update --init brings what was committed; " if there else ""
+        raise Missing(f"the submodule {shown([path])!r} does not have {thing[:12]}; {also}{how}")
     below = of_tree(Git(inside), thing)
     _check(below)
     _checkout(Git(inside), below, target / os.fsdecode(path), None)

@@ -1,0 +1,69 @@
+"""`sierra source`: the recorded code, shared with other clones."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from sierra.provenance.source import Shared
+
+app = typer.Typer(
+    name="source",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    help="Share the recorded code with other clones, through git.",
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+Remote = Annotated[
+    str | None,
+    typer.Argument(metavar="REMOTE", help="A remote's name or address (default: what the branch follows, or origin)."),
+]
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead.")]
+
+
+@app.command()
+def push(remote: Remote = None, as_json: AsJson = False) -> None:
+    """Push the recorded code to a remote, so that other clones can replay.
+
+    Code that was changed and not committed is kept in git under refs/sierra/, which git push leaves out. Submodules push to
+    their own remotes. No branch or tag changes.
+
+    \b
+    Examples:
+      sierra source push
+      sierra source push origin
+    """
+    from sierra.cli.opened import project
+
+    _tell(project().push_sources(remote), "pushed to", as_json=as_json)
+
+
+@app.command()
+def fetch(remote: Remote = None, as_json: AsJson = False) -> None:
+    """Fetch the recorded code that others have pushed with sierra source push.
+
+    Files, branches and tags stay as they are.
+
+    \b
+    Examples:
+      sierra source fetch
+      sierra source fetch origin
+    """
+    from sierra.cli.opened import project
+
+    _tell(project().fetch_sources(remote), "here, from", as_json=as_json)
+
+
+def _tell(shared: list[Shared], what: str, *, as_json: bool) -> None:
+    from sierra.cli.output import print_json
+    from sierra.wording import counted
+
+    if as_json:
+        print_json([asdict(one) for one in shared])
+        return
+    for one in shared:
+        print(f"{one.repository}: {counted(one.sources, 'source')} {what} {one.remote}, {one.new} of them new")
