@@ -215,7 +215,7 @@ def versioned(plan: Plan) -> Plan:
     return replace(plan, programs=versions.asked(plan.programs, plan.project.config.programs, variables, plan.project.root))
 
 
-def context(plan: Plan, session: str = "") -> Context:
+def context(plan: Plan, session: str = "", number: int | None = None) -> Context:
     """What recording needs to know of a session that executes this."""
     return Context(
         session=session,
@@ -225,6 +225,7 @@ def context(plan: Plan, session: str = "") -> Context:
         programs=plan.programs.id,
         outputs=plan.outputs,
         success=plan.success,
+        number=number,
     )
 
 

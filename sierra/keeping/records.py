@@ -30,6 +30,7 @@ from sierra.recording import UNREAD
 from sierra.store import Question, read_parquet
 from sierra.store.complaints import first_line
 from sierra.store.tables import RECORDED
+from sierra.store.views import records as table_function
 
 Rows = Iterator[dict[str, Any]]
 SHOWN = 3
@@ -61,8 +62,7 @@ class Records:
     def raw(self, name: str) -> str:
         """All rows of a table as they stand in the files, with the file's name."""
         if name in self.files:
-            union = ", union_by_name = true" if name == "experiments" else ""
-            return read_parquet(self.files[name])[:-1] + f"{union}, filename = true)"
+            return table_function(name, self.files[name])[:-1] + ", filename = true)"
         columns = ", ".join(f'NULL::{c.type} AS "{c.name}"' for c in RECORDED[name].columns)
         return f"(SELECT {columns}, '' AS filename WHERE false)"
 

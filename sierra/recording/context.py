@@ -11,11 +11,12 @@ from typing import Any
 from sierra.config import Output, Success
 from sierra.hashing import digest
 from sierra.paths import write_whole
+from sierra.store.order import stamp
 from sierra.store.segments import disk_errors
 
 UNREAD = {"units", "time", "tolerance", "ordered", "volatile"}
 """Of an output, what makes no difference to how it is recorded."""
-SAVED = ("session", "batch", "purpose", "environment", "programs", "engine", "isolation", "shared", "enforced")
+SAVED = ("session", "batch", "purpose", "environment", "programs", "engine", "isolation", "shared", "enforced", "number")
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,6 +36,12 @@ class Context:
     shared: bool = False
     enforced: tuple[str, ...] = ()
     """The limits that the engine enforces."""
+    number: int | None = None
+    """The session's Lamport number; None of a session that an older SIERRA began."""
+
+    def lamport(self, position: int = 0) -> int | None:
+        """Return the place in the order of what the session records; `position` is that of an execution in it."""
+        return stamp(self.number, self.session, position)
 
     @property
     def reading(self) -> str:
