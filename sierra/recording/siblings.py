@@ -83,7 +83,7 @@ def _odd(siblings: Sequence[Mapping[str, Any]], name: str, declared: Output | No
     """The executions among siblings whose table `name` differs, and how."""
     having = [row for row in siblings if row["rows"] is not None]
     lacking = [row for row in siblings if row["rows"] is None]
-    count = len(siblings)
+    count = len(siblings) - 1  # no run is a sibling of its own
     ragged = declared is not None and declared.mismatch == "ragged"
     if declared is None or declared.required:
         if len(having) < len(lacking):
