@@ -94,6 +94,8 @@ def ask(
     if len(names) > 1:
         raise QueryError(f"{names[0]!r} and {names[1]!r} are queries of their own; ask for one, with more criteria if need be")
     for word in words:
+        if word == query.MONTE_CARLO:
+            raise QueryError(f"{word!r} needs a number of experiments, which differ in their seeds alone; use {word}.C20")
         if word not in names and BARE.fullmatch(word):
             close = difflib.get_close_matches(word, config.queries, 1, cutoff=0.5)
             hint = f"; did you mean {close[0]!r}?" if close else f"; a criterion has a range, as in {word}.Log8 or {word}=1,2"
