@@ -13,7 +13,7 @@ from typing import Any, Protocol
 from sierra import containment, engines, images, inputs, jobs, platforms, query
 from sierra.checkout import Checkout, programs_in
 from sierra.config import LoadedProject, Output, Project, Success
-from sierra.design import design, mentions
+from sierra.design import Heed, deaf, design, mentions
 from sierra.engines import Engine
 from sierra.errors import ConfigError, Missing, QueryError, UsageError
 from sierra.expansion import Expansion, Files
@@ -112,8 +112,8 @@ def ask(
     )
 
 
-def plan(project: LoadedProject, asked: Query, *, engine: str | None = None) -> Plan:
-    """All that a query's answer depends on; `engine` instead of what the project says.
+def plan(project: LoadedProject, asked: Query, *, engine: str | None = None, heed: Heed = deaf) -> Plan:
+    """All that a query's answer depends on; `engine` instead of what the project says. `heed` hears how far planning has come.
 
     Nothing is executed (but a Python is asked for its path, the loader for libraries, and an engine for its image) or written
     (but the source's tree, by git).
@@ -143,9 +143,9 @@ def plan(project: LoadedProject, asked: Query, *, engine: str | None = None) -> 
     if box:
         data = containment.data(data, box, root)
     recipe = Recipe(config.platform, command, variables, code.tree, image.id if image else None, containment.reach(box))
-    designed = design(asked, config, platform, template)
+    designed = design(asked, config, platform, template, heed)
     expansion = Expansion(designed, template, platform, recipe)
-    batch = expansion.batch()
+    batch = expansion.batch(heed)
     used = programs_in(recipe, code.manifest, root, data)
     checkout = _committed(root, recipe, code, used) if code.checkout else None
     executed = checkout.programs() if checkout else used
