@@ -13,7 +13,8 @@ CREATE TABLE batches (
     "base_seed" BIGINT,  -- the number that all seeds derive from
     "recipe" VARCHAR,  -- what all its runs have in common
     "template" VARCHAR,  -- the template's path in the project
-    "template_sha256" VARCHAR  -- SHA-256 of the template file
+    "template_sha256" VARCHAR,  -- SHA-256 of the template file
+    "lamport" BIGINT  -- its place in the logical order, as in sessions
 );
 
 -- Points in the space of the independent variables; each of those is a further column here.
@@ -72,7 +73,8 @@ CREATE TABLE executions (
     "reading" VARCHAR,  -- hash of what the project declares of outputs and success
     "purpose" VARCHAR,  -- run, or what else it was executed for; only those of run count in statistics
     "isolation" VARCHAR,  -- how it was contained; NULL where it was not
-    "attempt" VARCHAR  -- on a cluster, the attempt at an element in which it was executed; NULL elsewhere
+    "attempt" VARCHAR,  -- on a cluster, the attempt at an element in which it was executed; NULL elsewhere
+    "lamport" BIGINT  -- its place in the logical order, as in sessions
 );
 
 -- On clusters: one time that an element, a share of a batch's runs, was executed by a task of a job.
@@ -129,7 +131,8 @@ CREATE TABLE findings (
     "execution" VARCHAR,  -- the execution
     "found" TIMESTAMP WITH TIME ZONE,  -- when
     "status" VARCHAR,  -- what it is now
-    "reason" VARCHAR  -- why, in a line
+    "reason" VARCHAR,  -- why, in a line
+    "lamport" BIGINT  -- its place in the logical order, as in sessions
 );
 
 -- Every file that an execution left, and its logs.
@@ -166,7 +169,8 @@ CREATE TABLE sessions (
     "source" VARCHAR,  -- the source's full state
     "programs" VARCHAR,  -- fingerprint of the programs that its runs are, or would have been, executed with
     "reading" VARCHAR,  -- hash of what the project declares of outputs and success, as in executions
-    "rules" VARCHAR  -- hash of the same and of what may differ between siblings
+    "rules" VARCHAR,  -- hash of the same and of what may differ between siblings
+    "lamport" BIGINT  -- its place in the logical order: the greater, the later, whatever clocks said; negative in old records, which come first, by time
 );
 
 -- One replay: recorded runs executed again, from the record alone, and compared with it.
@@ -183,7 +187,8 @@ CREATE TABLE replays (
     "verdict" VARCHAR,  -- identical, equal, within tolerance, equivalent, different or failed: the worst of its experiments
     "tolerances" VARCHAR,  -- tolerances that were asked for, as JSON: by output, by column
     "environment" VARCHAR,  -- what was around it
-    "programs" VARCHAR  -- fingerprint of the programs that it was executed with
+    "programs" VARCHAR,  -- fingerprint of the programs that it was executed with
+    "lamport" BIGINT  -- its place in the logical order, as in sessions
 );
 
 -- How far each output of a replayed run agrees with its record.
@@ -334,7 +339,8 @@ CREATE TABLE counting (
     "ordinal" BIGINT,  -- the experiment's place in the batch, from 0
     "run" VARCHAR,  -- the run
     "execution" VARCHAR,  -- the execution
-    "asked" TIMESTAMP WITH TIME ZONE  -- when the batch was last asked for
+    "asked" TIMESTAMP WITH TIME ZONE,  -- when the batch was last asked for
+    "lamport" BIGINT  -- the place of that in the logical order, as in sessions
 );
 
 -- Runs of which several good executions with the same programs, replays included, left other bytes.

@@ -139,7 +139,7 @@ def _summary(store: Store, batch: str, told: list[Attached], left: list[str], bu
 
 
 def _failure(store: Store, row: Mapping[str, Any]) -> Failure:
-    [last] = store.rows("SELECT status, log FROM executions WHERE run = $r ORDER BY ended DESC LIMIT 1", r=row["run"])
+    [last] = store.rows("SELECT status, log FROM executions WHERE run = $r ORDER BY lamport DESC LIMIT 1", r=row["run"])
     return Failure(row["runs"], last["status"], row["reason"], row["run"], row["values"], row["number"], last["log"] or None)
 
 

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
     from sierra.adopting import Cancelled
     from sierra.asking import How, Watch
+    from sierra.design import Heed
     from sierra.difference import Comparison
     from sierra.extract import Listing, Outcome
     from sierra.images import Contents, Image
@@ -87,13 +88,16 @@ class Project:
         scenario: str | None = None,
         sets: Sequence[tuple[str, str]] = (),
         engine: str | None = None,
+        heed: Heed | None = None,
     ) -> Plan:
         """What a query would execute: the batch with all ids. `sets` are pairs of XPath and value,
-        `engine` is what is to contain runs, instead of what the project says.
+        `engine` is what is to contain runs, instead of what the project says. `heed` hears how far planning has come: see
+        `sierra.design.Heed`.
 
         The beginning of a recorded batch's id instead of a query is that batch, with the code and the inputs of then.
         """
         from sierra import plans, recalled
+        from sierra.design import deaf
         from sierra.explain import respelled
         from sierra.store import PREFIX
 
@@ -105,7 +109,7 @@ class Project:
                 )
             return recalled.plan(self._loaded, self.store, word, contained=engine)
         asked = plans.ask(self._loaded, query, runs=runs, controller=controller, scenario=scenario, sets=sets)
-        plan = plans.plan(self._loaded, asked, engine=engine)
+        plan = plans.plan(self._loaded, asked, engine=engine, heed=heed or deaf)
         store = self.stored()
         return replace(plan, notes=(*plan.notes, *respelled(plan, store))) if store else plan
 

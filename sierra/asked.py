@@ -17,6 +17,7 @@ from sierra.runners.submission import Submission
 from sierra.sessions import Session
 from sierra.store import Question, Store
 from sierra.store.objects import Objects
+from sierra.store.order import stamp
 from sierra.store.segments import Writer, disk_errors
 from sierra.store.tables import arrow_schema
 
@@ -25,7 +26,7 @@ AT_A_TIME = 4_096
 COUNTS = ("executed", "again", "reused", "failed", "missing", "interrupted")
 
 
-def keep(plan: Plan, store: Store, session: SessionPaths) -> None:
+def keep(plan: Plan, store: Store, session: Session) -> None:
     """Record what is asked, before anything executes: the batch, its runs, and their input files.
 
     What the store has already is not recorded again, also where another asking was quicker.
@@ -33,7 +34,7 @@ def keep(plan: Plan, store: Store, session: SessionPaths) -> None:
     batch, code = plan.batch, plan.source
     if code is None:  # a recorded batch, by its id
         return
-    writer = store.writer(session.segment, batch.id)
+    writer = store.writer(session.paths.segment, batch.id)
     with store.ask() as question:
         known = _known_inputs(plan, question)
         blobs = set(question.sql("SELECT blob FROM blobs").column(0).to_pylist()) if code.vcs == "none" else set()
@@ -52,7 +53,7 @@ def keep(plan: Plan, store: Store, session: SessionPaths) -> None:
     objects.close()
     recipe = batch.recipe
     first = batch.experiments[0].runs[0]
-    writer.rows("batches", [batch_row(plan)])
+    writer.rows("batches", [{**batch_row(plan), "lamport": stamp(session.number, session.id)}])
     writer.rows(
         "recipes",
         [
@@ -115,9 +116,9 @@ def finish(store: Store, session: Session, *, interrupted: bool) -> None:
 
 
 WENT = """
-WITH mine AS (SELECT run, bool_or(status = 'ok') AS good, min(started) AS began FROM executions WHERE session = $s GROUP BY run)
+WITH mine AS (SELECT run, bool_or(status = 'ok') AS good, min(lamport) AS began FROM executions WHERE session = $s GROUP BY run)
 SELECT count(*) AS executed, count(*) FILTER (NOT good) AS failed, count(*) FILTER (
-    EXISTS (SELECT 1 FROM executions e WHERE e.run = mine.run AND e.session <> $s AND e.ended <= mine.began)
+    EXISTS (SELECT 1 FROM executions e WHERE e.run = mine.run AND e.session <> $s AND e.lamport < mine.began)
 ) AS again FROM mine
 """
 
@@ -145,6 +146,7 @@ def _row(plan: Plan, session: Session, started: datetime, runner: str, slots: in
         "sierra": plan.environment["sierra"],
         "environment": plan.environment["environment"],
         "source": plan.source_id,
+        "lamport": stamp(session.number, session.id),
         **{name: getattr(now, name) for name in ("programs", "reading", "rules")},
     }
 

@@ -84,7 +84,7 @@ class Asking:
         self._how = how
         self.reused = 0
         self._total = len({run.id for run in plan.batch.runs})
-        self._context = context(plan, session.id)
+        self._context = context(plan, session.id, session.number)
         self.containment: Containment | None = None
         self.left: list[SessionPaths] = []
         """The sessions that were left to themselves."""

@@ -16,7 +16,7 @@ import difflib
 import itertools
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -68,8 +68,16 @@ class Changed:
         return type(self.template)(rendered, "the changed template")
 
 
-def design(query: Query, project: Project, platform: Platform, template: Template) -> Design:
-    """What `query` asks for. Raises QueryError, ConfigError for names that are not there; TemplateError."""
+Heed = Callable[[int, int, int], None]
+"""Hears how many experiments of how many are planned so far, and how many runs there are in all; it may raise."""
+
+
+def deaf(done: int, experiments: int, runs: int) -> None:
+    """Hear nothing."""
+
+
+def design(query: Query, project: Project, platform: Platform, template: Template, heed: Heed = deaf) -> Design:
+    """What `query` asks for. Raises QueryError, ConfigError for names that are not there; TemplateError; what `heed` raises."""
     chosen = _chosen(query, project)
     common = (
         *platform.changes(template),
@@ -77,7 +85,7 @@ def design(query: Query, project: Project, platform: Platform, template: Templat
         *(change for kind, name in chosen.items() for change in _group(project, kind, name)),
     )
     before = Changed(template, common, chosen)
-    spans = _spans(query, project, platform, before)
+    spans = _spans(query, project, platform, before, heed)
     placed = tuple(_cells(query, spans, before))
     cells = tuple(cell for cell, _ in placed)
     per_run = _seed_changes(project, platform), changes(project.run_changes, "sierra.toml: run_changes")
@@ -94,6 +102,7 @@ def design(query: Query, project: Project, platform: Platform, template: Templat
     sure: set[tuple[tuple[Change, ...], ...]] = set()
     runs = lasting.different_runs(designed)[: None if project.run_changes else 1]
     for cell, where in placed:
+        heed(0, len(cells), len(cells) * query.runs)
         layers = (Layer("", common), *_layers(where, query.sets, *per_run))
         alike = tuple(layer.changes for layer in layers)
         if alike not in sure and not lasting.check(template, designed, cell, layers):
@@ -140,12 +149,12 @@ class Spans:
         return [pair for pair, own in zip(placed, self.own, strict=True) if not own] + list(theirs)
 
 
-def _spans(query: Query, project: Project, platform: Platform, common: Changed) -> Spans:
+def _spans(query: Query, project: Project, platform: Platform, common: Changed, heed: Heed) -> Spans:
     """What the criteria mean. Raises QueryError where one of the platform's own spans several axes."""
     known = [_span(criterion, project) for criterion in query.criteria]
     own = tuple(span is None for span in known)
     others = [span for span in known if span is not None]
-    _check_count(query, [axis for axis, _ in others])
+    _check_count(query, [axis for axis, _ in others], heed)
     others = others if any(own) else []
     names = [criterion.name for criterion, theirs in zip(query.criteria, own, strict=True) if theirs]
     found: dict[tuple[int, ...], tuple[Spanned, ...]] = {}
@@ -159,7 +168,7 @@ def _spans(query: Query, project: Project, platform: Platform, common: Changed) 
     first = next(iter(found.values()))
     axes = tuple(axis for axis, _ in first)
     _check_independent(first)
-    _check_count(query, axes)
+    _check_count(query, axes, heed)
     return Spans(axes, own, {places: tuple(points for _, points in spanned) for places, spanned in found.items()})
 
 
@@ -224,12 +233,13 @@ def _check_independent(spanned: Sequence[Spanned]) -> None:
                 raise QueryError(f"{other!r} and {axis.name!r} both set {change.path!r}; ask for one of them")
 
 
-def _check_count(query: Query, axes: Sequence[Axis]) -> None:
+def _check_count(query: Query, axes: Sequence[Axis], heed: Heed) -> None:
     experiments = math.prod(len(axis.values) for axis in axes)
     if experiments * query.runs > AT_MOST:
         raise QueryError(
             f"{experiments} experiments of {query.runs} runs are {experiments * query.runs} runs; a batch has at most {AT_MOST}"
         )
+    heed(0, experiments, experiments * query.runs)
 
 
 def _check_lists(project: Project, axes: Sequence[Axis]) -> None:

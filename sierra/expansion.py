@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 
 from sierra import seeds
+from sierra.design import Heed, deaf
 from sierra.errors import QueryError
 from sierra.hashing import canonical, canonical_plain, digest, merkle, sha256
 from sierra.inputs import Renderer, Template
@@ -36,9 +37,13 @@ class Expansion:
         if any(cell.stream for cell in design.cells):
             _check_streams(max(cell.stream for cell in design.cells), design.query.runs)
 
-    def batch(self) -> Batch:
+    def batch(self, heed: Heed = deaf) -> Batch:
         """The batch, with all ids. Raises TemplateError for a change that does not fit the template."""
-        experiments = [self._experiment(cell) for cell in self._design.cells]
+        count = len(self._design.cells)
+        experiments: list[Experiment] = []
+        for cell in self._design.cells:
+            heed(len(experiments), count, count * self._design.query.runs)
+            experiments.append(self._experiment(cell))
         identity = merkle("batch", (experiment.id for experiment in experiments))
         return Batch(identity, self._design.axes, tuple(experiments), self._recipe, self.recipe_id)
 

@@ -25,14 +25,14 @@ from sierra.wording import few
 
 LIKE = """
 SELECT b.*, r.command, r.variables, r.source, r.image, r.reach
-FROM batches b JOIN recipes r USING (recipe) LEFT JOIN (SELECT batch, max(ended) AS answered FROM sessions GROUP BY batch) s
+FROM batches b JOIN recipes r USING (recipe) LEFT JOIN (SELECT batch, max(lamport) AS asked FROM sessions GROUP BY batch) s
 USING (batch)
 WHERE b.axes = $axes AND b.batch <> $batch
-ORDER BY coalesce(s.answered, b.created) DESC LIMIT 1
+ORDER BY coalesce(s.asked, b.lamport) DESC LIMIT 1
 """
 KNOWN = """
 SELECT (SELECT count(*) FROM batches WHERE batch = $batch) AS kept,
-       (SELECT arg_max(programs, ended) FROM sessions WHERE batch = $batch) AS programs
+       (SELECT arg_max(programs, lamport) FROM sessions WHERE batch = $batch) AS programs
 """
 SHOWN = 10
 ASKED = ("query", "runs", "controller", "scenario", "base_seed")
@@ -133,7 +133,7 @@ def _made_from(plan: Plan, store: Store, before: dict[str, Any]) -> Iterator[str
 PROGRAMS = """
 SELECT name, kind, version, sha256 FROM programs
 WHERE programs = (
-    SELECT arg_max(programs, ended) FROM executions JOIN members USING (run)
+    SELECT arg_max(programs, lamport) FROM executions JOIN members USING (run)
     WHERE members.batch = $batch AND purpose = 'run'
 )
 """

@@ -18,22 +18,21 @@ from sierra.wording import natural
 
 BATCHES = """
 WITH last AS (
-    SELECT batch, max(ended) AS answered, arg_max(failed, ended) AS failed, arg_max(missing, ended) AS missing,
-           arg_max(query, ended) AS query, sum(again) AS again
+    SELECT batch, max(lamport) AS lamport, arg_max(ended, lamport) AS answered, arg_max(failed, lamport) AS failed,
+           arg_max(missing, lamport) AS missing, arg_max(query, lamport) AS query, sum(again) AS again
     FROM sessions GROUP BY batch
 )
 SELECT b.batch, b.created, coalesce(l.query, b.query) AS query, b.controller, b.scenario, b.experiments, b.runs,
        l.answered, l.failed, l.missing, b.batch IN (
            SELECT m.batch FROM findings f JOIN executions e USING (execution) JOIN members m ON m.run = e.run
-           WHERE f.found > l.answered
        ) AS doubted, coalesce(l.again, 0) > 0 OR b.batch IN (SELECT batch FROM replays) AS repeated
 FROM batches b LEFT JOIN last l USING (batch)
-ORDER BY coalesce(l.answered, b.created), b.batch
+ORDER BY coalesce(l.lamport, b.lamport), b.batch
 """
 
 COUNTS = """
 WITH members_of AS (SELECT DISTINCT batch, run FROM members WHERE list_contains($batches, batch)),
-tried AS (SELECT run, arg_max(status, ended) AS last FROM executions WHERE purpose = 'run' GROUP BY run),
+tried AS (SELECT run, arg_max(status, lamport) AS last FROM executions WHERE purpose = 'run' GROUP BY run),
 good AS (SELECT DISTINCT batch, run, true AS good FROM counting WHERE list_contains($batches, batch))
 SELECT batch, count(good) AS good, count(*) FILTER (good IS NULL AND last <> 'ok') AS failed
 FROM members_of LEFT JOIN tried USING (run) LEFT JOIN good USING (batch, run) GROUP BY batch
@@ -152,14 +151,14 @@ def _batch(question: Question, found: Found) -> dict[str, Any]:
     row["nondeterminism"] = question.sql(NONDETERMINISM, b=found.id, r=None).to_pylist()
     row["replays"] = question.sql(REPLAYS, b=found.id).to_pylist()
     row["attempts"] = question.sql(ATTEMPTS_OF_BATCH, b=found.id).to_pylist()
-    row["sessions"] = question.sql("SELECT * FROM sessions WHERE batch = $b ORDER BY ended", b=found.id).to_pylist()
+    row["sessions"] = question.sql("SELECT * FROM sessions WHERE batch = $b ORDER BY lamport", b=found.id).to_pylist()
     return row
 
 
 LAST_AROUND = """
-SELECT arg_max(programs, ended) AS programs, arg_max(environment, ended) AS environment
-FROM (SELECT programs, environment, ended FROM sessions WHERE batch = $b UNION ALL
-      SELECT programs, environment, ended FROM executions WHERE batch = $b AND purpose = 'run')
+SELECT arg_max(programs, lamport) AS programs, arg_max(environment, lamport) AS environment
+FROM (SELECT programs, environment, lamport FROM sessions WHERE batch = $b UNION ALL
+      SELECT programs, environment, lamport FROM executions WHERE batch = $b AND purpose = 'run')
 """
 """What was around the last execution or asking of a batch."""
 NONDETERMINISM = """
@@ -178,13 +177,13 @@ FROM attempts a SEMI JOIN (SELECT session, element FROM attempts SEMI JOIN mine 
 ORDER BY started
 """  # noqa: S608 - of our own parts
 """The same of the elements that a run was executed in, and in which of these attempts it was."""
-REPLAYS = "SELECT replay, started, kind, target, runs, verdict FROM replays WHERE batch = $b ORDER BY ended"
+REPLAYS = "SELECT replay, started, kind, target, runs, verdict FROM replays WHERE batch = $b ORDER BY lamport"
 
 
 def _source(question: Question, batch: str, tree: str | None) -> dict[str, Any] | None:
     rows: list[dict[str, Any]] = question.sql(
         "SELECT s.* FROM sources s LEFT JOIN sessions n ON n.source = s.source AND n.batch = $b "
-        "WHERE s.tree = $t ORDER BY n.ended NULLS LAST LIMIT 1",
+        "WHERE s.tree = $t ORDER BY n.lamport NULLS LAST LIMIT 1",
         b=batch,
         t=tree,
     ).to_pylist()
@@ -194,7 +193,7 @@ def _source(question: Question, batch: str, tree: str | None) -> dict[str, Any] 
 def _experiments(question: Question, batch: str, axes: Sequence[str]) -> list[dict[str, Any]]:
     """The experiments of a batch; its axes stand in the order of its query, and those of other batches do not stand here."""
     rows: list[dict[str, Any]] = question.sql(
-        "WITH tried AS (SELECT run, arg_max(status, ended) AS last FROM executions WHERE purpose = 'run' GROUP BY run), "
+        "WITH tried AS (SELECT run, arg_max(status, lamport) AS last FROM executions WHERE purpose = 'run' GROUP BY run), "
         "good AS (SELECT ordinal, run, true AS good FROM counting WHERE batch = $b), "
         "counted AS (SELECT ordinal, count(*) AS runs, count(good) AS good, "
         "count(*) FILTER (good IS NULL AND last <> 'ok') AS failed "
@@ -210,7 +209,7 @@ def _experiments(question: Question, batch: str, axes: Sequence[str]) -> list[di
 
 FAILURES = """
 WITH tried AS (
-    SELECT run, arg_max({'status': status, 'reason': reason}, ended) AS last
+    SELECT run, arg_max({'status': status, 'reason': reason}, lamport) AS last
     FROM executions WHERE purpose = 'run' GROUP BY run
 ),
 failed AS (
@@ -248,9 +247,9 @@ def _experiment(question: Question, found: Found) -> dict[str, Any]:
     row["runs"] = question.sql(
         "SELECT m.number, m.run, m.seed, count(e.execution) AS executions, "
         "CASE WHEN any_value(c.execution) IS NOT NULL THEN 'ok' "
-        "WHEN arg_max(e.status, e.ended) = 'ok' THEN 'stale' "
-        "ELSE coalesce(arg_max(e.status, e.ended), 'missing') END AS status, "
-        "arg_max(e.reason, e.ended) AS reason "
+        "WHEN arg_max(e.status, e.lamport) = 'ok' THEN 'stale' "
+        "ELSE coalesce(arg_max(e.status, e.lamport), 'missing') END AS status, "
+        "arg_max(e.reason, e.lamport) AS reason "
         "FROM (SELECT DISTINCT number, run, seed FROM members WHERE batch = $b AND ordinal = $o) m "
         "LEFT JOIN executions e USING (run) LEFT JOIN counting c ON c.run = m.run AND c.batch = $b AND c.ordinal = $o "
         "GROUP BY ALL ORDER BY m.number",
@@ -268,7 +267,7 @@ def _run(question: Question, found: Found) -> dict[str, Any]:
         row[0] for row in question.run("SELECT DISTINCT batch FROM members WHERE run = $r ORDER BY 1", {"r": found.id})
     ]
     row["executions"] = question.sql(
-        "SELECT * EXCLUDE (run) FROM executions WHERE run = $r ORDER BY ended", r=found.id
+        "SELECT * EXCLUDE (run) FROM executions WHERE run = $r ORDER BY lamport", r=found.id
     ).to_pylist()
     row["attempts"] = question.sql(ATTEMPTS_OF_RUN, r=found.id, e=None).to_pylist()
     row["nondeterminism"] = question.sql(NONDETERMINISM, b=None, r=found.id).to_pylist()
@@ -280,7 +279,7 @@ def _run(question: Question, found: Found) -> dict[str, Any]:
 
 VERDICTS = """
 SELECT v.replay, r.started, v.path, v.verdict, v.why FROM verdicts v JOIN replays r USING (replay)
-WHERE v.run = $r ORDER BY r.ended, v.path
+WHERE v.run = $r ORDER BY r.lamport, v.path
 """
 
 
@@ -305,7 +304,7 @@ RECIPE = "SELECT r.image, r.reach FROM members m JOIN recipes r USING (recipe) W
 ISOLATIONS = """
 SELECT i.*, count(*) AS executions
 FROM executions e SEMI JOIN (SELECT run FROM members WHERE batch = $b) USING (run) JOIN isolations i USING (isolation)
-WHERE e.purpose = 'run' GROUP BY ALL ORDER BY max(e.ended) DESC
+WHERE e.purpose = 'run' GROUP BY ALL ORDER BY max(e.lamport) DESC
 """
 """How executions of a batch's runs were contained, the last way first."""
 

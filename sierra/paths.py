@@ -113,6 +113,11 @@ class StorePaths:
         return self.root / "files"
 
     @property
+    def numbers(self) -> Path:
+        """The highest Lamport number of the segments that were seen, so that not all are read again; nobody misses it."""
+        return self.root / "numbers"
+
+    @property
     def images(self) -> Path:
         """Where images are described and kept for apptainer; all of it can be made again."""
         return self.root / "images"
@@ -204,6 +209,11 @@ class SessionPaths:
     def left(self, generation: int) -> Path:
         """Is there once that owner has left what it submitted to itself, on a file system without locks."""
         return self.root / f"left.{generation}"
+
+    @property
+    def number(self) -> Path:
+        """The session's Lamport number."""
+        return self.root / "number"
 
     @property
     def claims(self) -> Path:

@@ -91,12 +91,13 @@ def run(plan: Plan, store: Store, how: How) -> Summary:
     make = partial(runners.find(how.runner, plan.project.config.runners), how.slots)
     session = Session(store.paths, None if make().stays else plan.project.config.store.place())
     try:
+        session.take_number()
         if not asked.is_kept(plan, store):
-            asked.keep(plan, store, session.paths)
+            asked.keep(plan, store, session)
         stays = make().stays
         if stays:
             asked.prepare(plan, store, session, started=began, runner=how.runner)
-        find_odd(store, session.paths, context(plan, session.id))
+        find_odd(store, session.paths, context(plan, session.id, session.number))
         asking = Asking(plan, store, session, make, how)
         asking.answer()
         summary = _sum_up(asking)
@@ -184,8 +185,8 @@ def _counts(batch: Batch, bad: AbstractSet[str], tried: AbstractSet[str]) -> Ite
 
 REASONS = """
 WITH last AS (
-    SELECT run, arg_max(status, ended) AS status, coalesce(arg_max(reason, ended), '') AS reason,
-           nullif(arg_max(coalesce(log, ''), ended), '') AS log
+    SELECT run, arg_max(status, lamport) AS status, coalesce(arg_max(reason, lamport), '') AS reason,
+           nullif(arg_max(coalesce(log, ''), lamport), '') AS log
     FROM executions JOIN failed USING (run) GROUP BY run
 )
 SELECT count(*), arg_min(status, place), reason, arg_min(run, place), arg_min(log, place)

@@ -13,7 +13,7 @@ from typing import Any, Protocol
 from sierra import containment, engines, images, inputs, jobs, platforms, query
 from sierra.checkout import Checkout, programs_in
 from sierra.config import LoadedProject, Output, Project, Success
-from sierra.design import design, mentions
+from sierra.design import Heed, deaf, design, mentions
 from sierra.engines import PROJECT, Engine
 from sierra.errors import ConfigError, Missing, QueryError, UsageError
 from sierra.expansion import Expansion, Files
@@ -96,6 +96,8 @@ def ask(
     if len(names) > 1:
         raise QueryError(f"{names[0]!r} and {names[1]!r} are queries of their own; ask for one, with more criteria if need be")
     for word in words:
+        if word == query.MONTE_CARLO:
+            raise QueryError(f"{word!r} needs a number of experiments, which differ in their seeds alone; use {word}.C20")
         if word not in names and BARE.fullmatch(word):
             close = difflib.get_close_matches(word, config.queries, 1, cutoff=0.5)
             hint = f"; did you mean {close[0]!r}?" if close else f"; a criterion has a range, as in {word}.Log8 or {word}=1,2"
@@ -112,8 +114,8 @@ def ask(
     )
 
 
-def plan(project: LoadedProject, asked: Query, *, engine: str | None = None) -> Plan:
-    """All that a query's answer depends on; `engine` instead of what the project says.
+def plan(project: LoadedProject, asked: Query, *, engine: str | None = None, heed: Heed = deaf) -> Plan:
+    """All that a query's answer depends on; `engine` instead of what the project says. `heed` hears how far planning has come.
 
     Nothing is executed (but a Python is asked for its path, the loader for libraries, and an engine for its image) or written
     (but the source's tree, by git).
@@ -143,9 +145,9 @@ def plan(project: LoadedProject, asked: Query, *, engine: str | None = None) -> 
     if box:
         data = containment.data(data, box, root)
     recipe = Recipe(config.platform, command, variables, code.tree, image.id if image else None, containment.reach(box))
-    designed = design(asked, config, platform, template)
+    designed = design(asked, config, platform, template, heed)
     expansion = Expansion(designed, template, platform, recipe)
-    batch = expansion.batch()
+    batch = expansion.batch(heed)
     used = programs_in(recipe, code.manifest, root, data)
     checkout = _committed(root, recipe, code, used) if code.checkout else None
     executed = checkout.programs() if checkout else used
@@ -246,7 +248,7 @@ def versioned(plan: Plan) -> Plan:
     return replace(plan, programs=versions.asked(plan.programs, plan.project.config.programs, variables, plan.project.root))
 
 
-def context(plan: Plan, session: str = "") -> Context:
+def context(plan: Plan, session: str = "", number: int | None = None) -> Context:
     """What recording needs to know of a session that executes this."""
     return Context(
         session=session,
@@ -256,6 +258,7 @@ def context(plan: Plan, session: str = "") -> Context:
         programs=plan.programs.id,
         outputs=plan.outputs,
         success=plan.success,
+        number=number,
     )
 
 

@@ -35,11 +35,11 @@ AT_A_TIME = 512
 """Runs whose input files are in memory."""
 LAST = """
 WITH asked AS (
-    SELECT programs, reading, source, query, ended FROM sessions WHERE batch = $b
-    UNION ALL SELECT programs, reading, NULL, NULL, started FROM executions WHERE batch = $b AND purpose = 'run'
+    SELECT programs, reading, source, query, lamport FROM sessions WHERE batch = $b
+    UNION ALL SELECT programs, reading, NULL, NULL, lamport FROM executions WHERE batch = $b AND purpose = 'run'
 )
-SELECT arg_max(programs, ended) AS programs, arg_max(reading, ended) AS reading, arg_max(source, ended) AS source,
-       arg_max(query, ended) AS query
+SELECT arg_max(programs, lamport) AS programs, arg_max(reading, lamport) AS reading, arg_max(source, lamport) AS source,
+       arg_max(query, lamport) AS query
 FROM asked
 """
 
@@ -111,7 +111,7 @@ def engine(store: Store, batch: str, recipe: Recipe, name: str | None, *, hosted
         )
     if name is None:
         [row] = store.rows(
-            "SELECT arg_max(engine, ended) AS engine FROM sessions WHERE batch = $b AND engine <> 'none'", b=batch
+            "SELECT arg_max(engine, lamport) AS engine FROM sessions WHERE batch = $b AND engine <> 'none'", b=batch
         )
         name = row["engine"] or "podman"
     return engines.find(name)

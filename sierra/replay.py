@@ -40,6 +40,7 @@ from sierra.store import Found, Store
 from sierra.store.files import Taken, take, where
 from sierra.store.frame import like
 from sierra.store.names import column_names
+from sierra.store.order import stamp
 from sierra.verdicts import Compared, OfExperiment, Replay, Tolerances, metric_rows, plain, verdict_rows
 from sierra.version import __version__
 
@@ -108,6 +109,7 @@ def replay(
     session = Session(store.paths, project.config.store.place())
     kept = store.paths.kept(session.id) if how.keep else None
     try:
+        session.take_number()
         root = session.paths.source
         checkout = record.of.checkout(project, store)
         checkout.make(root)
@@ -145,6 +147,7 @@ def replay(
             now.id,
             record.of.outputs,
             record.of.success,
+            number=session.number,
             **contained.context,
         )
         maker = jobs.Maker(
@@ -462,6 +465,7 @@ def _keep(
                 "tolerances": json.dumps(plain(how.tolerances)) if how.tolerances else None,
                 "environment": around["environment"],
                 "programs": now.id,
+                "lamport": stamp(session.number, session.id),
             }
         ],
     )

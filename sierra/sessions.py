@@ -32,6 +32,7 @@ from typing import Any
 from sierra import marks, worker
 from sierra.errors import Missing
 from sierra.paths import SessionPaths, StorePaths
+from sierra.store import numbers
 from sierra.store.segments import disk_errors
 
 BEAT_S, SILENT_S = 20.0, 120.0
@@ -46,6 +47,8 @@ class Session:
         self.id = secrets.token_hex(8)
         self.paths: SessionPaths = store.session(self.id)
         self.store = store
+        self.number: int | None = None
+        """Its Lamport number, once it has taken one."""
         self.recorded = True
         """Whether all that has finished here is recorded; otherwise the session is left to whoever asks next."""
         self._generation, self._beaten = 0, time.monotonic()
@@ -62,6 +65,7 @@ class Session:
         """A session that was submitted to a cluster, taken over; None where somebody else has it, or it is gone."""
         made = cls.__new__(cls)
         made.id, made.paths, made.store, made.recorded = paths.root.name, paths, store, True
+        made.number = _number(paths)
         made._generation, made._beaten = 0, time.monotonic()
         with exclusively(store):
             if not paths.submission.exists() or not marks.is_session(paths.root):
@@ -84,6 +88,13 @@ class Session:
         except Missing as error:
             self.close()
             raise Missing(f"[store] work: {error}") from error
+
+    def take_number(self) -> None:
+        """Take a Lamport number, before anything is recorded (see `sierra.store.order`)."""
+        with exclusively(self.store), disk_errors(self.paths.root):
+            living = [_number(paths) or 0 for paths in all_of(self.store)]
+            self.number = numbers.following(self.store, living)
+            self.paths.number.write_text(str(self.number))
 
     def beat(self) -> None:
         """Show that the session's owner lives, where no lock does."""
@@ -189,6 +200,14 @@ def all_of(store: StorePaths) -> list[SessionPaths]:
 def submitted(store: StorePaths) -> list[SessionPaths]:
     """The sessions that were submitted to a cluster, attended or not."""
     return sorted((paths for paths in all_of(store) if paths.submission.exists()), key=lambda paths: paths.root.name)
+
+
+def _number(paths: SessionPaths) -> int | None:
+    """Return the number that a session has taken; None where it has none."""
+    try:
+        return int(paths.number.read_text())
+    except (OSError, ValueError):
+        return None
 
 
 def claims(paths: SessionPaths) -> set[str]:

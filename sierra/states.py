@@ -24,7 +24,7 @@ class State:
     reason: str | None = None
     """Why the last one failed, where all did."""
     failed: int = 0
-    """When that ended, in microseconds since the epoch."""
+    """The place of that one in the order of executions."""
     executions: int = 0
 
     @property
@@ -60,7 +60,7 @@ def is_answered(plan: Plan, store: Store) -> bool:
     with store.ask() as question:
         question.views.make(("sessions",))
         question.views.make(("batches",))
-        last = question.run("SELECT arg_max(batch, ended), arg_max(programs, ended), arg_max(rules, ended) FROM sessions")
+        last = question.run("SELECT arg_max(batch, lamport), arg_max(programs, lamport), arg_max(rules, lamport) FROM sessions")
         if not question.run("SELECT 1 FROM batches WHERE batch = $b LIMIT 1", {"b": plan.batch.id}):
             return False  # what was recorded of it is lost
         same = last == [(plan.batch.id, now.programs, now.rules)]
@@ -103,7 +103,7 @@ THOSE = (
 EACH = f"""
 SELECT run, CASE WHEN status <> 'ok' THEN {FAILED} WHEN reading <> $reading THEN {OTHER_RULES}
     WHEN programs <> $programs THEN {OTHER_PROGRAMS} ELSE {GOOD} END AS worth,
-    CASE WHEN worth = {FAILED} THEN reason END, CASE WHEN worth = {FAILED} THEN epoch_us(ended) ELSE 0 END
+    CASE WHEN worth = {FAILED} THEN reason END, CASE WHEN worth = {FAILED} THEN lamport ELSE 0 END
 {THOSE}
 """
 

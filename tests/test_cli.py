@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import re
 import subprocess
@@ -10,6 +11,7 @@ from typing import Any
 
 import pytest
 
+from sierra.cli import progress
 from tests.projects import CONFIG, SIERRA, make, quick, sierra
 
 COMMANDS = (
@@ -389,3 +391,79 @@ def test_nothing_is_coloured_without_a_terminal(answered: Path) -> None:
     for words in (["ls"], ["--help"], ["run", "population_size.Log2", "noise=0:1:2", "--no-figures"]):
         ended = sierra(answered, *words, environment={"FORCE_COLOR": "", "NO_COLOR": "1"})
         assert "\x1b" not in ended.stdout + ended.stderr
+
+
+# completion of what a project has
+
+
+@pytest.mark.parametrize(
+    ("words", "found"),
+    [
+        ("sierra show ", "{batch}"),
+        ("sierra sql -b ", "{batch}"),
+        ("sierra run pop", "population_size."),
+        ("sierra stats ", "swarm"),
+    ],
+)
+def test_completion_knows_ids_variables_and_tables(answered: Path, answer: dict[str, Any], words: str, found: str) -> None:
+    typed = {
+        "_SIERRA_COMPLETE": "complete_bash",
+        "COMP_WORDS": words,
+        "COMP_CWORD": str(len(words.split()) - (not words.endswith(" "))),
+    }
+    assert found.format(batch=answer["batch"][:10]) in sierra(answered, environment=typed).stdout.split()
+
+
+@pytest.mark.parametrize("words", ["sierra show ", "sierra run x", "sierra stats "])
+def test_completion_says_nothing_where_it_cannot_tell(tmp_path: Path, words: str) -> None:
+    (tmp_path / "sierra.toml").write_text("no TOML")
+    typed = {"_SIERRA_COMPLETE": "complete_bash", "COMP_WORDS": words, "COMP_CWORD": "2"}
+    said = sierra(tmp_path, environment=typed)
+    assert (said.stdout.split(), said.stderr) == ([], "")
+
+
+def test_montecarlo_alone_is_told_what_works(answered: Path) -> None:
+    said = quick(answered, "run", "montecarlo", "-n")
+    assert said.returncode == 2
+    assert "montecarlo.C20" in said.stderr
+    assert quick(answered, "run", "montecarlo.C20", "-n").returncode == 0
+
+
+def test_on_a_terminal_ids_are_short_and_tables_no_wider_than_it(
+    answered: Path, answer: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    statement = ("sql", "SELECT run, execution FROM executions LIMIT 1")
+    assert max(map(len, quick(answered, *statement).stdout.split())) == 64, "files and pipes get all of them"
+
+    class Terminal(io.TextIOWrapper):
+        def isatty(self) -> bool:
+            return True
+
+    monkeypatch.setattr("io.TextIOWrapper", Terminal)
+    monkeypatch.setenv("COLUMNS", "80")
+    assert max(map(len, quick(answered, *statement).stdout.split())) == 10
+    assert '"run": "' in quick(answered, *statement, "--json").stdout
+    said = quick(answered, "show", answer["batch"]).stdout
+    table = said.partition("\nsessions:\n")[2].partition("\n\n")[0].splitlines()
+    assert max(map(len, table)) <= 80
+    assert "in --json)" in table[-1]
+
+
+# many runs
+
+
+@pytest.mark.parametrize("how", [("-n",), ("--json", "-n"), ()])
+def test_very_many_runs_are_not_planned_without_being_asked_for(answered: Path, how: tuple[str, ...]) -> None:
+    said = quick(answered, "run", "noise=0:1:500000", *how)
+    assert said.returncode == 2
+    assert "500000 experiments are 1000000 runs" in said.stderr
+    assert "--yes" in said.stderr
+
+
+def test_how_far_planning_has_come_is_said(answered: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(progress, "FIRST_S", 0.0)
+    monkeypatch.setattr(progress, "MANY", 5)
+    said = quick(answered, "run", "noise=0:1:4", "-n", "--yes")
+    assert said.returncode == 0
+    assert "planning: 3 of 4 experiments" in said.stderr
+    assert "planning" not in quick(answered, "run", "noise=0:1:4", "-n", "--json", "--yes").stderr

@@ -401,6 +401,52 @@ def test_intervals_of_several_groups_at_one_number_lie_side_by_side() -> None:
     assert {bar.get_transform().transform([(2.0, 20.0)])[0][0] for bar in plot.collections} == set(places)
 
 
+@pytest.mark.parametrize("axis", [SIZES, NAMES, Axis("terrain", tuple(f"terrain {k}" for k in range(12)))])
+@pytest.mark.parametrize("kind", ["timeseries", "summary"])
+def test_no_two_lines_differ_by_their_colour_alone(axis: Axis, kind: str) -> None:
+    from sierra.figures import style
+
+    axes = (axis,) if kind == "timeseries" else (SIZES, axis)
+    looks = style.looks(axis)
+    assert len({str(look["linestyle"]) for look in looks}) == min(len(axis.values), 8)
+    assert len({(str(look["color"]), str(look["linestyle"])) for look in looks}) == len(axis.values)
+    entries = said(drawing(kind, axes)).splitlines()
+    assert {str(value) for value in axis.values} <= set(entries), "each has an entry in the legend"
+    styles = {str(line._dash_pattern) for line in plot_of(drawing(kind, axes)).lines if line.get_linestyle() != "None"}
+    assert len(styles) >= min(len(axis.values), 8)
+
+
+@pytest.mark.parametrize("kind", ["stacked", "timeseries"])
+def test_labels_of_many_panels_lie_within_the_figure_and_apart(kind: str) -> None:
+    from sierra.figures import series, style
+
+    axes = (Axis("population_size", (1, 2, 4), unit="robots"), Axis("communication_range", (0.25, 0.5, 1.5, 2.5), unit="m"))
+    shown = drawing(kind, axes, ylabel="the energy that all robots have used together")
+    with style.applied():
+        figure = series.stacked(shown) if kind == "stacked" else series.timeseries(shown)
+        style.settle(figure, shown)
+        figure.canvas.draw()
+        outer = figure.bbox.padded(2)
+        titles = [plot.title.get_window_extent() for plot in figure.axes]
+        labels = [label.get_window_extent() for plot in figure.axes for label in (plot.xaxis.label, plot.yaxis.label)]
+        boxes = [box for box in (*titles, *labels) if box.width > 0]
+        for box in boxes:
+            assert outer.x0 <= box.x0
+            assert box.x1 <= outer.x1
+            assert outer.y0 <= box.y0
+            assert box.y1 <= outer.y1
+        for one, other in itertools.combinations(boxes, 2):
+            assert not one.overlaps(other)
+
+
+def test_marks_at_zero_do_not_go_below_it() -> None:
+    plot = plot_of(drawing("summary", (Axis("noise", (0.0, 0.5, 1.0, 1.5)), NAMES)))
+    zero = plot.transData.transform([(0.0, 20.0)])[0][0]
+    marks = [line for line in plot.lines if line.get_linestyle() == "None" and len(xs(line)) == 4]
+    assert marks
+    assert min(line.get_transform().transform([(0.0, 20.0)])[0][0] for line in marks) >= zero - 0.01
+
+
 @pytest.mark.parametrize(
     ("keys", "complaint"),
     [

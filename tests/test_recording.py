@@ -269,8 +269,8 @@ FAULTS = {
     "too few fields": ("write(good.replace('1,1.5', '1'))", "line 3: too few fields (1, not 2): '1'"),
     "cut short in a line": ("write(good[:-5])", "line 4: its last line is cut short"),
     "a last line without its end": ("write(good[:-2])", "line 4: its last line is cut short"),
-    "fewer rows": ("write(good[:-6])", "has 2 rows where 3 of its 4 siblings have 3"),
-    "more rows": ("write(good + '3,3.5\\n')", "has 4 rows where 3 of its 4 siblings have 3"),
+    "fewer rows": ("write(good[:-6])", "has 2 rows where 3 of its 3 siblings have 3"),
+    "more rows": ("write(good + '3,3.5\\n')", "has 4 rows where 3 of its 3 siblings have 3"),
     "a missing column": (
         "write('tick\\n0\\n1\\n2\\n')",
         "table 'out' lacks the column 'v' (its siblings have tick, v) (if that may be so",
@@ -282,14 +282,14 @@ FAULTS = {
     "a doubled header": ("write(good.replace('v', 'v,v', 1))", "line 1: the column 'v' is there twice"),
     "too many fields": ("write(good.replace('1.5', '1.5,9'))", "line 3: too many fields (3, not 2)"),
     "no bytes": ("write('')", "is empty; not even a header"),
-    "a header only": ("write('tick,v\\n')", "has 0 rows where 3 of its 4 siblings have 3"),
+    "a header only": ("write('tick,v\\n')", "has 0 rows where 3 of its 3 siblings have 3"),
     "no UTF-8": ("write(good.encode().replace(b'1.5', b'\\xff'))", "line 3: is not UTF-8"),
     "an open quote": ("write(good.replace('2.5', '\"2.5'))", "line 4: quotes are not closed"),
     "mixed line ends": ("write(good.replace('\\n', '\\r\\n', 2))", "some lines end in CR LF, and some in LF"),
-    "no table": ("pass", "table 'out' is not there; 3 of its 4 siblings have it"),
+    "no table": ("pass", "table 'out' is not there; 3 of its 3 siblings have it"),
     "one table more": (
         "write(good); write(good, 'more.csv')",
-        "there is a table 'more', which 3 of its 4 siblings do not have",
+        "there is a table 'more', which 3 of its 3 siblings do not have",
     ),
 }
 

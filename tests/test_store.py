@@ -240,11 +240,12 @@ def test_rows_of_a_run_can_be_put_in_the_order_they_were_written(project: Projec
 
 def test_a_damaged_segment_is_one_line(project: Project) -> None:
     stores.ask(project.root, "n=1")
-    for path in project.paths.store.glob("segments/*/executions.parquet"):
-        path.chmod(0o644)
-        path.write_bytes(b"")
+    for name in ("executions", "sessions"):
+        for path in project.paths.store.glob(f"segments/*/{name}.parquet"):
+            path.chmod(0o644)
+            path.write_bytes(b"")
     for ask in (lambda: run(project, "n=1"), lambda: project.batches, lambda: project.sql("SELECT * FROM runs")):
-        with pytest.raises(Damaged, match=r"executions\.parquet"):
+        with pytest.raises(Damaged, match=r"(executions|sessions)\.parquet"):
             ask()
 
 

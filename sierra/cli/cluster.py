@@ -7,13 +7,20 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from sierra.cli import completing
+
 if TYPE_CHECKING:
     from sierra.adopting import Cancelled
 
 
 def status(
     prefix: Annotated[
-        str | None, typer.Argument(metavar="HASH", help="A batch, or a session, by the beginning of its id (default: all).")
+        str | None,
+        typer.Argument(
+            metavar="HASH",
+            autocompletion=completing.ids,
+            help="A batch, or a session, by the beginning of its id (default: all).",
+        ),
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print a JSON list instead.")] = False,
 ) -> None:
@@ -42,7 +49,12 @@ def status(
 
 def attach(
     prefix: Annotated[
-        str, typer.Argument(metavar="HASH", help="A batch, or a session of `sierra status`, by the beginning of its id.")
+        str,
+        typer.Argument(
+            metavar="HASH",
+            autocompletion=completing.ids,
+            help="A batch, or a session of `sierra status`, by the beginning of its id.",
+        ),
     ],
     figures: Annotated[
         bool | None, typer.Option("--figures/--no-figures", help="Draw figures, or nothing (default: figures).")
@@ -72,7 +84,12 @@ def attach(
 
 def cancel(
     prefix: Annotated[
-        str, typer.Argument(metavar="HASH", help="A batch, or a session of `sierra status`, by the beginning of its id.")
+        str,
+        typer.Argument(
+            metavar="HASH",
+            autocompletion=completing.ids,
+            help="A batch, or a session of `sierra status`, by the beginning of its id.",
+        ),
     ],
     as_json: Annotated[bool, typer.Option("--json", help="Print a JSON list instead.")] = False,
 ) -> None:

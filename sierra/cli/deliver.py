@@ -7,9 +7,14 @@ from typing import Annotated
 
 import typer
 
+from sierra.cli import completing
+
 
 def figures(
-    prefix: Annotated[str | None, typer.Argument(metavar="HASH", help="The batch (default: the last asked for).")] = None,
+    prefix: Annotated[
+        str | None,
+        typer.Argument(metavar="HASH", autocompletion=completing.ids, help="The batch (default: the last asked for)."),
+    ] = None,
     name: Annotated[str | None, typer.Argument(metavar="NAME", help="One figure (default: all).")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print a JSON list of files instead.")] = False,
 ) -> None:

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from sierra.cli import completing
+
 if TYPE_CHECKING:
     from sierra.difference import Comparison, Difference
 
@@ -22,9 +24,19 @@ HEADS = ("diff --git ", "index ")
 
 def diff(
     before: Annotated[
-        str, typer.Argument(metavar="A", help="A batch, experiment, run or execution, by the beginning of its id.")
+        str,
+        typer.Argument(
+            metavar="A",
+            autocompletion=completing.ids,
+            help="A batch, experiment, run or execution, by the beginning of its id.",
+        ),
     ],
-    after: Annotated[str, typer.Argument(metavar="B", help="Another one of the same kind; or a run, and an execution.")],
+    after: Annotated[
+        str,
+        typer.Argument(
+            metavar="B", autocompletion=completing.ids, help="Another one of the same kind; or a run, and an execution."
+        ),
+    ],
     patch: Annotated[bool, typer.Option("--patch", help="Show all of the patch, and of all other details.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead, with all details.")] = False,
 ) -> None:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from sierra.cli import completing
 from sierra.errors import UsageError
 
 if TYPE_CHECKING:
@@ -27,7 +28,12 @@ WHICH = {
 
 
 def files(
-    prefix: Annotated[str, typer.Argument(metavar="HASH", help="The beginning of an id, as `sierra show` shows them.")],
+    prefix: Annotated[
+        str,
+        typer.Argument(
+            metavar="HASH", autocompletion=completing.ids, help="The beginning of an id, as `sierra show` shows them."
+        ),
+    ],
     paths: Annotated[
         list[str] | None, typer.Argument(metavar="PATH", show_default=False, help="Files as listed, or globs of them.")
     ] = None,

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from sierra.cli import completing
+
 if TYPE_CHECKING:
     from sierra.keeping.checking import Report
     from sierra.keeping.collecting import Collection
@@ -120,7 +122,11 @@ def gc(
 def rm(
     prefixes: Annotated[
         list[str],
-        typer.Argument(metavar="HASH...", help="Batches, experiments, runs or executions, by the beginning of their ids."),
+        typer.Argument(
+            metavar="HASH...",
+            autocompletion=completing.ids,
+            help="Batches, experiments, runs or executions, by the beginning of their ids.",
+        ),
     ],
     yes: Annotated[bool, typer.Option("--yes", "-y", help="Do not ask.")] = False,
     dry_run: Annotated[bool, typer.Option("--dry-run", "-n", help="Only say what would be deleted.")] = False,

@@ -7,10 +7,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from sierra.cli import completing
+
 if TYPE_CHECKING:
     pass
 
 SHOWN_REASONS = 10
+MORE = 4
+"""Columns that are named where the terminal has no room for them."""
 AT_MOST = {"attempts": 20, "nondeterminism": 10, "verdicts": 20}
 """Rows of tables that may be as long as a batch."""
 
@@ -50,7 +54,12 @@ def _where_any(name: str, texts: Sequence[str]) -> dict[str, Sequence[str]]:
 
 
 def show(
-    prefix: Annotated[str, typer.Argument(metavar="HASH", help="The beginning of an id, as `sierra ls` shows them.")],
+    prefix: Annotated[
+        str,
+        typer.Argument(
+            metavar="HASH", autocompletion=completing.ids, help="The beginning of an id, as `sierra ls` shows them."
+        ),
+    ],
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead.")] = False,
 ) -> None:
     """Show all about a batch, an experiment, a run or an execution.
@@ -125,7 +134,8 @@ def _state(row: dict[str, Any]) -> str:
 
 def _print(shown: dict[str, Any]) -> None:
     """Plain values first, then tables and logs."""
-    from sierra.cli.output import fields, table
+    from sierra.cli.output import fields, fitting, short_id, table
+    from sierra.wording import few
 
     plain = {name: value for name, value in shown.items() if not isinstance(value, dict | list) and name != "log"}
     fields(plain)
@@ -138,16 +148,14 @@ def _print(shown: dict[str, Any]) -> None:
             if isinstance(value[0], dict):
                 columns = list(dict.fromkeys(key for row in value for key in row if key != "log"))
                 most = AT_MOST.get(name, len(value))
-                table(columns, [[_short(row.get(column)) for column in columns] for row in value[:most]])
+                rows = [[short_id(row.get(column)) for column in columns] for row in value[:most]]
+                wide = fitting(columns, rows)
+                table(columns[:wide], [row[:wide] for row in rows])
+                if wide < len(columns):
+                    print(f"(and {few(columns[wide:], MORE)}, in --json)")
                 if len(value) > most:
                     print(f"and {len(value) - most} more (--json has them all)")
             else:
                 print("  " + ", ".join(map(str, value)))
     if shown.get("log"):
         print("\nlog:\n" + shown["log"])
-
-
-def _short(value: Any) -> Any:
-    """Ids in tables as people read them."""
-    is_id = isinstance(value, str) and len(value) == 64 and not value.strip("0123456789abcdef")
-    return value[:10] if is_id else value

@@ -10,6 +10,7 @@ import contextlib
 import json
 import math
 import re
+import shutil
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from datetime import datetime
@@ -96,6 +97,26 @@ def cell(value: Any) -> str:
             return value.strftime("%Y-%m-%d %H:%M:%S")
         case _:
             return safe(" ".join(str(value).split("\n")))
+
+
+def short_id(value: Any) -> Any:
+    """Return the beginning of an id, by which commands know it; anything else as it is."""
+    from sierra.hashing import short
+
+    is_id = isinstance(value, str) and len(value) == 64 and not value.strip("0123456789abcdef")
+    return short(value) if is_id else value
+
+
+def fitting(columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> int:
+    """Return how many columns of a table the terminal has room for, at least 1; all where there is no terminal."""
+    if not sys.stdout.isatty():
+        return len(columns)
+    room = shutil.get_terminal_size().columns
+    for place, column in enumerate(columns):
+        room -= max([len(column), *(len(cell(row[place])) for row in rows)]) + (2 if place else 0)
+        if room < 0:
+            return max(place, 1)
+    return len(columns)
 
 
 def readable(text: str) -> str:

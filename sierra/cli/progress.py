@@ -5,16 +5,21 @@ from __future__ import annotations
 import contextlib
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
+
+import typer
 
 from sierra.asking import Progress
 from sierra.cli import leaving
 from sierra.cli.output import raw, safe
+from sierra.errors import UsageError
 from sierra.wording import counted
 
 FIRST_S, LAST_S = 10.0, 300.0
 """Between two lines, which get rarer: a log of days is to be short."""
+MANY = 200_000
+"""Runs beyond which a user is asked whether they are meant."""
 SHARE = 0.2
 """Of the time since the beginning that passes until the next line."""
 
@@ -40,6 +45,38 @@ def watching(*, quiet: bool) -> Iterator[Display]:
             yield bar
     else:
         yield _Lines()
+
+
+def planning(*, agreed: bool, quiet: bool) -> Callable[[int, int, int], None]:
+    """Return what hears how far planning has come: it says so now and then on standard error, unless it is `quiet`.
+
+    It asks before many runs are planned, unless that is `agreed`. Raises UsageError where there is no terminal to ask on,
+    typer.Exit where the user does not want to go on.
+    """
+    said = time.monotonic()
+    sure = agreed
+
+    def heed(done: int, experiments: int, runs: int) -> None:
+        nonlocal said, sure
+        if runs > MANY and not sure:
+            _ask(experiments, runs)
+            sure = True
+        now = time.monotonic()
+        if not quiet and now - said >= FIRST_S:
+            said = now
+            print(f"planning: {done} of {counted(experiments, 'experiment')}", file=sys.stderr, flush=True)
+
+    return heed
+
+
+def _ask(experiments: int, runs: int) -> None:
+    """Ask whether so many runs are meant."""
+    told = f"{counted(experiments, 'experiment')} are {runs} runs"
+    if not (sys.stdin.isatty() and sys.stderr.isatty()):
+        raise UsageError(f"{told}, which take long to plan; say --yes if that is meant")
+    print(f"{told}, which take long to plan; go on? [y/N] ", end="", file=sys.stderr, flush=True)
+    if not sys.stdin.readline().strip().lower().startswith("y"):
+        raise typer.Exit(2)
 
 
 class _Lines(Display):

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from sierra.cli import completing
 from sierra.errors import Missing, UsageError
 
 if TYPE_CHECKING:
@@ -21,7 +22,12 @@ SHOWN = 3
 
 def replay(
     prefix: Annotated[
-        str, typer.Argument(metavar="HASH", help="A batch, experiment, run or execution, by the beginning of its id.")
+        str,
+        typer.Argument(
+            metavar="HASH",
+            autocompletion=completing.ids,
+            help="A batch, experiment, run or execution, by the beginning of its id.",
+        ),
     ],
     runs: Annotated[
         int | None, typer.Option("--runs", metavar="K", min=1, help="The first K runs of each experiment alone.")

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from sierra.cli import completing
+
 if TYPE_CHECKING:
     from sierra.api import Project
     from sierra.plans import Plan
@@ -21,6 +23,7 @@ def run(
         list[str],
         typer.Argument(
             metavar="QUERY",
+            autocompletion=completing.criteria,
             help="Criteria, one for each axis. The name of a query in sierra.toml stands for its own. "
             "Or the beginning of a batch's id: what is missing of it, with the code of then.",
         ),
@@ -49,6 +52,7 @@ def run(
         bool | None, typer.Option("--figures/--no-figures", help="Draw figures, or nothing (default: figures).")
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead.")] = False,
+    yes: Annotated[bool, typer.Option("--yes", help="Do not ask, however many runs there are.")] = False,
 ) -> None:
     """Answer a research query.
 
@@ -78,7 +82,7 @@ def run(
     from sierra import settings
     from sierra.cli import opened, proposals, summaries
     from sierra.cli.output import note, print_json
-    from sierra.cli.progress import watching
+    from sierra.cli.progress import planning, watching
     from sierra.query import setting
 
     project = opened.project()
@@ -89,6 +93,7 @@ def run(
         scenario=scenario,
         sets=[setting(text) for text in sets or ()],
         engine=engine,
+        heed=planning(agreed=yes, quiet=as_json),
     )
     if not dry_run:
         _check_log(plan)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from sierra.cli import completing
 from sierra.errors import UsageError
 from sierra.paths import write_whole
 
@@ -37,7 +38,10 @@ def sql(
     ] = None,
     format: Annotated[Format, typer.Option("--format", "-f", help="How the answer is written.")] = Format.table,
     batch: Annotated[
-        str | None, typer.Option("--batch", "-b", metavar="HASH", help="See the runs and outputs of this batch alone.")
+        str | None,
+        typer.Option(
+            "--batch", "-b", metavar="HASH", autocompletion=completing.ids, help="See the runs and outputs of this batch alone."
+        ),
     ] = None,
     output: Annotated[Path | None, typer.Option("--output", "-o", metavar="FILE", help="Write it to a file.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Short for --format json.")] = False,
@@ -95,7 +99,8 @@ def write(answer: pa.Table, format: Format, output: Path | None) -> None:
         note(told.decode())
     if output is None and format is Format.parquet and sys.stdout.isatty():
         raise UsageError("Parquet is not for a terminal; say where with -o FILE")
-    data = FORMATS[format](answer)
+    brief = output is None and format is Format.table and sys.stdout.isatty()
+    data = _table(answer, brief=True) if brief else FORMATS[format](answer)
     if output is not None:
         write_whole(output, data)
         return
@@ -112,16 +117,19 @@ def _rows(answer: pa.Table) -> list[dict[str, Any]]:
     return rows
 
 
-def _table(answer: pa.Table) -> bytes:
+def _table(answer: pa.Table, *, brief: bool = False) -> bytes:
+    """Return a table; a `brief` one has the beginnings of ids, for a terminal."""
     import contextlib
     import io
 
-    from sierra.cli.output import table
+    from sierra.cli.output import short_id, table
 
     text = io.StringIO()
+    shown = (row.values() for row in _rows(answer.slice(0, SHOWN_ROWS)))
+    rows = [[short_id(value) if brief else value for value in row] for row in shown]
     right = [field.name for field in answer.schema if str(field.type).startswith(("int", "double", "uint", "decimal"))]
     with contextlib.redirect_stdout(text):
-        table(answer.column_names, [list(row.values()) for row in _rows(answer.slice(0, SHOWN_ROWS))], right=right)
+        table(answer.column_names, rows, right=right)
         if answer.num_rows > SHOWN_ROWS:
             print(f"({answer.num_rows} rows, {SHOWN_ROWS} of them shown; --format csv writes all)")
     return text.getvalue().encode()

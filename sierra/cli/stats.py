@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from sierra.cli import completing
 from sierra.cli.sql import Format, write
 from sierra.errors import UsageError
 
@@ -29,10 +30,16 @@ class Times(StrEnum):
 
 
 def stats(
-    output: Annotated[str, typer.Argument(metavar="OUTPUT", help="The output, as SHOW TABLES in SQL has it.")],
+    output: Annotated[
+        str,
+        typer.Argument(metavar="OUTPUT", autocompletion=completing.tables, help="The output, as SHOW TABLES in SQL has it."),
+    ],
     column: Annotated[str, typer.Argument(metavar="COLUMN", help="One of its columns.")],
     batch: Annotated[
-        str | None, typer.Option("--batch", "-b", metavar="HASH", help="The batch (default: the last asked for).")
+        str | None,
+        typer.Option(
+            "--batch", "-b", metavar="HASH", autocompletion=completing.ids, help="The batch (default: the last asked for)."
+        ),
     ] = None,
     measure: Annotated[
         Measure | None, typer.Option("--measure", "-m", help="What a run is reduced to (default: final, its last value).")

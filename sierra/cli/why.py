@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from sierra.cli import completing
+
 if TYPE_CHECKING:
     from sierra.reasons import Why
     from sierra.reasons.standing import Standing
@@ -17,7 +19,12 @@ LINES = 10
 
 def why(
     prefix: Annotated[
-        str, typer.Argument(metavar="HASH", help="A batch, experiment, run or execution, by the beginning of its id.")
+        str,
+        typer.Argument(
+            metavar="HASH",
+            autocompletion=completing.ids,
+            help="A batch, experiment, run or execution, by the beginning of its id.",
+        ),
     ],
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead.")] = False,
 ) -> None:

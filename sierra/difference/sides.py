@@ -68,12 +68,12 @@ m AS (
     FROM members m WHERE batch = $b {only} GROUP BY ordinal, number
 ),
 e AS (
-    SELECT e.run, e.execution, md5_number(e.result) AS result, e.status, e.ended, {counts} AS counts
+    SELECT e.run, e.execution, md5_number(e.result) AS result, e.status, e.lamport, {counts} AS counts
     FROM executions e LEFT JOIN latest l ON l.batch = $b WHERE {which}
 ),
 one AS (
     SELECT ordinal, number, any_value(m.run) AS run, any_value(seed) AS seed, any_value(input) AS input,
-           arg_max({{'execution': execution, 'result': result, 'status': status, 'counts': counts}}, ({best}ended)) AS e
+           arg_max({{'execution': execution, 'result': result, 'status': status, 'counts': counts}}, ({best}lamport)) AS e
     FROM m LEFT JOIN e ON e.run = m.run GROUP BY ordinal, number
 )
 SELECT ordinal, number, run, seed, input, e.execution AS execution, e.result AS result, e.status AS status,
@@ -131,7 +131,7 @@ def _session(question: Question, found: Found, batch: str) -> dict[str, Any]:
         identity = found.id
     else:
         of, identity = "batch = $i", batch
-    rows = _rows(question, f"SELECT * FROM sessions WHERE {of} ORDER BY ended DESC LIMIT 1", i=identity)  # noqa: S608
+    rows = _rows(question, f"SELECT * FROM sessions WHERE {of} ORDER BY lamport DESC LIMIT 1", i=identity)  # noqa: S608
     return rows[0] if rows else {}
 
 

@@ -46,7 +46,7 @@ def summary(drawing: Drawing) -> Figure:
         made += plot.plot(np.asarray(x)[censored], center[rows][censored], **hollow)
         made += _never(plot, np.asarray(x)[censored & (style.column(table, "n")[rows] == 0)], look["color"])
         if first.numeric:
-            _shift(made, (place - (len(groups.values) - 1) / 2) * APART)
+            _shift(made, (place - (0 if 0 in first.values else (len(groups.values) - 1) / 2)) * APART)
     style.scale_values(plot, first, log=drawing.figure.log_x)
     _frame(figure, plot, drawing, first, groups, looks, table, float(np.nanmin(center)), float(np.nanmax(center)))
     return figure
@@ -188,11 +188,7 @@ def _groups(drawing: Drawing) -> Axis:
 
 
 def _looks(groups: Axis) -> list[dict[str, Any]]:
-    count = len(groups.values)
-    colours = style.colours(groups) if count > 1 else [style.NAMED[0]]
-    return [
-        {"color": colour, "marker": style.MARKERS[k % 8] if count <= style.FEW else "o"} for k, colour in enumerate(colours)
-    ]
+    return [{"marker": "o", **look} for look in style.looks(groups)]
 
 
 def _runs(drawing: Drawing) -> dict[int, Any]:

@@ -28,12 +28,13 @@ def timeseries(drawing: Drawing) -> Figure:
     first, rest = first_axis(drawing), others(drawing)
     slices = by_experiment(table)
     figure, plots = style.panels(_panel_count(drawing, rest))
-    colours = dict(zip(first.values, style.colours(first), strict=True))
+    looks = [{name: one[name] for name in one if name != "marker"} for one in style.looks(first)]
+    look = dict(zip(first.values, looks, strict=True))
     highest = [0] * len(first.values)
     for ordinal, rows in slices.items():
         value = value_of(drawing, ordinal)
         plot = plots[rest.index(rest_of(drawing, ordinal))]
-        _line(plot, drawing, table.slice(rows.start, rows.stop - rows.start), colours[value])
+        _line(plot, drawing, table.slice(rows.start, rows.stop - rows.start), look[value])
         place = first.values.index(value)
         highest[place] = max(highest[place], int(np.max(table.column("n").to_numpy()[rows])))
     center = style.column(table, CENTERS[drawing.figure.center][0])
@@ -42,10 +43,10 @@ def timeseries(drawing: Drawing) -> Figure:
         limits.apply(plot, drawing)
         style.scale_time(plot, drawing, float(style.column(table, "t")[0]))
         if len(plots) > 1:
-            plot.set_title(_others_of(drawing, values), fontsize=7)
+            style.title(plot, _others_of(drawing, values))
     style.outer_labels(plots, style.time_label(drawing), style.value_label(drawing))
     entries = with_n([style.named(value) for value in first.values], highest)
-    style.legend(figure, plots, first, entries, [{"color": colour} for colour in colours.values()])
+    style.legend(figure, plots, first, entries, looks)
     return figure
 
 
@@ -107,7 +108,8 @@ def _others_of(drawing: Drawing, values: tuple[Value, ...]) -> str:
     return style.point(drawing, drawing.axes[1:], ordinal)
 
 
-def _line(plot: Any, drawing: Drawing, table: Any, colour: Any) -> None:
+def _line(plot: Any, drawing: Drawing, table: Any, look: dict[str, Any]) -> None:
+    colour = look["color"]
     shown = _shown(table.num_rows)
     t = style.column(table, "t")[shown]
     center, low, high = (style.column(table, name)[shown] for name in CENTERS[drawing.figure.center])
@@ -115,7 +117,7 @@ def _line(plot: Any, drawing: Drawing, table: Any, colour: Any) -> None:
     known = np.isfinite(center)
     beside = np.concatenate(([False], known, [False]))
     alone = known & ~beside[:-2] & ~beside[2:]
-    plot.plot(t, center, color=colour)
+    plot.plot(t, center, **look)
     plot.plot(t[alone], center[alone], "o", color=colour, markersize=3.5 if len(t) == 1 else 1.2)
     some = np.isfinite(low) & np.isfinite(high)
     if len(t) == 1 and some.any():
@@ -143,7 +145,7 @@ def _stacked_over_time(drawing: Drawing, center: str) -> Figure:
         shown = _shown(rows[0].num_rows)
         _areas(plot, drawing, style.column(rows[0], "t")[shown], [style.column(row, center)[shown] for row in rows])
         if len(plots) > 1:
-            plot.set_title(style.point(drawing, drawing.axes, ordinal), fontsize=7)
+            style.title(plot, style.point(drawing, drawing.axes, ordinal))
     plots[0].set_ylim(bottom=0)
     style.outer_labels(plots, style.time_label(drawing), _stack_label(drawing))
     _stack_legend(figure, drawing)
@@ -165,7 +167,7 @@ def _stacked_over_axis(drawing: Drawing, center: str) -> Figure:
             _bars(plot, places, heights)
         style.scale_values(plot, first, log=drawing.figure.log_x, margin=0)
         if len(plots) > 1:
-            plot.set_title(_others_of(drawing, combination), fontsize=7)
+            style.title(plot, _others_of(drawing, combination))
     plots[0].set_ylim(bottom=0)
     style.outer_labels(plots, drawing.figure.xlabel or style.axis_label(first), _stack_label(drawing))
     _stack_legend(figure, drawing)

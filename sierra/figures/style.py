@@ -43,6 +43,10 @@ FAINT = "#777777"
 NAMED = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000", "#8C8C8C")
 """Okabe and Ito's palette without its yellow, which is too light for lines on white."""
 MARKERS = "osD^vPX*"
+DASHES: tuple[Any, ...] = ("-", "--", ":", "-.", (0, (5, 1, 1, 1, 1, 1)), (0, (8, 2)), (0, (1, 3)), (0, (3, 1, 1, 1)))
+"""Styles of lines, so that no line is told from another by its colour alone."""
+NAMES = 24
+"""Up to here, each name has an entry in a legend; more are a scale of colours."""
 
 SETTINGS: dict[str, Any] = {
     "font.family": "DejaVu Sans",
@@ -133,9 +137,25 @@ def outer_labels(plots: Sequence[Any], xlabel: str, ylabel: str) -> None:
         place = plot.get_subplotspec()
         last[place.colspan.start] = plot
         if place.is_first_col():
-            plot.set_ylabel(shortened(ylabel, 48))
+            plot.set_ylabel(shortened(ylabel, _letters(plot, 48, down=True)))
     for plot in last.values():
-        plot.set_xlabel(shortened(xlabel, 60))
+        plot.set_xlabel(shortened(xlabel, _letters(plot, 60)))
+
+
+def _letters(plot: Any, most: int, *, down: bool = False) -> int:
+    """Return how long a label may be beside one of several panels."""
+    grid = plot.get_gridspec()
+    if grid.ncols * grid.nrows == 1:
+        return most
+    inches = plot.figure.get_figheight() / grid.nrows if down else plot.figure.get_figwidth() / grid.ncols
+    return min(most, max(12, int(inches / (LETTER * 1.15))))
+
+
+def title(plot: Any, text: str) -> None:
+    """Write the title of a panel, in at most three lines that are no wider than the panel."""
+    wide = plot.figure.get_figwidth() / plot.get_gridspec().ncols - 0.4
+    lines = textwrap.wrap(text, max(10, int(wide / LETTER)), max_lines=3, placeholder=" …")
+    plot.set_title("\n".join(lines), fontsize=7)
 
 
 def settle(figure: Figure, drawing: Drawing) -> None:
@@ -186,7 +206,7 @@ def point(drawing: Drawing, axes: Sequence[Axis], ordinal: int) -> str:
     """Where an experiment lies on some axes, as the title of a panel."""
     names = (f"{axis.label or axis.name.replace('_', ' ')} = {named(drawing.cells[ordinal][axis.name], 16)}" for axis in axes)
     units = (f" {axis.unit}" if axis.unit else "" for axis in axes)
-    return shortened(", ".join(name + unit for name, unit in zip(names, units, strict=True)), 40)
+    return shortened(", ".join(name + unit for name, unit in zip(names, units, strict=True)), 90)
 
 
 def value_label(drawing: Drawing) -> str:
@@ -245,6 +265,18 @@ def colours(axis: Axis) -> list[Any]:
     return list(sequential()([norm(v) if count > FEW and axis.numeric else k / (count - 1) for k, v in _enumerated(axis)]))
 
 
+def looks(axis: Axis) -> list[dict[str, Any]]:
+    """Return what a line looks like for each value: no two have the same colour and style, as far as each has an entry."""
+    count = len(axis.values)
+    if count == 1:
+        return [{"color": NAMED[0]}]
+    if count > (FEW if axis.numeric else NAMES):
+        return [{"color": colour} for colour in colours(axis)]
+    several = NAMED if count > FEW else colours(axis)
+    styles = [(k + k // FEW) % FEW for k in range(count)]
+    return [{"color": several[k % FEW], "linestyle": DASHES[style], "marker": MARKERS[style]} for k, style in enumerate(styles)]
+
+
 def sequential() -> LinearSegmentedColormap:
     """viridis without its yellow end, which is too light on white."""
     return LinearSegmentedColormap.from_list("sierra", mpl.colormaps["viridis"](np.linspace(0, 0.85, 128)))
@@ -254,7 +286,7 @@ def legend(figure: Figure, plots: Sequence[Any], axis: Axis, entries: Sequence[s
     """Says which line is which: above the data where they are few, else by a colour bar."""
     if len(entries) <= 1:
         return
-    if len(entries) > FEW:
+    if len(entries) > (FEW if axis.numeric else NAMES):
         colour_bar(figure, plots, axis, entries)
         return
     place_legend(figure, [Line2D([], [], **look) for look in looks], entries, shortened(axis_label(axis), 60))

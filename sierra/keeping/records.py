@@ -30,6 +30,7 @@ from sierra.recording import UNREAD
 from sierra.store import Question, read_parquet
 from sierra.store.complaints import first_line
 from sierra.store.tables import RECORDED
+from sierra.store.views import records as records_of
 
 Rows = Iterator[dict[str, Any]]
 SHOWN = 3
@@ -61,7 +62,7 @@ class Records:
     def raw(self, name: str) -> str:
         """All rows of a table as they stand in the files, with the file's name."""
         if name in self.files:
-            return read_parquet(self.files[name], union=name == "experiments", filename=True)
+            return records_of(name, self.files[name], filename=True)
         columns = ", ".join(f'NULL::{c.type} AS "{c.name}"' for c in RECORDED[name].columns)
         return f"(SELECT {columns}, '' AS filename WHERE false)"
 

@@ -20,14 +20,14 @@ BATCHES = 10
 """Batches that are told of."""
 
 ASKED_LAST = """
-SELECT b.batch FROM batches b LEFT JOIN (SELECT batch, max(ended) AS ended FROM sessions GROUP BY batch) s USING (batch)
-WHERE b.batch IN (SELECT batch FROM members WHERE run = $r) ORDER BY coalesce(s.ended, b.created) DESC
+SELECT b.batch FROM batches b LEFT JOIN (SELECT batch, max(lamport) AS asked FROM sessions GROUP BY batch) s USING (batch)
+WHERE b.batch IN (SELECT batch FROM members WHERE run = $r) ORDER BY coalesce(s.asked, b.lamport) DESC
 """
 EARLIER = """
 SELECT b.batch FROM batches b JOIN batches this ON this.batch = $b
-LEFT JOIN (SELECT batch, max(ended) AS ended FROM sessions GROUP BY batch) s ON s.batch = b.batch
-WHERE b.axes = this.axes AND b.created < this.created AND b.batch <> this.batch
-ORDER BY CASE WHEN s.ended < this.created THEN s.ended ELSE b.created END DESC LIMIT 1
+LEFT JOIN (SELECT batch, max(lamport) AS asked FROM sessions GROUP BY batch) s ON s.batch = b.batch
+WHERE b.axes = this.axes AND b.lamport < this.lamport AND b.batch <> this.batch
+ORDER BY CASE WHEN s.asked < this.lamport THEN s.asked ELSE b.lamport END DESC LIMIT 1
 """
 
 

@@ -1,7 +1,7 @@
 """What happened to some runs, in order: each asking and each replay, and why it executed what it executed.
 
-An execution is judged against those of the same run that had ended before it began, as the asking saw them: a finding counts
-from when it was made. The better of several counts: failed, by other rules, with other programs, good.
+An execution is judged against earlier ones of the same run, but for those in flight at the time, as the asking saw them: a
+finding counts from when it was made. The better of several counts: failed, by other rules, with other programs, good.
 """
 
 from __future__ import annotations
@@ -58,26 +58,28 @@ class Event:
 EXECUTED = """
 CREATE TEMP TABLE happened AS
 WITH mine AS (
-    SELECT e.execution, e.run, e.session, e.batch, e.started, e.ended, e.status, e.reason, e.programs, e.reading, e.purpose
+    SELECT e.execution, e.run, e.session, e.batch, e.started, e.ended, e.status, e.reason, e.programs, e.reading, e.purpose,
+           e.lamport
     FROM executions e SEMI JOIN wanted USING (run)
 ),
 earlier AS (
-    SELECT e.execution, p.execution AS prior, p.ended, p.programs, p.reading, p.reason,
-           f.found IS NOT NULL AND f.found <= e.started AS doubted,
-           CASE WHEN p.status <> 'ok' AND (f.found IS NULL OR f.found <= e.started) THEN $failed
+    SELECT e.execution, p.execution AS prior, p.lamport, p.programs, p.reading, p.reason,
+           f.lamport IS NOT NULL AND f.lamport < e.lamport AS doubted,
+           CASE WHEN p.status <> 'ok' AND (f.lamport IS NULL OR f.lamport < e.lamport) THEN $failed
                 WHEN p.reading <> e.reading THEN $rules WHEN p.programs <> e.programs THEN $programs
                 ELSE $good END AS worth
-    FROM mine e JOIN mine p ON p.run = e.run AND p.execution <> e.execution AND p.ended <= e.started AND p.purpose = 'run'
+    FROM mine e JOIN mine p ON p.run = e.run AND p.lamport < e.lamport AND p.purpose = 'run'
+        AND NOT (p.session <> e.session AND p.started < e.ended AND p.ended > e.started)
     LEFT JOIN findings f ON f.execution = p.execution
 ),
 best AS (
     SELECT execution, max(worth) AS worth, arg_max({'prior': prior, 'programs': programs, 'reading': reading,
-           'reason': reason, 'doubted': doubted}, (worth, ended)) AS best
+           'reason': reason, 'doubted': doubted}, (worth, lamport)) AS best
     FROM earlier GROUP BY execution
 )
 SELECT m.*, b.worth, b.best, EXISTS (
-    SELECT 1 FROM mine o WHERE o.run = m.run AND o.purpose = 'run' AND o.session <> m.session AND o.ended > m.started
-        AND (o.started, o.execution) < (m.started, m.execution)
+    SELECT 1 FROM mine o WHERE o.run = m.run AND o.purpose = 'run' AND o.session <> m.session AND o.lamport < m.lamport
+        AND o.started < m.ended AND o.ended > m.started
 ) AS beside
 FROM mine m LEFT JOIN best b USING (execution)
 """
@@ -86,8 +88,8 @@ SELECT session, batch, purpose, worth, beside, best.doubted AS doubted, CASE WHE
        CASE WHEN worth = 1 THEN best.reading END AS was_reading, CASE WHEN worth = 2 THEN best.programs END AS was_programs,
        CASE WHEN worth = 1 THEN reading END AS reading, CASE WHEN worth = 2 THEN programs END AS programs,
        count(*) AS executions, count(*) FILTER (status <> 'ok') AS failed, min(started) AS started,
-       arg_min(execution, (started, execution)) AS execution, arg_min(run, (started, execution)) AS run,
-       arg_min(best.prior, (started, execution)) AS prior
+       min(lamport) AS lamport, arg_min(execution, lamport) AS execution, arg_min(run, lamport) AS run,
+       arg_min(best.prior, lamport) AS prior
 FROM happened GROUP BY ALL ORDER BY executions DESC, execution
 """
 CUT = """
@@ -102,7 +104,7 @@ SELECT e.session, count(*) AS copies, count(*) FILTER (NOT same) AS other, min(e
 FROM copies JOIN executions e USING (execution) WHERE e.run IN (SELECT run FROM wanted) GROUP BY e.session
 """
 ASKINGS = """
-SELECT * FROM sessions WHERE list_contains($b, batch) OR list_contains($s, session) ORDER BY started, session
+SELECT * FROM sessions WHERE list_contains($b, batch) OR list_contains($s, session)
 """
 REPLAYS = "SELECT replay, kind, target, verdict FROM replays WHERE list_contains($s, replay)"
 
@@ -120,11 +122,14 @@ def tell(question: Question, batches: Sequence[str]) -> list[Event]:
         by_session.setdefault(row["session"], []).append(row)
     replays = {row["replay"]: row for row in question.sql(REPLAYS, s=list(by_session)).to_pylist()}
     more = _more(question)
-    events = [
-        _event(question, key, those, sessions.get(key), replays.get(key), more.get(key, []))
+    places = {
+        key: min(row["lamport"] for row in (*those, *([sessions[key]] if key in sessions else ())))
         for key, those in by_session.items()
+    }
+    return [
+        _event(question, key, by_session[key], sessions.get(key), replays.get(key), more.get(key, []))
+        for key in sorted(places, key=lambda key: places[key])
     ]
-    return sorted(events, key=lambda event: (event.when is None, event.when))
 
 
 def _event(

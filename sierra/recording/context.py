@@ -13,12 +13,13 @@ from sierra.config import Output, Success
 from sierra.errors import Damaged
 from sierra.hashing import digest
 from sierra.paths import read_record, write_whole
+from sierra.store.order import stamp
 from sierra.store.segments import disk_errors
 
 ID, SESSION = re.compile("[0-9a-f]{64}"), re.compile("[0-9a-f]{16}")
 UNREAD = {"units", "time", "tolerance", "ordered", "volatile"}
 """Of an output, what makes no difference to how it is recorded."""
-SAVED = ("session", "batch", "purpose", "environment", "programs", "engine", "isolation", "shared", "enforced")
+SAVED = ("session", "batch", "purpose", "environment", "programs", "engine", "isolation", "shared", "enforced", "number")
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +39,12 @@ class Context:
     shared: bool = False
     enforced: tuple[str, ...] = ()
     """The limits that the engine enforces."""
+    number: int | None = None
+    """The session's Lamport number; None of a session that an older SIERRA began."""
+
+    def lamport(self, position: int = 0) -> int | None:
+        """Return the place in the order of what the session records; `position` is that of an execution in it."""
+        return stamp(self.number, self.session, position)
 
     @property
     def reading(self) -> str:

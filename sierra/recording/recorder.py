@@ -58,6 +58,8 @@ class Recorder:
         """Environments that are recorded, or will be: mostly one for all elements."""
         self._ruled = 0
         """In how many segments what all executions have in common is recorded."""
+        self._position: int | None = None
+        """That of the next execution in the session, which others may have recorded before."""
         self._copies: list[Result] = []
         self._copied = self._unlike = 0
         self._bytes = 0
@@ -171,13 +173,22 @@ class Recorder:
         artifacts = [row for one in judged for row in _artifacts(one.result, tables, objects)]
         objects.close()
         writer.rows("artifacts", artifacts)
-        writer.rows("executions", (self._execution(one) for one in judged))
+        first = self._next()
+        writer.rows("executions", (self._execution(one, place) for place, one in enumerate(judged, first)))
+        self._position = first + len(judged)
         if self._ruled < 2:  # twice, as where one segment is damaged no others are to be lost
             writer.rows("readings", [{"reading": self._reading, "declared": self._context.declared}])
             writer.rows("isolations", [self._context.isolation] if self._context.isolation else [])
         return judged
 
-    def _execution(self, one: Judged) -> dict[str, Any]:
+    def _next(self) -> int:
+        """Return the position of the next execution in its session."""
+        if self._position is None:
+            [row] = self._store.rows("SELECT count(*) AS before FROM executions WHERE session = $s", s=self._context.session)
+            self._position = row["before"]
+        return self._position
+
+    def _execution(self, one: Judged, position: int) -> dict[str, Any]:
         result, context = one.result, self._context
         return {
             "execution": result.execution,
@@ -204,6 +215,7 @@ class Recorder:
             "purpose": context.purpose,
             "isolation": context.isolation and context.isolation["isolation"],
             "attempt": result.attempt,
+            "lamport": context.lamport(position),
         }
 
 

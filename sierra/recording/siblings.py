@@ -38,8 +38,8 @@ def find_odd(store: Store, session: SessionPaths, context: Context) -> int:
             found.setdefault(execution, reason)
     now = datetime.now(UTC)
     writer = store.writer(session.segment, context.batch)
-    findings = ({"execution": one, "found": now, "status": "mismatch", "reason": reason} for one, reason in found.items())
-    writer.rows("findings", findings)
+    same = {"found": now, "status": "mismatch", "lamport": context.lamport()}
+    writer.rows("findings", ({"execution": one, "reason": reason, **same} for one, reason in found.items()))
     store.publish(writer)
     return len(found)
 
@@ -51,7 +51,7 @@ def asked(context: Context) -> dict[str, str]:
 
 GOOD = """
 WITH good AS (
-    SELECT m.ordinal, e.run, arg_max(e.execution, e.ended) AS execution
+    SELECT m.ordinal, e.run, arg_max(e.execution, e.lamport) AS execution
     FROM (SELECT DISTINCT ordinal, run FROM members WHERE batch = $batch) m
     JOIN executions e ON e.run = m.run AND e.status = 'ok' AND e.purpose = 'run'
         AND e.programs = $programs AND e.reading = $reading
@@ -83,7 +83,7 @@ def _odd(siblings: Sequence[Mapping[str, Any]], name: str, declared: Output | No
     """The executions among siblings whose table `name` differs, and how."""
     having = [row for row in siblings if row["rows"] is not None]
     lacking = [row for row in siblings if row["rows"] is None]
-    count = len(siblings)
+    count = len(siblings) - 1  # no run is a sibling of its own
     ragged = declared is not None and declared.mismatch == "ragged"
     if declared is None or declared.required:
         if len(having) < len(lacking):
@@ -217,7 +217,7 @@ family AS (
     SELECT DISTINCT a.ordinal, m.run FROM alike a JOIN members m ON m.batch = a.batch AND m.ordinal = a.theirs
 ),
 good AS (
-    SELECT f.ordinal, e.run, arg_max(e.execution, e.ended) AS execution
+    SELECT f.ordinal, e.run, arg_max(e.execution, e.lamport) AS execution
     FROM family f
     JOIN executions e ON e.run = f.run AND e.status = 'ok' AND e.purpose = 'run'
         AND e.programs = $programs AND e.reading = $reading

@@ -143,15 +143,15 @@ def _readable() -> Iterator[None]:
 LATEST = """
 SELECT m.batch, m.ordinal
 FROM members m JOIN experiments x USING (batch, ordinal) JOIN batches b USING (batch)
-LEFT JOIN (SELECT batch, max(ended) AS ended FROM sessions GROUP BY batch) s USING (batch)
+LEFT JOIN (SELECT batch, max(lamport) AS asked FROM sessions GROUP BY batch) s USING (batch)
 WHERE m.run = $run OR x.experiment = $experiment
-ORDER BY coalesce(s.ended, b.created) DESC, m.batch, m.ordinal LIMIT 1
+ORDER BY coalesce(s.asked, b.lamport) DESC, m.batch, m.ordinal LIMIT 1
 """
 
 TAKEN = """
 WITH m AS (SELECT DISTINCT m.ordinal, m.number, m.run FROM members m WHERE m.batch = $b {only}),
 c AS (SELECT ordinal, run, execution FROM counting WHERE batch = $b),
-l AS (SELECT run, arg_max(execution, ended) AS execution FROM executions WHERE purpose = 'run' GROUP BY run),
+l AS (SELECT run, arg_max(execution, lamport) AS execution FROM executions WHERE purpose = 'run' GROUP BY run),
 t AS (
     SELECT x.experiment, m.ordinal, m.number, m.run, coalesce($named, c.execution, l.execution) AS execution,
            CASE WHEN $named IS NOT NULL THEN 'asked' WHEN c.execution IS NOT NULL THEN 'counts'

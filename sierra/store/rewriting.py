@@ -39,7 +39,7 @@ from sierra.store.segments import (
     sync,
 )
 from sierra.store.sharing import alone
-from sierra.store.tables import arrow_schema
+from sierra.store.tables import LATER, arrow_schema, is_table
 
 Drop = Mapping[str, Mapping[str, AbstractSet[str]]]
 """By table (`output`: all outputs) and column: a row goes where its value is one of these."""
@@ -57,7 +57,7 @@ def groups(segments: Iterable[Segment]) -> list[Group]:
     """Segments that can become one each: those of one batch, as far as their columns agree."""
     found: list[tuple[str, dict[str, Any], list[Segment]]] = []
     for segment in segments:
-        schemas = {name: _schema(path) for name, path in segment.files.items()}
+        schemas = {name: _written(name, path) for name, path in segment.files.items()}
         for batch, theirs, members in found:
             if batch == segment.batch and all(theirs.get(name, schema).equals(schema) for name, schema in schemas.items()):
                 theirs.update(schemas)
@@ -95,6 +95,12 @@ def touched(question: Question, segments: Iterable[Segment], drop: Drop) -> list
 def _table(name: str) -> str:
     """What a segment's file is called in a `Drop`."""
     return "output" if name.startswith(OUTPUT) else name
+
+
+def _written(name: str, path: str) -> Any:
+    """Return the schema that a file has once it is written again: later columns are added to older records."""
+    schema = _schema(path)
+    return arrow_schema(name) if name in LATER and is_table(name, schema) else schema
 
 
 def _schema(path: str) -> Any:
@@ -235,12 +241,17 @@ def _in_groups(table: Any) -> Iterator[Any]:
 
 
 def _write_tables(target: Path, tables: Iterable[Any], schema: Any) -> None:
+    """Write tables; columns that they do not have are NULL."""
+    import pyarrow as pa
     import pyarrow.parquet as pq
 
     writer = None
     try:
         for table in tables:
             writer = writer or pq.ParquetWriter(target, schema, compression="zstd")
+            for field in schema:
+                if field.name not in table.column_names:
+                    table = table.append_column(field, pa.nulls(len(table), field.type))
             writer.write_table(table.cast(schema))
     finally:
         if writer is not None:

@@ -31,13 +31,24 @@ _open: dict[str, int] = {}
 """Open folders, by their path, as `steady` uses them: as many as there are stores in odd places."""
 
 
-def read_parquet(files: Sequence[str], *, union: bool = False, filename: bool = False, rows: bool = False) -> str:
+def read_parquet(
+    files: Sequence[str],
+    *,
+    union: bool = False,
+    filename: bool = False,
+    rows: bool = False,
+    schema: Mapping[str, str] | None = None,
+) -> str:
     """Return the relation of these files' rows.
 
     `union`: columns are found by their names in each file; else all files have those of the first. `filename`: also the file
-    that a row is from. `rows`: that, and the row's place in it.
+    that a row is from. `rows`: that, and the row's place in it. `schema`: the columns of these names and types, and NULL where
+    a file does not have one.
     """
     options = f"union_by_name = {_sql(union)}, filename = {_sql(filename or rows)}, file_row_number = {_sql(rows)}"
+    if schema is not None:
+        columns = (f"{quote(n)}: {{name: {quote(n)}, type: {quote(t)}, default_value: NULL}}" for n, t in schema.items())
+        options += f", schema = MAP {{{', '.join(columns)}}}"
     scan = f"read_parquet([{_listed(files)}], {UNGUESSED}, {options})"
     named = "filename"
     for folder in {_odd_folder(file) for file in files if ODD.search(file)} if filename or rows else ():

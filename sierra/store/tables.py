@@ -62,6 +62,7 @@ RECORDED = {
             ("recipe", ID, "what all its runs have in common"),
             ("template", TEXT, "the template's path in the project"),
             ("template_sha256", ID, "SHA-256 of the template file"),
+            ("lamport", INT, "its place in the logical order, as in sessions"),
         ),
         _table(
             "experiments",
@@ -126,6 +127,7 @@ RECORDED = {
             ("purpose", TEXT, "run, or what else it was executed for; only those of run count in statistics"),
             ("isolation", ID, "how it was contained; NULL where it was not"),
             ("attempt", ID, "on a cluster, the attempt at an element in which it was executed; NULL elsewhere"),
+            ("lamport", INT, "its place in the logical order, as in sessions"),
         ),
         _table(
             "attempts",
@@ -192,6 +194,7 @@ RECORDED = {
             ("found", TIME, "when"),
             ("status", TEXT, "what it is now"),
             ("reason", TEXT, "why, in a line"),
+            ("lamport", INT, "its place in the logical order, as in sessions"),
         ),
         _table(
             "artifacts",
@@ -238,6 +241,12 @@ RECORDED = {
             ("programs", ID, "fingerprint of the programs that its runs are, or would have been, executed with"),
             ("reading", ID, "hash of what the project declares of outputs and success, as in executions"),
             ("rules", ID, "hash of the same and of what may differ between siblings"),
+            (
+                "lamport",
+                INT,
+                "its place in the logical order: the greater, the later, whatever clocks said; negative in old records, which "
+                "come first, by time",
+            ),
         ),
         _table(
             "replays",
@@ -259,6 +268,7 @@ RECORDED = {
             ("tolerances", TEXT, "tolerances that were asked for, as JSON: by output, by column"),
             ("environment", ID, "what was around it"),
             ("programs", ID, "fingerprint of the programs that it was executed with"),
+            ("lamport", INT, "its place in the logical order, as in sessions"),
         ),
         _table(
             "verdicts",
@@ -406,6 +416,15 @@ RECORDED = {
     )
 }
 
+LATER = {
+    "batches": ("lamport",),
+    "executions": ("lamport",),
+    "findings": ("lamport",),
+    "sessions": ("lamport",),
+    "replays": ("lamport",),
+}
+"""By table, the last columns: those that older files do not have, and whose values are NULL there."""
+
 DERIVED = {
     table.name: table
     for table in (
@@ -430,6 +449,7 @@ DERIVED = {
             ("run", ID, "the run"),
             ("execution", ID, "the execution"),
             ("asked", TIME, "when the batch was last asked for"),
+            ("lamport", INT, "the place of that in the logical order, as in sessions"),
         ),
         _table(
             "nondeterminism",
@@ -485,6 +505,15 @@ def arrow_schema(name: str) -> Any:
         "BLOB": pa.large_binary(),
     }
     return pa.schema([(column.name, types[column.type]) for column in RECORDED[name].columns])
+
+
+def is_table(name: str, schema: Any) -> bool:
+    """Return whether a file with this Arrow schema holds the columns of a recorded table, all of them or the older ones."""
+    import pyarrow as pa
+
+    whole = arrow_schema(name)
+    older = len(whole) - len(LATER.get(name, ()))
+    return any(schema.equals(pa.schema(list(whole)[:end])) for end in range(older, len(whole) + 1))
 
 
 def sql() -> str:

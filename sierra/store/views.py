@@ -10,9 +10,10 @@ from sierra.errors import Damaged
 from sierra.store.columns import Relation, relation
 from sierra.store.complaints import first_line
 from sierra.store.names import column_names, identifier, quote
+from sierra.store.order import STAMPED, TIMES
 from sierra.store.scans import read_parquet
 from sierra.store.segments import Segment, is_first_part
-from sierra.store.tables import DERIVED, RECORDED
+from sierra.store.tables import DERIVED, LATER, RECORDED
 
 NEEDS = {
     "executions": ("findings",),
@@ -37,7 +38,7 @@ ONCE = {
 }
 """Records that two writers may both have made: what makes them the same."""
 
-FIRST = {"batches": "created", "findings": "found"}
+FIRST = {"batches": "lamport", "findings": "lamport"}
 
 
 def outputs(segments: Iterable[Segment]) -> list[str]:
@@ -112,7 +113,8 @@ class Views:
         elif name in DEFINED:
             body = DEFINED[name]
         elif name in RECORDED:
-            body = self._recorded(name)
+            self._make_recorded(name)
+            return
         elif name in self._outputs:
             body = self._output(name)
         else:
@@ -120,12 +122,23 @@ class Views:
         self._execute(f"CREATE VIEW {identifier(name)} AS {body}")
         self._there.append(identifier(name))
 
-    def _recorded(self, name: str) -> str:
+    def _make_recorded(self, name: str) -> None:
+        """Make a view of records; where none of the files has the later columns, in the way that takes longer to prepare."""
+        import duckdb
+
+        view = f"CREATE VIEW {identifier(name)} AS "
+        try:
+            self._sql.execute(view + self._recorded(name))
+        except duckdb.Error:
+            self._execute(view + self._recorded(name, older=True))
+        self._there.append(identifier(name))
+
+    def _recorded(self, name: str, *, older: bool = False) -> str:
         files = self._files.get(name)
         if files is None:
             columns = ", ".join(f"NULL::{c.type} AS {identifier(c.name)}" for c in RECORDED[name].columns)
             return f"SELECT {columns} WHERE false"
-        source = self._experiments(files) if name == "experiments" else read_parquet(files)
+        source = self._experiments(files) if name == "experiments" else self._records(name, files, older=older)
         if name in ONCE:
             keys = ONCE[name]
             others = [c for c in self._columns(name, source) if c not in keys]
@@ -139,6 +152,13 @@ class Views:
         if name == "members" and self._within is not None:
             return f"SELECT * FROM {source} WHERE batch = {quote(self._within)}"
         return f"SELECT * FROM {source}"
+
+    def _records(self, name: str, files: list[str], *, older: bool) -> str:
+        """Records as they stand in files; `older`: of which none has the later columns."""
+        source = records(name, files) if older else read_parquet(files, union=name in LATER)
+        if name not in TIMES:
+            return source
+        return f"(SELECT * REPLACE ({STAMPED.format(time=TIMES[name])} AS lamport) FROM {source})"
 
     def _experiments(self, files: list[str]) -> str:
         """The values of axes: those of one batch as they are, those of all with numbers apart from texts."""
@@ -168,7 +188,8 @@ class Views:
     def _runs(self) -> str:
         axes = "".join(f"{_only(_value(axis))} AS {identifier(axis)}, " for axis in self.axes())
         return (
-            "WITH state AS (SELECT run, count(*) AS executions, arg_max(status, ended) AS last FROM executions GROUP BY run), "
+            "WITH state AS (SELECT run, count(*) AS executions, arg_max(status, lamport) AS last FROM executions "
+            "GROUP BY run), "
             f"counted AS ({COUNTED}) "
             f"SELECT m.run, {axes}any_value(m.seed) AS seed, min(m.number) AS number, any_value(m.input) AS input, "
             "any_value(m.recipe) AS recipe, CASE WHEN any_value(c.execution) IS NOT NULL THEN 'ok' "
@@ -233,12 +254,13 @@ class Views:
 
 LATEST = """
 WITH asked AS (
-    SELECT batch, programs, reading, ended FROM sessions WHERE reading IS NOT NULL
+    SELECT batch, programs, reading, ended, lamport FROM sessions WHERE reading IS NOT NULL
     UNION ALL
-    SELECT batch, programs, reading, ended FROM executions WHERE purpose = 'run'
+    SELECT batch, programs, reading, ended, lamport FROM executions WHERE purpose = 'run'
 ),
 latest AS (
-    SELECT batch, arg_max(programs, ended) AS programs, arg_max(reading, ended) AS reading, max(ended) AS asked
+    SELECT batch, arg_max(programs, lamport) AS programs, arg_max(reading, lamport) AS reading,
+           arg_max(ended, lamport) AS asked, max(lamport) AS lamport
     FROM asked GROUP BY batch
 )
 """
@@ -248,7 +270,8 @@ COUNTS = "e.status = 'ok' AND e.purpose = 'run' AND e.programs = l.programs AND 
 """Whether an execution e may count in a batch of which l is `latest`; of those that may, the last one does."""
 
 COUNTING = f"""{LATEST}
-SELECT m.batch, m.ordinal, m.run, arg_max(e.execution, e.ended) AS execution, any_value(l.asked) AS asked
+SELECT m.batch, m.ordinal, m.run, arg_max(e.execution, e.lamport) AS execution, any_value(l.asked) AS asked,
+       any_value(l.lamport) AS lamport
 FROM members m
 JOIN latest l ON m.batch = l.batch
 JOIN executions e ON e.run = m.run AND {COUNTS}
@@ -273,7 +296,7 @@ FROM several s LEFT JOIN judged j USING (run, programs)
 DEFINED = {"counting": COUNTING, "nondeterminism": NONDETERMINISM}
 
 
-COUNTED = "SELECT run, arg_max(execution, asked) AS execution FROM counting GROUP BY run"
+COUNTED = "SELECT run, arg_max(execution, lamport) AS execution FROM counting GROUP BY run"
 """A run's execution that counts for the batch last asked for."""
 
 
@@ -296,6 +319,15 @@ def _pick(column: str, first: str | None) -> str:
 def files_with(files: Sequence[str], executions: str) -> str:
     """The statement for which of these files have a row of one of the executions that a query gives."""
     return f"SELECT DISTINCT filename FROM {read_parquet(files, filename=True)} WHERE execution IN ({executions})"
+
+
+def records(name: str, files: Sequence[str], *, filename: bool = False) -> str:
+    """Return the relation of files of records, whatever columns they have; what older ones do not have is NULL.
+
+    DuckDB takes twice as long to prepare it as without a schema.
+    """
+    schema = {column.name: column.type for column in RECORDED[name].columns} if name in LATER else None
+    return read_parquet(files, union=name == "experiments", schema=schema, filename=filename)
 
 
 NAMED = re.compile(
