@@ -286,7 +286,7 @@ class LimitsTable(Table):
     wall: Seconds | None = Field(None, description="seconds from its start to its end")
     cpu: Seconds | None = Field(None, description="seconds of CPU time of all its processes")
     memory: Size | None = Field(None, description="resident bytes of all its processes, a number or as in `2 GiB`")
-    output: Size | None = Field(None, description="bytes written to its folder, a number or as in `500 MB`")
+    output: Size | None = Field(None, description="bytes of the files in its folder, holes included, as in `500 MB`")
     grace: Seconds = Field(5.0, description="seconds between SIGTERM and SIGKILL")
 
 

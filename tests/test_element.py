@@ -297,6 +297,21 @@ def test_a_cancelled_session_begins_nothing_more(folder: Folder) -> None:
     assert folder.ended() == {}
 
 
+@pytest.mark.slow
+def test_nothing_large_is_packed_once_the_session_is_cancelled(folder: Folder) -> None:
+    script = folder.root / "element.py"
+    slow = "def _write(self, data, at):\n        time.sleep(len(data) / 1e7)\n        return self._written(data, at)\n\n"
+    script.write_text(script.read_text().replace("def _write(self", f"{slow}    def _written(self"))
+    folder.deal([job("large", "truncate -s 300M x")])
+    process = folder.start()
+    folder.until_started()
+    until(lambda: folder.packs()[0].path.stat().st_size > 10_000_000)
+    folder.paths.cancelled.touch()
+    assert process.wait(PATIENCE_S / 2) == 1
+    assert folder.ended() == {}
+    assert folder.packs()[0].path.stat().st_size < 100_000
+
+
 @pytest.mark.parametrize("what", ["the folder", "the pack"])
 def test_where_nobody_waits_any_more_what_runs_is_ended(folder: Folder, what: str) -> None:
     folder.deal(many(3, "sleep 60"))

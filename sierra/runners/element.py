@@ -28,6 +28,7 @@ it but in the writer's memory. A record that can't be written whole is taken bac
                 scheduler's variables), facts (`machine.facts`), variables (those that `record` names), python, clock (seconds
                 that the node's clock is ahead of the shared file system's)
     start       a run has begun: execution, time; and alone: where it has the element for itself
+    stalled     all processes of a run are stopped by a signal: run, execution, pid, since
     end         a run has ended, by itself or by a limit: all fields of sierra.model.Result but `directory`, `attempt`
                 and `environment`; `files`: a list of [path, bytes, sha256], in the order of the payload: `stdout`, `stderr`
                 (left out where empty), and `output/…` for each of the outputs; `size`: all of it
@@ -77,6 +78,8 @@ from typing import Any, BinaryIO, Callable, Deque, Dict, Iterable, Iterator, Lis
 # No `from __future__ import annotations`: to a Python before 3.7, that were an error, and no line that says what is needed.
 
 HOLD_S = 0.2
+GIVE_UP_S = 5.0
+"""How long what has ended is still packed once the task is asked to end."""
 BUSY_S, IDLE_S = 0.02, 0.1
 SYNC_S = 2.0
 AHEAD, AHEAD_EACH = 64, 8
@@ -106,6 +109,10 @@ File = Tuple[str, int, str]
 
 class Trouble(Exception):
     """Why an attempt can't go on, in a line."""
+
+
+class Unwanted(Exception):
+    """The task is to end, before all was read or packed that could be."""
 
 
 class Changed(Exception):
@@ -254,15 +261,20 @@ class Pack:
             return error.errno in (errno.ENOENT, errno.ENOTDIR, errno.ESTALE)
 
 
-def executed(folder: str, index: str, own: str) -> Set[bytes]:
-    """The executions whose end other attempts have recorded, with all files as they should be."""
+def executed(folder: str, index: str, own: str, asked: "Asked") -> Set[bytes]:
+    """The executions whose end other attempts have recorded, with all files as they should be. Raises Unwanted."""
+
+    def go_on() -> None:
+        if asked.times:
+            raise Unwanted
+
     found = set()
     for name in os.listdir(folder):
         path = os.path.join(folder, name)
         if name.startswith(index + ".") and name.endswith(".pack") and path != own:
             with contextlib.suppress(FileNotFoundError), open(path, "rb") as file:
                 for record, at, _ in records(file, 0):
-                    if record["event"] == "end" and is_sound(file, at, record["files"]):
+                    if record["event"] == "end" and is_sound(file, at, record["files"], go_on):
                         found.add(short(record["execution"]))
     return found
 
@@ -276,12 +288,13 @@ def listed(path: str) -> List[str]:
         return []
 
 
-def is_sound(file: BinaryIO, at: int, files: List[File]) -> bool:
-    """Whether a payload is what was written."""
+def is_sound(file: BinaryIO, at: int, files: List[File], go_on: Callable[[], None] = lambda: None) -> bool:
+    """Whether a payload is what was written. Calls `go_on` for each chunk."""
     file.seek(at)
     for _, size, sha256 in files:
         digest = hashlib.sha256()
         while size:
+            go_on()
             chunk = file.read(min(size, CHUNK))
             if not chunk:
                 return False
@@ -408,13 +421,14 @@ def logs_in(root: int) -> Iterator[File]:
                 yield name, size, digest.hexdigest()
 
 
-def contents(root: int, files: Iterable[File]) -> Iterator[bytes]:
-    """What is in files, one after the other. Raises Changed where one is not as it should be."""
+def contents(root: int, files: Iterable[File], go_on: Callable[[], None]) -> Iterator[bytes]:
+    """What is in files, one after the other. Raises Changed where one is not as it should be. Calls `go_on` for each chunk."""
     for path, size, sha256 in files:
         digest = hashlib.sha256()
         try:
             with open(opened(root, path), "rb", buffering=0) as file:
                 while size >= 0:
+                    go_on()
                     chunk = file.read(CHUNK)
                     if not chunk:
                         break
@@ -756,6 +770,8 @@ class Execution:
             self._held.append((now, event))
             if is_small(event):
                 self._feeder.permits.release()
+        elif event["event"] == "stalled":
+            self._pack.add(event)
         elif not (self._stopping or self._asked.times):
             self.begin(event["execution"])
 
@@ -798,8 +814,9 @@ class Execution:
     def _take_end(self, event: Event) -> None:
         directory, spare = event.pop("directory"), event.pop("spare", False)
         if event["stopped"] != "interrupted":
-            self._pack_run(event, directory)
-            self._ended += 1
+            with contextlib.suppress(Unwanted):
+                self._pack_run(event, directory)
+                self._ended += 1
         if spare:
             self._feeder.spare.append(int(os.path.basename(directory)))
         elif self._is_own(directory):
@@ -838,7 +855,14 @@ class Execution:
 
     def _add(self, event: Event, root: int, files: List[File]) -> None:
         size = sum(size for _, size, _ in files)
-        self._pack.add({**event, "files": files, "size": size}, contents(root, files))
+        self._pack.add({**event, "files": files, "size": size}, contents(root, files, self._go_on))
+
+    def _go_on(self) -> None:
+        """Raise Unwanted where a run is packed for nobody any more, or the task has no more time for it."""
+        self._heed(time.monotonic())
+        asked = self._asked
+        if self._stopping and (asked.times != 1 or time.clock_gettime(time.CLOCK_BOOTTIME) - asked.when > GIVE_UP_S):
+            raise Unwanted
 
     def _end(self) -> None:
         """Wait for the worker's end, whatever has happened, and end what it has left."""
@@ -910,7 +934,7 @@ def attempt(folder: str, index: int, asked: Asked, *, probing: bool) -> bool:
         needs.check()
         with scratch(settings, worker.remove) as (own, lock):
             named = os.path.join(folder, "elements", str(index))
-            done = executed(results, str(index), pack.path) | {short(one) for one in listed(named + ".failed")}
+            done = executed(results, str(index), pack.path, asked) | {short(one) for one in listed(named + ".failed")}
             execution = partial(Execution, folder, settings.session, lock, pack, asked, worker, needs)
             if not probing and not execute(named, done, slots, own, execution):
                 pack.sync(float("inf"))
@@ -918,6 +942,8 @@ def attempt(folder: str, index: int, asked: Asked, *, probing: bool) -> bool:
         pack.add({"event": "finished", "time": time.time()})
         pack.sync(float("inf"))
         return True
+    except Unwanted:
+        return False
     except Exception as error:
         pack.say(reason_of(error), full=getattr(error, "errno", None) in (errno.ENOSPC, errno.EDQUOT))
         raise

@@ -21,6 +21,7 @@ from sierra.errors import Damaged
 from sierra.model import Result
 from sierra.paths import SessionPaths, write_whole
 from sierra.provenance import environment
+from sierra.runners.journal import Stalled
 from sierra.runners.packs import Attempt, Ended, Event, Finished, Pack, Started, Trouble
 from sierra.runners.submission import Submission
 from sierra.store.segments import disk_errors
@@ -79,6 +80,8 @@ class Track:
     """Runs that began before any had ended: nothing of the attempt's time had gone by."""
     alone: set[str] = field(default_factory=set)
     """Runs that had the element for themselves."""
+    stalled: dict[str, Stalled] = field(default_factory=dict)
+    """Runs that were told of as stopped by a signal, and have not ended."""
     finished: bool = False
     trouble: str | None = None
     late: list[tuple[float, Ended]] = field(default_factory=list)
@@ -155,6 +158,8 @@ class Harvest:
                         self._begun(track, event)
                     case Started():
                         self._started(track, event)
+                    case Stalled():
+                        track.stalled[event.execution] = event
                     case Ended():
                         self._take(track, event, results, copies)
                     case Trouble():
@@ -163,6 +168,8 @@ class Harvest:
                         track.finished, track.ended = True, event.time
                 if len(results) >= AT_ONCE:
                     return results, copies
+            for stalled in track.stalled.values():
+                self._note(stalled.told(f" on {self.shares[track.element].node}"))
             self._take_late(track, results, copies)
         if not results:
             self._due = time.monotonic() + READ_S
@@ -217,6 +224,7 @@ class Harvest:
         elif self._recorded.get(key, "") != track.pack.attempt:
             copies.append(self._of(track, event.result))
         track.begun.discard(execution)
+        track.stalled.pop(execution, None)
         track.runs += 1
         track.ended = event.result.ended
         share = self.shares[track.element]

@@ -14,6 +14,7 @@ from sierra.errors import Damaged
 from sierra.model import OutputFile, Result
 from sierra.paths import RUN_OUTPUT, RUN_STDERR, RUN_STDOUT
 from sierra.runners import element
+from sierra.runners.journal import Stalled
 from sierra.store.segments import disk_errors
 
 CHUNK = 1 << 20
@@ -83,7 +84,7 @@ class Finished:
     time: float
 
 
-Event = Attempt | Started | Ended | Trouble | Finished
+Event = Attempt | Started | Stalled | Ended | Trouble | Finished
 
 
 class Pack:
@@ -120,6 +121,8 @@ class Pack:
                 return Attempt(**fields)
             case "start":
                 return Started(**fields)
+            case "stalled":
+                return Stalled(**fields)
             case "end":
                 return self._ended(fields, at)
             case "trouble":
