@@ -357,6 +357,10 @@ class ClusterTable(Table):
         description="folder on the node for runs, as in `$TMPDIR/x`, made in one that is there; where absent, $SLURM_TMPDIR, "
         "$TMPDIR or /tmp",
     )
+    cancelled: Literal["stop", "again"] = Field(
+        "stop",
+        description="what to do when somebody else cancels an element: `stop` the session, or submit it `again`",
+    )
     attempts: PositiveInt = Field(
         3, description="times that a run is begun, the last one alone, or an element without any, before it has failed"
     )

@@ -50,6 +50,8 @@ UNHEARD = 3
 """How many times in a row the scheduler must not know a probe that has recorded nothing, before it is taken for failed."""
 FULL_S = 30.0
 """Until a scheduler that takes no more jobs is tried again."""
+LAST_WORD_S = 20.0
+"""How long elements that have executed everything may take to end by themselves."""
 STOPPING_S = 60.0
 UNREACHED_S = 20.0
 """How long a scheduler that is to cancel jobs may be out of reach, before that is left to whoever asks next."""
@@ -171,6 +173,7 @@ class Cluster:
         self._again: dict[int, str] = {}
         self._again_at = 0.0
         self._stopping: float | None = None
+        self._whole: float | None = None
         self._over = self._deaf = self._silent = False
         self._wrong: SierraError | None = None
 
@@ -229,7 +232,7 @@ class Cluster:
         if self._over:
             return
         if self._harvest.is_whole() and not self._made.rest:
-            self._settle()
+            self._settle(now)
             return
         if came:
             self._pause = FIRST_POLL_S
@@ -274,10 +277,7 @@ class Cluster:
         self._queued = self._elements(task for task in tasks if task.state is State.QUEUED)
         self._waits = submission.waits(tasks)
         self._alive = self._elements(living)
-        for task in tasks:
-            which = len(self._shares) if task.element is None else task.element
-            if task.state is State.ENDED and which < len(self._shares) and task.reason:
-                self._shares[which].word = task.reason
+        self._note_ends(tasks)
         if self._stopping is not None:
             self._over = not living
             if self._deaf:
@@ -286,12 +286,22 @@ class Cluster:
         self._unstick([task for task in tasks if task.state is State.STUCK])
         for index, share in enumerate(self._shares):
             share.gone = share.gone + 1 if share.missing and index not in self._alive and index not in self._again else 0
+            share.queued = index in self._queued or (share.queued and index not in self._alive)
         gone = [index for index, share in enumerate(self._shares) if share.gone]
         if gone:
             self._due = time.monotonic() + FIRST_POLL_S
         if any(self._shares[index].gone > 1 for index in gone):
             refresh(self._session.results)
             self._lost([index for index in gone if self._is_quiet(self._shares[index])])
+
+    def _note_ends(self, tasks: Iterable[Task]) -> None:
+        """Keep how the elements ended that were submitted last."""
+        ended = (task for task in tasks if task.state is State.ENDED)
+        for index, task in submission.last(self._session, ended):
+            if index < len(self._shares):
+                share = self._shares[index]
+                share.word = task.reason or share.word
+                share.cancelled = task.cancelled
 
     def _is_fine(self) -> bool:
         """Whether the probe, or an element that has begun since, says that nodes can execute elements."""
@@ -316,6 +326,9 @@ class Cluster:
         self._queued = {0} if any(task.state is State.QUEUED for task in living) else set()
         self._waits = submission.waits(tasks)
         self._unheard = 0 if living else self._unheard + 1
+        if not living and any(task.cancelled for task in tasks) and self._is_heeded():
+            self._heed([task.job for task in tasks if task.cancelled], "before any node was tried out")
+            return
         self._due = min(self._due, time.monotonic() + FIRST_POLL_S)
         if self._unheard > 1:
             refresh(self._session.results)
@@ -363,14 +376,21 @@ class Cluster:
     def _elements(self, tasks: Iterable[Task]) -> set[int]:
         return submission.elements(self._session, tasks) & set(range(len(self._shares)))
 
-    def _settle(self) -> None:
-        """All is recorded: end what may still live, but for what is ending by itself."""
+    def _settle(self, now: float) -> None:
+        """All is recorded: let elements end that have executed all that they had, and cancel what else may live.
+
+        An element that has no runs left is not cancelled: it would be on record as cancelled, though it did all of its work.
+        """
+        self._whole = self._whole or now
+        closing = self._harvest.closing() if self._alive is None else self._harvest.closing() & self._alive
+        if closing and now - self._whole < LAST_WORD_S:
+            return
         self._over = True
         if self._made.probed:  # it may have been requeued, and wait
             with contextlib.suppress(Missing):
                 self._scheduler.cancel(self._probe.name)
         tasks = self._scheduler.look(self._name) or ()
-        ending = self._harvest.ending()
+        ending = self._harvest.ending() | closing
         living = [task for task in tasks if task.state is not State.ENDED]
         needless = [task for task in living if not (task.state is State.RUNNING and task.element in ending)]
         if needless:
@@ -380,6 +400,12 @@ class Cluster:
 
     def _lost(self, indices: Sequence[int]) -> None:
         """These elements are gone, and runs of theirs are missing."""
+        foreign = [index for index in indices if self._is_foreign(index)]
+        if foreign and self._is_heeded():
+            sent = submission.sent(self._session)
+            jobs = [one.job for one in sent if one.job and set(one.elements) & set(foreign)][-1:]
+            self._heed(jobs, f"{counted(len(foreign), 'element')} of it: {few([self._why(index) for index in foreign], 2)}")
+            return
         for index in indices:
             share = self._shares[index]
             self._harvest.given_up_before(index)
@@ -401,6 +427,32 @@ class Cluster:
                 return
             self._harvest.isolate(index, suspects)
             self._again[index] = word
+
+    def _is_foreign(self, index: int) -> bool:
+        """Whether others than SIERRA have ended an element, as far as can be told.
+
+        Where the scheduler does not say how it ended, an element that was asked to end before its time was over was cancelled;
+        so was one that never began, where the scheduler forgets at once what has ended.
+        """
+        share = self._shares[index]
+        if share.ours or share.word:
+            return share.cancelled and not share.ours
+        told = share.trouble or submission.last_line(self._session, str(index))
+        if told:
+            return bool(ASKED.search(told)) and not self._overdue(told)
+        return share.queued and self._scheduler.forgets
+
+    def _is_heeded(self) -> bool:
+        return self._table.cancelled == "stop"
+
+    def _heed(self, jobs: Sequence[str], what: str) -> None:
+        """End the session because others have cancelled a part of it."""
+        job = f"job {jobs[0]}" if jobs else "a job"
+        self._note(
+            f"{self._kind} {job} was cancelled, and not by SIERRA ({what}): all of the session ends now; ask again to execute "
+            f'what is missing, or set cancelled = "again" in [runners.{self.name}]'
+        )
+        self.stop()
 
     def _suspects(self, share: Share, times: int) -> list[str]:
         """The runs that were cut off so often; or at all, where the element ended so often, got nowhere and said nothing."""
@@ -433,6 +485,7 @@ class Cluster:
             share = self._shares[index]
             share.tries, share.progress, share.gone = share.tries + 1, share.done, 0
             share.trouble = share.word = ""
+            share.cancelled = share.ours = share.queued = False
         try:
             self._hand_over(indices, why)
         except SierraError as error:
@@ -509,6 +562,8 @@ class Cluster:
     def _cancel(self, elements: Sequence[int] | None = None) -> None:
         """Have jobs, or elements, ended; where nobody can be asked to, that is tried again with the next question."""
         self._deaf = False
+        for index in elements or ():
+            self._shares[index].ours = True
         try:
             if self._made.probed and elements is None:
                 self._scheduler.cancel(self._probe.name)

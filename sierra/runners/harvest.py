@@ -56,6 +56,11 @@ class Share:
     """Why the last attempt could not go on, as it said."""
     word: str = ""
     """How it ended, as the scheduler says."""
+    queued: bool = False
+    """Whether it waited for a node when the scheduler last knew of it."""
+    cancelled: bool = False
+    """Whether somebody has cancelled it, as the scheduler says; and `ours`: whether this process has."""
+    ours: bool = False
     node: str = ""
 
     @property
@@ -133,6 +138,11 @@ class Harvest:
     def ending(self) -> set[int]:
         """Elements that end by themselves."""
         return {track.element for track in self._tracks.values() if track.finished}
+
+    def closing(self) -> set[int]:
+        """Elements that have executed all that they began, and have not said yet that they have finished."""
+        last = {track.element: track for track in self._tracks.values()}
+        return {index for index, track in last.items() if not (track.finished or track.trouble or track.begun)}
 
     def running(self, alive: set[int] | None) -> int:
         """How many runs go on, where these elements live (None: nobody has said which)."""

@@ -23,7 +23,7 @@ FILES_OF_ELEMENT = 3
 """Its jobs, its pack, what it prints."""
 SAID = (
     *("cpus", "memory", "gpus", "partition", "account", "qos", "constraint", "modules", "directives"),
-    *("python", "scratch", "attempts"),
+    *("python", "scratch", "attempts", "cancelled"),
 )
 """The settings of a cluster that are told of, beside the number of elements and their time."""
 DEFAULTS = {

@@ -126,6 +126,17 @@ def note(session: SessionPaths, number: int, one: Sent) -> None:
         write_whole(session.sent / f"{number}.json", json.dumps(asdict(one)).encode())
 
 
+def last(session: SessionPaths, tasks: Iterable[Task]) -> Iterator[tuple[int, Task]]:
+    """Each element of which these tasks are the last submission, with its task; those of earlier jobs are left out."""
+    handed = sent(session)
+    known = {one.job for one in handed}
+    latest = {index: one.job for one in handed for index in one.elements}
+    for task in tasks:
+        for index in elements(session, [task]):
+            if index in latest and (latest[index] == task.job or (latest[index] is None and task.job not in known)):
+                yield index, task
+
+
 def intent(elements: tuple[int, ...], why: str) -> Sent:
     return Sent(elements, time.time(), why)
 

@@ -84,6 +84,10 @@ class Pbs:
         self._submitted = 0
         """Grows when a submission begins and when it ends: a look in another thread may not have seen its job."""
 
+    @property
+    def forgets(self) -> bool:
+        return self._dialect is not Dialect.SLURM
+
     def version(self) -> str:
         dialect, version = self._speaks
         return f"{dialect} {version}" if dialect is not Dialect.SLURM else f"{self._slurm.version()} (its qsub)"
