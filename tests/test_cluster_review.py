@@ -70,6 +70,7 @@ class Here:
         self._table = table
 
     forgets: ClassVar[bool] = False
+    requeue: ClassVar[tuple[str, ...]] = ()
 
     def version(self) -> str:
         return "here 1"

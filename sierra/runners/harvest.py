@@ -22,7 +22,7 @@ from sierra.model import Result
 from sierra.paths import SessionPaths, write_whole
 from sierra.provenance import environment
 from sierra.runners.journal import Stalled
-from sierra.runners.packs import Attempt, Ended, Event, Finished, Pack, Started, Trouble
+from sierra.runners.packs import Attempt, Ended, Event, Finished, Pack, Requeued, Started, Trouble
 from sierra.runners.submission import Submission
 from sierra.store.segments import disk_errors
 from sierra.wording import counted
@@ -33,6 +33,7 @@ READ_S = 0.2
 """Between two readings of packs, while nothing comes."""
 LATE_S = 60.0
 """How long a network file system may take to show what was written."""
+REQUEUED = "its time was nearly over: it asked to be begun anew"
 CLOCK_S = 2.0
 """How far a node's clock may be from the shared file system's; times are told by the latter where it is farther."""
 
@@ -85,6 +86,7 @@ class Track:
     """Runs that began before any had ended: nothing of the attempt's time had gone by."""
     alone: set[str] = field(default_factory=set)
     """Runs that had the element for themselves."""
+    requeued: str | None = None
     stalled: dict[str, Stalled] = field(default_factory=dict)
     """Runs that were told of as stopped by a signal, and have not ended."""
     finished: bool = False
@@ -168,6 +170,8 @@ class Harvest:
                         self._begun(track, event)
                     case Started():
                         self._started(track, event)
+                    case Requeued():
+                        track.requeued = f"{REQUEUED}, and that is refused: {event.refused}" if event.refused else REQUEUED
                     case Stalled():
                         track.stalled[event.execution] = event
                     case Ended():
@@ -274,6 +278,7 @@ class Harvest:
         return [("attempts", self._row(track, track.attempt, word)) for track in self._tracks.values() if track.attempt]
 
     def _row(self, track: Track, begun: Attempt, word: str | None) -> dict[str, Any]:
+        share = self.shares[track.element]
         return {
             "attempt": begun.attempt,
             "session": self._session.root.name,
@@ -292,7 +297,7 @@ class Harvest:
             "runs": track.runs,
             "cut": len(track.begun),
             "state": "finished" if track.finished else "cut off",
-            "trouble": track.trouble or (None if track.finished else word or self.shares[track.element].word or None),
+            "trouble": track.trouble or (None if track.finished else track.requeued or word or share.word or None),
             "environment": track.environment,
         }
 

@@ -84,7 +84,16 @@ class Finished:
     time: float
 
 
-Event = Attempt | Started | Stalled | Ended | Trouble | Finished
+@dataclass(frozen=True, slots=True)
+class Requeued:
+    """The attempt asked its scheduler to be begun anew, before its time is over."""
+
+    time: float
+    refused: str | None = None
+    """Why the scheduler does not do that."""
+
+
+Event = Attempt | Requeued | Started | Stalled | Ended | Trouble | Finished
 
 
 class Pack:
@@ -121,6 +130,8 @@ class Pack:
                 return Attempt(**fields)
             case "start":
                 return Started(**fields)
+            case "requeue":
+                return Requeued(**fields)
             case "stalled":
                 return Stalled(**fields)
             case "end":

@@ -119,6 +119,11 @@ class Scheduler(Protocol):
         ...
 
     @property
+    def requeue(self) -> tuple[str, ...]:
+        """The command by which a task has itself begun anew later, to which its own id is added; empty where there is none."""
+        ...
+
+    @property
     def forgets(self) -> bool:
         """Whether `look` leaves out what has ended. A task that vanishes while it waits was cancelled then."""
         ...

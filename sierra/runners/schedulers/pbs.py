@@ -85,6 +85,10 @@ class Pbs:
         """Grows when a submission begins and when it ends: a look in another thread may not have seen its job."""
 
     @property
+    def requeue(self) -> tuple[str, ...]:
+        return self._slurm.requeue if self._dialect is Dialect.SLURM else (shutil.which("qrerun") or "qrerun",)
+
+    @property
     def forgets(self) -> bool:
         return self._dialect is not Dialect.SLURM
 

@@ -81,6 +81,10 @@ class Slurm:
     def __init__(self, table: ClusterTable) -> None:
         self._table = table
 
+    @property
+    def requeue(self) -> tuple[str, ...]:
+        return shutil.which("scontrol") or "scontrol", "requeue"
+
     def version(self) -> str:
         return f"slurm {_answer('sbatch', '--version').split()[-1]}"
 
