@@ -4,6 +4,9 @@ Truth is what elements have recorded in their packs; a scheduler is only asked w
 one task, a requeue, a lost node, a job that nobody remembers, a controller out of reach and a submitter that died are all one
 case: see what is recorded, ask whether anything lives, submit again what is missing.
 
+An element that others than SIERRA have cancelled ends the session, unless the project wants it submitted again. One that
+has executed all of its runs is never cancelled.
+
 An element that is gone with runs missing is submitted again as long as it gets on. One that ends without having executed
 anything, `attempts` times in a row, ends all: something is wrong with the cluster or the project, and no run is to blame. A run
 that was begun `attempts` times and never ended has failed, if it was cut off while it had the element for itself: of several at
@@ -28,7 +31,7 @@ from typing import Any
 from sierra import worker
 from sierra.config import ClusterTable
 from sierra.errors import Full, Missing, SierraError
-from sierra.model import Result
+from sierra.model import Result, Times
 from sierra.paths import SessionPaths, write_whole
 from sierra.provenance import machine
 from sierra.runners import Look, Work, element, schedulers, submission
@@ -59,6 +62,8 @@ TIMED = re.compile(r"time ?limit|timeout|walltime", re.IGNORECASE)
 """In words on how an element ended: its time was over."""
 ASKED = re.compile(r"asked to end after (\d+) s$")
 """In what an element says itself: how long it had lasted."""
+MISHAP = re.compile(rf"{TIMED.pattern}|node|preempt|memory|boot|requeue|deadline", re.IGNORECASE)
+"""In the scheduler's words on how an element ended: nobody meant to end it."""
 RELAUNCHED = "launch failed"
 """What schedulers say of a job that they could not begin, though it can: it is submitted again."""
 
@@ -80,7 +85,7 @@ class Cluster:
 
     def submit(self, work: Work, session: SessionPaths) -> None:
         bounds, version = self._scheduler.bounds(), self._scheduler.version()
-        sized = size(work.count, work.seconds, self._table, bounds, waits=work.waits)
+        sized = size(work.count, work.times, self._table, bounds, waits=work.waits)
         estimated = self._table.wall is None and sized.wall_s is not None
         self._table = self._table.model_copy(update={"wall": sized.wall_s})
         past = submission.past(session)
@@ -95,19 +100,22 @@ class Cluster:
         probed = Probe(self.name, self._table, session).is_needed()
         table = self._table.model_dump(mode="json")
         dealt = (work.batch, counts, dict(work.around), probed, rest)
-        made = Submission(self.name, self._kind, version, table, *dealt, asdict(bounds), estimated, past)
+        means = _means(work.times, sized.first)
+        made = Submission(self.name, self._kind, version, table, *dealt, asdict(bounds), estimated, *means, past)
         made.save(session)
         self._scheduler = schedulers.find(self._kind)(self._table)
         self._begin(made, session, {})
+        self._is_own = True
         if rest:
-            self._note(f"nobody knows yet how long runs take: {counted(counts[0], 'run')} of {work.count} go first")
+            unknown = "runs with these values were never timed" if work.times else "nobody knows yet how long runs take"
+            self._note(f"{unknown}: {counted(counts[0], 'run')} of {work.count} go first")
         self._hand_all_over()
 
     def _deal(self, work: Work, sized: Size, session: SessionPaths) -> tuple[tuple[int, ...], int]:
         """The runs of each element, and those that are dealt out later."""
         if not sized.first:
             return deal(work.jobs, sized.elements, session), 0
-        first, rest = deal_first(work.jobs, work.count, sized.first, session)
+        first, rest = deal_first(work.jobs, frozenset(sized.first), session)
         return (first,), rest
 
     def _hand_all_over(self) -> None:
@@ -128,6 +136,7 @@ class Cluster:
             "scratch": self._table.scratch,
             "needs": [asdict(one) for one in work.needs],
             "record": list(work.record),
+            "requeue": list(self._scheduler.requeue),
         }
 
     def resume(self, session: SessionPaths, recorded: Mapping[str, str | None]) -> None:
@@ -162,6 +171,7 @@ class Cluster:
         self._pilot = Pilot(session) if made.rest else None
         self._told: Told | None = None
         self._goes_before = ""
+        self._is_own = False
         self._poll = Poll(self._scheduler)
         self._due = time.monotonic() + FIRST_POLL_S
         self._pause = FIRST_POLL_S
@@ -178,8 +188,14 @@ class Cluster:
         self._wrong: SierraError | None = None
 
     def leave(self) -> None:
-        if self._pilot is None or self._stopping is not None or self._session.cancelled.exists():
+        if self._stopping is not None or self._session.cancelled.exists():
             return
+        if self._is_own:
+            self._note(submission.UNFOLLOWED)
+        if self._pilot is None:
+            return
+        if self._table.wall is None and self._made.bounds.wall_s is not None:
+            self._allow(self._made.bounds.wall_s)  # nobody is there to submit again what takes longer than usual
         try:
             self._deal_rest(self._told or Told(None, "nobody waits for the runs that go first"))
         except SierraError as error:
@@ -431,16 +447,16 @@ class Cluster:
     def _is_foreign(self, index: int) -> bool:
         """Whether others than SIERRA have ended an element, as far as can be told.
 
-        Where the scheduler does not say how it ended, an element that was asked to end before its time was over was cancelled;
-        so was one that never began, where the scheduler forgets at once what has ended.
+        Where the scheduler does not say who or what has ended it, an element that was asked to end before its time was over was
+        cancelled; so was one that never began, where the scheduler forgets at once what has ended.
         """
         share = self._shares[index]
-        if share.ours or share.word:
-            return share.cancelled and not share.ours
+        if share.ours or share.cancelled:
+            return not share.ours
         told = share.trouble or submission.last_line(self._session, str(index))
         if told:
-            return bool(ASKED.search(told)) and not self._overdue(told)
-        return share.queued and self._scheduler.forgets
+            return bool(ASKED.search(told)) and not (self._overdue(told) or MISHAP.search(share.word))
+        return share.queued and not share.word and self._scheduler.forgets
 
     def _is_heeded(self) -> bool:
         return self._table.cancelled == "stop"
@@ -497,18 +513,32 @@ class Cluster:
         if not self._made.estimated or before is None:
             return
         wall = min(2 * before, self._made.bounds.wall_s or math.inf)
+        self._allow(wall)
+        if wall > before:
+            self._note(f"elements may take {wall / 60:g} minutes from now on, for {before / 60:g} were too few")
+
+    def _allow(self, wall: float) -> None:
+        """Have elements that are submitted from now on ask for so much time."""
         self._table = self._table.model_copy(update={"wall": wall})
-        self._made = replace(self._made, table=self._table.model_dump(mode="json"))
+        self._made = replace(self._made, table=self._table.model_dump(mode="json"), estimated=True)
         self._made.save(self._session)
         self._scheduler = schedulers.find(self._kind)(self._table)
         self._poll = Poll(self._scheduler)  # the other one will not know what this one submits
-        if wall > before:
-            self._note(f"elements may take {wall / 60:g} minutes from now on, for {before / 60:g} were too few")
+
+    def _learn(self, told: Told) -> float | None:
+        """What the other runs take in the mean, by what those that went first have told; where that is more, give more time."""
+        made, wall = self._made, self._table.wall
+        if told.seconds is None or made.first_s is None or made.rest_s is None:
+            return made.rest_s if told.seconds is None else told.seconds
+        slower = max(1.0, told.seconds / made.first_s)
+        if made.estimated and wall is not None and slower > 1:
+            self._allow(min(wall * slower, made.bounds.wall_s or math.inf))
+        return made.rest_s * slower
 
     def _deal_rest(self, told: Told) -> None:
         """Deal the other runs out, by what those that went first have told, and hand them over. Raises what is refused."""
         self._pilot = self._told = None
-        count, why = elements_of(self._made.rest, told.seconds, self._table, self._made.bounds, before=True)
+        count, why = elements_of(self._made.rest, self._learn(told), self._table, self._made.bounds, before=True)
         begin = len(self._shares)
         counts = deal_rest(count, begin, self._session)
         self._made = replace(self._made, counts=(*self._made.counts, *counts), rest=0)
@@ -524,7 +554,7 @@ class Cluster:
         number = len(list(self._session.sent.iterdir()))
         intent = submission.intent(indices, why)
         submission.note(self._session, number, intent)
-        request = replace(submission.request(self._session, self._name, indices, self._table.python), after=after)
+        request = replace(submission.elements_request(self._session, self._name, indices, self._table), after=after)
         self._due = time.monotonic() + FIRST_POLL_S
         try:
             job = self._scheduler.submit(request)
@@ -581,6 +611,15 @@ class Cluster:
         if text not in self._said:
             self._said.add(text)
             self._notes.append(text)
+
+
+def _means(times: Times | None, first: Sequence[int]) -> tuple[float | None, float | None]:
+    """What the runs at these places, and the others, are expected to take in the mean."""
+    if times is None or not first:
+        return None, times.mean if times else None
+    chosen = [times.each[place] for place in first]
+    rest = len(times.each) - len(chosen)
+    return sum(chosen) / len(chosen), (sum(times.each) - sum(chosen)) / max(rest, 1)
 
 
 class Answer:
