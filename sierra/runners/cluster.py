@@ -343,7 +343,7 @@ class Cluster:
         self._waits = submission.waits(tasks)
         self._unheard = 0 if living else self._unheard + 1
         if not living and any(task.cancelled for task in tasks) and self._is_heeded():
-            self._heed([task.job for task in tasks if task.cancelled], "before any node was tried out")
+            self._heed([task.job for task in tasks if task.cancelled], "before any node was tried out", sure=True)
             return
         self._due = min(self._due, time.monotonic() + FIRST_POLL_S)
         if self._unheard > 1:
@@ -420,7 +420,8 @@ class Cluster:
         if foreign and self._is_heeded():
             sent = submission.sent(self._session)
             jobs = [one.job for one in sent if one.job and set(one.elements) & set(foreign)][-1:]
-            self._heed(jobs, f"{counted(len(foreign), 'element')} of it: {few([self._why(index) for index in foreign], 2)}")
+            what = f"{counted(len(foreign), 'element')} of it: {few([self._why(index) for index in foreign], 2)}"
+            self._heed(jobs, what, sure=any(self._shares[index].cancelled for index in foreign))
             return
         for index in indices:
             share = self._shares[index]
@@ -455,18 +456,21 @@ class Cluster:
             return not share.ours
         told = share.trouble or submission.last_line(self._session, str(index))
         if told:
-            return bool(ASKED.search(told)) and not (self._overdue(told) or MISHAP.search(share.word))
+            return bool(ASKED.search(told)) and not (self._overdue(index, told) or MISHAP.search(share.word))
         return share.queued and not share.word and self._scheduler.forgets
 
     def _is_heeded(self) -> bool:
         return self._table.cancelled == "stop"
 
-    def _heed(self, jobs: Sequence[str], what: str) -> None:
-        """End the session because others have cancelled a part of it."""
-        job = f"job {jobs[0]}" if jobs else "a job"
+    def _heed(self, jobs: Sequence[str], what: str, *, sure: bool) -> None:
+        """End the session because others have cancelled a part of it; or seem to have, where that is not `sure`."""
+        job = f"{self._kind} job {jobs[0]}" if jobs else f"a {self._kind} job"
+        table = f"[runners.{self.name}]"
+        unknown = f", unless that was a time limit that SIERRA does not know: set wall in {table}"
+        more = "" if sure or self._table.wall is not None else unknown
         self._note(
-            f"{self._kind} {job} was cancelled, and not by SIERRA ({what}): all of the session ends now; ask again to execute "
-            f'what is missing, or set cancelled = "again" in [runners.{self.name}]'
+            f"{job} was cancelled, and not by SIERRA{more} ({what}): all of the session ends now; ask again to execute what is "
+            f'missing, or set cancelled = "again" in {table}'
         )
         self.stop()
 
@@ -479,14 +483,14 @@ class Cluster:
         """Why an element is gone: by its own words, and the scheduler's."""
         share = self._shares[index]
         told = share.trouble or submission.last_line(self._session, str(index))
-        word = share.word or self._overdue(told)
+        word = share.word or self._overdue(index, told)
         if not told or (word and word in told):
             return share.trouble or word or "nobody says by what"
         return f"{told} ({word})" if word else told
 
-    def _overdue(self, told: str) -> str:
+    def _overdue(self, index: int, told: str) -> str:
         """For a scheduler that is silent on what has ended, as PBS without a history: whether an element's time was over."""
-        asked, wall = ASKED.search(told), self._table.wall
+        asked, wall = ASKED.search(told), self._table.wall or self._harvest.allowed(index)
         return f"walltime of {wall:g} s exceeded" if asked and wall and int(asked[1]) >= wall - 1 else ""
 
     def _submit_again(self) -> None:

@@ -203,12 +203,12 @@ def cancels_some(trial: Trial) -> None:
     trial.until(request, lambda seen: 1 in _running(seen), "element 1 never runs")
     trial.scheduler.cancel(request.name, [1, 77])
     trial.until(request, lambda seen: 1 not in _alive(seen), "element 1 does not end")
-    cancelled = {task.element for task in trial.seen(request) if task.cancelled}
-    _holds(cancelled == {1} or (trial.scheduler.forgets and not cancelled), f"cancelled are told to be {cancelled}")
     (request.folder / "go").touch()
     trial.until_ended(request)
     ended = sorted(path.name for path in request.folder.glob("done-*"))
     _holds(ended == ["done-0", "done-3"], f"after element 1 was cancelled, there are {ended}")
+    cancelled = {task.element for task in trial.seen(request) if task.cancelled}
+    _holds(cancelled == {1} or (trial.scheduler.forgets and not cancelled), f"cancelled are told to be {cancelled}")
 
 
 def cancels_all(trial: Trial) -> None:

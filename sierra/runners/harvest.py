@@ -313,6 +313,13 @@ class Harvest:
                 share.begun.pop(execution, None)
                 share.done += 1
 
+    def allowed(self, index: int) -> float | None:
+        """Seconds that the last attempt at an element had, where its scheduler told it when they are over."""
+        attempts = [track.attempt for track in self._tracks.values() if track.element == index and track.attempt]
+        last = max(attempts, key=lambda attempt: attempt.started, default=None)
+        end = last.allocation.get("SLURM_JOB_END_TIME", "") if last else ""
+        return float(end) - last.started if last and end.isdigit() else None
+
     def cut_alone(self, index: int) -> set[str]:
         """Runs of an element that were cut off while they had it for themselves."""
         return {one for track in self._tracks.values() if track.element == index for one in track.begun & track.alone}
