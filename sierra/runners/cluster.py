@@ -502,6 +502,7 @@ class Cluster:
         if any(TIMED.search(word) for word in words):
             self._give_more_time()
         for index in indices:
+            self._harvest.note_end(index)
             share = self._shares[index]
             share.tries, share.progress, share.gone = share.tries + 1, share.done, 0
             share.trouble = share.word = ""

@@ -87,6 +87,8 @@ class Track:
     alone: set[str] = field(default_factory=set)
     """Runs that had the element for themselves."""
     requeued: str | None = None
+    word: str = ""
+    """How it ended, as the scheduler says."""
     stalled: dict[str, Stalled] = field(default_factory=dict)
     """Runs that were told of as stopped by a signal, and have not ended."""
     finished: bool = False
@@ -275,10 +277,22 @@ class Harvest:
 
     def attempts(self, word: str | None) -> list[tuple[str, dict[str, Any]]]:
         """All attempts as rows; `word` is what ended those that do not say it themselves, else the scheduler's word is."""
+        for index in range(len(self.shares)):
+            self.note_end(index)
         return [("attempts", self._row(track, track.attempt, word)) for track in self._tracks.values() if track.attempt]
 
+    def note_end(self, index: int) -> None:
+        """Keep how the scheduler says that an element has ended with the last attempt at it: another one may follow."""
+        last = self._last(index)
+        if last is not None and not last.word:
+            last.word = self.shares[index].word
+
+    def _last(self, index: int) -> Track | None:
+        """The last attempt at an element."""
+        tracks = [track for track in self._tracks.values() if track.element == index and track.attempt]
+        return max(tracks, key=lambda track: track.attempt.started if track.attempt else 0.0, default=None)
+
     def _row(self, track: Track, begun: Attempt, word: str | None) -> dict[str, Any]:
-        share = self.shares[track.element]
         return {
             "attempt": begun.attempt,
             "session": self._session.root.name,
@@ -297,7 +311,7 @@ class Harvest:
             "runs": track.runs,
             "cut": len(track.begun),
             "state": "finished" if track.finished else "cut off",
-            "trouble": track.trouble or (None if track.finished else track.requeued or word or share.word or None),
+            "trouble": track.trouble or (None if track.finished else track.requeued or track.word or word or None),
             "environment": track.environment,
         }
 
@@ -315,10 +329,11 @@ class Harvest:
 
     def allowed(self, index: int) -> float | None:
         """Seconds that the last attempt at an element had, where its scheduler told it when they are over."""
-        attempts = [track.attempt for track in self._tracks.values() if track.element == index and track.attempt]
-        last = max(attempts, key=lambda attempt: attempt.started, default=None)
-        end = last.allocation.get("SLURM_JOB_END_TIME", "") if last else ""
-        return float(end) - last.started if last and end.isdigit() else None
+        last = self._last(index)
+        if last is None or last.attempt is None:
+            return None
+        end = last.attempt.allocation.get("SLURM_JOB_END_TIME", "")
+        return float(end) - last.attempt.started if end.isdigit() else None
 
     def cut_alone(self, index: int) -> set[str]:
         """Runs of an element that were cut off while they had it for themselves."""
@@ -326,8 +341,7 @@ class Harvest:
 
     def cut_late(self, index: int) -> set[str]:
         """Runs that were cut off by the end of the element's last attempt, and had begun with it."""
-        tracks = [track for track in self._tracks.values() if track.element == index and track.attempt]
-        last = max(tracks, key=lambda track: track.attempt.started if track.attempt else 0.0, default=None)
+        last = self._last(index)
         return last.begun & last.first if last else set()
 
     def isolate(self, index: int, executions: Sequence[str]) -> None:
