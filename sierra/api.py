@@ -223,11 +223,11 @@ class Project:
         execute = replay.replay if record else replay.unrecorded
         return execute(self._loaded, self.store, prefix, how, watch or (lambda progress: None), say or (lambda text: None))
 
-    def proposal(self, plan: Plan, runner: str) -> Proposal | None:
+    def proposal(self, plan: Plan, runner: str, *, detach: bool = False) -> Proposal | None:
         """What answering a plan would ask of a cluster: see `sierra.runners.proposal`. None where nothing would."""
         from sierra import proposing
 
-        return proposing.proposal(plan, self.stored(), runner)
+        return proposing.proposal(plan, self.stored(), runner, detach=detach)
 
     def status(self, prefix: str | None = None, *, say: Callable[[str], None] = lambda text: None) -> list[Standing]:
         """What is on clusters, of all batches or of one, once what has finished there is recorded: see `sierra.standing`."""

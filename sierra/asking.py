@@ -8,7 +8,7 @@ from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from sierra import jobs, recovery, sessions
+from sierra import jobs, recovery, sessions, timing
 from sierra.attaching import attach
 from sierra.containment import Containment, contain
 from sierra.errors import Missing
@@ -22,7 +22,7 @@ from sierra.recording import Recorder, find_odd
 from sierra.runners import Runner, Work, needed
 from sierra.sessions import Session
 from sierra.signals import noted
-from sierra.states import seconds, states
+from sierra.states import states
 from sierra.store import Store
 from sierra.wording import few
 
@@ -140,7 +140,7 @@ class Asking:
 
     def _execute(self, wanted: AbstractSet[str]) -> int:
         """Execute these runs; how many executions, of these or of earlier ones, were found to be unlike their siblings."""
-        runner = self._runner()
+        runner, plan = self._runner(), self.plan
         root, programs = self._snapshot() if runner.stays else (self._code(), self.plan.programs)
         contained = self._contain(root, elsewhere=runner.stays)
         self._context = replace(self._context, **contained.context)
@@ -158,7 +158,7 @@ class Asking:
                 len(wanted),
                 self.plan.batch.id,
                 (*needed(programs, self._search(root)), *contained.needed),
-                seconds(self.plan.batch.recipe, self.store) if runner.stays else None,
+                timing.expected(plan, self.store, wanted) if runner.stays else None,
                 not self._how.detach,
                 environment.recorded(self.plan.project.config.environment.record),
                 self.plan.environment,

@@ -27,6 +27,7 @@ class Attached:
     left: bool
     """Whether it goes on without this process; else it has ended."""
     interrupted: bool
+    """Whether the user, or somebody else, has ended it meanwhile."""
     notes: tuple[str, ...] = ()
 
 
@@ -36,6 +37,7 @@ def attach(store: Store, session: Session, ears: Ears, leave: Callable[[], bool]
     Raises what a runner raises that can't go on.
     """
     done: dict[str, Status] = {}
+    cancelled = session.paths.cancelled.exists()
 
     def took(run: str, status: Status) -> None:
         done[run] = status
@@ -52,7 +54,8 @@ def attach(store: Store, session: Session, ears: Ears, leave: Callable[[], bool]
             asked.finish(store, session, interrupted=session.paths.cancelled.exists())
         failed = sum(status is not Status.OK for status in done.values())
         notes = () if following.left else tuple(recorder.notes())
-        return Attached(context.batch, len(done), failed, following.left, bool(signals) and not detach, notes)
+        ended = not (cancelled or following.left) and session.paths.cancelled.exists()  # by others, or on a cluster
+        return Attached(context.batch, len(done), failed, following.left, (bool(signals) and not detach) or ended, notes)
     finally:
         session.close()
 

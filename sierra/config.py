@@ -296,7 +296,7 @@ class LimitsTable(Table):
     wall: Seconds | None = Field(None, description="seconds from its start to its end")
     cpu: Seconds | None = Field(None, description="seconds of CPU time of all its processes")
     memory: Size | None = Field(None, description="resident bytes of all its processes, a number or as in `2 GiB`")
-    output: Size | None = Field(None, description="bytes written to its folder, a number or as in `500 MB`")
+    output: Size | None = Field(None, description="bytes of the files in its folder, holes included, as in `500 MB`")
     grace: Seconds = Field(5.0, description="seconds between SIGTERM and SIGKILL")
 
 
@@ -366,6 +366,10 @@ class ClusterTable(Table):
         None,
         description="folder on the node for runs, as in `$TMPDIR/x`, made in one that is there; where absent, $SLURM_TMPDIR, "
         "$TMPDIR or /tmp",
+    )
+    cancelled: Literal["stop", "again"] = Field(
+        "stop",
+        description="what to do when somebody else cancels an element: `stop` the session, or submit it `again`",
     )
     attempts: PositiveInt = Field(
         3, description="times that a run is begun, the last one alone, or an element without any, before it has failed"

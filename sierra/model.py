@@ -275,6 +275,22 @@ class Experiment:
 
 
 @dataclass(frozen=True, slots=True)
+class Times:
+    """What runs are expected to take, in the order in which they are dealt out."""
+
+    each: tuple[float, ...]
+    """Seconds of each run."""
+    new: tuple[int, ...]
+    """The places of those whose values were never timed: they are estimated."""
+    how: str
+    """Where all of this comes from, in words."""
+
+    @property
+    def mean(self) -> float:
+        return sum(self.each) / len(self.each)
+
+
+@dataclass(frozen=True, slots=True)
 class Batch:
     """What a query expands to: an ordered set of experiments."""
 

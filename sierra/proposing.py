@@ -5,13 +5,13 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from sierra import runners
+from sierra import runners, timing
 from sierra.paths import ProjectPaths, StorePaths
 from sierra.plans import Plan
 from sierra.provenance import source
 from sierra.runners.proposal import Proposal, propose
 from sierra.standing import claimed
-from sierra.states import seconds, states
+from sierra.states import states
 from sierra.store import Store
 
 OF_JOB = 200.0
@@ -27,15 +27,16 @@ SELECT sum(size) / (SELECT count(*) FROM those) AS bytes FROM artifacts SEMI JOI
 """
 
 
-def proposal(plan: Plan, store: Store | None, runner: str) -> Proposal | None:
+def proposal(plan: Plan, store: Store | None, runner: str, *, detach: bool) -> Proposal | None:
     """What is missing of a plan, as that runner's cluster would be asked for it; None where it has none, or nothing is missing
-    that is not on a cluster already.
+    that is not on a cluster already. `detach`: nobody would follow.
 
     Raises ConfigError.
     """
     found = runners.scheduler_of(runner, plan.project.config.runners)
     missing = {run for run, state in states(plan, store).items() if not state.good}
-    count = len(missing - (claimed(store).keys() if store and missing else set()))
+    wanted = missing - (claimed(store).keys() if store and missing else set())
+    count = len(wanted)
     if found is None or not count:
         return None
     scheduler, table = found
@@ -46,9 +47,10 @@ def proposal(plan: Plan, store: Store | None, runner: str) -> Proposal | None:
         table,
         StorePaths(ProjectPaths(plan.project.root).store).work,
         count=count,
-        seconds=seconds(plan.batch.recipe, store) if store else None,
+        times=timing.expected(plan, store, wanted),
         each=None if wrote is None else OF_JOB + OF_RECORD + wrote,
         beside=_code(plan),
+        waits=not detach,
     )
 
 

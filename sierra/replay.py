@@ -15,7 +15,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from sierra import hosted, jobs, metrics, recalled, recovery, runners
+from sierra import hosted, jobs, metrics, recalled, recovery, runners, timing
 from sierra.agreement import Agreement, Verdict
 from sierra.asking import Progress, Watch
 from sierra.config import LoadedProject, Output
@@ -35,7 +35,6 @@ from sierra.recording import Context, Recorder
 from sierra.runners import Runner, Work, needed
 from sierra.sessions import Session
 from sierra.signals import noted
-from sierra.states import seconds
 from sierra.store import Found, Store
 from sierra.store.files import Taken, take, where
 from sierra.store.frame import like
@@ -168,7 +167,7 @@ def replay(
             len(made),
             record.of.batch,
             (*needed(now, search), *contained.needed),
-            seconds(record.of.recipe, store) if runner.stays else None,
+            timing.recorded(store, list(made)) if runner.stays else None,
             record=environment.recorded(project.config.environment.record),
             around=around,
         )

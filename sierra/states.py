@@ -5,8 +5,6 @@ from __future__ import annotations
 import contextlib
 from dataclasses import dataclass
 
-from sierra.hashing import digest
-from sierra.model import Recipe
 from sierra.plans import Plan, context
 from sierra.store import Question, Store
 
@@ -67,13 +65,6 @@ def is_answered(plan: Plan, store: Store) -> bool:
         return same and all(state.good for state in states(plan, question).values())
 
 
-def seconds(recipe: Recipe, store: Store) -> float | None:
-    """How long good runs of this recipe took in the mean, or else of those with the same command; None where there are none."""
-    [row] = store.rows(SECONDS, recipe=digest("recipe", recipe.preimage()), command=list(recipe.command))
-    found: float | None = row["these"] if row["these"] is not None else row["alike"]
-    return found
-
-
 def states(plan: Plan, asked: Store | Question | None) -> dict[str, State]:
     """What the store has of each run of the batch."""
     new = State()
@@ -90,11 +81,6 @@ def states(plan: Plan, asked: Store | Question | None) -> dict[str, State]:
     return runs
 
 
-SECONDS = """
-SELECT avg(e.wall) FILTER (r.recipe = $recipe) AS these, avg(e.wall) AS alike
-FROM executions e JOIN batches b USING (batch) JOIN recipes r USING (recipe)
-WHERE e.status = 'ok' AND e.purpose = 'run' AND r.command = $command
-"""
 # The runs of one recipe were executed for batches of that recipe, and for no others; some of these may have been removed.
 THOSE = (
     "FROM executions WHERE purpose = 'run' AND (batch IN (SELECT batch FROM batches WHERE recipe = $recipe) "

@@ -35,6 +35,12 @@ A job of a cluster may ask for what its scheduler has allotted: in an environmen
 \\1 and one of the names of DEVICES stand for the variable of that name that the worker has, or for nothing. Where a list of
 several devices can be divided among the slots, each slot has its own.
 
+A run whose processes are all stopped (SIGSTOP) for STALLED_S gets an event `stalled`, with `since` in seconds since the epoch.
+Its time counts, and it may be continued. The worker continues what it asks to end, so that a program can heed SIGTERM.
+
+A worker that stops, for whatever reason, reads for GIVE_UP_S more what runs have left that had ended by then. What is not read
+by then counts as interrupted. Outputs are counted, and read, by their apparent size: that of a file with holes is its length.
+
 Processes that leave their group are found all the same: the worker is their subreaper (Linux), so an orphan
 becomes a child of the worker's main thread, which starts no process itself.
 
@@ -71,7 +77,7 @@ import subprocess
 import sys
 import threading
 import time
-from typing import Any, Iterable, Iterator, TextIO
+from typing import Any, Callable, Iterable, Iterator, TextIO
 
 FOLDERS = ("home", "tmp", "output")
 LOGS = ("stdout", "stderr")
@@ -83,6 +89,8 @@ CHUNK = 1 << 20
 SETTLE_S = 2.0
 CLEAN_S = 10.0  # for what an engine has yet to do when its containers have ended
 START_S = 60.0  # for an engine to start a container
+GIVE_UP_S = 5.0  # to read what runs have left, once the worker stops
+STALLED_S = 5.0  # of nothing but stopped processes, until that is told
 SAMPLE_S = 0.05
 ALLOTTED = "\1"
 ROCR = "ROCR_VISIBLE_DEVICES"
@@ -90,6 +98,10 @@ BELOW_ROCR = ("CUDA_VISIBLE_DEVICES", "HIP_VISIBLE_DEVICES", "GPU_DEVICE_ORDINAL
 DEVICES = (*BELOW_ROCR, ROCR, "NVIDIA_VISIBLE_DEVICES", "ZE_AFFINITY_MASK")
 LINE_BYTES = 1 << 16
 MOST_NAMED = 10  # of what a run leaves that is neither a file nor a folder
+
+
+class GivenUp(Exception):
+    """The worker stops, and does not read any more what a run has left."""
 
 
 class Journal:
@@ -154,7 +166,7 @@ class Running:
     """A program that runs now; its lock guards the time at which its process id stops being its own."""
 
     def __init__(self, job: dict[str, Any], folder: str, process: subprocess.Popen[bytes]) -> None:
-        self.execution = job["execution"]
+        self.run, self.execution = job["run"], job["execution"]
         self.seal = job.get("seal")
         self.folder = folder
         self.pid = process.pid
@@ -166,6 +178,8 @@ class Running:
         self.started = time.monotonic()
         self.stopped: str | None = None
         self.kill_at: float | None = None
+        self.look_at = self.started + 1.0
+        self.stalled_since: float | None = None
         self.over = False
         self.lock = threading.Lock()
 
@@ -183,6 +197,30 @@ class Running:
                 self.stopped = reason
                 self.kill_at = time.monotonic() + self.limits.get("grace_s", 5.0)
                 signal_group(self.pid, signal.SIGTERM)
+                for pid in self.pids():  # a stopped process heeds SIGTERM only once it is continued
+                    if stat_of(pid)[:1] == [b"T"]:
+                        signal_process(pid, signal.SIGCONT)
+
+    def pids(self) -> list[int]:
+        """The processes of the run, as far as /proc tells."""
+        if self.meter:
+            return self.meter.pids()
+        roots = [self.pid, *(pid for pid in orphans() if belongs(pid, self.execution, self.pid))]
+        return [pid for root in roots for pid in descendants(root)]
+
+    def stalled(self, now: float) -> bool:
+        """Look, if it is time to, whether nothing of the run has gone on for too long; True once for each time."""
+        if now < self.look_at:
+            return False
+        self.look_at = now + 1.0
+        if self.stopped is not None or not is_stopped(self.pid if not self.meter else None, self.pids):
+            self.stalled_since = None
+            return False
+        self.stalled_since = self.stalled_since or now
+        if now - self.stalled_since < STALLED_S:
+            return False
+        self.stalled_since = float("inf")
+        return True
 
     def hurry(self) -> None:
         """Let no grace time be left."""
@@ -380,6 +418,7 @@ class Worker:
         self.containers: dict[int, Container] = {}
         self.contains = False
         self.stopping = self.terminated = self.hurried = False
+        self.give_up_at = 0.0
         self.bell = Bell()
         self.failure: str | None = None
         self.full = False
@@ -421,8 +460,14 @@ class Worker:
 
     def stop(self) -> None:
         """Start nothing more, and end what runs. May be called by a signal handler."""
+        self.give_up_at = self.give_up_at or time.monotonic() + GIVE_UP_S
         self.stopping = True
         self.bell.ring()
+
+    def go_on(self) -> None:
+        """Raise GivenUp where the worker has stopped for so long that what a run has left is not read to its end."""
+        if self.stopping and (self.hurried or time.monotonic() >= self.give_up_at):
+            raise GivenUp
 
     def terminate(self) -> None:
         """Stop; asked again, leave no grace time. For a signal handler."""
@@ -470,8 +515,9 @@ class Worker:
                 self.journal.write(self.report(job, slot, self.folder, began, 0.0, error=reason))
                 return
         for event in container.execute(job):
-            if event["event"] == "start":
-                event.update(pid=container.pid, born=birth(container.pid))
+            if event["event"] != "end":
+                event["pid"] = container.pid
+                event.update({"born": birth(container.pid)} if event["event"] == "start" else {})
             else:
                 if event["stopped"] != "interrupted":
                     check_room(self.folder)
@@ -493,7 +539,7 @@ class Worker:
         inside = os.path.join(container.runs, os.path.basename(event["directory"]))
         if is_folder(inside):
             os.rename(inside, folder)
-            left = left_behind(folder, job["limits"], event["stopped"])
+            left = left_behind(folder, job["limits"], event["stopped"], self.go_on)
         else:
             left = {"error": "its folder is gone"}
         return {"directory": folder, **left, "error": event["error"] or left["error"]}
@@ -539,7 +585,7 @@ class Worker:
         # with a seal, whoever takes its folder out of the container looks at it
         left: dict[str, Any] = {"stopped": running.stopped, "error": self.tidied(folder) if running.seal else None}
         if not running.seal:
-            left = left_behind(folder, running.limits, running.stopped, spare)
+            left = left_behind(folder, running.limits, running.stopped, self.go_on, spare)
         if spare and place is not None and not left["error"] and sum(file["bytes"] for file in left["outputs"]) <= CHUNK:
             self.spare[int(os.path.basename(folder))] = place
             left["spare"] = True
@@ -556,6 +602,15 @@ class Worker:
                 **left,
             )
         )
+
+    def tell_stalled(self, running: Running) -> None:
+        """Say that nothing of a run goes on."""
+        named = {"run": running.run, "execution": running.execution, "pid": running.pid}
+        event = {"event": "stalled", **named, "since": time.time() - STALLED_S}
+        try:
+            self.journal.write({**event, "seal": running.seal} if running.seal else event)
+        except OSError as error:
+            self.fail(error)
 
     def tidied(self, folder: str) -> str | None:
         """Remove what a run has left beside its folder in places that the next run has too; why that can't be done, or why
@@ -622,6 +677,8 @@ class Worker:
             deadline = one.deadline()
             if deadline is not None and now >= deadline:
                 one.stop("timeout")
+            if one.stalled(now):
+                self.tell_stalled(one)
             if one.stopped is None and now - one.started > POLL_S / 2:
                 reason = exceeded(one)
                 if reason:
@@ -855,10 +912,13 @@ def check_room(folder: str) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), folder)
 
 
-def left_behind(folder: str, limits: dict[str, Any], stopped: str | None, spare: bool = False) -> dict[str, Any]:
+def left_behind(
+    folder: str, limits: dict[str, Any], stopped: str | None, go_on: Callable[[], None], spare: bool = False
+) -> dict[str, Any]:
     """Why a run was stopped (as far as its files tell), and its outputs, or why they cannot be read.
 
-    What nobody needs any more is removed, but where the folder is spare.
+    What nobody needs any more is removed, but where the folder is spare. Outputs of a run that was interrupted are not read,
+    nor are those beyond the limit on outputs. `go_on` is called for each chunk that is read; it may raise GivenUp.
     """
     allowed = limits.get("output_bytes")
     outputs: list[dict[str, Any]] = []
@@ -870,9 +930,13 @@ def left_behind(folder: str, limits: dict[str, Any], stopped: str | None, spare:
             for name in () if spare else ("home", "tmp"):
                 remove(os.path.join(folder, name))
             files, others = found(os.path.join(folder, "output"))
-            outputs = list(described(files))
             if stopped is None and allowed is not None and size_of(folder) > allowed:
                 stopped = "output"
+            if stopped == "output" and allowed is not None:
+                files = list(within(files, allowed))
+            outputs = list(described(files, go_on)) if stopped != "interrupted" else []
+    except GivenUp:
+        stopped = "interrupted"
     except (OSError, RecursionError) as trouble:
         error = "its outputs cannot be read: " + explain(trouble)
     left = {"stopped": stopped, "outputs": outputs, "error": error}
@@ -899,14 +963,23 @@ def found(root: str) -> tuple[list[tuple[str, str]], list[str]]:
     return sorted(files), sorted(others)
 
 
-def described(files: Iterable[tuple[str, str]]) -> Iterator[dict[str, Any]]:
+def within(files: Iterable[tuple[str, str]], most: int) -> Iterator[tuple[str, str]]:
+    """The files that have no more than so many bytes together, in order; those that are too large are left out."""
+    for path, name in files:
+        size = size_of_file(path)
+        if size <= most:
+            most -= size
+            yield path, name
+
+
+def described(files: Iterable[tuple[str, str]], go_on: Callable[[], None]) -> Iterator[dict[str, Any]]:
     """Each file, hashed."""
     for path, name in files:
         try:
-            yield describe(path, name)
+            yield describe(path, name, go_on)
         except PermissionError:
             unlock(path, 0o400)
-            yield describe(path, name)
+            yield describe(path, name, go_on)
 
 
 def names_in(folder: str) -> set[str]:
@@ -952,10 +1025,11 @@ def remove(folder: str) -> None:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def describe(path: str, name: str) -> dict[str, Any]:
+def describe(path: str, name: str, go_on: Callable[[], None] = lambda: None) -> dict[str, Any]:
     digest, size, lines, last, head = hashlib.sha256(), 0, 0, b"\n", None
     with open(path, "rb", buffering=0) as file:
         while True:
+            go_on()
             chunk = file.read(CHUNK)
             if not chunk:
                 break
@@ -979,12 +1053,7 @@ def exceeded(running: Running) -> str | None:
     """The name of the limit that a program is over, or None."""
     limits = running.limits
     if limits.get("memory_bytes") is not None or limits.get("cpu_s") is not None:
-        if running.meter:
-            pids = running.meter.pids()
-        else:
-            roots = [running.pid] + [pid for pid in orphans() if belongs(pid, running.execution, running.pid)]
-            pids = [pid for root in roots for pid in descendants(root)]
-        memory, cpu = usage_of(pids)
+        memory, cpu = usage_of(running.pids())
         if limits.get("memory_bytes") is not None and memory > limits["memory_bytes"]:
             return "memory"
         if limits.get("cpu_s") is not None and cpu > limits["cpu_s"]:
@@ -1133,6 +1202,14 @@ def await_orphans() -> None:
 def orphans() -> list[int]:
     """The children of the main thread, which has none of its own."""
     return children("/proc/self/task/%d/children" % os.getpid())
+
+
+def is_stopped(first: int | None, pids: Callable[[], list[int]]) -> bool:
+    """Whether all processes are stopped, and there is one; `first` is asked before all others are looked for."""
+    if first is not None and stat_of(first)[:1] != [b"T"]:
+        return False
+    states = [fields[0] for fields in map(stat_of, pids()) if fields]
+    return b"T" in states and set(states) <= {b"T", b"Z"}
 
 
 def group_of(pid: int) -> int | None:

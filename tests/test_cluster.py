@@ -13,6 +13,7 @@ import pytest
 
 import sierra
 from sierra import processes
+from sierra.api import Project
 from sierra.runners.packs import Ended
 from tests import projects
 from tests.batches import CLUSTER, Gated, at_rest, ended, is_whole, packed, rows
@@ -38,8 +39,30 @@ def test_a_batch_on_slurm_is_what_it_is_here(tmp_path: Path, slurm: Slurm) -> No
     assert rows(sierra.open(there), results) == rows(sierra.open(here), results)
     is_whole(sierra.open(there))
     at_rest(slurm, sierra.open(there))
+    completed(slurm, sierra.open(there))
     [session] = rows(sierra.open(there), "SELECT runner, executed, failed, missing FROM sessions")
     assert session == {"runner": "slurm", "executed": 8, "failed": 0, "missing": 0}
+
+
+def completed(slurm: Slurm, project: Project) -> None:
+    """SLURM says of every task of a project that it has ended well, and so do attempts."""
+    attempts = rows(project, "SELECT job, state, trouble FROM attempts")
+    jobs = {row["job"].partition("_")[0] for row in attempts}
+    assert {(row["state"], row["trouble"]) for row in attempts} == {("finished", None)}
+    assert {state for job in jobs for state in slurm.states(job).values()} == {"COMPLETED"}
+
+
+@pytest.mark.slow
+def test_tasks_that_have_done_their_work_are_never_cancelled(simulate: Callable[..., Simulated], slurm: Slurm) -> None:
+    """The last run of an element is recorded before its task has ended."""
+    made = simulate()
+    config = made.folder / "sierra.toml"
+    config.write_text(config.read_text() + "[runners.slurm]\nelements = 4\n")
+    for value in range(6):
+        done = made.quick("run", f"size={value}", "--runs", "8", "--on", "slurm", "--no-figures")
+        assert done.returncode == 0, done.stderr
+    at_rest(slurm, sierra.open(made.folder))
+    completed(slurm, sierra.open(made.folder))
 
 
 def test_attempts_say_where_and_with_what_runs_were_executed(tmp_path: Path, slurm: Slurm) -> None:
@@ -141,7 +164,59 @@ def test_two_that_ask_for_the_same_execute_it_once(gated: Gated) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("which", ["one element", "all"])
-def test_what_somebody_cancels_is_submitted_again(gated: Gated, which: str) -> None:
+def test_what_somebody_cancels_ends_the_session(gated: Gated, which: str) -> None:
+    asking = gated.ask()
+    gated.until_begun(3)
+    job = gated.job()
+    gated.slurm.command("scancel", f"{job}_1" if which == "one element" else job)
+    told = ended(asking, 130)
+    assert f"slurm job {job} was cancelled, and not by SIERRA" in told
+    assert "submitted again" not in told
+    assert len(gated.begun()) == 3
+    at_rest(gated.slurm, gated.project)
+    gated.open()
+    ended(gated.ask())
+    is_whole(gated.project)
+
+
+@pytest.mark.slow
+def test_what_somebody_cancels_while_nobody_follows_is_not_submitted_again_either(gated: Gated) -> None:
+    asking = gated.ask()
+    gated.until_told(3)
+    gated.until_begun(3)
+    asking.kill()
+    asking.communicate()
+    job = gated.job()
+    gated.slurm.command("scancel", job)
+    at_rest(gated.slurm, gated.project)
+    assert "was cancelled, and not by SIERRA" in ended(gated.ask(), 130)
+    assert len(gated.begun()) == 3
+    gated.open()
+    ended(gated.ask())
+    is_whole(gated.project)
+
+
+@pytest.mark.slow
+def test_a_probe_that_somebody_cancels_ends_the_session(gated: Gated, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))  # so that there is a probe
+    gated.slurm.command("scontrol", "update", f"nodename={','.join(gated.slurm.names)}", "state=drain", "reason=test")
+    asking = gated.ask()
+    listed = ("squeue", "-h", "-t", "PENDING", "-o", "%F %j")
+    until(lambda: " probe-" in gated.slurm.command(*listed), "the probe waits")
+    [probe] = [line.split()[0] for line in gated.slurm.command(*listed).splitlines() if " probe-" in line]
+    gated.slurm.command("scancel", probe)
+    told = ended(asking, 130)
+    gated.slurm.command("scontrol", "update", f"nodename={','.join(gated.slurm.names)}", "state=resume")
+    assert f"slurm job {probe} was cancelled, and not by SIERRA" in told
+    assert gated.begun() == []
+    at_rest(gated.slurm, gated.project)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("which", ["one element", "all"])
+def test_what_somebody_cancels_is_submitted_again_where_the_project_wants_that(gated: Gated, which: str) -> None:
+    config = gated.root / "sierra.toml"
+    config.write_text(config.read_text() + 'cancelled = "again"\n')
     asking = gated.ask()
     gated.until_begun(3)
     job = gated.job()
@@ -265,7 +340,7 @@ def test_an_element_that_is_requeued_goes_on_where_it_was(gated: Gated) -> None:
 @pytest.mark.slow
 def test_a_run_that_outlives_its_element_every_time_has_failed(gated: Gated) -> None:
     config = gated.root / "sierra.toml"
-    config.write_text(config.read_text() + "attempts = 2\n")
+    config.write_text(config.read_text() + 'attempts = 2\ncancelled = "again"\n')
     asking = gated.ask("population_size=1", "--runs", "2")
     for count in (2, 4):
         gated.until_told(count)

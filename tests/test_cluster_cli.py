@@ -294,7 +294,7 @@ def test_an_id_that_nothing_on_a_cluster_has_is_an_error(waiting: Waiting, comma
 
 def test_a_dry_run_shows_the_script_that_is_submitted_then(waiting: Waiting) -> None:
     waiting.project.quick("status")
-    told = json.loads(waiting.project.quick("run", *QUERY, "--on", "slurm", "--dry-run", "--json").stdout)["proposal"]
+    told = json.loads(waiting.project.quick("run", *QUERY, "--on", "slurm", "--detach", "-n", "--json").stdout)["proposal"]
     assert not (waiting.project.folder / ".sierra").exists()
     assert waiting.alive() == 0
     left = waiting.submit()
@@ -324,7 +324,9 @@ def test_a_dry_run_estimates_from_what_runs_took_before(waiting: Waiting) -> Non
     assert "3 elements of up to 2 runs, each 1 core for 10:00" in later
     assert re.search(r"core-hours: about [\d.e-]+, at most 0\.5 ", later)
     assert re.search(r"^elements +3 +as sierra.toml says$", later, re.MULTILINE)
-    assert re.search(r"^wall +600 +3 times what is expected, at least 10 minutes$", later, re.MULTILINE)
+    assert re.search(r"^wall +600 +6 times what is expected, at least 10 minutes$", later, re.MULTILINE)
+    told = r"^time of a run +[\d.]+ to [\d.]+ s, [\d.]+ s in the mean +1 of 3 experiments were timed, the others are estimated"
+    assert re.search(told, later, re.MULTILINE)
     assert "#SBATCH --array=0-2" in later
 
 

@@ -16,8 +16,9 @@ from typing import Any
 import pytest
 
 from sierra import processes
+from sierra.runners.packs import Finished, Requeued
 from tests import clusters, projects
-from tests.batches import WAITING, Gated, at_rest, ended, is_whole, rows
+from tests.batches import WAITING, Gated, at_rest, ended, is_whole, packed, rows
 from tests.clusters import Slurm
 from tests.waiting import until
 
@@ -267,6 +268,29 @@ def test_an_element_at_its_time_limit_is_continued_by_another(gate: Callable[...
     assert "TIMEOUT" in why(gated)
     is_whole(gated.project)
     at_rest(gated.slurm, gated.project)
+
+
+QUICK_FIRST = WAITING.replace("while not", "while count > 1 and not")
+"""A simulator whose runs end at once with the first value, and wait for the gate with others."""
+
+
+def test_an_element_that_nobody_follows_goes_on_after_its_time_limit(gate: Callable[..., Gated]) -> None:
+    gated = gate("wall = 60\n", simulator=QUICK_FIRST)
+    config = gated.root / "sierra.toml"
+    config.write_text(config.read_text().replace("elements = 3", "elements = 1"))
+    told = ended(gated.ask(*ASK[:1], "--detach"))
+    assert "goes on by itself only where the site lets tasks requeue themselves" in told
+    until(lambda: packed(gated.root, Requeued), "the element asks to be begun anew", 200)
+    gated.open()
+    gated.slurm.release_requeued()
+    until(lambda: packed(gated.root, Finished), "the element has finished")
+    until(lambda: "COMPLETED" in gated.slurm.states().values(), "SLURM knows that")
+    assert projects.quick(gated.root, "status").returncode == 0
+    is_whole(gated.project)
+    assert rows(gated.project, "SELECT state, trouble FROM attempts ORDER BY started") == [
+        {"state": "cut off", "trouble": "its time was nearly over: it asked to be begun anew"},
+        {"state": "finished", "trouble": None},
+    ]
 
 
 def test_what_is_preempted_goes_on_where_it_was(gate: Callable[..., Gated], start: Callable[..., Slurm]) -> None:

@@ -69,6 +69,9 @@ class Here:
     def __init__(self, table: ClusterTable) -> None:
         self._table = table
 
+    forgets: ClassVar[bool] = False
+    requeue: ClassVar[tuple[str, ...]] = ()
+
     def version(self) -> str:
         return "here 1"
 
@@ -102,9 +105,8 @@ class Here:
         return job
 
     def look(self, name: str) -> tuple[Task, ...] | None:
-        return tuple(
-            Task(job, element, *Here.state(job, process)) for called, job, element, process in Here.tasks if called == name
-        )
+        found = [(job, element, *Here.state(job, process)) for called, job, element, process in Here.tasks if called == name]
+        return tuple(Task(*one, cancelled=one[-1] == "CANCELLED") for one in found)
 
     @staticmethod
     def state(job: str, process: subprocess.Popen[bytes]) -> tuple[State, str]:

@@ -31,7 +31,7 @@ from sierra.paths import SessionPaths
 from sierra.provenance import machine
 from sierra.runners import element
 from sierra.runners.dealing import deal
-from sierra.runners.packs import Attempt, Ended, Finished, Pack, Started, Trouble
+from sierra.runners.packs import Attempt, Ended, Finished, Pack, Requeued, Started, Trouble
 from tests.waiting import PATIENCE_S, until
 
 SCRIPTS = {"worker.py": worker, "element.py": element, "machine.py": machine}
@@ -286,6 +286,54 @@ def test_one_that_is_asked_twice_leaves_no_grace(folder: Folder, tmp_path: Path)
     assert process.wait(PATIENCE_S / 2) == 1
 
 
+def requeues(folder: Folder, script: str) -> Path:
+    """Have tasks call a script to be begun anew, which gets the task's id; the file where it says that it was called."""
+    called = folder.root.with_name("called")
+    program = folder.root.with_name("requeue")
+    program.write_text(f'#!/bin/sh\necho "$@" >> "{called}"\n{script}\n')
+    program.chmod(0o755)
+    folder.set(requeue=[str(program), "again"], slots=1)
+    return called
+
+
+@pytest.mark.slow
+def test_an_element_whose_time_is_nearly_over_has_itself_begun_anew(folder: Folder) -> None:
+    called = requeues(folder, "kill -TERM $PPID")
+    folder.deal([job("quick", "true"), job("long", f"[ -e '{called}' ] || exec sleep 60")])
+    process = folder.start("--wall=2", "0", SLURM_ARRAY_JOB_ID="12", SLURM_ARRAY_TASK_ID="3", SLURM_JOB_ID="15")
+    assert process.wait(PATIENCE_S) == 1
+    assert called.read_text() == "again 12_3\n"
+    [event] = folder.events(Requeued)
+    assert event.refused is None
+    assert sorted(folder.ended()) == ["quick"]
+    assert folder.run("--wall=1000", "0")[0] == 0
+    assert sorted(folder.ended()) == ["long", "quick"]
+    assert len(called.read_text().splitlines()) == 1
+
+
+@pytest.mark.slow
+def test_what_the_scheduler_does_not_begin_anew_goes_on_as_long_as_it_may(folder: Folder) -> None:
+    called = requeues(folder, "echo not allowed here >&2; exit 1")
+    folder.deal([job("quick", "true"), job("long", f"until [ -e '{called}' ]; do sleep 0.1; done; sleep 1")])
+    assert folder.run("--wall=2", "0")[0] == 0
+    assert [event.refused for event in folder.events(Requeued)] == [None, "not allowed here"]
+    assert sorted(folder.ended()) == ["long", "quick"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("why", ["nothing got on", "it is cancelled"])
+def test_an_element_is_not_begun_anew_where_that_leads_nowhere(folder: Folder, why: str) -> None:
+    called = requeues(folder, "exit 0")
+    jobs = [job("long", "sleep 3")] if why == "nothing got on" else [job("quick", "true"), job("long", "sleep 60")]
+    folder.deal(jobs)
+    process = folder.start("--wall=2", "0")
+    if why == "it is cancelled":
+        until(folder.ended)
+        folder.paths.cancelled.touch()
+    assert process.wait(PATIENCE_S) == (0 if why == "nothing got on" else 1)
+    assert not called.exists()
+
+
 def test_a_cancelled_session_begins_nothing_more(folder: Folder) -> None:
     folder.deal(many(3, "sleep 60"))
     process = folder.start()
@@ -295,6 +343,21 @@ def test_a_cancelled_session_begins_nothing_more(folder: Folder) -> None:
     assert folder.run()[0] == 1
     assert len(folder.packs()) == 1
     assert folder.ended() == {}
+
+
+@pytest.mark.slow
+def test_nothing_large_is_packed_once_the_session_is_cancelled(folder: Folder) -> None:
+    script = folder.root / "element.py"
+    slow = "def _write(self, data, at):\n        time.sleep(len(data) / 1e7)\n        return self._written(data, at)\n\n"
+    script.write_text(script.read_text().replace("def _write(self", f"{slow}    def _written(self"))
+    folder.deal([job("large", "truncate -s 300M x")])
+    process = folder.start()
+    folder.until_started()
+    until(lambda: folder.packs()[0].path.stat().st_size > 10_000_000)
+    folder.paths.cancelled.touch()
+    assert process.wait(PATIENCE_S / 2) == 1
+    assert folder.ended() == {}
+    assert folder.packs()[0].path.stat().st_size < 100_000
 
 
 @pytest.mark.parametrize("what", ["the folder", "the pack"])

@@ -6,6 +6,7 @@ import contextlib
 import os
 import pty
 import random
+import re
 import signal
 import subprocess
 import time
@@ -54,6 +55,18 @@ def kill(pid: int | None) -> None:
     with contextlib.suppress(ProcessLookupError):
         if pid is not None:
             os.kill(pid, signal.SIGKILL)
+
+
+@pytest.mark.slow
+def test_a_run_that_stops_itself_is_told_of_and_goes_on_when_it_is_continued(simulate: Simulate) -> None:
+    project = simulate(f"kill -STOP $$; {PRINTS}")
+    asking = project.start("run", "size=1", "-j", "1", "--runs", "1", "--no-figures")
+    said = next(line for line in asking.stderr if "makes no progress: a signal stopped its processes" in line)
+    [pid] = re.findall(r"kill -CONT (\d+) continues it, and wall in \[limits\] ends such runs", said)
+    os.kill(int(pid), signal.SIGCONT)
+    done = project.end_of(asking)
+    assert done.returncode == 0, done.stderr
+    assert project.sql("SELECT count(*) AS n FROM executions WHERE status = 'ok'") == [{"n": 1}]
 
 
 def strike(victim: str, project: Any, sierra: subprocess.Popen[str]) -> None:

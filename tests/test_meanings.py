@@ -124,7 +124,7 @@ def test_status_tells_the_same_of_what_was_left(tmp_path: Path, slurm: Slurm) ->
     root = projects.make(tmp_path / "project", f"{projects.CONFIG}[runners.slurm]\ncpus = 99\n")
     assert projects.sierra(root, "run", "noise=1", "--on", "slurm", "--detach").returncode == 0
     told = projects.sierra(root, "status").stdout
-    assert re.search(r"never begins: PartitionConfig: .*; asked for: cpus = 99; the site has partition debug", told), told
+    assert re.search(r"never begins: PartitionConfig: .*; asked for: cpus = 99, wall = 3600; the site has", told), told
 
 
 @pytest.mark.parametrize("dialect", ["openpbs", "torque"])

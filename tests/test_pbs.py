@@ -638,10 +638,43 @@ def sent(root: Path) -> list[str]:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("which", ["one element", "all", "all while they wait"])
+def test_what_somebody_deletes_ends_the_session(server: pbs.Server, tmp_path: Path, which: str) -> None:
+    gate = tmp_path / "gate"
+    simulator = projects.SIMULATOR + WAITS.format(gate=str(gate))
+    root = projects.make(tmp_path / "swarm", projects.CONFIG + CLUSTER, simulator=simulator)
+    words = (projects.SIERRA, "run", "population_size.Log8", "--on", "pbs", "--no-figures")
+    gate.touch()
+    assert projects.quick(root, "run", "population_size=16", *words[3:]).returncode == 0  # nodes are tried out
+    gate.unlink()
+    server.waiting()
+    asked = subprocess.Popen(words, cwd=root, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    until(lambda: [job for job in sent(root) if job])
+    [job] = sent(root)
+    if which == "all while they wait":
+        server.calls()
+        until(lambda: [call for call in server.calls() if call[0] == "qstat"])
+    else:
+        begun(server, root)
+        until(lambda: len(list(root.glob(".sierra/work/*/results/[0-9]*.pack"))) == 3)
+    subprocess.run(["qdel", job.replace("[]", "[1]") if which == "one element" else job], check=True)
+    out, err = asked.communicate(timeout=200)
+    assert asked.returncode == 130, out + err
+    assert f"pbs job {job} was cancelled, and not by SIERRA" in err
+    assert "submitted again" not in err
+    gate.touch()
+    server.begin()
+    done = projects.quick(root, *words[1:])
+    assert done.returncode == 0, done.stderr
+    assert sierra.open(root).sql("SELECT count(*) AS n FROM runs WHERE status = 'ok'").to_pylist() == [{"n": 10}]
+
+
+@pytest.mark.slow
 def test_a_batch_is_answered_though_an_element_is_deleted(server: pbs.Server, tmp_path: Path) -> None:
     gate = tmp_path / "gate"
     simulator = projects.SIMULATOR + WAITS.format(gate=str(gate))
-    root = projects.make(tmp_path / HOSTILE, projects.CONFIG + CLUSTER, simulator=simulator)
+    table = CLUSTER + 'cancelled = "again"\n'
+    root = projects.make(tmp_path / HOSTILE, projects.CONFIG + table, simulator=simulator)
     words = (projects.SIERRA, "run", "population_size.Log8", "--on", "pbs", "--no-figures")
     server.waiting()
     asked = subprocess.Popen(words, cwd=root, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)

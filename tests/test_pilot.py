@@ -93,8 +93,19 @@ def test_the_first_and_the_last_run_tell_how_the_others_are_dealt_out(
     joined = "attempts a JOIN executions USING (attempt) JOIN runs r USING (run)"
     pair = project.sql(f"SELECT r.size, r.number FROM {joined} WHERE a.element = 0 ORDER BY 1")
     assert [tuple(row.values()) for row in pair] == [(1, 0), (2, 11)]
-    again = project.quick("run", "size=3,4", "--runs", "12", "--on", runner, "--no-figures")
+    again = project.quick("run", "size=1,2", "--runs", "24", "--on", runner, "--no-figures")
     assert "go first" not in again.stderr
+
+
+def test_runs_with_values_that_were_never_timed_go_first(simulate: Callable[..., Simulated], slurm: Slurm) -> None:
+    project = simulate()
+    project.quick("run", "size=1,2", "--runs", "2", "--no-figures")
+    done = project.quick("run", "size=1,2,30,60", "--runs", "8", "--on", "slurm", "--no-figures")
+    assert done.returncode == 0, done.stderr
+    assert "runs with these values were never timed: 2 runs of 28 go first" in done.stderr
+    joined = "attempts a JOIN executions USING (attempt) JOIN runs r USING (run)"
+    pair = project.sql(f"SELECT r.size, r.number FROM {joined} WHERE a.element = 0 ORDER BY 1")
+    assert [tuple(row.values()) for row in pair] == [(30, 0), (60, 7)]
 
 
 def test_long_runs_get_many_elements(simulate: Callable[..., Simulated], slurm: Slurm, monkeypatch: pytest.MonkeyPatch) -> None:

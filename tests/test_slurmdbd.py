@@ -10,6 +10,7 @@ import pytest
 from tests import clusters, slurmdbd
 from tests.conftest import Simulated
 from tests.slurmdbd import Accounted
+from tests.waiting import until
 
 pytestmark = [pytest.mark.slow, pytest.mark.real]
 
@@ -56,6 +57,21 @@ def test_the_default_qos_is_kept_to(project: Callable[[str], Simulated]) -> None
     account, qos = ("allocation->>'SLURM_JOB_" + name for name in ("ACCOUNT'", "QOS'"))
     used = asked.sql(f"SELECT DISTINCT {account} AS account, {qos} AS qos FROM attempts")
     assert used == [{"account": "physics", "qos": "small"}]
+
+
+def test_accounting_has_good_work_as_completed(project: Callable[[str], Simulated], request: pytest.FixtureRequest) -> None:
+    cluster: Accounted = request.getfixturevalue("cluster")
+    asked = project("elements = 4")
+    for runs in ("10", "20", "30"):
+        done = asked.ask("run", "size=1", "--runs", runs, "--on", "slurm", "--no-figures")
+        assert done.returncode == 0, done.stderr
+    jobs = ",".join(row["job"] for row in asked.sql("SELECT DISTINCT split_part(job, '_', 1) AS job FROM attempts"))
+
+    def told() -> list[str]:
+        return cluster.command("sacct", "-X", "-n", "-P", "-j", jobs, "--format=State").splitlines()
+
+    until(lambda: len(told()) == 12 and not {"PENDING", "RUNNING"} & set(told()), "accounting knows of all tasks")
+    assert set(told()) == {"COMPLETED"}
 
 
 def test_another_qos_has_other_limits(project: Callable[[str], Simulated]) -> None:

@@ -349,6 +349,39 @@ def test_a_run_that_has_written_too_much_when_it_ends_is_over_the_limit_too(exec
     assert execute(shell("head -c 10000 /dev/zero > x", limits={"output_bytes": 5000}))["stopped"] == "output"
 
 
+def test_what_is_beyond_the_limit_on_outputs_is_not_read(execute: Callable[..., dict[str, Any]]) -> None:
+    end = execute(shell("echo x > a; truncate -s 1T b; echo y > c", limits={"output_bytes": 5000}))
+    assert end["stopped"] == "output"
+    assert [file["path"] for file in end["outputs"]] == ["a", "c"]
+
+
+def test_a_program_that_is_stopped_can_heed_that_it_is_asked_to_end(execute: Callable[..., dict[str, Any]]) -> None:
+    script = "trap 'echo saved > x; exit 4' TERM; kill -STOP $$; sleep 60"
+    end = execute(shell(script, limits={"wall_s": 1.0, "grace_s": 60}))
+    assert (end["stopped"], end["exit_code"]) == ("timeout", 4)
+    assert [file["path"] for file in end["outputs"]] == ["x"]
+
+
+def test_a_program_that_is_stopped_and_heeds_nothing_is_killed(execute: Callable[..., dict[str, Any]]) -> None:
+    script = "trap '' TERM; while :; do kill -STOP $$; done"
+    end = execute(shell(script, limits={"wall_s": 1.0, "grace_s": 0.5}))
+    assert (end["stopped"], end["signal"]) == ("timeout", signal.SIGKILL)
+
+
+@pytest.mark.slow
+def test_a_run_that_stands_still_is_told_of_once_and_again_when_it_does_so_again(start: Callable[..., Worker]) -> None:
+    worker = start()
+    worker.send(shell("kill -STOP $$; sleep 4; kill -STOP $$; echo x > x"), {"end": True})
+    for count in (1, 2):
+        until(lambda count=count: len(worker.events("stalled")) == count)  # type: ignore[misc]
+        event = worker.events("stalled")[-1]
+        assert (event["run"], event["pid"]) == ("one", worker.events("start")[0]["pid"])
+        os.kill(event["pid"], signal.SIGCONT)
+    assert worker.wait() == 0
+    assert worker.events("end")[0]["exit_code"] == 0
+    assert len(worker.events("stalled")) == 2
+
+
 # ---------------------------------------------------------------- nothing is left running
 
 
@@ -515,6 +548,33 @@ process.stdin.write({text!r}.encode()); process.stdin.flush(); process.wait()
     until(lambda: not marked(mark))
     last = json.loads((folder / "journal.jsonl").read_text().splitlines()[-1])
     assert last["stopped"] == "interrupted"
+
+
+SPARSE = "truncate -s 1T x"
+"""Leaves what takes many minutes to read."""
+
+
+@pytest.mark.slow
+def test_a_worker_whose_starter_is_gone_reads_no_large_output(start: Callable[..., Worker], mark: str) -> None:
+    worker = start()
+    worker.send(shell(SPARSE))
+    until(lambda: (worker.folder / "1" / "output" / "x").stat().st_size)
+    worker.pipe.close()
+    assert worker.wait() == 1
+    [end] = worker.events("end")
+    assert (end["stopped"], end["outputs"]) == ("interrupted", [])
+    assert marked(mark) == []
+
+
+def test_a_worker_that_is_asked_twice_reads_no_large_output(start: Callable[..., Worker]) -> None:
+    worker = start()
+    worker.send(shell(SPARSE))
+    until(lambda: (worker.folder / "1" / "output" / "x").stat().st_size)
+    worker.process.terminate()
+    time.sleep(0.2)  # two signals at once are one
+    worker.process.terminate()
+    assert worker.wait() == 1
+    assert worker.events("end")[0]["stopped"] == "interrupted"
 
 
 def test_sigterm_ends_what_runs_and_starts_nothing_more(start: Callable[..., Worker], mark: str) -> None:

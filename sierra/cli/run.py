@@ -100,7 +100,7 @@ def run(
     told: dict[str, Any] = {}
     if dry_run or explain:
         told = _preview(project, plan, explain=explain, as_json=as_json)
-        proposed = project.proposal(plan, runner)
+        proposed = project.proposal(plan, runner, detach=detach)
         told |= {"proposal": proposed and asdict(proposed)}
         if proposed and not as_json:
             proposals.show(proposed, explain=explain, script=dry_run)

@@ -17,7 +17,7 @@ from typing import Any, Protocol
 from sierra import plugins
 from sierra.config import ClusterTable
 from sierra.errors import ConfigError, SierraError
-from sierra.model import Job, Needed, Result
+from sierra.model import Job, Needed, Result, Times
 from sierra.paths import SessionPaths
 from sierra.provenance.program import INSTALLED, Kind, Program, Programs
 from sierra.runners import schedulers
@@ -34,8 +34,8 @@ class Work:
     count: int
     batch: str
     needs: tuple[Needed, ...] = ()
-    seconds: float | None = None
-    """What a run is expected to take; None where nobody knows."""
+    times: Times | None = None
+    """What runs are expected to take; None where nobody knows."""
     waits: bool = True
     """Whether somebody follows it from now on."""
     record: tuple[str, ...] = ()
@@ -96,7 +96,8 @@ class Runner(Protocol):
         """What has happened; returns at once and may be called at any time after `submit` or `resume`.
 
         A result's directory is its reader's from then on, to be removed. What was lost (a node, a job that nobody knows) is
-        started again in here, a bounded number of times; then its runs have failed.
+        started again in here, a bounded number of times; then its runs have failed. What somebody else has cancelled is not: it
+        ends all, as `stop` does.
 
         Raises SierraError where the runner itself cannot go on (a full disk, no worker); asking again goes on then.
         """

@@ -4,6 +4,9 @@ Truth is what elements have recorded in their packs; a scheduler is only asked w
 one task, a requeue, a lost node, a job that nobody remembers, a controller out of reach and a submitter that died are all one
 case: see what is recorded, ask whether anything lives, submit again what is missing.
 
+An element that others than SIERRA have cancelled ends the session, unless the project wants it submitted again. One that
+has executed all of its runs is never cancelled.
+
 An element that is gone with runs missing is submitted again as long as it gets on. One that ends without having executed
 anything, `attempts` times in a row, ends all: something is wrong with the cluster or the project, and no run is to blame. A run
 that was begun `attempts` times and never ended has failed, if it was cut off while it had the element for itself: of several at
@@ -28,7 +31,7 @@ from typing import Any
 from sierra import worker
 from sierra.config import ClusterTable
 from sierra.errors import Full, Missing, SierraError
-from sierra.model import Result
+from sierra.model import Result, Times
 from sierra.paths import SessionPaths, write_whole
 from sierra.provenance import machine
 from sierra.runners import Look, Work, element, schedulers, submission
@@ -50,6 +53,8 @@ UNHEARD = 3
 """How many times in a row the scheduler must not know a probe that has recorded nothing, before it is taken for failed."""
 FULL_S = 30.0
 """Until a scheduler that takes no more jobs is tried again."""
+LAST_WORD_S = 20.0
+"""How long elements that have executed everything may take to end by themselves."""
 STOPPING_S = 60.0
 UNREACHED_S = 20.0
 """How long a scheduler that is to cancel jobs may be out of reach, before that is left to whoever asks next."""
@@ -57,6 +62,8 @@ TIMED = re.compile(r"time ?limit|timeout|walltime", re.IGNORECASE)
 """In words on how an element ended: its time was over."""
 ASKED = re.compile(r"asked to end after (\d+) s$")
 """In what an element says itself: how long it had lasted."""
+MISHAP = re.compile(rf"{TIMED.pattern}|node|preempt|memory|boot|requeue|deadline", re.IGNORECASE)
+"""In the scheduler's words on how an element ended: nobody meant to end it."""
 RELAUNCHED = "launch failed"
 """What schedulers say of a job that they could not begin, though it can: it is submitted again."""
 
@@ -78,7 +85,7 @@ class Cluster:
 
     def submit(self, work: Work, session: SessionPaths) -> None:
         bounds, version = self._scheduler.bounds(), self._scheduler.version()
-        sized = size(work.count, work.seconds, self._table, bounds, waits=work.waits)
+        sized = size(work.count, work.times, self._table, bounds, waits=work.waits)
         estimated = self._table.wall is None and sized.wall_s is not None
         self._table = self._table.model_copy(update={"wall": sized.wall_s})
         past = submission.past(session)
@@ -93,19 +100,22 @@ class Cluster:
         probed = Probe(self.name, self._table, session).is_needed()
         table = self._table.model_dump(mode="json")
         dealt = (work.batch, counts, dict(work.around), probed, rest)
-        made = Submission(self.name, self._kind, version, table, *dealt, asdict(bounds), estimated, past)
+        means = _means(work.times, sized.first)
+        made = Submission(self.name, self._kind, version, table, *dealt, asdict(bounds), estimated, *means, past)
         made.save(session)
         self._scheduler = schedulers.find(self._kind)(self._table)
         self._begin(made, session, {})
+        self._is_own = True
         if rest:
-            self._note(f"nobody knows yet how long runs take: {counted(counts[0], 'run')} of {work.count} go first")
+            unknown = "runs with these values were never timed" if work.times else "nobody knows yet how long runs take"
+            self._note(f"{unknown}: {counted(counts[0], 'run')} of {work.count} go first")
         self._hand_all_over()
 
     def _deal(self, work: Work, sized: Size, session: SessionPaths) -> tuple[tuple[int, ...], int]:
         """The runs of each element, and those that are dealt out later."""
         if not sized.first:
             return deal(work.jobs, sized.elements, session), 0
-        first, rest = deal_first(work.jobs, work.count, sized.first, session)
+        first, rest = deal_first(work.jobs, frozenset(sized.first), session)
         return (first,), rest
 
     def _hand_all_over(self) -> None:
@@ -126,6 +136,7 @@ class Cluster:
             "scratch": self._table.scratch,
             "needs": [asdict(one) for one in work.needs],
             "record": list(work.record),
+            "requeue": list(self._scheduler.requeue),
         }
 
     def resume(self, session: SessionPaths, recorded: Mapping[str, str | None]) -> None:
@@ -160,6 +171,7 @@ class Cluster:
         self._pilot = Pilot(session) if made.rest else None
         self._told: Told | None = None
         self._goes_before = ""
+        self._is_own = False
         self._poll = Poll(self._scheduler)
         self._due = time.monotonic() + FIRST_POLL_S
         self._pause = FIRST_POLL_S
@@ -171,12 +183,19 @@ class Cluster:
         self._again: dict[int, str] = {}
         self._again_at = 0.0
         self._stopping: float | None = None
+        self._whole: float | None = None
         self._over = self._deaf = self._silent = False
         self._wrong: SierraError | None = None
 
     def leave(self) -> None:
-        if self._pilot is None or self._stopping is not None or self._session.cancelled.exists():
+        if self._stopping is not None or self._session.cancelled.exists():
             return
+        if self._is_own:
+            self._note(submission.UNFOLLOWED)
+        if self._pilot is None:
+            return
+        if self._table.wall is None and self._made.bounds.wall_s is not None:
+            self._allow(self._made.bounds.wall_s)  # nobody is there to submit again what takes longer than usual
         try:
             self._deal_rest(self._told or Told(None, "nobody waits for the runs that go first"))
         except SierraError as error:
@@ -229,7 +248,7 @@ class Cluster:
         if self._over:
             return
         if self._harvest.is_whole() and not self._made.rest:
-            self._settle()
+            self._settle(now)
             return
         if came:
             self._pause = FIRST_POLL_S
@@ -274,10 +293,7 @@ class Cluster:
         self._queued = self._elements(task for task in tasks if task.state is State.QUEUED)
         self._waits = submission.waits(tasks)
         self._alive = self._elements(living)
-        for task in tasks:
-            which = len(self._shares) if task.element is None else task.element
-            if task.state is State.ENDED and which < len(self._shares) and task.reason:
-                self._shares[which].word = task.reason
+        self._note_ends(tasks)
         if self._stopping is not None:
             self._over = not living
             if self._deaf:
@@ -286,12 +302,22 @@ class Cluster:
         self._unstick([task for task in tasks if task.state is State.STUCK])
         for index, share in enumerate(self._shares):
             share.gone = share.gone + 1 if share.missing and index not in self._alive and index not in self._again else 0
+            share.queued = index in self._queued or (share.queued and index not in self._alive)
         gone = [index for index, share in enumerate(self._shares) if share.gone]
         if gone:
             self._due = time.monotonic() + FIRST_POLL_S
         if any(self._shares[index].gone > 1 for index in gone):
             refresh(self._session.results)
             self._lost([index for index in gone if self._is_quiet(self._shares[index])])
+
+    def _note_ends(self, tasks: Iterable[Task]) -> None:
+        """Keep how the elements ended that were submitted last."""
+        ended = (task for task in tasks if task.state is State.ENDED)
+        for index, task in submission.last(self._session, ended):
+            if index < len(self._shares):
+                share = self._shares[index]
+                share.word = task.reason or share.word
+                share.cancelled = task.cancelled
 
     def _is_fine(self) -> bool:
         """Whether the probe, or an element that has begun since, says that nodes can execute elements."""
@@ -316,6 +342,9 @@ class Cluster:
         self._queued = {0} if any(task.state is State.QUEUED for task in living) else set()
         self._waits = submission.waits(tasks)
         self._unheard = 0 if living else self._unheard + 1
+        if not living and any(task.cancelled for task in tasks) and self._is_heeded():
+            self._heed([task.job for task in tasks if task.cancelled], "before any node was tried out", sure=True)
+            return
         self._due = min(self._due, time.monotonic() + FIRST_POLL_S)
         if self._unheard > 1:
             refresh(self._session.results)
@@ -363,14 +392,21 @@ class Cluster:
     def _elements(self, tasks: Iterable[Task]) -> set[int]:
         return submission.elements(self._session, tasks) & set(range(len(self._shares)))
 
-    def _settle(self) -> None:
-        """All is recorded: end what may still live, but for what is ending by itself."""
+    def _settle(self, now: float) -> None:
+        """All is recorded: let elements end that have executed all that they had, and cancel what else may live.
+
+        An element that has no runs left is not cancelled: it would be on record as cancelled, though it did all of its work.
+        """
+        self._whole = self._whole or now
+        closing = self._harvest.closing() if self._alive is None else self._harvest.closing() & self._alive
+        if closing and now - self._whole < LAST_WORD_S:
+            return
         self._over = True
         if self._made.probed:  # it may have been requeued, and wait
             with contextlib.suppress(Missing):
                 self._scheduler.cancel(self._probe.name)
         tasks = self._scheduler.look(self._name) or ()
-        ending = self._harvest.ending()
+        ending = self._harvest.ending() | closing
         living = [task for task in tasks if task.state is not State.ENDED]
         needless = [task for task in living if not (task.state is State.RUNNING and task.element in ending)]
         if needless:
@@ -380,6 +416,13 @@ class Cluster:
 
     def _lost(self, indices: Sequence[int]) -> None:
         """These elements are gone, and runs of theirs are missing."""
+        foreign = [index for index in indices if self._is_foreign(index)]
+        if foreign and self._is_heeded():
+            sent = submission.sent(self._session)
+            jobs = [one.job for one in sent if one.job and set(one.elements) & set(foreign)][-1:]
+            what = f"{counted(len(foreign), 'element')} of it: {few([self._why(index) for index in foreign], 2)}"
+            self._heed(jobs, what, sure=any(self._shares[index].cancelled for index in foreign))
+            return
         for index in indices:
             share = self._shares[index]
             self._harvest.given_up_before(index)
@@ -402,6 +445,35 @@ class Cluster:
             self._harvest.isolate(index, suspects)
             self._again[index] = word
 
+    def _is_foreign(self, index: int) -> bool:
+        """Whether others than SIERRA have ended an element, as far as can be told.
+
+        Where the scheduler does not say who or what has ended it, an element that was asked to end before its time was over was
+        cancelled; so was one that never began, where the scheduler forgets at once what has ended.
+        """
+        share = self._shares[index]
+        if share.ours or share.cancelled:
+            return not share.ours
+        told = share.trouble or submission.last_line(self._session, str(index))
+        if told:
+            return bool(ASKED.search(told)) and not (self._overdue(index, told) or MISHAP.search(share.word))
+        return share.queued and not share.word and self._scheduler.forgets
+
+    def _is_heeded(self) -> bool:
+        return self._table.cancelled == "stop"
+
+    def _heed(self, jobs: Sequence[str], what: str, *, sure: bool) -> None:
+        """End the session because others have cancelled a part of it; or seem to have, where that is not `sure`."""
+        job = f"{self._kind} job {jobs[0]}" if jobs else f"a {self._kind} job"
+        table = f"[runners.{self.name}]"
+        unknown = f", unless that was a time limit that SIERRA does not know: set wall in {table}"
+        more = "" if sure or self._table.wall is not None else unknown
+        self._note(
+            f"{job} was cancelled, and not by SIERRA{more} ({what}): all of the session ends now; ask again to execute what is "
+            f'missing, or set cancelled = "again" in {table}'
+        )
+        self.stop()
+
     def _suspects(self, share: Share, times: int) -> list[str]:
         """The runs that were cut off so often; or at all, where the element ended so often, got nowhere and said nothing."""
         stuck = share.tries >= times and not share.trouble
@@ -411,14 +483,14 @@ class Cluster:
         """Why an element is gone: by its own words, and the scheduler's."""
         share = self._shares[index]
         told = share.trouble or submission.last_line(self._session, str(index))
-        word = share.word or self._overdue(told)
+        word = share.word or self._overdue(index, told)
         if not told or (word and word in told):
             return share.trouble or word or "nobody says by what"
         return f"{told} ({word})" if word else told
 
-    def _overdue(self, told: str) -> str:
+    def _overdue(self, index: int, told: str) -> str:
         """For a scheduler that is silent on what has ended, as PBS without a history: whether an element's time was over."""
-        asked, wall = ASKED.search(told), self._table.wall
+        asked, wall = ASKED.search(told), self._table.wall or self._harvest.allowed(index)
         return f"walltime of {wall:g} s exceeded" if asked and wall and int(asked[1]) >= wall - 1 else ""
 
     def _submit_again(self) -> None:
@@ -430,9 +502,11 @@ class Cluster:
         if any(TIMED.search(word) for word in words):
             self._give_more_time()
         for index in indices:
+            self._harvest.note_end(index)
             share = self._shares[index]
             share.tries, share.progress, share.gone = share.tries + 1, share.done, 0
             share.trouble = share.word = ""
+            share.cancelled = share.ours = share.queued = False
         try:
             self._hand_over(indices, why)
         except SierraError as error:
@@ -444,18 +518,32 @@ class Cluster:
         if not self._made.estimated or before is None:
             return
         wall = min(2 * before, self._made.bounds.wall_s or math.inf)
+        self._allow(wall)
+        if wall > before:
+            self._note(f"elements may take {wall / 60:g} minutes from now on, for {before / 60:g} were too few")
+
+    def _allow(self, wall: float) -> None:
+        """Have elements that are submitted from now on ask for so much time."""
         self._table = self._table.model_copy(update={"wall": wall})
-        self._made = replace(self._made, table=self._table.model_dump(mode="json"))
+        self._made = replace(self._made, table=self._table.model_dump(mode="json"), estimated=True)
         self._made.save(self._session)
         self._scheduler = schedulers.find(self._kind)(self._table)
         self._poll = Poll(self._scheduler)  # the other one will not know what this one submits
-        if wall > before:
-            self._note(f"elements may take {wall / 60:g} minutes from now on, for {before / 60:g} were too few")
+
+    def _learn(self, told: Told) -> float | None:
+        """What the other runs take in the mean, by what those that went first have told; where that is more, give more time."""
+        made, wall = self._made, self._table.wall
+        if told.seconds is None or made.first_s is None or made.rest_s is None:
+            return made.rest_s if told.seconds is None else told.seconds
+        slower = max(1.0, told.seconds / made.first_s)
+        if made.estimated and wall is not None and slower > 1:
+            self._allow(min(wall * slower, made.bounds.wall_s or math.inf))
+        return made.rest_s * slower
 
     def _deal_rest(self, told: Told) -> None:
         """Deal the other runs out, by what those that went first have told, and hand them over. Raises what is refused."""
         self._pilot = self._told = None
-        count, why = elements_of(self._made.rest, told.seconds, self._table, self._made.bounds, before=True)
+        count, why = elements_of(self._made.rest, self._learn(told), self._table, self._made.bounds, before=True)
         begin = len(self._shares)
         counts = deal_rest(count, begin, self._session)
         self._made = replace(self._made, counts=(*self._made.counts, *counts), rest=0)
@@ -471,7 +559,7 @@ class Cluster:
         number = len(list(self._session.sent.iterdir()))
         intent = submission.intent(indices, why)
         submission.note(self._session, number, intent)
-        request = replace(submission.request(self._session, self._name, indices, self._table.python), after=after)
+        request = replace(submission.elements_request(self._session, self._name, indices, self._table), after=after)
         self._due = time.monotonic() + FIRST_POLL_S
         try:
             job = self._scheduler.submit(request)
@@ -509,6 +597,8 @@ class Cluster:
     def _cancel(self, elements: Sequence[int] | None = None) -> None:
         """Have jobs, or elements, ended; where nobody can be asked to, that is tried again with the next question."""
         self._deaf = False
+        for index in elements or ():
+            self._shares[index].ours = True
         try:
             if self._made.probed and elements is None:
                 self._scheduler.cancel(self._probe.name)
@@ -526,6 +616,15 @@ class Cluster:
         if text not in self._said:
             self._said.add(text)
             self._notes.append(text)
+
+
+def _means(times: Times | None, first: Sequence[int]) -> tuple[float | None, float | None]:
+    """What the runs at these places, and the others, are expected to take in the mean."""
+    if times is None or not first:
+        return None, times.mean if times else None
+    chosen = [times.each[place] for place in first]
+    rest = len(times.each) - len(chosen)
+    return sum(chosen) / len(chosen), (sum(times.each) - sum(chosen)) / max(rest, 1)
 
 
 class Answer:

@@ -25,6 +25,7 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from sierra.model import Job, Limits, Result
 from sierra.paths import RUN_OUTPUT, RUN_STDERR, RUN_STDOUT, SessionPaths
@@ -190,8 +191,9 @@ def knows_nothing_of_other_names(trial: Trial) -> None:
 
 
 def may_be_looked_at_after_the_end(trial: Trial) -> None:
-    """What has ended is not taken for alive, however it ended."""
+    """What has ended is not taken for alive, however it ended, nor for cancelled."""
     request, _ = trial.run('exit "$1"', 0, 3)
+    _holds(not any(task.cancelled for task in trial.seen(request)), "what has ended by itself is taken for cancelled")
     _holds(not [task for task in trial.seen(request) if task.state != State.ENDED], "what has ended lives again")
 
 
@@ -205,6 +207,8 @@ def cancels_some(trial: Trial) -> None:
     trial.until_ended(request)
     ended = sorted(path.name for path in request.folder.glob("done-*"))
     _holds(ended == ["done-0", "done-3"], f"after element 1 was cancelled, there are {ended}")
+    cancelled = {task.element for task in trial.seen(request) if task.cancelled}
+    _holds(cancelled == {1} or (trial.scheduler.forgets and not cancelled), f"cancelled are told to be {cancelled}")
 
 
 def cancels_all(trial: Trial) -> None:
@@ -308,6 +312,7 @@ class Errand:
     shared: Path
     jobs: list[Job] = field(default_factory=list)
     told: list[Result] = field(default_factory=list)
+    rows: list[tuple[str, dict[str, Any]]] = field(default_factory=list)
     over: bool = False
 
     @property
@@ -345,6 +350,7 @@ class Errand:
     def look(self) -> Look:
         look = self.runner.look()
         self.told += look.results
+        self.rows += look.rows
         self.over = not look.alive
         if look.wrong is not None:
             raise look.wrong
@@ -413,6 +419,8 @@ def executes_each_job_once(ordeal: Ordeal) -> None:
         # a node's clock may be seconds off
         _holds(began - 5 < result.started <= result.ended < time.time() + 5, f"its times are {result.started}, {result.ended}")
         _holds(bool(result.host), "a result does not say where it was executed")
+    cut = [row for table, row in ordeal.begun[-1].rows if table == "attempts" and row["state"] != "finished"]
+    _holds(not cut, f"all was executed, and attempts are told to have been cut off: {cut}")
 
 
 def keeps_what_runs_leave(ordeal: Ordeal) -> None:

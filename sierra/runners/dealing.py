@@ -14,6 +14,7 @@ import zlib
 from binascii import b2a_base64
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Set as AbstractSet
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -44,11 +45,10 @@ def deal(jobs: Iterable[Job], elements: int, session: SessionPaths) -> tuple[int
     return tuple(share.count for share in shares)
 
 
-def deal_first(jobs: Iterable[Job], count: int, first: int, session: SessionPaths) -> tuple[int, int]:
-    """Write `first` of so many jobs, spread over all, to element 0, and the others to `rest`; how many each has got."""
+def deal_first(jobs: Iterable[Job], first: AbstractSet[int], session: SessionPaths) -> tuple[int, int]:
+    """Write the jobs at the places `first` to element 0, and the others to `rest`; how many each has got."""
     shares = [_Share(session.jobs(0)), _Share(session.rest)]
-    chosen = {number * (count - 1) // max(first - 1, 1) for number in range(first)}
-    _write(((shares[number not in chosen], job) for number, job in enumerate(jobs)), shares, session)
+    _write(((shares[number not in first], job) for number, job in enumerate(jobs)), shares, session)
     return shares[0].count, shares[1].count
 
 

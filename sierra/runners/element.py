@@ -1,6 +1,6 @@
 """What a task of a cluster starts on its node: it executes the runs of one element by the worker, and packs what they leave.
 
-    python3 -I -S FOLDER/element.py FOLDER INDEX
+    python3 -I -S FOLDER/element.py FOLDER [--wall=SECONDS] INDEX
 
 Three files on the standard library alone (Python 3.8 or newer) lie in the session's folder, FOLDER, on the file system that
 nodes and login nodes share: this one, `worker.py`, which executes, and `machine.py`, which says what a node is. Beside them:
@@ -28,9 +28,11 @@ it but in the writer's memory. A record that can't be written whole is taken bac
                 scheduler's variables), facts (`machine.facts`), variables (those that `record` names), python, clock (seconds
                 that the node's clock is ahead of the shared file system's)
     start       a run has begun: execution, time; and alone: where it has the element for itself
+    stalled     all processes of a run are stopped by a signal: run, execution, pid, since
     end         a run has ended, by itself or by a limit: all fields of sierra.model.Result but `directory`, `attempt`
                 and `environment`; `files`: a list of [path, bytes, sha256], in the order of the payload: `stdout`, `stderr`
                 (left out where empty), and `output/…` for each of the outputs; `size`: all of it
+    requeue     the scheduler is asked to begin the task anew: time; and refused: why it does not do that
     trouble     why the attempt could not go on, in a line: reason; and full: whether that is a disk without room
     finished    all that was missing has been executed: time
 
@@ -44,6 +46,10 @@ that is the trouble, and nothing executes. Where it becomes another later, no ru
 SIGTERM ends what runs, with the grace time that jobs have, a second one without. Where FOLDER, or the attempt's own pack, has
 been removed, nobody waits for the results any more: what runs is ended. Exit status 0: finished; 1: asked to end; 3: trouble,
 which is said on stderr too, and so is how long the task had lasted when it was asked.
+
+A task whose time would be over before its runs are (`--wall=SECONDS`: what it has) asks its scheduler to be begun anew, once,
+and shortly before: by the command `requeue` of the settings, with its own id. It does that only where a run has ended, so that
+it gets on each time, and where nothing is cancelled. It submits nothing. Where it is refused, it goes on as long as it may.
 
     python3 -I -S FOLDER/element.py FOLDER --probe INDEX
 
@@ -77,6 +83,11 @@ from typing import Any, BinaryIO, Callable, Deque, Dict, Iterable, Iterator, Lis
 # No `from __future__ import annotations`: to a Python before 3.7, that were an error, and no line that says what is needed.
 
 HOLD_S = 0.2
+BEFORE_S = 60.0
+"""How long before its end a task asks to be begun anew; a sixth of its time, where that is less."""
+REQUEUE_S = 20.0
+GIVE_UP_S = 5.0
+"""How long what has ended is still packed once the task is asked to end."""
 BUSY_S, IDLE_S = 0.02, 0.1
 SYNC_S = 2.0
 AHEAD, AHEAD_EACH = 64, 8
@@ -108,6 +119,10 @@ class Trouble(Exception):
     """Why an attempt can't go on, in a line."""
 
 
+class Unwanted(Exception):
+    """The task is to end, before all was read or packed that could be."""
+
+
 class Changed(Exception):
     """A file is not as the worker saw it."""
 
@@ -128,6 +143,8 @@ class Settings(NamedTuple):
     """
     record: List[str]
     """Names, or patterns, of variables to record."""
+    requeue: Tuple[str, ...] = ()
+    """The command that has a task begun anew, to which its id is added; empty: there is none."""
 
 
 # ---------------------------------------------------------------- packs
@@ -254,15 +271,20 @@ class Pack:
             return error.errno in (errno.ENOENT, errno.ENOTDIR, errno.ESTALE)
 
 
-def executed(folder: str, index: str, own: str) -> Set[bytes]:
-    """The executions whose end other attempts have recorded, with all files as they should be."""
+def executed(folder: str, index: str, own: str, asked: "Asked") -> Set[bytes]:
+    """The executions whose end other attempts have recorded, with all files as they should be. Raises Unwanted."""
+
+    def go_on() -> None:
+        if asked.times:
+            raise Unwanted
+
     found = set()
     for name in os.listdir(folder):
         path = os.path.join(folder, name)
         if name.startswith(index + ".") and name.endswith(".pack") and path != own:
             with contextlib.suppress(FileNotFoundError), open(path, "rb") as file:
                 for record, at, _ in records(file, 0):
-                    if record["event"] == "end" and is_sound(file, at, record["files"]):
+                    if record["event"] == "end" and is_sound(file, at, record["files"], go_on):
                         found.add(short(record["execution"]))
     return found
 
@@ -276,12 +298,13 @@ def listed(path: str) -> List[str]:
         return []
 
 
-def is_sound(file: BinaryIO, at: int, files: List[File]) -> bool:
-    """Whether a payload is what was written."""
+def is_sound(file: BinaryIO, at: int, files: List[File], go_on: Callable[[], None] = lambda: None) -> bool:
+    """Whether a payload is what was written. Calls `go_on` for each chunk."""
     file.seek(at)
     for _, size, sha256 in files:
         digest = hashlib.sha256()
         while size:
+            go_on()
             chunk = file.read(min(size, CHUNK))
             if not chunk:
                 return False
@@ -408,13 +431,14 @@ def logs_in(root: int) -> Iterator[File]:
                 yield name, size, digest.hexdigest()
 
 
-def contents(root: int, files: Iterable[File]) -> Iterator[bytes]:
-    """What is in files, one after the other. Raises Changed where one is not as it should be."""
+def contents(root: int, files: Iterable[File], go_on: Callable[[], None]) -> Iterator[bytes]:
+    """What is in files, one after the other. Raises Changed where one is not as it should be. Calls `go_on` for each chunk."""
     for path, size, sha256 in files:
         digest = hashlib.sha256()
         try:
             with open(opened(root, path), "rb", buffering=0) as file:
                 while size >= 0:
+                    go_on()
                     chunk = file.read(CHUNK)
                     if not chunk:
                         break
@@ -666,6 +690,35 @@ def born() -> float:
     return ticks / os.sysconf("SC_CLK_TCK")
 
 
+class Again:
+    """Asks the scheduler to begin this task anew, before its time is over: once, and only where it has got on."""
+
+    def __init__(self, folder: str, pack: Pack, command: Iterable[str], wall: Optional[float]) -> None:
+        self._cancelled = os.path.join(folder, "cancelled")
+        self._pack = pack
+        self._command = [*command, task_of(os.environ)]
+        self._at = born() + wall - min(BEFORE_S, wall / 6) if wall and len(self._command) > 1 else float("inf")
+        self.got_on = False
+
+    def ask(self) -> None:
+        """Ask, if it is time to. Where the scheduler agrees, this task is asked to end soon."""
+        if not self.got_on or time.clock_gettime(time.CLOCK_BOOTTIME) < self._at or os.path.exists(self._cancelled):
+            return
+        self._at = float("inf")
+        self._record(None)
+        try:
+            subprocess.run(self._command, stdin=subprocess.DEVNULL, capture_output=True, check=True, timeout=REQUEUE_S)
+        except subprocess.CalledProcessError as error:
+            said = (error.stderr or error.stdout).decode("utf-8", "replace").split()
+            self._record(" ".join(said) or "status %d" % error.returncode)
+        except (OSError, subprocess.TimeoutExpired) as error:
+            self._record(" ".join(str(error).split()))
+
+    def _record(self, refused: Optional[str]) -> None:
+        self._pack.add({"event": "requeue", "time": time.time(), "refused": refused})
+        self._pack.sync(float("inf"))
+
+
 class Journal:
     """What the worker says, read while it grows."""
 
@@ -694,7 +747,16 @@ class Execution:
     """The worker at work, and what it says on the way into the pack."""
 
     def __init__(
-        self, folder: str, session: str, lock: int, pack: Pack, asked: Asked, worker: Any, needs: Needs, scratch: str
+        self,
+        folder: str,
+        session: str,
+        lock: int,
+        pack: Pack,
+        asked: Asked,
+        again: Again,
+        worker: Any,
+        needs: Needs,
+        scratch: str,
     ) -> None:
         """`scratch`: a folder of the node, which is made; `lock`: what the worker holds as long as it lives."""
         os.mkdir(scratch)
@@ -705,6 +767,7 @@ class Execution:
         self._scratch = scratch
         self._pack = pack
         self._asked = asked
+        self._again = again
         self._worker = worker
         self._needs = needs
         self._journal = Journal(os.path.join(scratch, "journal.jsonl"))
@@ -745,6 +808,8 @@ class Execution:
                 self._hear(now, event)
             self._take(now)
             self._pack.sync(now)
+            if not (over or self._stopping):
+                self._again.ask()
             if over and not events and not self._held:
                 return
             pause = BUSY_S if events or self._held else min(IDLE_S, 1.2 * pause)
@@ -756,6 +821,8 @@ class Execution:
             self._held.append((now, event))
             if is_small(event):
                 self._feeder.permits.release()
+        elif event["event"] == "stalled":
+            self._pack.add(event)
         elif not (self._stopping or self._asked.times):
             self.begin(event["execution"])
 
@@ -798,8 +865,10 @@ class Execution:
     def _take_end(self, event: Event) -> None:
         directory, spare = event.pop("directory"), event.pop("spare", False)
         if event["stopped"] != "interrupted":
-            self._pack_run(event, directory)
-            self._ended += 1
+            with contextlib.suppress(Unwanted):
+                self._pack_run(event, directory)
+                self._ended += 1
+                self._again.got_on = True
         if spare:
             self._feeder.spare.append(int(os.path.basename(directory)))
         elif self._is_own(directory):
@@ -838,7 +907,14 @@ class Execution:
 
     def _add(self, event: Event, root: int, files: List[File]) -> None:
         size = sum(size for _, size, _ in files)
-        self._pack.add({**event, "files": files, "size": size}, contents(root, files))
+        self._pack.add({**event, "files": files, "size": size}, contents(root, files, self._go_on))
+
+    def _go_on(self) -> None:
+        """Raise Unwanted where a run is packed for nobody any more, or the task has no more time for it."""
+        self._heed(time.monotonic())
+        asked = self._asked
+        if self._stopping and (asked.times != 1 or time.clock_gettime(time.CLOCK_BOOTTIME) - asked.when > GIVE_UP_S):
+            raise Unwanted
 
     def _end(self) -> None:
         """Wait for the worker's end, whatever has happened, and end what it has left."""
@@ -894,7 +970,7 @@ def module(folder: str, name: str) -> Any:
     return made
 
 
-def attempt(folder: str, index: int, asked: Asked, *, probing: bool) -> bool:
+def attempt(folder: str, index: int, asked: Asked, *, wall: Optional[float] = None, probing: bool) -> bool:
     """Execute what is missing of an element; whether it is finished. Raises Trouble and OSError."""
     with open(os.path.join(folder, "element.json"), "rb") as file:
         settings = Settings(**json.load(file))
@@ -910,14 +986,17 @@ def attempt(folder: str, index: int, asked: Asked, *, probing: bool) -> bool:
         needs.check()
         with scratch(settings, worker.remove) as (own, lock):
             named = os.path.join(folder, "elements", str(index))
-            done = executed(results, str(index), pack.path) | {short(one) for one in listed(named + ".failed")}
-            execution = partial(Execution, folder, settings.session, lock, pack, asked, worker, needs)
+            done = executed(results, str(index), pack.path, asked) | {short(one) for one in listed(named + ".failed")}
+            again = Again(folder, pack, settings.requeue, wall)
+            execution = partial(Execution, folder, settings.session, lock, pack, asked, again, worker, needs)
             if not probing and not execute(named, done, slots, own, execution):
                 pack.sync(float("inf"))
                 return False
         pack.add({"event": "finished", "time": time.time()})
         pack.sync(float("inf"))
         return True
+    except Unwanted:
+        return False
     except Exception as error:
         pack.say(reason_of(error), full=getattr(error, "errno", None) in (errno.ENOSPC, errno.EDQUOT))
         raise
@@ -959,7 +1038,8 @@ def main(arguments: List[str]) -> int:
     try:
         folder, index = os.path.abspath(arguments[0]), int(arguments[-1])
         probing = "--probe" in arguments
-        if attempt(folder, index, asked, probing=probing):
+        wall = next((float(one.partition("=")[2]) for one in arguments if one.startswith("--wall=")), None)
+        if attempt(folder, index, asked, wall=wall, probing=probing):
             return 0
         if asked.times and not probing:
             say("asked to end after %.0f s" % (asked.when - born()))

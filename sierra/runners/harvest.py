@@ -22,7 +22,8 @@ from sierra.errors import Damaged
 from sierra.model import Result
 from sierra.paths import SessionPaths, write_whole
 from sierra.provenance import environment
-from sierra.runners.packs import Attempt, Ended, Event, Finished, Pack, Started, Trouble
+from sierra.runners.journal import Stalled
+from sierra.runners.packs import Attempt, Ended, Event, Finished, Pack, Requeued, Started, Trouble
 from sierra.runners.submission import Submission
 from sierra.store.segments import disk_errors
 from sierra.wording import counted
@@ -33,6 +34,7 @@ READ_S = 0.2
 """Between two readings of packs, while nothing comes."""
 LATE_S = 60.0
 """How long a network file system may take to show what was written."""
+REQUEUED = "its time was nearly over: it asked to be begun anew"
 CLOCK_S = 2.0
 """How far a node's clock may be from the shared file system's; times are told by the latter where it is farther."""
 
@@ -56,6 +58,11 @@ class Share:
     """Why the last attempt could not go on, as it said."""
     word: str = ""
     """How it ended, as the scheduler says."""
+    queued: bool = False
+    """Whether it waited for a node when the scheduler last knew of it."""
+    cancelled: bool = False
+    """Whether somebody has cancelled it, as the scheduler says; and `ours`: whether this process has."""
+    ours: bool = False
     node: str = ""
 
     @property
@@ -80,6 +87,11 @@ class Track:
     """Runs that began before any had ended: nothing of the attempt's time had gone by."""
     alone: set[str] = field(default_factory=set)
     """Runs that had the element for themselves."""
+    requeued: str | None = None
+    word: str = ""
+    """How it ended, as the scheduler says."""
+    stalled: dict[str, Stalled] = field(default_factory=dict)
+    """Runs that were told of as stopped by a signal, and have not ended."""
     finished: bool = False
     trouble: str | None = None
     late: list[tuple[float, Ended]] = field(default_factory=list)
@@ -132,6 +144,11 @@ class Harvest:
         """Elements that end by themselves."""
         return {track.element for track in self._tracks.values() if track.finished}
 
+    def closing(self) -> set[int]:
+        """Elements that have executed all that they began, and have not said yet that they have finished."""
+        last = {track.element: track for track in self._tracks.values()}
+        return {index for index, track in last.items() if not (track.finished or track.trouble or track.begun)}
+
     def running(self, alive: set[int] | None) -> int:
         """How many runs go on, where these elements live (None: nobody has said which)."""
         last = {track.element: track for track in self._tracks.values()}  # of the attempts at one element, the newest
@@ -156,6 +173,10 @@ class Harvest:
                         self._begun(track, event)
                     case Started():
                         self._started(track, event)
+                    case Requeued():
+                        track.requeued = f"{REQUEUED}, and that is refused: {event.refused}" if event.refused else REQUEUED
+                    case Stalled():
+                        track.stalled[event.execution] = event
                     case Ended():
                         self._take(track, event, results, copies)
                     case Trouble():
@@ -164,6 +185,8 @@ class Harvest:
                         track.finished, track.ended = True, event.time
                 if len(results) >= AT_ONCE:
                     return results, copies
+            for stalled in track.stalled.values():
+                self._note(stalled.told(f" on {self.shares[track.element].node}"))
             self._take_late(track, results, copies)
         if not results:
             self._due = time.monotonic() + READ_S
@@ -218,6 +241,7 @@ class Harvest:
         elif self._recorded.get(key, "") != track.pack.attempt:
             copies.append(self._of(track, event.result))
         track.begun.discard(execution)
+        track.stalled.pop(execution, None)
         track.runs += 1
         track.ended = event.result.ended
         share = self.shares[track.element]
@@ -254,7 +278,20 @@ class Harvest:
 
     def attempts(self, word: str | None) -> list[tuple[str, dict[str, Any]]]:
         """All attempts as rows; `word` is what ended those that do not say it themselves, else the scheduler's word is."""
+        for index in range(len(self.shares)):
+            self.note_end(index)
         return [("attempts", self._row(track, track.attempt, word)) for track in self._tracks.values() if track.attempt]
+
+    def note_end(self, index: int) -> None:
+        """Keep how the scheduler says that an element has ended with the last attempt at it: another one may follow."""
+        last = self._last(index)
+        if last is not None and not last.word:
+            last.word = self.shares[index].word
+
+    def _last(self, index: int) -> Track | None:
+        """The last attempt at an element."""
+        tracks = [track for track in self._tracks.values() if track.element == index and track.attempt]
+        return max(tracks, key=lambda track: track.attempt.started if track.attempt else 0.0, default=None)
 
     def _row(self, track: Track, begun: Attempt, word: str | None) -> dict[str, Any]:
         return {
@@ -275,7 +312,7 @@ class Harvest:
             "runs": track.runs,
             "cut": len(track.begun),
             "state": "finished" if track.finished else "cut off",
-            "trouble": track.trouble or (None if track.finished else word or self.shares[track.element].word or None),
+            "trouble": track.trouble or (None if track.finished else track.requeued or track.word or word or None),
             "environment": track.environment,
         }
 
@@ -291,14 +328,21 @@ class Harvest:
                 share.begun.pop(execution, None)
                 share.done += 1
 
+    def allowed(self, index: int) -> float | None:
+        """Seconds that the last attempt at an element had, where its scheduler told it when they are over."""
+        last = self._last(index)
+        if last is None or last.attempt is None:
+            return None
+        end = last.attempt.allocation.get("SLURM_JOB_END_TIME", "")
+        return float(end) - last.attempt.started if end.isdigit() else None
+
     def cut_alone(self, index: int) -> set[str]:
         """Runs of an element that were cut off while they had it for themselves."""
         return {one for track in self._tracks.values() if track.element == index for one in track.begun & track.alone}
 
     def cut_late(self, index: int) -> set[str]:
         """Runs that were cut off by the end of the element's last attempt, and had begun with it."""
-        tracks = [track for track in self._tracks.values() if track.element == index and track.attempt]
-        last = max(tracks, key=lambda track: track.attempt.started if track.attempt else 0.0, default=None)
+        last = self._last(index)
         return last.begun & last.first if last else set()
 
     def isolate(self, index: int, executions: Sequence[str]) -> None:

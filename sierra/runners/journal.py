@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import json
+import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from sierra.hashing import short
 from sierra.model import OutputFile, Result
 
 AT_ONCE = 1 << 20
@@ -23,6 +25,26 @@ class Started:
     born: int | None
 
 
+@dataclass(frozen=True, slots=True)
+class Stalled:
+    """All processes of a run are stopped by a signal."""
+
+    run: str
+    execution: str
+    pid: int
+    since: float
+    """In seconds since the epoch."""
+
+    def told(self, where: str = "") -> str:
+        """Say it to the user; `where` is the node, as in ` on n1`."""
+        when = time.strftime("%H:%M:%S", time.localtime(self.since))
+        cure = f"kill -CONT {self.pid}{where} continues it, and wall in [limits] ends such runs"
+        return f"run {short(self.run)} makes no progress: a signal stopped its processes{where} at {when}; {cure}"
+
+
+Event = Started | Stalled | Result
+
+
 class Journal:
     """Reads on from where it stopped. A line that is cut short is not there yet, one that is damaged never was."""
 
@@ -35,12 +57,12 @@ class Journal:
         with contextlib.suppress(FileNotFoundError):
             self._offset = self._path.stat().st_size
 
-    def read(self) -> Iterator[Started | Result]:
+    def read(self) -> Iterator[Event]:
         """All events since the last reading."""
         while lines := self._lines():
             yield from filter(None, map(_event, lines))
 
-    def some(self) -> tuple[list[Started | Result], bool]:
+    def some(self) -> tuple[list[Event], bool]:
         """The next events, at most a MiB of them; and whether there was anything, so that there may be more."""
         lines = self._lines()
         return list(filter(None, map(_event, lines))), bool(lines)
@@ -60,11 +82,14 @@ class Journal:
         return whole.splitlines()
 
 
-def _event(line: bytes) -> Started | Result | None:
+def _event(line: bytes) -> Event | None:
     try:
         event: dict[str, Any] = json.loads(line)
-        if event.pop("event") == "start":
+        kind = event.pop("event")
+        if kind == "start":
             return Started(**event)
+        if kind == "stalled":
+            return Stalled(**event)
         event["outputs"] = tuple(OutputFile(**file) for file in event["outputs"])
         event["left_out"] = tuple(event.get("left_out", ()))
         return Result(**event)

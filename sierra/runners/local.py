@@ -21,7 +21,7 @@ from sierra.errors import Missing
 from sierra.model import Client, Job, Limits, Result
 from sierra.paths import SessionPaths
 from sierra.runners import Look, Work, orphans
-from sierra.runners.journal import Journal, Started
+from sierra.runners.journal import Journal, Stalled, Started
 
 
 class Local:
@@ -72,18 +72,20 @@ class Local:
 
     def look(self) -> Look:
         ended = self._process is None or self._process.poll() is not None
-        results = []
+        results, notes = [], []
         events, more = self._journal.some()
         for event in events:
             match event:
                 case Started():
                     self._running.add(event.execution)
+                case Stalled():
+                    notes.append(event.told())
                 case Result():
                     self._running.discard(event.execution)
                     results.append(event)
         if ended and not more and self._process is not None:
             self._check(self._process)
-        return Look(tuple(results), len(self._running), alive=not ended or more)
+        return Look(tuple(results), len(self._running), alive=not ended or more, notes=tuple(notes))
 
     def stop(self) -> None:
         if self._process is not None and self._process.poll() is None:

@@ -14,6 +14,7 @@ from sierra.errors import Damaged
 from sierra.model import OutputFile, Result
 from sierra.paths import RUN_OUTPUT, RUN_STDERR, RUN_STDOUT
 from sierra.runners import element
+from sierra.runners.journal import Stalled
 from sierra.store.segments import disk_errors
 
 CHUNK = 1 << 20
@@ -83,7 +84,16 @@ class Finished:
     time: float
 
 
-Event = Attempt | Started | Ended | Trouble | Finished
+@dataclass(frozen=True, slots=True)
+class Requeued:
+    """The attempt asked its scheduler to be begun anew, before its time is over."""
+
+    time: float
+    refused: str | None = None
+    """Why the scheduler does not do that."""
+
+
+Event = Attempt | Requeued | Started | Stalled | Ended | Trouble | Finished
 
 
 class Pack:
@@ -120,6 +130,10 @@ class Pack:
                 return Attempt(**fields)
             case "start":
                 return Started(**fields)
+            case "requeue":
+                return Requeued(**fields)
+            case "stalled":
+                return Stalled(**fields)
             case "end":
                 return self._ended(fields, at)
             case "trouble":

@@ -75,4 +75,4 @@ def _device(folder: Path) -> int:
 
 def _told(table: ClusterTable) -> object:
     """What of a cluster's table makes a difference to what nodes are, and can."""
-    return json.loads(table.model_dump_json(exclude={"elements", "attempts", "wall"}))
+    return json.loads(table.model_dump_json(exclude={"elements", "attempts", "wall", "cancelled"}))

@@ -9,12 +9,14 @@ from pathlib import Path
 
 from sierra.config import ClusterTable
 from sierra.errors import Missing
+from sierra.model import Times
 from sierra.paths import SessionPaths
 from sierra.runners import schedulers, submission
 from sierra.runners.pilot import PATIENCE_S
 from sierra.runners.probe import Probe
 from sierra.runners.schedulers import Bounds
 from sierra.runners.sizing import Size, size
+from sierra.runners.submission import UNFOLLOWED
 from sierra.wording import counted
 
 FILES = 14
@@ -23,7 +25,7 @@ FILES_OF_ELEMENT = 3
 """Its jobs, its pack, what it prints."""
 SAID = (
     *("cpus", "memory", "gpus", "partition", "account", "qos", "constraint", "modules", "directives"),
-    *("python", "scratch", "attempts"),
+    *("python", "scratch", "attempts", "cancelled"),
 )
 """The settings of a cluster that are told of, beside the number of elements and their time."""
 DEFAULTS = {
@@ -39,9 +41,10 @@ PROBE = (
 
 
 TELL = (
-    "nobody knows yet how long runs take: {} go first, and tell how many elements the others become; so many as are told here "
-    "where nobody waits for them, or no node begins them within {:g} s"
+    "{}: {} go first, and tell how many elements the others become; so many as are told here where nobody waits for them, or "
+    "no node begins them within {:g} s"
 )
+NOBODY, NEVER = "nobody knows yet how long runs take", "runs with these values were never timed"
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,35 +93,39 @@ def propose(
     work: Path,
     *,
     count: int,
-    seconds: float | None,
+    times: Times | None,
     each: float | None,
     beside: tuple[int, int],
+    waits: bool,
 ) -> Proposal:
-    """What `count` runs would ask of a cluster, each of which takes so many seconds and leaves `each` bytes.
+    """What `count` runs would ask of a cluster, which are expected to take these times, and each of which leaves `each` bytes.
 
-    `work` is the folder of sessions; `beside` are files and bytes that are there however the batch is dealt out. Where the
-    scheduler can't be reached, all is told but for what the site allows. Raises ConfigError for what is refused.
+    `waits`: whether somebody would follow. `work` is the folder of sessions; `beside` are files and bytes that are there
+    however the batch is dealt out. Where the scheduler can't be reached, all is told but for what the site allows. Raises
+    ConfigError for what is refused.
     """
     notes = [PROBE] if Probe(name, table, SessionPaths(work / "SESSION")).is_needed() else []
     version, bounds = _site(scheduler, table, notes)
-    sized = size(count, seconds, table, bounds)
+    sized = size(count, times, table, bounds, waits=waits)
     asked = table.model_copy(update={"wall": sized.wall_s})
-    notes += [TELL.format(counted(sized.first, "run"), PATIENCE_S)] if sized.first else []
+    unknown = NEVER if times else NOBODY
+    notes += [TELL.format(unknown, counted(len(sized.first), "run"), PATIENCE_S)] if sized.first else []
+    notes += [] if waits else [UNFOLLOWED]
     files, carried = beside
     return Proposal(
         runner=name,
         scheduler=version or scheduler,
         runs=count,
         elements=sized.elements,
-        longest=math.ceil((count - sized.first) / sized.elements),
+        longest=math.ceil((count - len(sized.first)) / sized.elements),
         cpus=table.cpus,
         wall_s=sized.wall_s,
         expected_s=sized.expected_s,
-        core_hours=_hours(sized, table, sized.expected_s),
-        most_core_hours=_hours(sized, table, sized.wall_s),
+        core_hours=sum(times.each) / 3600 if times else None,
+        most_core_hours=None if sized.wall_s is None else sized.elements * table.cpus * sized.wall_s / 3600,
         files=files + FILES + FILES_OF_ELEMENT * (sized.elements + bool(sized.first)),
         bytes=None if each is None else carried + round(count * each),
-        settings=tuple(_settings(sized, table, bounds)),
+        settings=tuple(_settings(sized, times, table, bounds)),
         script=_script(scheduler, asked, sized, SessionPaths(work / "SESSION"), notes),
         notes=tuple(dict.fromkeys(notes)),
     )
@@ -134,16 +141,15 @@ def _site(scheduler: str, table: ClusterTable, notes: list[str]) -> tuple[str | 
         return None, Bounds()
 
 
-def _hours(sized: Size, table: ClusterTable, seconds: float | None) -> float | None:
-    return None if seconds is None else sized.elements * table.cpus * seconds / 3600
-
-
-def _settings(sized: Size, table: ClusterTable, bounds: Bounds) -> list[Setting]:
+def _settings(sized: Size, times: Times | None, table: ClusterTable, bounds: Bounds) -> list[Setting]:
     """All that is asked for, and what the site allows."""
     values: dict[str, float | None] = {"elements": sized.elements, "wall": sized.wall_s}
     found = [Setting(name, values.get(name), why) for name, why in sized.why]
+    if times:
+        took = f"{min(times.each):.3g} to {max(times.each):.3g} s, {times.mean:.3g} s in the mean"
+        found.append(Setting("time of a run", took, times.how))
     if sized.first:
-        found.append(Setting("first runs", sized.first, "nobody knows yet how long runs take: these tell"))
+        found.append(Setting("first runs", len(sized.first), f"{NEVER if times else NOBODY}: these tell"))
     for name in SAID:
         value = getattr(table, name)
         shown = ", ".join(value) or None if isinstance(value, tuple) else value
@@ -164,7 +170,7 @@ def _allowed(bounds: Bounds) -> Iterator[Setting]:
 
 def _script(scheduler: str, table: ClusterTable, sized: Size, session: SessionPaths, notes: list[str]) -> str | None:
     elements = tuple(range(bool(sized.first), sized.elements + bool(sized.first)))
-    request = submission.request(session, "sierra-SESSION", elements, table.python)
+    request = submission.elements_request(session, "sierra-SESSION", elements, table)
     try:
         return schedulers.find(scheduler)(table).script(request)
     except Missing as error:

@@ -24,6 +24,10 @@ from sierra.wording import few
 
 NAMED = 8
 """Digits of a session's id in the name of its jobs."""
+UNFOLLOWED = (
+    "an element that its time limit ends goes on by itself only where the site lets tasks requeue themselves; otherwise, "
+    "sierra attach (or asking again) submits what is missing"
+)
 SHOWN_REASONS, LONGEST = 2, 70
 """Reasons why elements wait that are told of, and letters of each."""
 
@@ -62,6 +66,9 @@ class Submission:
     """What the site allowed then: the fields of `Bounds`."""
     estimated: bool = False
     """Whether the time of an element is SIERRA's own guess, and not the project's."""
+    first_s: float | None = None
+    """What those that go first were expected to take in the mean, and (`rest_s`) the others; None where nobody knew."""
+    rest_s: float | None = None
     past: tuple[str, ...] = ()
     """Jobs of the same name that have nothing to do with it: of what the session had submitted before."""
 
@@ -100,8 +107,13 @@ def name_of(session: SessionPaths, what: str = "sierra") -> str:
     return f"{what}-{session.root.name[:NAMED]}"
 
 
+def elements_request(session: SessionPaths, name: str, elements: tuple[int, ...], table: ClusterTable) -> Request:
+    """The array job that executes these elements, each of which knows how much time it has."""
+    return request(session, name, elements, table.python, *([f"--wall={table.wall:g}"] if table.wall else []))
+
+
 def request(session: SessionPaths, name: str, elements: tuple[int, ...], python: str, *options: str) -> Request:
-    """The array job that executes these elements."""
+    """The array job that calls `element.py` for these elements."""
     command = (python, "-I", "-S", str(session.root / "element.py"), str(session.root), *options)
     return Request(name, f"sierra {session.root.name}", elements, session.root, session.logs, command)
 
@@ -123,6 +135,17 @@ def note(session: SessionPaths, number: int, one: Sent) -> None:
     """Write what is handed over, or was."""
     with disk_errors(session.root):
         write_whole(session.sent / f"{number}.json", json.dumps(asdict(one)).encode())
+
+
+def last(session: SessionPaths, tasks: Iterable[Task]) -> Iterator[tuple[int, Task]]:
+    """Each element of which these tasks are the last submission, with its task; those of earlier jobs are left out."""
+    handed = sent(session)
+    known = {one.job for one in handed}
+    latest = {index: one.job for one in handed for index in one.elements}
+    for task in tasks:
+        for index in elements(session, [task]):
+            if index in latest and (latest[index] == task.job or (latest[index] is None and task.job not in known)):
+                yield index, task
 
 
 def intent(elements: tuple[int, ...], why: str) -> Sent:

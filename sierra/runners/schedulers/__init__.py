@@ -49,6 +49,8 @@ class Task:
     reason: str = ""
     """The scheduler's own words: why it waits, or how it ended (NODE_FAIL, TIMEOUT, OUT_OF_MEMORY)."""
     node: str = ""
+    cancelled: bool = False
+    """Whether it has ended because somebody cancelled it, and not by a limit, a lost node or preemption."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,6 +116,16 @@ class Scheduler(Protocol):
 
     def __init__(self, table: ClusterTable) -> None:
         """`table`: what the project says of this cluster."""
+        ...
+
+    @property
+    def requeue(self) -> tuple[str, ...]:
+        """The command by which a task has itself begun anew later, to which its own id is added; empty where there is none."""
+        ...
+
+    @property
+    def forgets(self) -> bool:
+        """Whether `look` leaves out what has ended. A task that vanishes while it waits was cancelled then."""
         ...
 
     def version(self) -> str:

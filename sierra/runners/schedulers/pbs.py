@@ -84,6 +84,14 @@ class Pbs:
         self._submitted = 0
         """Grows when a submission begins and when it ends: a look in another thread may not have seen its job."""
 
+    @property
+    def requeue(self) -> tuple[str, ...]:
+        return self._slurm.requeue if self._dialect is Dialect.SLURM else (shutil.which("qrerun") or "qrerun",)
+
+    @property
+    def forgets(self) -> bool:
+        return self._dialect is not Dialect.SLURM
+
     def version(self) -> str:
         dialect, version = self._speaks
         return f"{dialect} {version}" if dialect is not Dialect.SLURM else f"{self._slurm.version()} (its qsub)"

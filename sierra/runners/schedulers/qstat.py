@@ -50,6 +50,8 @@ ENDS = {
     ("exit_status", "271"): "asked to end",
 }
 """What statuses that are no program's mean: OpenPBS's and, in small letters, Torque's (job.h, pbs_job.h)."""
+DELETED = "91"
+"""The `substate` of what was deleted while it ran, or waited (OpenPBS)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,7 +130,9 @@ def tasks(records: Sequence[Record]) -> Iterator[Task]:
         if known.place is not None or known.job not in listed:
             whole = wholes.get(known.job, {}) if known.place is not None else {}
             state, reason = _state(record, whole)
-            yield Task(known.job, element(record), state, reason, record.get("exec_host", "").partition("/")[0])
+            node = record.get("exec_host", "").partition("/")[0]
+            cancelled = state is State.ENDED and _is_deleted(record)
+            yield Task(known.job, element(record), state, reason, node, cancelled)
 
 
 def element(record: Record) -> int | None:
@@ -178,6 +182,11 @@ def _end(record: Record) -> str:
         if (status := record.get(key, "0")) != "0":
             return ": ".join(filter(None, (f"{key} {status}", ENDS.get((key, status)))))
     return ""
+
+
+def _is_deleted(record: Record) -> bool:
+    """Whether `qdel` has ended a task: what it says of itself may be any exit status."""
+    return record.get("substate") == DELETED or "271" in (record.get("Exit_status"), record.get("exit_status"))
 
 
 def _held(record: Record) -> State:

@@ -76,8 +76,14 @@ class Slurm:
 
     name = "slurm"
 
+    forgets = False
+
     def __init__(self, table: ClusterTable) -> None:
         self._table = table
+
+    @property
+    def requeue(self) -> tuple[str, ...]:
+        return shutil.which("scontrol") or "scontrol", "requeue"
 
     def version(self) -> str:
         return f"slurm {_answer('sbatch', '--version').split()[-1]}"
@@ -209,7 +215,7 @@ def tasks(told: str) -> tuple[Task, ...]:
 def _task(job: str, element: str, word: str, node: str, reason: str) -> Task:
     state = _state(word, reason)
     shown = word if state == State.ENDED else "" if reason == "None" else reason
-    return Task(job, int(element) if element.isdigit() else None, state, shown, node)
+    return Task(job, int(element) if element.isdigit() else None, state, shown, node, cancelled=word == "CANCELLED")
 
 
 def _state(word: str, reason: str) -> State:
