@@ -82,7 +82,7 @@ class StorePaths:
     MARK: ClassVar[str] = "mark"
     """The file by which a folder is known as one that SIERRA made; see `sierra.marks`."""
     NAMES: ClassVar[frozenset[str]] = frozenset(
-        (".gitignore", "CACHEDIR.TAG", "damaged", "files", "format", "id", "images", "kept", "segments", "work")
+        (".gitignore", "CACHEDIR.TAG", "damaged", "files", "format", "id", "images", "kept", "numbers", "segments", "work")
     )
     """All that lies in a store."""
     root: Path
