@@ -309,7 +309,10 @@ def test_a_finding_takes_an_execution_out_of_all_tables(project: Project) -> Non
     assert one(project, "SELECT count(*) FROM out") == 4
 
 
-def test_questions_are_answered_while_a_batch_runs(project: Project, tmp_path_factory: pytest.TempPathFactory) -> None:
+def test_questions_are_answered_while_a_batch_runs(
+    project: Project, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sierra.recording.recorder.SOON_S", 0.1)
     folder = tmp_path_factory.mktemp("beside")
     waits = f'[ "$(wc -l < {folder}/begun)" -le 10 ] || until [ -e {folder}/gate ]; do sleep 0.02; done\n'
     (project.root / "sim.sh").write_text(f"echo >> {folder}/begun\n{waits}{SIM}")
