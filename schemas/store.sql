@@ -308,7 +308,7 @@ CREATE TABLE images (
     "size" BIGINT  -- size of its files [bytes]
 );
 
--- Files by the hash of their content, in parts of at most 8 MiB.
+-- Files by the hash of their content, in parts of at most 8 MiB; also those that became tables, unless [store] raw is false.
 CREATE TABLE objects (
     "sha256" VARCHAR,  -- SHA-256 of the whole file
     "part" BIGINT,  -- place of this part, from 0

@@ -382,6 +382,16 @@ class Source(Table):
     large: Size = Field(50_000_000, description="an untracked file of more bytes is an error, a number or as in `50 MB`")
 
 
+class StoreTable(Table):
+    """What the store keeps of runs."""
+
+    raw: bool = Field(
+        True,
+        description="whether the bytes of files that become tables are kept too, so that changed [outputs] and [success] "
+        "execute nothing again",
+    )
+
+
 class Determinism(Table):
     """Whether runs with the same seed give the same bytes."""
 
@@ -520,6 +530,7 @@ class Project(Table):
     environment: Environment = Environment()
     container: Container | None = Field(None, description="the image that runs execute in; on this machine where absent")
     source: Source = Source()
+    store: StoreTable = StoreTable()
     determinism: Determinism = Determinism()
     equivalence: Mapping[Name, Equivalence] = Field(
         default_factory=dict, description="for runs that are not deterministic: what must be the same in a replay, by name"

@@ -225,6 +225,7 @@ def context(plan: Plan, session: str = "") -> Context:
         programs=plan.programs.id,
         outputs=plan.outputs,
         success=plan.success,
+        raw=plan.project.config.store.raw,
     )
 
 

@@ -140,6 +140,7 @@ def replay(
             now.id,
             record.of.outputs,
             record.of.success,
+            raw=project.config.store.raw,
             **contained.context,
         )
         maker = jobs.Maker(

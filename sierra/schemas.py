@@ -131,6 +131,9 @@ paths = ["sim.py", "controllers"]
 dirty = "record"
 large = "50 MB"
 
+[store]
+raw = true
+
 [determinism]
 probe = true
 

@@ -55,6 +55,7 @@ def seen(table: dict[str, Any]) -> dict[str, set[str]]:
         "environment": "Environment",
         "container": "Container",
         "programs": "ProgramsTable",
+        "store": "StoreTable",
     }.items():
         found[model] = set(table[name])
     found["Source"] = set(table["source"])

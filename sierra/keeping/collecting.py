@@ -139,7 +139,7 @@ def _unfinished(paths: StorePaths) -> Iterator[Path]:
 
 
 REFERRED = """
-SELECT sha256 FROM artifacts WHERE kind <> 'table' UNION SELECT unnest([input] || others) FROM members
+SELECT sha256 FROM artifacts UNION SELECT unnest([input] || others) FROM members
 UNION SELECT files FROM sources UNION SELECT files FROM images UNION SELECT sha256 FROM blobs
 """
 

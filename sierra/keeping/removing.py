@@ -182,11 +182,11 @@ AROUND = {
 }
 """By table, its key, and the ids that nothing refers to any more."""
 OBJECTS = """
-(SELECT sha256 FROM artifacts WHERE kind <> 'table' AND execution IN (SELECT execution FROM gone)
+(SELECT sha256 FROM artifacts WHERE execution IN (SELECT execution FROM gone)
  UNION SELECT unnest([input] || others) FROM gone_members UNION SELECT files FROM gone_sources
  UNION SELECT files FROM gone_images UNION SELECT sha256 FROM blobs WHERE blob IN (SELECT blob FROM gone_blobs))
 EXCEPT
-(SELECT sha256 FROM artifacts WHERE kind <> 'table' AND execution NOT IN (SELECT execution FROM gone)
+(SELECT sha256 FROM artifacts WHERE execution NOT IN (SELECT execution FROM gone)
  UNION SELECT unnest([input] || others) FROM staying_members
  UNION SELECT files FROM sources WHERE source NOT IN (SELECT source FROM gone_sources)
  UNION SELECT files FROM images WHERE image NOT IN (SELECT image FROM gone_images)

@@ -15,7 +15,7 @@ from sierra.store.segments import disk_errors
 
 UNREAD = {"units", "time", "tolerance", "ordered", "volatile"}
 """Of an output, what makes no difference to how it is recorded."""
-SAVED = ("session", "batch", "purpose", "environment", "programs", "engine", "isolation", "shared", "enforced")
+SAVED = ("session", "batch", "purpose", "environment", "programs", "engine", "isolation", "shared", "enforced", "raw")
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,6 +35,8 @@ class Context:
     shared: bool = False
     enforced: tuple[str, ...] = ()
     """The limits that the engine enforces."""
+    raw: bool = True
+    """Whether the bytes of files that become tables are kept too."""
 
     @property
     def reading(self) -> str:

@@ -168,7 +168,7 @@ class Recorder:
         tables = tabled(self._pending, writer, self._store, self._context, self._assigning, self._shapes)
         judged = [tables.judged(one) for one in self._pending]
         objects = Objects(writer.path("objects"))
-        artifacts = [row for one in judged for row in _artifacts(one.result, tables, objects)]
+        artifacts = [row for one in judged for row in _artifacts(one.result, tables, objects, raw=self._context.raw)]
         objects.close()
         writer.rows("artifacts", artifacts)
         writer.rows("executions", (self._execution(one) for one in judged))
@@ -207,12 +207,12 @@ class Recorder:
         }
 
 
-def _artifacts(result: Result, tables: Tabled, objects: Objects) -> Iterator[dict[str, Any]]:
-    """The files that a run left; the content of those that are no table's is put among the objects."""
+def _artifacts(result: Result, tables: Tabled, objects: Objects, *, raw: bool) -> Iterator[dict[str, Any]]:
+    """Yield a row for each file that a run left. Their bytes are put among the objects; those of tables only with `raw`."""
     mine = {"execution": result.execution, "run": result.run}
     for file in result.outputs:
         count = tables.rows(result.execution, file)
-        if count is None:
+        if raw or count is None:
             objects.add_file(Path(result.directory, RUN_OUTPUT, file.path), file.sha256, file.bytes)
         yield {
             **mine,

@@ -1,7 +1,7 @@
 """Recorded files: which there are of which runs, and their bytes, streamed and checked.
 
-Input files, logs, and outputs that are no tables lie in the store byte for byte, as objects. An output that became a table
-does not: it is written from its rows, as CSV with the names that its columns had, each value as it is recorded (a float with
+Input files, logs and outputs lie in the store byte for byte, as objects. Of an output that became a table, the bytes may not be
+there (`[store] raw = false`, `sierra gc --raw`, a record of an older SIERRA). Then it is written from its rows, as CSV with the names that its columns had, each value as it is recorded (a float with
 the fewest digits that give it back). Often those are the very bytes that the run wrote, which their SHA-256 tells.
 
 Memory goes with the number of files that are asked for, never with their bytes.
@@ -64,16 +64,21 @@ class Recorded:
     sha256: str | None
     """Of a log that was cut: of what is kept. None for an input that the store does not know by its name."""
     kept: int | None
-    """How many of its bytes are in the store; None where it is a table or absent."""
+    """How many of its bytes are in the store; None where they are not, though the rows of a table may be."""
     output: str | None
     form: str | None
     rows: int | None
 
     @property
+    def from_rows(self) -> bool:
+        """Whether it can only be written from the rows of its table."""
+        return self.kind == "table" and self.kept is None
+
+    @property
     def remark(self) -> str:
         """What is not as one would expect, in a few words."""
         match self.kind:
-            case "table":
+            case "table" if self.kept is None:
                 return "written from the table; bytes may differ"
             case _ if self.kept is None:
                 return "not in the store"
@@ -189,7 +194,7 @@ listed AS (
     FROM taken t JOIN artifacts a USING (execution) WHERE $all
 ),
 kept AS (SELECT sha256, any_value(size) AS kept FROM objects GROUP BY sha256)
-SELECT l.place, l.path, l.kind, coalesce(l.size, k.kept), l.sha256, CASE WHEN l.kind <> 'table' THEN k.kept END,
+SELECT l.place, l.path, l.kind, coalesce(l.size, k.kept), l.sha256, k.kept,
        l.output, l.form, l.rows
 FROM listed l LEFT JOIN kept k ON k.sha256 = l.sha256 ORDER BY l.place, l.part, l.path
 """
@@ -212,8 +217,8 @@ class Content:
 def contents(question: Question, files: Sequence[Recorded]) -> Iterator[Content]:
     """What these files hold, in the order in which it lies in the store; each of them once."""
     those = holding(question, {file.taken.execution for file in files if file.taken.execution})
-    yield from _objects(question.segments, those, [file for file in files if file.kind != "table"])
-    yield from _tables(question, those, [file for file in files if file.kind == "table"])
+    yield from _objects(question.segments, those, [file for file in files if not file.from_rows])
+    yield from _tables(question, those, [file for file in files if file.from_rows])
 
 
 def holding(question: Question, executions: Iterable[str]) -> list[Segment]:

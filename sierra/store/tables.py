@@ -397,7 +397,7 @@ RECORDED = {
         ),
         _table(
             "objects",
-            "Files by the hash of their content, in parts of at most 8 MiB.",
+            "Files by the hash of their content, in parts of at most 8 MiB; also those that became tables, unless [store] raw is false.",
             ("sha256", ID, "SHA-256 of the whole file"),
             ("part", INT, "place of this part, from 0"),
             ("size", INT, "size of the whole file", "bytes"),
