@@ -20,7 +20,7 @@ from sierra.model import Batch
 from sierra.plans import Plan, context, versioned
 from sierra.recording import find_odd
 from sierra.sessions import Session
-from sierra.states import FAILED, is_answered, states
+from sierra.states import FAILED, is_answered, rules_changed, states
 from sierra.store import Store
 
 SHOWN_REASONS = 10
@@ -66,6 +66,8 @@ class Summary:
     interrupted: bool
     awaited: int = 0
     """Of those reused, runs that another asking has executed meanwhile."""
+    judged: int = 0
+    """Of those that were not executed, runs that were judged anew, because [outputs] or [success] have changed."""
     left: tuple[str, ...] = ()
     """Sessions on a cluster that go on without this process."""
     counts: tuple[Counted, ...] = ()
@@ -96,8 +98,10 @@ def run(plan: Plan, store: Store, how: How) -> Summary:
         stays = make().stays
         if stays:
             asked.prepare(plan, store, session, started=began, runner=how.runner)
-        find_odd(store, session.paths, context(plan, session.id))
+        odd = find_odd(store, session.paths, context(plan, session.id))
         asking = Asking(plan, store, session, make, how)
+        if rules_changed(plan, store):
+            asking.failed |= odd
         asking.answer()
         summary = _sum_up(asking)
         if session.paths not in asking.left:
@@ -124,6 +128,7 @@ def _sum_up(asking: Asking) -> Summary:
         executed=asking.attempted,
         again=asking.again,
         awaited=asking.awaited - asking.attempted - bad,
+        judged=asking.judged - asking.attempted,
         failed=failed,
         missing=bad - failed if failed else bad,
         tried={run for run, state in now.items() if state.worth == FAILED} | failed,
@@ -141,6 +146,7 @@ def _summary(
     executed: AbstractSet[str] = frozenset(),
     again: AbstractSet[str] = frozenset(),
     awaited: AbstractSet[str] = frozenset(),
+    judged: AbstractSet[str] = frozenset(),
     failed: AbstractSet[str] = frozenset(),
     missing: AbstractSet[str] = frozenset(),
     tried: AbstractSet[str] = frozenset(),
@@ -162,6 +168,7 @@ def _summary(
         again=len(again),
         reused=runs - len(executed | failed) - len(missing),
         awaited=len(awaited),
+        judged=len(judged),
         failed=len(failed),
         missing=len(missing),
         interrupted=interrupted,

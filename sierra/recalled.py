@@ -35,7 +35,8 @@ AT_A_TIME = 512
 LAST = """
 WITH asked AS (
     SELECT programs, reading, source, query, ended FROM sessions WHERE batch = $b
-    UNION ALL SELECT programs, reading, NULL, NULL, started FROM executions WHERE batch = $b AND purpose = 'run'
+    UNION ALL SELECT programs, reading, NULL, NULL,
+        CASE WHEN judgement = execution THEN started ELSE judged END FROM judged WHERE batch = $b AND purpose = 'run'
 )
 SELECT arg_max(programs, ended) AS programs, arg_max(reading, ended) AS reading, arg_max(source, ended) AS source,
        arg_max(query, ended) AS query

@@ -19,7 +19,7 @@ from sierra.recording.context import Context
 from sierra.recording.judging import Judged, doubted, judge
 from sierra.recording.logs import LOG_SHOWN, kept_of, last_words
 from sierra.recording.remarks import Remarks, as_files, lost
-from sierra.recording.tabled import Tabled, tabled
+from sierra.recording.tabled import Tabled, artifact_rows, tabled
 from sierra.store import Store
 from sierra.store.objects import Objects
 from sierra.store.reading import Shape, shown
@@ -210,20 +210,10 @@ class Recorder:
 def _artifacts(result: Result, tables: Tabled, objects: Objects, *, raw: bool) -> Iterator[dict[str, Any]]:
     """Yield a row for each file that a run left. Their bytes are put among the objects; those of tables only with `raw`."""
     mine = {"execution": result.execution, "run": result.run}
-    for file in result.outputs:
-        count = tables.rows(result.execution, file)
-        if raw or count is None:
+    for file, row in zip(result.outputs, artifact_rows(result, tables), strict=True):
+        if raw or row["kind"] == "file":
             objects.add_file(Path(result.directory, RUN_OUTPUT, file.path), file.sha256, file.bytes)
-        yield {
-            **mine,
-            "path": shown(file.path),
-            "kind": "file" if count is None else "table",
-            "output": tables.table(result.execution, file),
-            "size": file.bytes,
-            "sha256": file.sha256,
-            "rows": count,
-            "form": None if count is None else tables.form(result.execution, file),
-        }
+        yield row
     for name in (RUN_STDOUT, RUN_STDERR):
         content, size = kept_of(f"{result.directory}/{name}")
         if size:

@@ -17,12 +17,12 @@ from sierra.store.complaints import explain
 from sierra.store.names import identifier
 from sierra.store.segments import is_first_part
 from sierra.store.tables import RECORDED
-from sierra.store.views import files_with
+from sierra.store.views import files_with, recording
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
-MEMBERS = "SELECT execution FROM membership"
+MEMBERS = "SELECT judgement FROM membership"
 NUMERIC = ("BIGINT", "DOUBLE", "FLOAT", "INTEGER", "DECIMAL", "SMALLINT", "TINYINT", "UBIGINT", "UINTEGER", "HUGEINT")
 
 
@@ -40,11 +40,11 @@ class Frame:
     """What statistics are computed on. A context manager; see `sierra.analysis.Frame` for the contract."""
 
     def __init__(self, store: Store, batch: str, these: Mapping[str, str] | None = None) -> None:
-        """`these`: instead of those that count, the execution of each of these runs."""
+        """`these`: instead of those that count, the execution of each of these runs, or the judgement of it that is meant."""
         self.batch = batch
         self._question: Question = store.ask()
         self._loaded: set[str] = set()
-        self._question.views.make(("members", "executions", "experiments", "batches", "counting"))
+        self._question.views.make(("members", "judged", "experiments", "batches", "counting"))
         self._members(these)
         self._files = self._output_files()
 
@@ -56,36 +56,31 @@ class Frame:
 
     def _members(self, these: Mapping[str, str] | None) -> None:
         run = self._question.run
-        taken = "(SELECT ordinal, run, execution FROM counting WHERE batch = $b)"
+        taken = "(SELECT ordinal, run, judgement FROM counting WHERE batch = $b)"
         if these is not None:
             import pyarrow as pa
 
-            self._question.register("these", pa.table({"run": list(these), "execution": list(these.values())}))
-            taken = "(SELECT ordinal, run, execution FROM wanted JOIN these USING (run))"
+            self._question.register("these", pa.table({"run": list(these), "judgement": list(these.values())}))
+            taken = "(SELECT ordinal, run, judgement FROM wanted JOIN these USING (run))"
         run(
             "CREATE TEMP TABLE wanted AS SELECT DISTINCT ordinal, number, run FROM members WHERE batch = $b",
             {"b": self.batch},
         )
         run(
             "CREATE TEMP TABLE membership AS SELECT w.ordinal::INTEGER AS experiment, w.run, w.number::INTEGER AS number, "
-            f"c.execution, e.batch FROM wanted w JOIN {taken} c ON c.run = w.run AND c.ordinal = w.ordinal "
-            "JOIN executions e ON e.execution = c.execution",
+            f"c.judgement, e.batch FROM wanted w JOIN {taken} c ON c.run = w.run AND c.ordinal = w.ordinal "
+            "JOIN judged e ON e.judgement = c.judgement",
             {"b": self.batch} if these is None else {},
         )
 
     def _output_files(self) -> dict[str, list[str]]:
         """The output files of the segments that hold an execution that counts."""
         batches = {row[0][:12] for row in self._question.run("SELECT DISTINCT batch FROM membership")}
-        segments = [s for s in self._question.segments if s.batch in batches and "executions" in s.files]
-        having = set()
-        if segments:
-            found = self._question.run(files_with([segment.files["executions"] for segment in segments], MEMBERS))
-            having = {row[0] for row in found}
+        segments = [segment for segment in self._question.segments if segment.batch in batches]
         files: dict[str, list[str]] = {}
-        for segment in segments:
-            if segment.files["executions"] in having:
-                for name, path in segment.outputs():
-                    files.setdefault(name, []).append(path)
+        for segment in recording(self._question.run, segments, MEMBERS):
+            for name, path in segment.outputs():
+                files.setdefault(name, []).append(path)
         return {name: self._counting(paths) for name, paths in files.items()}
 
     def _counting(self, files: list[str]) -> list[str]:
@@ -170,7 +165,7 @@ class Frame:
             f'CREATE TEMP TABLE {identifier("data " + table)} AS SELECT m.experiment AS "# experiment", '
             'm.number AS "# number", row_number() OVER (PARTITION BY o.execution, m.experiment '
             'ORDER BY o.filename, o.file_row_number) - 1 AS "# place", o.* EXCLUDE (execution, filename, file_row_number) '
-            f"FROM {source} o JOIN membership m ON o.execution = m.execution"
+            f"FROM {source} o JOIN membership m ON o.execution = m.judgement"
         )
         self._loaded.add(table)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 from sierra.errors import Damaged
@@ -13,8 +13,11 @@ from sierra.store.segments import Segment, is_first_part
 from sierra.store.tables import DERIVED, RECORDED
 
 NEEDS = {
-    "executions": ("findings",),
-    "counting": ("members", "sessions", "executions"),
+    "judged": ("findings", "judgements"),
+    "executions": ("judged",),
+    "artifacts": ("judged",),
+    "judged_artifacts": ("artifacts",),
+    "counting": ("members", "sessions", "judged"),
     "nondeterminism": ("executions", "verdicts"),
     "points": ("members", "experiments", "batches"),
     "runs": ("members", "experiments", "batches", "executions", "counting"),
@@ -101,6 +104,10 @@ class Views:
             body = self._runs()
         elif name == "points":
             body = self._points()
+        elif name == "judged":
+            body = self._judged()
+        elif name == "judged_artifacts":
+            body = self._judged_artifacts()
         elif name in DEFINED:
             body = DEFINED[name]
         elif name in RECORDED:
@@ -123,14 +130,47 @@ class Views:
             others = [c for c in self._columns(name, source) if c not in keys]
             picked = "".join(f", {_pick(c, FIRST.get(name))} AS {identifier(c)}" for c in others)
             return f"SELECT {', '.join(keys)}{picked} FROM {source} GROUP BY {', '.join(keys)}"
-        if name == "executions" and "findings" in self._files:
-            return (
-                "SELECT e.* REPLACE (coalesce(f.status, e.status) AS status, coalesce(f.reason, e.reason) AS reason) "
-                f"FROM {source} e LEFT JOIN findings f USING (execution)"
-            )
+        if name == "executions":
+            return self._executions(source)
+        if name == "artifacts" and self._anew:
+            return f"SELECT a.* REPLACE (l.execution AS execution) FROM {source} a JOIN ({LAST}) l ON a.execution = l.judgement"
         if name == "members" and self._within is not None:
             return f"SELECT * FROM {source} WHERE batch = {quote(self._within)}"
         return f"SELECT * FROM {source}"
+
+    @property
+    def _anew(self) -> bool:
+        """Whether anything was judged anew."""
+        return "judgements" in self._files
+
+    def _executions(self, source: str) -> str:
+        if not self._anew:
+            return "SELECT * EXCLUDE (judgement, judged) FROM judged"
+        said = "l.status AS status, l.reason AS reason, l.reading AS reading"
+        return f"SELECT e.* REPLACE ({said}) FROM {source} e JOIN ({LAST}) l USING (execution)"
+
+    def _judged(self) -> str:
+        """Every judgement, the first of each execution and those made anew, with what was found out about it since."""
+        files = self._files.get("executions")
+        if files is None:
+            columns = ", ".join(f"NULL::{c.type} AS {identifier(c.name)}" for c in DERIVED["judged"].columns)
+            return f"SELECT {columns} WHERE false"
+        source = read_parquet(files)
+        first = f"SELECT execution AS judgement, ended AS judged, * FROM {source}"
+        if self._anew:
+            theirs = ", ".join(f"j.{name} AS {name}" for name in ("batch", "status", "reason", "reading"))
+            anew = f"SELECT j.judgement, j.judged, e.* REPLACE ({theirs}) FROM judgements j JOIN {source} e USING (execution)"
+            first = f"{first} UNION ALL BY NAME {anew}"
+        if "findings" not in self._files:
+            return first
+        return (
+            "SELECT e.* REPLACE (coalesce(f.status, e.status) AS status, coalesce(f.reason, e.reason) AS reason) "
+            f"FROM ({first}) e LEFT JOIN findings f ON f.execution = e.judgement"
+        )
+
+    def _judged_artifacts(self) -> str:
+        files = self._files.get("artifacts")
+        return "FROM artifacts" if files is None else f"SELECT * FROM {read_parquet(files)}"
 
     def _columns(self, name: str, source: str) -> list[str]:
         if name != "experiments":
@@ -178,16 +218,17 @@ class Views:
         *_, row = column_names(["row"], taken=(*axes, *free))
         ours = "".join(f"p.{identifier(axis)}, " for axis in axes)
         return (
-            f"SELECT {ours}p.number, o.file_row_number AS {identifier(row)}, o.* EXCLUDE (file_row_number, filename){rename} "
+            f"SELECT {ours}p.number, o.file_row_number AS {identifier(row)}, "
+            f"o.* EXCLUDE (file_row_number, filename) REPLACE (c.execution AS execution){rename} "
             f"FROM {read_parquet(files, union=True, rows=True)} o JOIN points p ON o.run = p.run "
-            f"WHERE o.execution IN (SELECT execution FROM ({COUNTED}))"
+            f"JOIN ({COUNTED}) c ON o.execution = c.judgement"
         )
 
     def _holding(self, files: list[str]) -> list[str]:
         """Of an output whose columns may differ, the files with an execution that counts; what others have, nobody sees."""
-        if all(map(is_first_part, files)) and "findings" not in self._files:
+        if all(map(is_first_part, files)) and "findings" not in self._files and not self._anew:
             return files
-        found = {row[0] for row in self._execute(files_with(files, f"SELECT execution FROM ({COUNTED})")).fetchall()}
+        found = {row[0] for row in self._execute(files_with(files, f"SELECT judgement FROM ({COUNTED})")).fetchall()}
         return [file for file in files if file in found] or files
 
 
@@ -195,7 +236,7 @@ LATEST = """
 WITH asked AS (
     SELECT batch, programs, reading, ended FROM sessions WHERE reading IS NOT NULL
     UNION ALL
-    SELECT batch, programs, reading, ended FROM executions WHERE purpose = 'run'
+    SELECT batch, programs, reading, judged FROM judged WHERE purpose = 'run'
 ),
 latest AS (
     SELECT batch, arg_max(programs, ended) AS programs, arg_max(reading, ended) AS reading, max(ended) AS asked
@@ -205,15 +246,32 @@ latest AS (
 """The programs and the rules of each batch's last asking, as the relation `latest`."""
 
 COUNTS = "e.status = 'ok' AND e.purpose = 'run' AND e.programs = l.programs AND e.reading = l.reading"
-"""Whether an execution e may count in a batch of which l is `latest`; of those that may, the last one does."""
+"""Whether a judgement e may count in a batch of which l is `latest`; of those that may, the last execution's last one does."""
+
+ORDER = "(e.ended, e.judged, e.judgement)"
+"""The order of judgements e: that of their executions, then their own."""
 
 COUNTING = f"""{LATEST}
-SELECT m.batch, m.ordinal, m.run, arg_max(e.execution, e.ended) AS execution, any_value(l.asked) AS asked
-FROM members m
-JOIN latest l ON m.batch = l.batch
-JOIN executions e ON e.run = m.run AND {COUNTS}
-GROUP BY m.batch, m.ordinal, m.run
+SELECT batch, ordinal, run, c.execution AS execution, c.judgement AS judgement, asked
+FROM (
+    SELECT m.batch, m.ordinal, m.run, any_value(l.asked) AS asked,
+           arg_max({{'execution': e.execution, 'judgement': e.judgement}}, {ORDER}) AS c
+    FROM members m
+    JOIN latest l ON m.batch = l.batch
+    JOIN judged e ON e.run = m.run AND {COUNTS}
+    GROUP BY m.batch, m.ordinal, m.run
+)
 """
+
+LAST = """
+SELECT execution, l.judgement AS judgement, l.status AS status, l.reason AS reason, l.reading AS reading
+FROM (
+    SELECT e.execution, arg_max({'judgement': e.judgement, 'status': e.status, 'reason': e.reason, 'reading': e.reading},
+           (e.judged, e.judgement)) AS l
+    FROM judged e GROUP BY e.execution
+)
+"""
+"""The last judgement of each execution."""
 
 
 NONDETERMINISM = """
@@ -233,8 +291,11 @@ FROM several s LEFT JOIN judged j USING (run, programs)
 DEFINED = {"counting": COUNTING, "nondeterminism": NONDETERMINISM}
 
 
-COUNTED = "SELECT run, arg_max(execution, asked) AS execution FROM counting GROUP BY run"
-"""A run's execution that counts for the batch last asked for."""
+COUNTED = """
+SELECT run, c.execution AS execution, c.judgement AS judgement
+FROM (SELECT run, arg_max({'execution': execution, 'judgement': judgement}, asked) AS c FROM counting GROUP BY run)
+"""
+"""A run's execution that counts for the batch last asked for, and the judgement of it."""
 
 
 def _value(axis: str) -> str:
@@ -253,9 +314,19 @@ def _pick(column: str, first: str | None) -> str:
     return f"any_value({name})" if first is None else f"min({name})" if column == first else f"arg_min({name}, {first})"
 
 
-def files_with(files: Sequence[str], executions: str) -> str:
-    """The statement for which of these files have a row of one of the executions that a query gives."""
-    return f"SELECT DISTINCT filename FROM {read_parquet(files, rows=True)} WHERE execution IN ({executions})"
+def files_with(files: Sequence[str], judgements: str, column: str = "execution") -> str:
+    """The statement for which of these files have a row of one of the judgements that a query gives."""
+    return f"SELECT DISTINCT filename FROM {read_parquet(files, rows=True)} WHERE {column} IN ({judgements})"
+
+
+def recording(run: Callable[[str], list[tuple[Any, ...]]], segments: Sequence[Segment], judgements: str) -> list[Segment]:
+    """Return the segments in which judgements are recorded that a query gives: with their executions, or made anew."""
+    found: set[str] = set()
+    for name, column in (("executions", "execution"), ("judgements", "judgement")):
+        files = {segment.files[name]: segment.name for segment in segments if name in segment.files}
+        if files:
+            found |= {files[row[0]] for row in run(files_with(list(files), judgements, column))}
+    return [segment for segment in segments if segment.name in found]
 
 
 def read_parquet(files: Sequence[str], *, union: bool = False, rows: bool = False) -> str:
