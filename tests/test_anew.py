@@ -241,6 +241,38 @@ def test_without_the_bytes_the_runs_execute_and_it_is_said_why(tmp_path: Path) -
     assert project.executed == 2 * RUNS
 
 
+def test_bytes_that_are_dropped_are_said_to_be_and_runs_execute_where_they_are_needed(project: Counted) -> None:
+    rows = project.rows("SELECT * EXCLUDE (row) FROM swarm ORDER BY run, row")
+    told = project.said("gc", "--raw", "--dry-run")
+    assert "files that became tables: their bytes, not their rows" in told
+    assert "will execute their runs again" in told
+    assert quick(project.root, "gc", "--yes").returncode == 0
+    kept = "SELECT count(*) FROM judged_artifacts a JOIN objects USING (sha256) WHERE a.kind = 'table'"
+    assert project.value(kept) == 2 * RUNS
+    assert quick(project.root, "gc", "--raw", "--yes").returncode == 0
+    assert project.value(kept) == 0
+    assert project.value("SELECT count(*) FROM artifacts a JOIN objects USING (sha256) WHERE a.kind = 'log'") == RUNS
+    assert project.rows("SELECT * EXCLUDE (row) FROM swarm ORDER BY run, row") == rows
+    project.is_sound()
+    project.declare(WIDE + 'time = "a"\nunits = { b = "m" }\n')
+    assert project.ask()["executed"] == 0
+    project.declare(WIDE + 'delimiter = ";"\n')
+    assert "sierra gc --raw" in project.said("run", *ASK, "--dry-run", "--explain")
+    assert project.ask()["executed"] == RUNS
+    assert project.executed == 2 * RUNS
+    project.is_sound()
+
+
+def test_bytes_of_a_table_that_are_needed_as_those_of_a_file_are_not_dropped(project: Counted) -> None:
+    project.declare('[outputs.swarm]\nfile = "swarm.csv"\nformat = "file"\n' + WIDE)
+    assert project.ask()["judged"] == RUNS
+    assert quick(project.root, "gc", "--raw", "--yes").returncode == 0
+    kept = "SELECT count(*) FROM artifacts a JOIN objects USING (sha256) WHERE a.path = {!r}"
+    assert project.value(kept.format("swarm.csv")) == RUNS
+    assert project.value(kept.format("wide.csv")) == 0
+    project.is_sound()
+
+
 def test_two_sessions_that_judge_at_once_leave_each_row_once(project: Counted) -> None:
     project.declare(WIDE + 'delimiter = ";"\n')
     command = [str(SIERRA), "run", *ASK]
