@@ -135,6 +135,36 @@ class Frame:
             found.append(OutputTable(name, numeric, tuple(c for c, _ in columns), rows))
         return tuple(found)
 
+    def shared_axis(self, table: str, columns: Sequence[str]) -> str | None:
+        """Return the first of these numeric columns that behaves like a time: from row to row it increases, and it has the same
+        values in all runs, as far as each goes. There must be two runs at least, as anything that grows is alike in one.
+        """
+        if table not in self._loaded:
+            self._load(table, self._files[table])
+        data = identifier("data " + table)
+        grows = [column for column in columns if column in self._growing(data, columns)]
+        return next(
+            (column for column in grows if self._question.run(ALIKE.format(column=identifier(column), data=data))), None
+        )
+
+    def _growing(self, data: str, columns: Sequence[str]) -> set[str]:
+        """The columns that increase from row to row in the longest run."""
+        if not columns:
+            return set()
+        longest = (
+            f'SELECT run, "# experiment" FROM {data} GROUP BY ALL HAVING count(*) > 1 '
+            'ORDER BY count(*) DESC, run, "# experiment" LIMIT 1'
+        )
+        steps = ", ".join(f"{c}::DOUBLE AS {c}, lag({c}::DOUBLE) OVER w AS {p}" for c, p in _pairs(columns))
+        tests = ", ".join(
+            f"bool_and(isfinite({c}) AND ({p} IS NULL OR {c} > {p})) AND count({c}) = count(*)" for c, p in _pairs(columns)
+        )
+        rows = self._question.run(
+            f'SELECT {tests} FROM (SELECT {steps} FROM {data} SEMI JOIN ({longest}) USING (run, "# experiment") '
+            'WINDOW w AS (ORDER BY "# place"))'
+        )
+        return {column for column, grows in zip(columns, rows[0], strict=True) if grows}
+
     def samples(self, table: str, column: str, time: str = "") -> None:
         """Make `samples` be one column of one output. Raises NotFound for what the batch does not have."""
         files = self._files.get(table)
@@ -177,6 +207,19 @@ class Frame:
             return self._question.connection.sql(text, params=parameters).to_arrow_table()
         except duckdb.Error as error:
             raise SqlError(explain(error)) from error
+
+
+ALIKE = """
+SELECT 1 FROM (SELECT count(DISTINCT run) AS runs FROM {data}) WHERE runs > 1 AND NOT EXISTS (
+    SELECT "# place" FROM {data} GROUP BY "# place"
+    HAVING min({column}) <> max({column}) OR count({column}) < count(*)
+)
+"""
+
+
+def _pairs(columns: Sequence[str]) -> list[tuple[str, str]]:
+    """Each column, and what its value in the row before is called, in SQL."""
+    return [(identifier(column), identifier(f"# before {column}")) for column in columns]
 
 
 @dataclass(frozen=True, slots=True)
