@@ -96,7 +96,8 @@ class Asking:
         self.judged: set[str] = set()
         """Runs of which a recorded execution was judged anew, by other rules than before."""
         self._looked_at: set[str] = set()
-        self._changed = rules_changed(plan, store)
+        self.rules_changed = rules_changed(plan, store)
+        """Whether the batch was last asked for by other rules."""
 
     @property
     def attempted(self) -> AbstractSet[str]:
@@ -155,7 +156,7 @@ class Asking:
         if not fresh:
             return wanted
         self._context.save(self.session.paths.context)
-        anew = judge_anew(self.store, self.session.paths, self._context, fresh, mismatched=self._changed)
+        anew = judge_anew(self.store, self.session.paths, self._context, fresh, mismatched=self.rules_changed)
         for lack, count in Counter(anew.unread.values()).most_common(NOTED):
             self._how.say(f"executing {counted(count, 'run')} again, which cannot be judged by the changed rules: {lack}")
         if anew.judged:

@@ -20,7 +20,7 @@ from sierra.model import Batch
 from sierra.plans import Plan, context, versioned
 from sierra.recording import find_odd
 from sierra.sessions import Session
-from sierra.states import FAILED, is_answered, rules_changed, states
+from sierra.states import FAILED, is_answered, states
 from sierra.store import Store
 
 SHOWN_REASONS = 10
@@ -100,7 +100,7 @@ def run(plan: Plan, store: Store, how: How) -> Summary:
             asked.prepare(plan, store, session, started=began, runner=how.runner)
         odd = find_odd(store, session.paths, context(plan, session.id))
         asking = Asking(plan, store, session, make, how)
-        if rules_changed(plan, store):
+        if asking.rules_changed:
             asking.failed |= odd
         asking.answer()
         summary = _sum_up(asking)
