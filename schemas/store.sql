@@ -48,7 +48,7 @@ CREATE TABLE recipes (
     "files" VARCHAR[]  -- names of the input files that each run gets
 );
 
--- One time that a run was executed: when, where, by what, and how it ended.
+-- One time that a run was executed: when, where, by what, and how it ended. Where it was judged anew by other rules, status, reason and reading are those of the last judgement; judged has all.
 CREATE TABLE executions (
     "execution" VARCHAR,  -- the execution's id
     "run" VARCHAR,  -- the run
@@ -126,16 +126,30 @@ CREATE TABLE isolations (
     "argv" VARCHAR[]  -- the command that starts a container, but for what is a run's own
 );
 
+-- One time that a recorded execution was judged anew: by other rules, from its recorded files, not executed.
+CREATE TABLE judgements (
+    "judgement" VARCHAR,  -- the judgement's id
+    "execution" VARCHAR,  -- the execution
+    "run" VARCHAR,  -- its run
+    "session" VARCHAR,  -- the asking that judged it anew
+    "batch" VARCHAR,  -- the batch that it was judged for
+    "judged" TIMESTAMP WITH TIME ZONE,  -- when
+    "status" VARCHAR,  -- as in executions
+    "reason" VARCHAR,  -- why it is not ok, in a line
+    "reading" VARCHAR,  -- hash of the rules: what the project declares of outputs and success
+    "lamport" BIGINT  -- its place in the logical order, as in sessions
+);
+
 -- What was found out about an execution after it was recorded; it is not ok from then on.
 CREATE TABLE findings (
-    "execution" VARCHAR,  -- the execution
+    "execution" VARCHAR,  -- the execution, or the judgement of it that is not ok
     "found" TIMESTAMP WITH TIME ZONE,  -- when
     "status" VARCHAR,  -- what it is now
     "reason" VARCHAR,  -- why, in a line
     "lamport" BIGINT  -- its place in the logical order, as in sessions
 );
 
--- Every file that an execution left, and its logs.
+-- Every file that an execution left, and its logs; as it was judged last.
 CREATE TABLE artifacts (
     "execution" VARCHAR,  -- the execution
     "run" VARCHAR,  -- the run
@@ -313,7 +327,7 @@ CREATE TABLE images (
     "size" BIGINT  -- size of its files [bytes]
 );
 
--- Files by the hash of their content, in parts of at most 8 MiB.
+-- Files by the hash of their content, in parts of 8 MiB at most; those of tables unless [store] raw is false.
 CREATE TABLE objects (
     "sha256" VARCHAR,  -- SHA-256 of the whole file
     "part" BIGINT,  -- place of this part, from 0
@@ -339,8 +353,54 @@ CREATE TABLE counting (
     "ordinal" BIGINT,  -- the experiment's place in the batch, from 0
     "run" VARCHAR,  -- the run
     "execution" VARCHAR,  -- the execution
+    "judgement" VARCHAR,  -- the judgement of it that counts, as in judged
     "asked" TIMESTAMP WITH TIME ZONE,  -- when the batch was last asked for
     "lamport" BIGINT  -- the place of that in the logical order, as in sessions
+);
+
+-- Every judgement of every execution: the first, made when it was recorded, and those that were made anew.
+CREATE TABLE judged (
+    "judgement" VARCHAR,  -- the judgement; the first has the id of its execution
+    "judged" TIMESTAMP WITH TIME ZONE,  -- when
+    "place" BIGINT,  -- its place in the logical order; that of the first judgement is the execution's
+    "execution" VARCHAR,  -- the execution's id
+    "run" VARCHAR,  -- the run
+    "session" VARCHAR,  -- the asking that executed it
+    "batch" VARCHAR,  -- the batch that it was executed for
+    "started" TIMESTAMP WITH TIME ZONE,  -- when its program was started
+    "ended" TIMESTAMP WITH TIME ZONE,  -- when its program had ended
+    "status" VARCHAR,  -- ok, failed, timeout, memory, cpu, output, mismatch or interrupted; by this judgement
+    "reason" VARCHAR,  -- why it is not ok, in a line; by this judgement
+    "exit_code" BIGINT,  -- the program's exit status; NULL where a signal ended it
+    "signal" BIGINT,  -- the signal that ended it
+    "wall" DOUBLE,  -- from start to end [s]
+    "user" DOUBLE,  -- CPU time in user mode, of all its processes that ended; in a container, what was seen of it [s]
+    "system" DOUBLE,  -- CPU time in the kernel, likewise [s]
+    "max_rss" BIGINT,  -- greatest resident size of its greatest process (the worker's own size at least); in a container, as seen [bytes]
+    "host" VARCHAR,  -- host name
+    "slot" BIGINT,  -- the slot of the worker that executed it
+    "result" VARCHAR,  -- Merkle hash of its outputs' names and digests
+    "log" VARCHAR,  -- the end of its standard error, or of its standard output where that is empty
+    "environment" VARCHAR,  -- what was around it
+    "programs" VARCHAR,  -- fingerprint of the programs outside source and image
+    "reading" VARCHAR,  -- hash of what the project declares of outputs and success; by this judgement
+    "purpose" VARCHAR,  -- run, or what else it was executed for; only those of run count in statistics
+    "isolation" VARCHAR,  -- how it was contained; NULL where it was not
+    "attempt" VARCHAR,  -- on a cluster, the attempt at an element in which it was executed; NULL elsewhere
+    "lamport" BIGINT  -- its place in the logical order, as in sessions
+);
+
+-- The rows of artifacts by each judgement; artifacts has those of the last one alone.
+CREATE TABLE judged_artifacts (
+    "execution" VARCHAR,  -- the judgement
+    "run" VARCHAR,  -- the run
+    "path" VARCHAR,  -- path in the output folder; for logs, stdout or stderr
+    "kind" VARCHAR,  -- table, file or log
+    "output" VARCHAR,  -- the declared or found output that it belongs to: the table's name
+    "size" BIGINT,  -- its size [bytes]
+    "sha256" VARCHAR,  -- SHA-256 of its bytes; of a log over 1 MiB, of what is kept of it, its beginning and end
+    "rows" BIGINT,  -- rows it gave its table [1]
+    "form" VARCHAR  -- what its table looks like, as JSON: its file, what each column holds, whether its last line is whole
 );
 
 -- Runs of which several good executions with the same programs, replays included, left other bytes.

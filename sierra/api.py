@@ -376,22 +376,27 @@ class Project:
 
         return removing.remove(self.store, prefixes, agree)
 
-    def collection(self, *, damaged: bool = False) -> Collection:
+    def collection(self, *, damaged: bool = False, raw: bool = False) -> Collection:
         """What `collect` would remove: see `sierra.keeping.collecting.Collection`."""
         from sierra.keeping import collecting
 
-        return collecting.plan(self.store, damaged=damaged)
+        return collecting.plan(self.store, damaged=damaged, raw=raw)
 
     def collect(
-        self, *, damaged: bool = False, agree: Callable[[Collection], bool] = lambda collection: True
+        self,
+        *,
+        damaged: bool = False,
+        raw: bool = False,
+        agree: Callable[[Collection], bool] = lambda collection: True,
     ) -> Collection | None:
         """Remove what nothing needs, and merge small segments, if `agree` says so of that; None where it does not.
 
-        `damaged`: also what a repair put aside. Raises Missing where the disk is full; nothing is lost then.
+        `damaged`: also what a repair put aside; `raw`: also the bytes of files that became tables. Raises Missing where the
+        disk is full; nothing is lost then.
         """
         from sierra.keeping import collecting
 
-        return collecting.collect(self.store, damaged=damaged, agree=agree)
+        return collecting.collect(self.store, damaged=damaged, raw=raw, agree=agree)
 
     def files(self, prefix: str, *paths: str, to: str | os.PathLike[str] | None = None) -> Listing | list[Outcome]:
         """The recorded files of what an id names; with `to`, written into that folder: what became of each.

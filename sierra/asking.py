@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, replace
@@ -18,15 +19,17 @@ from sierra.paths import SessionPaths
 from sierra.plans import Plan, context
 from sierra.provenance import environment
 from sierra.provenance.program import Programs
-from sierra.recording import Recorder, find_odd
+from sierra.recording import Recorder, find_odd, judge_anew
 from sierra.runners import Runner, Work, needed
 from sierra.sessions import Session
 from sierra.signals import noted
-from sierra.states import states
+from sierra.states import rules_changed, states
 from sierra.store import Store
-from sierra.wording import few
+from sierra.wording import counted, few
 
 JOIN_S = 0.2
+NOTED = 4
+"""Reasons why runs are not judged anew that are told."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,6 +93,11 @@ class Asking:
         """The sessions that were left to themselves."""
         self.awaited: set[str] = set()
         """Runs that other sessions were executing, or had submitted."""
+        self.judged: set[str] = set()
+        """Runs of which a recorded execution was judged anew, by other rules than before."""
+        self._looked_at: set[str] = set()
+        self.rules_changed = rules_changed(plan, store)
+        """Whether the batch was last asked for by other rules."""
 
     @property
     def attempted(self) -> AbstractSet[str]:
@@ -116,12 +124,15 @@ class Asking:
                 if self._wait(wanted):
                     continue
                 return
-            odd = self._execute(mine)
+            rest = self._judge(mine)
+            if len(rest) < len(mine):
+                continue
+            odd = self._execute(rest)
             if self.left:
                 return
-            if mine <= self._open and not self.interrupted:
+            if rest <= self._open and not self.interrupted:
                 raise Missing(f"{self.session.paths.root}: the worker has ended, and said of no run how it went")
-            if len(mine) == len(wanted) and not self._open and not odd:
+            if len(rest) == len(wanted) and not self._open and not odd:
                 return
 
     def _wanted(self) -> set[str]:
@@ -138,8 +149,25 @@ class Asking:
         wanted -= self.attempted
         return wanted
 
-    def _execute(self, wanted: AbstractSet[str]) -> int:
-        """Execute these runs; how many executions, of these or of earlier ones, were found to be unlike their siblings."""
+    def _judge(self, wanted: set[str]) -> set[str]:
+        """Judge anew what is recorded of these runs, once each, where rules have changed; return those that must execute."""
+        fresh = wanted & (self._before or {}).keys() - self._looked_at
+        self._looked_at |= fresh
+        if not fresh:
+            return wanted
+        self._context.save(self.session.paths.context)
+        anew = judge_anew(self.store, self.session.paths, self._context, fresh, mismatched=self.rules_changed)
+        for lack, count in Counter(anew.unread.values()).most_common(NOTED):
+            self._how.say(f"executing {counted(count, 'run')} again, which cannot be judged by the changed rules: {lack}")
+        if anew.judged:
+            find_odd(self.store, self.session.paths, self._context)
+        self.judged |= anew.judged
+        self.reused += len(anew.judged)
+        self.notes += tuple(anew.notes)
+        return wanted - anew.judged
+
+    def _execute(self, wanted: AbstractSet[str]) -> set[str]:
+        """Execute these runs; those of which executions, now or earlier, were found to be unlike their siblings."""
         runner, plan = self._runner(), self.plan
         root, programs = self._snapshot() if runner.stays else (self._code(), self.plan.programs)
         contained = self._contain(root, elsewhere=runner.stays)

@@ -399,6 +399,11 @@ class Source(Table):
 class StoreTable(Table):
     """How the store is kept."""
 
+    raw: bool = Field(
+        True,
+        description="whether the bytes of files that become tables are kept too, so that changed [outputs] and [success] "
+        "execute nothing again",
+    )
     work: Annotated[str, AfterValidator(_elsewhere)] | None = Field(
         None,
         description="where runs of this machine execute: a folder for each project is made in it; `~` and variables as in "

@@ -60,6 +60,7 @@ def figures(
                     raise
                 notes.append(f"figure {figure_name}: {error}")
         drawer.note()
+        notes += gallery.taken
     return drawn, notes
 
 
@@ -90,7 +91,7 @@ def statistics(
             notes = []
         if analysis.is_rate(table):
             notes.append(f"{column} is 0 or 1 everywhere: low and high are Wilson's 95 % interval of a rate")
-        notes = [*analysis.left_out([table], seen, gallery.planned, threshold), *notes]
+        notes = [*gallery.taken, *analysis.left_out([table], seen, gallery.planned, threshold), *notes]
         told = {"sierra:batch": batch, "sierra:sql": text, "sierra:note": "; ".join(notes)}
         return _with_axes(table, frame).replace_schema_metadata(told)
 
@@ -170,6 +171,9 @@ class _Gallery:
         self._cells = frame.cells()
         self.planned = {ordinal: runs for ordinal, (_, runs) in frame.counts().items()}
         self._seen: dict[str, analysis.Coverage] = {}
+        self._times: dict[str, str] = {}
+        self.taken: list[str] = []
+        """Which columns were taken for times by how they behave alone, a sentence each."""
 
     def wanted(self, name: str | None) -> tuple[Mapping[str, Figure], list[str]]:
         """The figures to draw, by name, and what is to be said about them."""
@@ -244,12 +248,24 @@ class _Gallery:
         )
 
     def time(self, output: OutputTable) -> str:
-        """The time column: the declared one, or the first if it is called like one; else none."""
+        """Return the time column: the declared one, the first if it is called like one, or one that behaves so; else none."""
+        if output.name not in self._times:
+            self._times[output.name] = self._time(output)
+        return self._times[output.name]
+
+    def _time(self, output: OutputTable) -> str:
         declared = self._config.outputs.get(output.name)
         if declared and declared.time:
             return declared.time
         first = output.all_columns[0] if output.all_columns else ""
-        return first if first.lower().rstrip("_") in TIMES and first in output.columns else ""
+        if first.lower().rstrip("_") in TIMES and first in output.columns:
+            return first
+        found = self._frame.shared_axis(output.name, output.columns) if output.rows > 1 else None
+        if found is None:
+            return ""
+        told = f"{found!r} is taken for the time of output {output.name!r}, as it increases alike in all runs"
+        self.taken.append(f'{told} (time = "COLUMN" in [outputs.{output.name}] names another)')
+        return found
 
     def _coverage(self, output: OutputTable) -> analysis.Coverage:
         if output.name not in self._seen:

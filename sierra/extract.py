@@ -116,7 +116,7 @@ def extract(store: Store, listed: Listing, folder: Path) -> Iterator[Outcome]:
 def target_path(file: Recorded) -> str:
     """Where a file is written, below the folder."""
     name = file.path
-    if file.kind == "table" and not name.lower().endswith(AS_THEY_ARE):
+    if file.from_rows and not name.lower().endswith(AS_THEY_ARE):
         name += AS_THEY_ARE[0]
     return f"{short(file.taken.experiment)}/{file.taken.number}/{name}"
 

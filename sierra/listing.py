@@ -24,7 +24,7 @@ WITH last AS (
 )
 SELECT b.batch, b.created, coalesce(l.query, b.query) AS query, b.controller, b.scenario, b.experiments, b.runs,
        l.answered, l.failed, l.missing, b.batch IN (
-           SELECT m.batch FROM findings f JOIN executions e USING (execution) JOIN members m ON m.run = e.run
+           SELECT m.batch FROM findings f JOIN judged e ON e.judgement = f.execution JOIN members m ON m.run = e.run
        ) AS doubted, coalesce(l.again, 0) > 0 OR b.batch IN (SELECT batch FROM replays) AS repeated
 FROM batches b LEFT JOIN last l USING (batch)
 ORDER BY coalesce(l.lamport, b.lamport), b.batch

@@ -25,7 +25,7 @@ _Pair = tuple[tuple[str, str], list[tuple[Artifact, Artifact]]]
 
 
 def compare(question: Question, recorded: str, found: str, declared: Mapping[str, Output]) -> dict[str | None, Agreement]:
-    """How far what the execution `found` wrote agrees with what `recorded` did, by path.
+    """How far what the execution `found` wrote agrees with what `recorded` did, by path; both are judgements of executions.
 
     `declared` says what is volatile and which tolerance holds. Raises Damaged where the store lacks one of them.
     """
@@ -50,7 +50,7 @@ def _artifacts(question: Question, executions: Iterable[str]) -> dict[str, Artif
 
     left: dict[str, dict[str, Artifact]] = {execution: {} for execution in executions}
     question.register("compared", pa.table({"execution": pa.array(left, pa.string())}))
-    statement = "SELECT a.* FROM artifacts a SEMI JOIN compared USING (execution) WHERE kind <> 'log'"
+    statement = "SELECT a.* FROM judged_artifacts a SEMI JOIN compared USING (execution) WHERE kind <> 'log'"
     for row in question.sql(statement).to_pylist():
         left[row["execution"]][row["path"]] = row
     return dict(left)

@@ -15,6 +15,7 @@ PROJECT/.sierra/work/<session>/     what executes now; gone once it is recorded
     lock  owner.0  left.0  claims.json  context.json  journal.jsonl  segment/  elsewhere
     <number>/                       one run: input files, stdout, stderr, home/ tmp/ output/; or in the folder that
                                     `elsewhere` names
+    anew/                           recorded files, while they are judged anew
     source/                         the code, where it is not executed from the project itself
     asking.json  submission.json  worker.py  element.py  machine.py  element.json  cancelled  engine/
     elements/<index>.{jobs,failed,alone}  results/<index>.<attempt>.pack
@@ -231,6 +232,11 @@ class SessionPaths:
     @property
     def segment(self) -> Path:
         return self.root / "segment"
+
+    @property
+    def anew(self) -> Path:
+        """Where recorded files lie while executions are judged anew."""
+        return self.root / "anew"
 
     @property
     def asking(self) -> Path:

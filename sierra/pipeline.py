@@ -66,6 +66,8 @@ class Summary:
     interrupted: bool
     awaited: int = 0
     """Of those reused, runs that another asking has executed meanwhile."""
+    judged: int = 0
+    """Of those that were not executed, runs that were judged anew, because [outputs] or [success] have changed."""
     left: tuple[str, ...] = ()
     """Sessions on a cluster that go on without this process."""
     counts: tuple[Counted, ...] = ()
@@ -97,8 +99,10 @@ def run(plan: Plan, store: Store, how: How) -> Summary:
         stays = make().stays
         if stays:
             asked.prepare(plan, store, session, started=began, runner=how.runner)
-        find_odd(store, session.paths, context(plan, session.id, session.number))
+        odd = find_odd(store, session.paths, context(plan, session.id, session.number))
         asking = Asking(plan, store, session, make, how)
+        if asking.rules_changed:
+            asking.failed |= odd
         asking.answer()
         summary = _sum_up(asking)
         if session.paths not in asking.left:
@@ -125,6 +129,7 @@ def _sum_up(asking: Asking) -> Summary:
         executed=asking.attempted,
         again=asking.again,
         awaited=asking.awaited - asking.attempted - bad,
+        judged=asking.judged - asking.attempted,
         failed=failed,
         missing=bad - failed if failed else bad,
         tried={run for run, state in now.items() if state.worth == FAILED} | failed,
@@ -142,6 +147,7 @@ def _summary(
     executed: AbstractSet[str] = frozenset(),
     again: AbstractSet[str] = frozenset(),
     awaited: AbstractSet[str] = frozenset(),
+    judged: AbstractSet[str] = frozenset(),
     failed: AbstractSet[str] = frozenset(),
     missing: AbstractSet[str] = frozenset(),
     tried: AbstractSet[str] = frozenset(),
@@ -167,6 +173,7 @@ def _summary(
         again=len(again),
         reused=runs - len(executed | failed) - len(missing),
         awaited=len(awaited),
+        judged=len(judged),
         failed=len(failed),
         missing=len(missing),
         interrupted=interrupted,

@@ -259,6 +259,7 @@ def context(plan: Plan, session: str = "", number: int | None = None) -> Context
         outputs=plan.outputs,
         success=plan.success,
         number=number,
+        raw=plan.project.config.store.raw,
     )
 
 

@@ -27,7 +27,7 @@ def probe(plan: Plan, store: Store, how: How) -> tuple[str, ...]:
     first = pipeline.run(plan, store, replaced(how, slots=1, only={run}, detach=False))
     if first.interrupted:
         raise KeyboardInterrupt
-    if not states(plan, store)[run].good:
+    if not first.executed or not states(plan, store)[run].good:
         return ()
     try:
         answer = replay.replay(plan.project, store, run, replay.How(slots=1, runner=how.runner), how.watch)

@@ -11,7 +11,7 @@ from sierra.plans import Plan
 from sierra.provenance import source
 from sierra.runners.proposal import Proposal, propose
 from sierra.standing import claimed
-from sierra.states import states
+from sierra.states import foreseen, states
 from sierra.store import Store
 
 OF_JOB = 200.0
@@ -34,7 +34,7 @@ def proposal(plan: Plan, store: Store | None, runner: str, *, detach: bool) -> P
     Raises ConfigError.
     """
     found = runners.scheduler_of(runner, plan.project.config.runners)
-    missing = {run for run, state in states(plan, store).items() if not state.good}
+    missing = {run for run, state in foreseen(plan, store, states(plan, store)).items() if not (state.good or state.anew)}
     wanted = missing - (claimed(store).keys() if store and missing else set())
     count = len(wanted)
     if found is None or not count:

@@ -36,7 +36,7 @@ AT_A_TIME = 512
 LAST = """
 WITH asked AS (
     SELECT programs, reading, source, query, lamport FROM sessions WHERE batch = $b
-    UNION ALL SELECT programs, reading, NULL, NULL, lamport FROM executions WHERE batch = $b AND purpose = 'run'
+    UNION ALL SELECT programs, reading, NULL, NULL, place FROM judged WHERE batch = $b AND purpose = 'run'
 )
 SELECT arg_max(programs, lamport) AS programs, arg_max(reading, lamport) AS reading, arg_max(source, lamport) AS source,
        arg_max(query, lamport) AS query
@@ -45,8 +45,8 @@ FROM asked
 
 
 LAST_DECLARED = """
-WITH used AS (SELECT reading, ended FROM sessions UNION ALL SELECT reading, ended FROM executions WHERE purpose = 'run')
-SELECT declared FROM readings WHERE reading = (SELECT arg_max(reading, ended) FROM used) LIMIT 1
+WITH used AS (SELECT reading, lamport FROM sessions UNION ALL SELECT reading, place FROM judged WHERE purpose = 'run')
+SELECT declared FROM readings WHERE reading = (SELECT arg_max(reading, lamport) FROM used) LIMIT 1
 """
 
 

@@ -147,6 +147,7 @@ def replay(
             record.of.outputs,
             record.of.success,
             number=session.number,
+            raw=project.config.store.raw,
             **contained.context,
         )
         maker = jobs.Maker(
@@ -221,9 +222,10 @@ def _look_up(store: Store, found: Found, runs: int | None) -> _Record:
             raise NotFound(f"{found.kind} {short(found.id)} has no good execution to compare with; sierra run makes one")
         question.views.make(("members", "experiments", "batches"))
         batch = where(question, found).batch
-        question.register("taken", pa.table({"execution": [str(one.execution) for one in taken]}))
+        question.register("taken", pa.table({"execution": [str(one.judgement) for one in taken]}))
         by = question.sql(
-            "SELECT DISTINCT programs, reading, environment FROM executions SEMI JOIN taken USING (execution) ORDER BY ALL"
+            "SELECT DISTINCT programs, reading, environment "
+            "FROM judged e SEMI JOIN taken t ON t.execution = e.judgement ORDER BY ALL"
         ).to_pylist()
         cells = question.cells(batch)
         [(axes,)] = question.run("SELECT axes FROM batches WHERE batch = $b", {"b": batch})
@@ -242,7 +244,7 @@ def _look_up(store: Store, found: Found, runs: int | None) -> _Record:
         environment=by[0]["environment"],
         notes=[],
     )
-    left = sum(one.execution in wrote for one in taken)
+    left = sum(one.judgement in wrote for one in taken)
     if not left:
         raise Missing(f"{found.kind} {short(found.id)} left nothing but logs, which are not compared")
     if left < len(taken):
@@ -261,11 +263,11 @@ def _columns(forms: list[str | None]) -> list[str]:
 
 
 TABLES = """
-SELECT output, list(DISTINCT form ORDER BY form) AS forms FROM artifacts SEMI JOIN taken USING (execution)
+SELECT output, list(DISTINCT form ORDER BY form) AS forms FROM judged_artifacts SEMI JOIN taken USING (execution)
 WHERE kind = 'table' GROUP BY output
 """
 """What is recorded of the form of tables, by their output."""
-WROTE = "SELECT DISTINCT execution FROM artifacts SEMI JOIN taken USING (execution) WHERE kind <> 'log'"
+WROTE = "SELECT DISTINCT execution FROM judged_artifacts SEMI JOIN taken USING (execution) WHERE kind <> 'log'"
 """The executions that left files, or tables."""
 
 
@@ -311,7 +313,7 @@ def _metrics(project: LoadedProject, store: Store, record: _Record, declared: Ma
     if not record.whole:
         record.notes.append("equivalence is judged of whole experiments alone: replay without --runs")
         return None
-    executions = {one.run: str(one.execution) for one in record.runs}
+    executions = {one.run: str(one.judgement) for one in record.runs}
     try:
         return metrics.values(store, record.of.batch, executions, project.config.equivalence, declared)
     except NotFound as error:
@@ -390,7 +392,7 @@ def _compare(
 ) -> Iterator[Compared]:
     done = [one for one in record.runs if one.run not in failed]
     with store.ask() as question:
-        pairs = [(str(one.execution), made[one.run].execution) for one in done]
+        pairs = [(str(one.judgement), made[one.run].execution) for one in done]
         for taken, outputs in zip(done, compare_all(question, pairs, declared), strict=True):
             yield Compared(taken, made[taken.run].execution, outputs)
         question.views.make(("executions",))

@@ -132,6 +132,7 @@ dirty = "record"
 large = "50 MB"
 
 [store]
+raw = true
 work = "$SCRATCH"
 
 [determinism]

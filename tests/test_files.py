@@ -15,7 +15,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from sierra.store import Store
-from tests.projects import CONFIG, make, quick
+from tests import projects
+from tests.projects import make, quick
 
 SIMULATOR = """\
 import os, pathlib, sys
@@ -40,6 +41,8 @@ if os.environ.get("GREAT"):
         for part in range(20):
             file.write(bytes([part]) * (1 << 20))
 """
+CONFIG = projects.CONFIG + "[store]\nraw = false\n"
+"""Most of this is about tables that are there as rows alone."""
 HOSTILE = "deep/er/a \n'bé"
 INPUT, STDOUT = "input/input.xml", "stdout"
 
@@ -143,6 +146,24 @@ def test_a_table_whose_bytes_differ_has_the_same_values_and_says_so(project: Pat
     said = quick(project, "files", run, "said.jsonl").stdout
     assert said == 'text,n\n"a ""quoted"", one",1\n"",\n'
     assert next(csv.reader(io.StringIO(said.partition("\n")[2]))) == ['a "quoted", one', "1"]
+
+
+def test_a_table_is_written_as_the_run_wrote_it_where_its_bytes_are_kept(tmp_path: Path) -> None:
+    folder = make(tmp_path / "project", simulator=SIMULATOR)
+    assert quick(folder, "run", "population_size=1", "--runs", "1", "--no-figures").returncode == 0
+    run = first_run(folder)["run"]
+    assert quick(folder, "files", run, "odd.csv").stdout == "a,b\n1.50,x\n2.25,\n"
+    files = {file["path"]: file for file in listed(folder, run)}
+    assert {path for path, file in files.items() if file["kind"] == "table" and not file["remark"]} == {
+        "output/swarm.csv",
+        "output/odd.csv",
+        "output/said.jsonl",
+    }
+    ended = quick(folder, "files", run, "*.jsonl", "--to", str(tmp_path / "out"))
+    assert (ended.returncode, ended.stderr) == (0, "")
+    [(name, content)] = written(tmp_path / "out").items()
+    assert name.endswith("/said.jsonl")
+    assert hashlib.sha256(content).hexdigest() == files["output/said.jsonl"]["sha256"]
 
 
 def test_a_path_as_it_is_listed_means_that_file_alone(tmp_path: Path) -> None:
@@ -301,7 +322,7 @@ def test_a_damaged_file_is_said_and_all_else_is_written(tmp_path: Path) -> None:
 
 
 def test_a_table_that_is_not_what_was_recorded_is_not_written(tmp_path: Path) -> None:
-    folder = make(tmp_path / "project", simulator=SIMULATOR)
+    folder = make(tmp_path / "project", CONFIG, simulator=SIMULATOR)
     assert quick(folder, "run", "population_size=1", "--no-figures").returncode == 0
     for path in folder.glob(".sierra/segments/*/output.swarm.parquet"):
         table = pq.read_table(path)
@@ -318,7 +339,7 @@ def test_a_table_that_is_not_what_was_recorded_is_not_written(tmp_path: Path) ->
 
 
 def test_a_store_that_cannot_be_read_is_one_line(tmp_path: Path) -> None:
-    folder = make(tmp_path / "project")
+    folder = make(tmp_path / "project", CONFIG)
     assert quick(folder, "run", "population_size=1", "--runs", "1", "--no-figures").returncode == 0
     run = first_run(folder)["run"]
     for path in folder.glob(".sierra/segments/*/output.swarm.parquet"):

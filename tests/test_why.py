@@ -141,6 +141,17 @@ def test_other_rules_are_why(root: Path) -> None:
     batch = ask(root, "population_size=1")
     (root / "sierra.toml").write_text(projects.CONFIG + '[success]\nmarker = "swarm.csv"\ncontains = "coverage"\n')
     assert ask(root, "population_size=1") == batch
+    said = why(root, batch)
+    assert causes(said) == ["new"]
+    assert [event["judged"] for event in said["story"]] == [0, 2]
+    assert said["story"][1]["other_rules"].startswith("[outputs] and [success]: ")
+
+
+def test_other_rules_are_why_where_the_bytes_are_not_kept(root: Path) -> None:
+    (root / "sierra.toml").write_text(projects.CONFIG + "[store]\nraw = false\n")
+    batch = ask(root, "population_size=1")
+    (root / "sierra.toml").write_text(projects.CONFIG + '[success]\nmarker = "swarm.csv"\ncontains = "coverage"\n')
+    assert ask(root, "population_size=1") == batch
     assert causes(why(root, batch))[1].startswith("judged by other rules before: [outputs] and [success]: ")
 
 

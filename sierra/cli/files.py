@@ -100,7 +100,7 @@ def _print_one(opened: Project, listed: Listing) -> None:
 
 
 def _other(file: Recorded) -> str:
-    return "written from the table; its bytes are not those that the run wrote" if file.kind == "table" else file.remark
+    return "written from the table; its bytes are not those that the run wrote" if file.from_rows else file.remark
 
 
 def _doubt(opened: Project, folder: Path) -> None:

@@ -85,17 +85,21 @@ def gc(
     yes: Annotated[bool, typer.Option("--yes", "-y", help="Do not ask.")] = False,
     dry_run: Annotated[bool, typer.Option("--dry-run", "-n", help="Only say what would be done.")] = False,
     damaged: Annotated[bool, typer.Option("--damaged", help="Also what sierra fsck --repair put aside.")] = False,
+    raw: Annotated[
+        bool, typer.Option("--raw", help="Also the bytes of files that became tables; the rows of the tables stay.")
+    ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead.")] = False,
 ) -> None:
     """Remove what nothing needs, and merge small files.
 
-    Nothing that was recorded is lost. Git's refs/sierra/ stay, because other projects may share the repository. Where there
-    is no terminal to ask on, --yes is needed.
+    Nothing that was recorded is lost, but with --raw, which says what is. Git's refs/sierra/ stay, because other projects may
+    share the repository. Where there is no terminal to ask on, --yes is needed.
 
     \b
     Examples:
       sierra gc --dry-run
       sierra gc --yes
+      sierra gc --raw --dry-run
     """
     from sierra.cli import opened
     from sierra.cli.output import print_json
@@ -103,9 +107,11 @@ def gc(
 
     project = opened.project()
     if dry_run:
-        found: Collection | None = project.collection(damaged=damaged)
+        found: Collection | None = project.collection(damaged=damaged, raw=raw)
     else:
-        found = project.collect(damaged=damaged, agree=lambda found: _agreed(text(found), yes, as_json, "to be tidied up"))
+        found = project.collect(
+            damaged=damaged, raw=raw, agree=lambda found: _agreed(text(found), yes, as_json, "to be tidied up")
+        )
     if found is None:
         print("nothing was done")
         raise typer.Exit(1)

@@ -135,11 +135,13 @@ def _preview(project: Project, plan: Plan, *, explain: bool, as_json: bool) -> d
     from sierra.cli.output import table
     from sierra.explain import other_programs, why_new
     from sierra.hashing import short
+    from sierra.states import foreseen
     from sierra.states import states as states_of
 
     store = project.stored()
-    states = states_of(plan, store)
-    missing = {run for run, state in states.items() if not state.good}
+    states = foreseen(plan, store, states_of(plan, store))
+    anew = sum(state.anew for state in states.values())
+    missing = {run for run, state in states.items() if not state.good and not state.anew}
     there = missing & standing.claimed(store).keys() if store and missing else set()
     now = standing.seen(store, there) if store and there else []
     todo = len(missing) - len(there)
@@ -151,6 +153,7 @@ def _preview(project: Project, plan: Plan, *, explain: bool, as_json: bool) -> d
         "runs": len(states),
         "to_execute": todo,
         "reused": len(states) - len(missing),
+        "to_judge": anew,
         "on_clusters": len(there),
         "clusters": [asdict(one) for one in now],
         "reasons": dict(reasons),
@@ -176,7 +179,8 @@ def _preview(project: Project, plan: Plan, *, explain: bool, as_json: bool) -> d
             print(f"  {line}")
     else:
         beside = f", {len(there)} are on a cluster, and would be followed" if there else ""
-        print(f"{todo} of {len(states)} runs would execute{beside}")
+        judged = f", {anew} would be judged anew, as [outputs] or [success] have changed" if anew else ""
+        print(f"{todo} of {len(states)} runs would execute{judged}{beside}")
     for line in standings.lines(now):
         print(line)
     return told

@@ -52,6 +52,7 @@ def _answer(summary: Summary) -> dict[str, Any]:
         "again",
         "reused",
         "awaited",
+        "judged",
         "failed",
         "missing",
         "interrupted",
@@ -78,7 +79,8 @@ def _print(summary: Summary, left: Sequence[Standing]) -> None:
     failed = f", {summary.failed} failed" if summary.failed else ""
     missing = f", {summary.missing} {'to come' if left else 'not executed'}" if summary.missing else ""
     awaited = f" ({summary.awaited} executed meanwhile by another asking)" if summary.awaited else ""
-    print(f"{summary.runs} runs: {summary.executed} executed, {summary.reused} reused{awaited}{failed}{missing}")
+    judged = f" ({summary.judged} judged anew by the changed [outputs] or [success])" if summary.judged else ""
+    print(f"{summary.runs} runs: {summary.executed} executed, {summary.reused} reused{awaited}{failed}{missing}{judged}")
     _print_failures(summary)
     if left:
         print("\n".join(leaving.lines(left, summary.batch)))

@@ -64,7 +64,7 @@ def _print(answer: Why) -> None:
     idle = 0
     told: set[str] = set()
     for event in answer.story:
-        if event.what == "asking" and event.ended and not event.executed and answer.found.kind != "execution":
+        if event.what == "asking" and event.ended and not (event.executed or event.judged) and answer.found.kind != "execution":
             idle += 1
             continue
         _print_event(event, answer, because=event.batch not in told)
@@ -114,6 +114,8 @@ def _print_event(event: Event, answer: Why, *, because: bool) -> None:
         if cause.new and because:
             for line in answer.new_because.get(event.batch, ()):
                 print(f"    {readable(line)}")
+    if event.judged:
+        print(readable(f"  {_runs(event.judged)} judged anew by other rules, not executed: {event.other_rules}"))
     for line in event.more:
         print(f"  {readable(line)}")
     if len(event.causes) > LINES:

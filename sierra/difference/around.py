@@ -19,7 +19,7 @@ from sierra.provenance.program import INSTALLED, by_likelihood, called, mentione
 from sierra.store import Question
 
 Rows = Sequence[Mapping[str, Any]]
-USED = "SELECT DISTINCT e.{what} AS id FROM {table} t JOIN executions e ON e.execution = t.execution"
+USED = "SELECT DISTINCT e.{what} AS id FROM {table} t JOIN judged e ON e.judgement = t.execution"
 
 
 def programs(question: Question, before: Side, after: Side, root: Path) -> Iterator[Difference]:
@@ -102,7 +102,7 @@ def _hashable(value: Any) -> Any:
 
 def _runners(question: Question, side: Side) -> Rows:
     statement = (
-        f"WITH used AS (SELECT DISTINCT e.session FROM {side.table} t JOIN executions e ON e.execution = t.execution) "  # noqa: S608
+        f"WITH used AS (SELECT DISTINCT e.session FROM {side.table} t JOIN judged e ON e.judgement = t.execution) "  # noqa: S608
         "SELECT DISTINCT s.runner FROM sessions s JOIN used USING (session) UNION "
         "SELECT DISTINCT r.runner FROM replays r JOIN used ON used.session = r.replay"
     )

@@ -52,7 +52,7 @@ def of_one(
 
 
 def _execution(question: Question, side: Side) -> dict[str, Any] | None:
-    statement = f"SELECT e.* FROM executions e JOIN {side.table} t USING (execution)"  # noqa: S608 - our own names
+    statement = f"SELECT e.* FROM judged e JOIN {side.table} t ON t.execution = e.judgement"  # noqa: S608 - our own names
     rows: list[dict[str, Any]] = question.sql(statement).to_pylist()
     return rows[0] if rows else None
 
@@ -85,7 +85,7 @@ def _outputs(
     """The outputs in which two executions differ; those of the same values in other bytes are only noted."""
     try:
         declared = _declared(question, now["reading"], project)
-        compared = outcomes.compare(question, was["execution"], now["execution"], declared)
+        compared = outcomes.compare(question, was["judgement"], now["judgement"], declared)
     except SierraError as error:
         notes.append(Note(f"{run}results cannot be compared: {error}", "results"))
         return
@@ -140,7 +140,7 @@ def of_shared(question: Question, store: Store, project: LoadedProject, notes: l
     looked = question.sql(OTHERS, most=LOOKED_AT).to_pylist()
     for row in looked:
         was, now = (
-            question.sql("SELECT * FROM executions WHERE execution = $e", e=row[name]).to_pylist()[0] for name in ("was", "now")
+            question.sql("SELECT * FROM judged WHERE judgement = $e", e=row[name]).to_pylist()[0] for name in ("was", "now")
         )
         found = list(_outputs(question, store, project, was, now, notes, f"run {short(row['run'])}: "))
         differing += bool(found)
@@ -212,10 +212,10 @@ def others(question: Question, pairs: Sequence[tuple[int, int]]) -> list[tuple[i
 def rows(question: Question) -> int:
     """How many rows the outputs have, of both sides."""
     statement = (
-        "SELECT coalesce(sum(rows), 0)::BIGINT FROM artifacts WHERE kind = 'table' AND execution IN "
+        "SELECT coalesce(sum(rows), 0)::BIGINT FROM judged_artifacts WHERE kind = 'table' AND execution IN "
         "(SELECT execution FROM before UNION ALL SELECT execution FROM after)"
     )
-    question.views.make(("artifacts",))
+    question.views.make(("judged_artifacts",))
     count: int = question.run(statement)[0][0]
     return count
 

@@ -14,7 +14,7 @@ from sierra.errors import UsageError
 from sierra.hashing import short
 from sierra.store import Found, Question
 from sierra.store.files import Place, Taken, where
-from sierra.store.views import COUNTS, LATEST
+from sierra.store.views import COUNTS, LATEST, ORDER
 
 BEFORE, AFTER = "before", "after"
 ONE = ("run", "execution")
@@ -27,8 +27,9 @@ class Side:
 
     found: Found
     table: str
-    """Its runs: `ordinal`, `number`, `run`, `seed`, `input`; `execution`, `result` and `status` of the execution that a run
-    stands for, and whether that `counts`. `input` and `result` are 128 bits that stand for the digests, for memory's sake."""
+    """Its runs: `ordinal`, `number`, `run`, `seed`, `input`; `own`, `result` and `status` of the execution that a run stands
+    for, `execution`, the judgement of it that is meant, and whether that `counts`. `input` and `result` are 128 bits that stand
+    for the digests, for memory's sake."""
     runs: int
     batch: Mapping[str, Any]
     recipe: Mapping[str, Any]
@@ -68,15 +69,17 @@ m AS (
     FROM members m WHERE batch = $b {only} GROUP BY ordinal, number
 ),
 e AS (
-    SELECT e.run, e.execution, md5_number(e.result) AS result, e.status, e.lamport, {counts} AS counts
-    FROM executions e LEFT JOIN latest l ON l.batch = $b WHERE {which}
+    SELECT e.run, e.judgement AS execution, e.execution AS own, md5_number(e.result) AS result, e.status, {order} AS place,
+           {counts} AS counts
+    FROM judged e LEFT JOIN latest l ON l.batch = $b WHERE {which}
 ),
 one AS (
     SELECT ordinal, number, any_value(m.run) AS run, any_value(seed) AS seed, any_value(input) AS input,
-           arg_max({{'execution': execution, 'result': result, 'status': status, 'counts': counts}}, ({best}lamport)) AS e
+           arg_max({{'execution': execution, 'own': own, 'result': result, 'status': status, 'counts': counts}},
+                   ({best}place)) AS e
     FROM m LEFT JOIN e ON e.run = m.run GROUP BY ordinal, number
 )
-SELECT ordinal, number, run, seed, input, e.execution AS execution, e.result AS result, e.status AS status,
+SELECT ordinal, number, run, seed, input, e.execution AS execution, e.own AS own, e.result AS result, e.status AS status,
        coalesce(e.counts, false) AS counts
 FROM one
 """
@@ -89,6 +92,7 @@ def make_runs(question: Question, place: Place, table: str, *, good_first: bool 
         table=table,
         latest=LATEST,
         only=place.only + only,
+        order=ORDER,
         counts=f"coalesce({COUNTS}, false)",
         which="e.execution = $named" if named else "e.purpose = 'run'",
         best="counts, status = 'ok', " if good_first else "counts, ",
@@ -194,9 +198,9 @@ def _telling(before: Side, after: Side) -> Iterator[str]:
 
 def takens(question: Question, side: Side, places: Sequence[tuple[int, int]]) -> list[Taken]:
     """Some of a side's runs, by the places of their experiments and their numbers, in that order."""
-    statement = f"SELECT run, execution, status FROM {side.table} WHERE ordinal = $o AND number = $n"  # noqa: S608
+    statement = f"SELECT run, own, status, execution FROM {side.table} WHERE ordinal = $o AND number = $n"  # noqa: S608
     found = []
     for ordinal, number in places:
-        [(run, execution, status)] = question.run(statement, {"o": ordinal, "n": number})
-        found.append(Taken(side.experiments[ordinal], ordinal, number, run, execution, status, "asked"))
+        [(run, execution, status, judgement)] = question.run(statement, {"o": ordinal, "n": number})
+        found.append(Taken(side.experiments[ordinal], ordinal, number, run, execution, status, "asked", judgement))
     return found

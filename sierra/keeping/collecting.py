@@ -4,12 +4,15 @@ What nothing needs: folders of askings that died (what had finished there is rec
 were replaced, recorded files that no record refers to. Git's `refs/sierra/` are left alone: other projects and stores may
 share the repository, and no store knows of them all. What a repair put aside goes only where that is asked for.
 
+Only where that is asked for, the bytes of files that became tables go too; their rows stay. Bytes that are also those of an
+input, of a file that became no table, or of a source stay: each is needed as that.
+
 Merging changes no row, and their order in an execution neither. Of what is in several merged segments, one copy stays.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -41,7 +44,7 @@ class Collection:
     replaced: int
     """Segments that do not count any more."""
     objects: int
-    """Recorded files that nothing refers to."""
+    """Recorded files that nothing refers to, and those of `raw`."""
     bytes: int
     """Their sizes."""
     merged: int
@@ -50,6 +53,8 @@ class Collection:
     """What they are merged to."""
     damaged: int
     """Segments that a repair put aside; they go only where that is asked for."""
+    raw: int = 0
+    """Files that became tables, of which the bytes go; only where that is asked for."""
     recovered: int = 0
     """Executions that had finished in askings that died, and are recorded now."""
     left: int = 0
@@ -65,6 +70,7 @@ class _Plan:
     groups: tuple[Group, ...]
     drop: Drop
     bytes: int
+    raw: int
     seen: AbstractSet[str]
 
     @property
@@ -72,10 +78,10 @@ class _Plan:
         return len(self.drop.get("objects", {}).get("sha256", ()))
 
 
-def plan(store: Store, *, damaged: bool = False) -> Collection:
+def plan(store: Store, *, damaged: bool = False, raw: bool = False) -> Collection:
     """What `collect` would do."""
     paths = store.paths
-    made = _plan(store)
+    made = _plan(store, raw=raw)
     with sessions.exclusively(paths) as locks:
         living = {one.root for one in sessions.alive(paths)} if locks else set()
         dead = [one for one in sessions.all_of(paths) if locks and one.root not in living]
@@ -91,17 +97,18 @@ def plan(store: Store, *, damaged: bool = False) -> Collection:
         sum(len(group.segments) for group in merged),
         len(merged),
         aside,
+        made.raw,
     )
 
 
 def collect(
-    store: Store, *, damaged: bool = False, agree: Callable[[Collection], bool] = lambda collection: True
+    store: Store, *, damaged: bool = False, raw: bool = False, agree: Callable[[Collection], bool] = lambda collection: True
 ) -> Collection | None:
     """Remove what nothing needs, if `agree` says so of what that is; None where it does not.
 
     Raises Missing where the disk is full, SierraError where another is just beginning: nothing is lost then.
     """
-    first = plan(store, damaged=damaged)
+    first = plan(store, damaged=damaged, raw=raw)
     if not first.nothing and not agree(first):
         return None
     paths = store.paths
@@ -112,12 +119,12 @@ def collect(
         worker.remove(str(paths.damaged))
     left = 0
     with changing(paths) as session:
-        made = _plan(store)
+        made = _plan(store, raw=raw)
         if made.groups:
 
             def prepare(rewriting: Rewriting) -> AbstractSet[str]:
                 nonlocal made
-                made = _plan(store)
+                made = _plan(store, raw=raw)
                 for group in made.groups:
                     rewriting.write(group, made.drop)
                 return made.seen
@@ -139,15 +146,19 @@ def _unfinished(paths: StorePaths) -> Iterator[Path]:
 
 
 REFERRED = """
-SELECT sha256 FROM artifacts WHERE kind <> 'table' UNION SELECT unnest([input] || others) FROM members
+SELECT sha256 FROM judged_artifacts {which} UNION SELECT unnest([input] || others) FROM members
 UNION SELECT files FROM sources UNION SELECT files FROM images UNION SELECT sha256 FROM blobs
 """
 
 
-def _plan(store: Store) -> _Plan:
+RAW = "WHERE kind <> 'table'"
+TABLES = "SELECT count(DISTINCT sha256) FROM judged_artifacts SEMI JOIN unneeded USING (sha256) WHERE kind = 'table'"
+
+
+def _plan(store: Store, *, raw: bool) -> _Plan:
     with store.ask() as question:
-        question.views.make(("artifacts", "members", "sources", "images", "blobs"))
-        unneeded = {} if not _has(question, "objects") else _unneeded(question)
+        question.views.make(("judged_artifacts", "members", "sources", "images", "blobs"))
+        unneeded = {} if not _has(question, "objects") else _unneeded(question, raw=raw)
         drop = {"objects": {"sha256": set(unneeded)}} if unneeded else {}
         holding = touched(question, question.segments, drop)
         small: dict[str, list[Segment]] = {}
@@ -158,18 +169,29 @@ def _plan(store: Store) -> _Plan:
         chosen |= {id(segment): segment for segment in holding}
         found = [part for group in groups(chosen.values()) for part in _parts(group)]
         kept = [group for group in found if len(group.segments) > 1 or group.segments[0] in holding]
-        return _Plan(tuple(kept), drop, sum(unneeded.values()), {segment.name for segment in question.segments})
+        raws = _tables(question, unneeded)
+        return _Plan(tuple(kept), drop, sum(unneeded.values()), raws, {segment.name for segment in question.segments})
 
 
 def _has(question: Question, table: str) -> bool:
     return any(table in segment.files for segment in question.segments)
 
 
-def _unneeded(question: Question) -> dict[str, int]:
-    """The size of each object that no record refers to."""
+def _unneeded(question: Question, *, raw: bool) -> dict[str, int]:
+    """Return the size of each object that no record refers to; with `raw`, none but as that of a table."""
+    referred = REFERRED.format(which=RAW if raw else "")
     files = [segment.files["objects"] for segment in question.segments if "objects" in segment.files]
-    statement = f"SELECT sha256, max(size) FROM {read_parquet(files)} o ANTI JOIN ({REFERRED}) r USING (sha256) GROUP BY sha256"
+    statement = f"SELECT sha256, max(size) FROM {read_parquet(files)} o ANTI JOIN ({referred}) r USING (sha256) GROUP BY sha256"
     return dict(question.run(statement))
+
+
+def _tables(question: Question, unneeded: Iterable[str]) -> int:
+    """Count the objects among these that are bytes of tables."""
+    import pyarrow as pa
+
+    question.register("unneeded", pa.table({"sha256": pa.array(sorted(unneeded), pa.string())}))
+    count: int = question.run(TABLES)[0][0]
+    return count
 
 
 def _size(segment: Segment) -> int:
@@ -190,13 +212,20 @@ def _parts(group: Group) -> Iterator[Group]:
     yield Group(tuple(held))
 
 
+RAW_LOST = (
+    "files that became tables: their bytes, not their rows. Changed [outputs] or [success] will execute their runs again, "
+    "sierra files writes them from their rows, and no check can read them again"
+)
+
+
 def text(collection: Collection) -> list[str]:
     """What is removed, in lines."""
     told = (
         (collection.sessions, "askings that died (what had finished in them is recorded first)"),
         (collection.unfinished, "unfinished files"),
         (collection.replaced, "segments that were replaced"),
-        (collection.objects, "recorded files that nothing refers to"),
+        (collection.objects - collection.raw, "recorded files that nothing refers to"),
+        (collection.raw, RAW_LOST),
         (collection.merged, f"small segments, merged into {collection.into}"),
         (collection.damaged, "damaged segments that a repair put aside"),
     )

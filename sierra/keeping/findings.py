@@ -88,11 +88,11 @@ ORDER BY m.batch, m.ordinal, m.number
 def of(question: Question, executions: Iterable[str] = (), runs: Iterable[str] = (), batches: Iterable[str] = ()) -> Affected:
     """What is concerned where these executions, runs and batches are."""
     ended = sorted(set(executions))
-    question.views.make(("members", "experiments", "batches", "executions", "artifacts"))
+    question.views.make(("members", "experiments", "batches", "judged", "judged_artifacts"))
     question.register("named", pa.table({"execution": pa.array(ended, pa.string())}))
     found = question.run(
-        "SELECT DISTINCT run FROM executions SEMI JOIN named USING (execution) UNION "
-        "SELECT DISTINCT run FROM artifacts SEMI JOIN named USING (execution)"
+        "SELECT DISTINCT run FROM judged e SEMI JOIN named n ON n.execution = e.judgement UNION "
+        "SELECT DISTINCT run FROM judged_artifacts SEMI JOIN named USING (execution)"
     )
     concerned = sorted({*runs, *(row[0] for row in found if row[0] is not None)})
     question.register("concerned", pa.table({"run": pa.array(concerned, pa.string())}))

@@ -26,7 +26,7 @@ from sierra.model import Recipe
 from sierra.paths import StorePaths
 from sierra.provenance import source
 from sierra.provenance.program import fingerprint
-from sierra.recording import UNREAD
+from sierra.recording import UNREAD, judgement_id
 from sierra.store import Question, read_parquet
 from sierra.store.complaints import first_line
 from sierra.store.tables import RECORDED
@@ -52,7 +52,7 @@ class Records:
         self.question.run(f"SET memory_limit = '{MEMORY}'")
         self.question.run("SET preserve_insertion_order = true")
         self.question.register("kept", pa.table({"sha256": pa.array(sorted(objects.whole), pa.string())}))
-        for name in (name for name in RECORDED if name != "objects"):
+        for name in (*(name for name in RECORDED if name != "objects"), "judged", "judged_artifacts"):
             with contextlib.suppress(SierraError):  # what asks of it finds that it can't be read
                 self.question.views.make((name,))
 
@@ -139,6 +139,19 @@ def _readings(records: Records) -> Iterator[Finding]:
         return digest("reading", {"outputs": heeded, "success": declared["success"]})
 
     yield from _own(records, "readings", "reading", reading)
+
+
+def _judgements(records: Records) -> Iterator[Finding]:
+    """The ids of judgements, and that each is of the run whose execution it judges."""
+    rows = f"SELECT judgement, execution, reading, session, filename FROM {records.raw('judgements')}"
+    for judgement, execution, reading, session, filename in list(records.each(rows)):
+        if _id(lambda: judgement_id(execution, reading, session)) != judgement:  # noqa: B023
+            what = f"judgement {short(str(judgement))} does not have the id that its columns give"
+            yield records.wrong({"filename": filename}, what, of(records.question, [judgement]))
+    statement = "SELECT j.judgement FROM judgements j JOIN executions e USING (execution) WHERE j.run <> e.run"
+    if named := [row[0] for row in records.each(statement)]:
+        what = "judgements are of other runs than the executions that they judge"
+        yield Finding(Kind.INCONSISTENT, "judgements", what, of(records.question, named))
 
 
 def _isolations(records: Records) -> Iterator[Finding]:
@@ -247,8 +260,11 @@ def _parted(records: Records, batches: Iterable[str]) -> Iterator[Finding]:
 
 RESULTS = """
 SELECT e.execution, e.result, array_agg(a.sha256 || ' ' || a.path ORDER BY a.path) FILTER (a.path IS NOT NULL)
-FROM (SELECT DISTINCT execution, result FROM {executions}) e
-LEFT JOIN (SELECT execution, sha256, path FROM artifacts WHERE kind <> 'log') a USING (execution) GROUP BY ALL
+FROM (
+    SELECT DISTINCT execution, result FROM {executions}
+    UNION SELECT j.judgement, e.result FROM judgements j JOIN {executions} e USING (execution)
+) e
+LEFT JOIN (SELECT execution, sha256, path FROM judged_artifacts WHERE kind <> 'log') a USING (execution) GROUP BY ALL
 """
 
 
@@ -272,9 +288,10 @@ def _unless_broken(records: Records, executions: Iterable[str]) -> list[str]:
     named = set(executions)
     for segment in records.contents.sound:
         if segment.name in records.contents.broken:
-            for table in ("executions", "artifacts"):
+            for table in ("executions", "artifacts", "judgements"):
                 if table in segment.files:
-                    found = records.each(f"SELECT DISTINCT execution FROM {read_parquet([segment.files[table]])}")
+                    key = "judgement" if table == "judgements" else "execution"
+                    found = records.each(f"SELECT DISTINCT {key} FROM {read_parquet([segment.files[table]])}")
                     named -= {row[0] for row in found}
     return sorted(named)
 
@@ -282,17 +299,19 @@ def _unless_broken(records: Records, executions: Iterable[str]) -> list[str]:
 ORPHANS = "their runs belong to no batch; asking for that again finds them"
 LOST_BY_EXECUTION = {
     "files or logs of executions are not in the store": """
-        SELECT DISTINCT execution FROM artifacts a ANTI JOIN kept USING (sha256) WHERE a.kind IN ('file', 'log')""",
+        SELECT DISTINCT execution FROM judged_artifacts a ANTI JOIN kept USING (sha256) WHERE a.kind IN ('file', 'log')""",
     ORPHANS: """
         SELECT DISTINCT execution FROM executions ANTI JOIN members USING (run)""",
     "what the project declared for executions is not recorded": """
-        SELECT DISTINCT execution FROM executions ANTI JOIN readings USING (reading)""",
+        SELECT DISTINCT judgement FROM judged ANTI JOIN readings USING (reading)""",
     "how executions were contained is not recorded": """
         SELECT DISTINCT execution FROM executions ANTI JOIN isolations USING (isolation) WHERE isolation IS NOT NULL""",
     "there are artifacts of executions that are not recorded": """
-        SELECT DISTINCT execution FROM artifacts ANTI JOIN executions USING (execution)""",
+        SELECT DISTINCT execution FROM judged_artifacts a ANTI JOIN judged e ON e.judgement = a.execution""",
     "there are findings about executions that are not recorded": """
-        SELECT DISTINCT execution FROM findings ANTI JOIN executions USING (execution)""",
+        SELECT DISTINCT execution FROM findings f ANTI JOIN judged e ON e.judgement = f.execution""",
+    "there are judgements of executions that are not recorded": """
+        SELECT DISTINCT judgement FROM judgements ANTI JOIN executions USING (execution)""",
     "there are verdicts about executions that are not recorded": """
         SELECT DISTINCT recorded FROM verdicts v WHERE recorded NOT IN (SELECT execution FROM executions)
         UNION SELECT execution FROM verdicts WHERE execution NOT IN (SELECT execution FROM executions)""",
@@ -303,7 +322,10 @@ def _references(records: Records) -> Iterator[Finding]:
     for what, statement in LOST_BY_EXECUTION.items():
         if named := _unless_broken(records, (row[0] for row in records.each(statement))):
             yield Finding(Kind.LOST, "executions", what, of(records.question, named))
-    doubled = f"SELECT execution FROM {records.raw('executions')} GROUP BY execution HAVING count(*) > 1"
+    doubled = (
+        f"SELECT execution FROM (SELECT execution FROM {records.raw('executions')} UNION ALL "
+        f"SELECT judgement FROM {records.raw('judgements')}) GROUP BY execution HAVING count(*) > 1"
+    )
     if named := [row[0] for row in records.each(doubled)]:
         yield Finding(Kind.INCONSISTENT, "executions", "executions are recorded more than once", of(records.question, named))
     said = "SELECT replay FROM verdicts UNION SELECT replay FROM equivalences"
@@ -334,7 +356,8 @@ def _inputs(records: Records) -> Iterator[Finding]:
 def _tables(records: Records) -> Iterator[Finding]:
     """Rows of outputs: as many of each execution as its artifacts say, and of no others."""
     expected = (
-        "SELECT execution, lower(output) AS output, sum(rows)::BIGINT AS rows FROM artifacts WHERE kind = 'table' GROUP BY ALL"
+        "SELECT execution, lower(output) AS output, sum(rows)::BIGINT AS rows FROM judged_artifacts "
+        "WHERE kind = 'table' GROUP BY ALL"
     )
     parts = [
         f"SELECT execution, {_literal(name.partition('~')[0].removeprefix('output.').lower())} AS output, count(*) AS rows "
@@ -446,6 +469,7 @@ CHECKS: Sequence[Check] = (
     _environments,
     _sources,
     _readings,
+    _judgements,
     _isolations,
     _programs,
     _runs,

@@ -113,7 +113,9 @@ TABLES = (
     "experiments",
     "members",
     "executions",
+    "judged",
     "artifacts",
+    "judged_artifacts",
     "verdicts",
     "replays",
     "sessions",
@@ -129,7 +131,8 @@ CREATE TEMP TABLE asked_members AS SELECT DISTINCT m.batch, m.ordinal, m.run
     OR x.experiment IN (SELECT id FROM named WHERE kind = 'experiment');
 CREATE TEMP TABLE shared AS SELECT DISTINCT a.run, m.batch FROM (SELECT DISTINCT run FROM asked_members) a
     JOIN (SELECT DISTINCT batch, ordinal, run FROM members EXCEPT SELECT batch, ordinal, run FROM asked_members) m USING (run);
-CREATE TEMP TABLE gone AS SELECT execution, run, environment, programs, reading, isolation FROM executions
+CREATE TEMP TABLE gone AS
+    SELECT judgement AS execution, execution AS own, run, environment, programs, reading, isolation FROM judged
     WHERE execution IN (SELECT id FROM named WHERE kind = 'execution') OR run IN (SELECT id FROM named WHERE kind = 'run')
     OR run IN (SELECT run FROM asked_members EXCEPT SELECT run FROM shared);
 CREATE TEMP TABLE gone_batches AS SELECT id AS batch FROM named WHERE kind = 'batch';
@@ -140,8 +143,8 @@ CREATE TEMP TABLE staying_verdicts AS SELECT DISTINCT replay FROM verdicts
     AND (execution IS NULL OR execution NOT IN (SELECT execution FROM gone));
 CREATE TEMP TABLE gone_replays AS SELECT replay FROM replays WHERE batch IN (SELECT batch FROM gone_batches)
     OR (replay IN (SELECT replay FROM gone_verdicts) AND replay NOT IN (SELECT replay FROM staying_verdicts));
-CREATE TEMP TABLE staying AS SELECT execution, environment, programs, reading, isolation FROM executions
-    WHERE execution NOT IN (SELECT execution FROM gone);
+CREATE TEMP TABLE staying AS SELECT judgement AS execution, environment, programs, reading, isolation FROM judged
+    WHERE judgement NOT IN (SELECT execution FROM gone);
 CREATE TEMP TABLE gone_members AS SELECT * FROM members WHERE batch IN (SELECT batch FROM gone_batches);
 CREATE TEMP TABLE staying_members AS SELECT * FROM members WHERE batch NOT IN (SELECT batch FROM gone_batches);
 CREATE TEMP TABLE staying_recipes AS SELECT DISTINCT recipe FROM staying_members;
@@ -182,11 +185,11 @@ AROUND = {
 }
 """By table, its key, and the ids that nothing refers to any more."""
 OBJECTS = """
-(SELECT sha256 FROM artifacts WHERE kind <> 'table' AND execution IN (SELECT execution FROM gone)
+(SELECT sha256 FROM judged_artifacts WHERE execution IN (SELECT execution FROM gone)
  UNION SELECT unnest([input] || others) FROM gone_members UNION SELECT files FROM gone_sources
  UNION SELECT files FROM gone_images UNION SELECT sha256 FROM blobs WHERE blob IN (SELECT blob FROM gone_blobs))
 EXCEPT
-(SELECT sha256 FROM artifacts WHERE kind <> 'table' AND execution NOT IN (SELECT execution FROM gone)
+(SELECT sha256 FROM judged_artifacts WHERE execution NOT IN (SELECT execution FROM gone)
  UNION SELECT unnest([input] || others) FROM staying_members
  UNION SELECT files FROM sources WHERE source NOT IN (SELECT source FROM gone_sources)
  UNION SELECT files FROM images WHERE image NOT IN (SELECT image FROM gone_images)
@@ -214,11 +217,9 @@ def _removal(question: Question, named: Mapping[str, AbstractSet[str]]) -> Remov
         "SELECT batch, query, experiments, runs FROM batches WHERE list_contains($b, batch) ORDER BY batch",
         b=sorted(named["batch"]),
     ).to_pylist()
-    [(runs, executions)] = question.run("SELECT count(DISTINCT run), count(DISTINCT execution) FROM gone")
+    [(runs, executions)] = question.run("SELECT count(DISTINCT run), count(DISTINCT own) FROM gone")
     [(replays,)] = question.run("SELECT count(DISTINCT replay) FROM gone_replays")
-    [(size,)] = question.run(
-        "SELECT coalesce(sum(size), 0)::BIGINT FROM artifacts WHERE execution IN (SELECT execution FROM gone)"
-    )
+    [(size,)] = question.run("SELECT coalesce(sum(size), 0)::BIGINT FROM artifacts WHERE execution IN (SELECT own FROM gone)")
     losing = _column(
         question, "SELECT m.batch FROM members m JOIN gone USING (run) ANTI JOIN gone_batches g ON g.batch = m.batch"
     )
@@ -234,6 +235,7 @@ def _drop(question: Question, store: Store, named: Mapping[str, AbstractSet[str]
     replays = _column(question, "SELECT replay FROM gone_replays")
     drop: dict[str, dict[str, AbstractSet[str]]] = {
         **{table: {"execution": executions} for table in ("executions", "artifacts", "findings", "output")},
+        "judgements": {"judgement": executions},
         **{table: {"batch": batches} for table in ("batches", "experiments", "members", "sessions")},
         "replays": {"replay": replays},
         "equivalences": {"replay": replays},

@@ -57,6 +57,7 @@ class _Loss:
         drop: dict[str, dict[str, AbstractSet[str]]] = {}
         if self.executions:
             drop |= {table: {"execution": self.executions} for table in ("executions", "artifacts", "findings", "output")}
+            drop["judgements"] = {"judgement": self.executions}
             drop["verdicts"] = {"recorded": self.executions, "execution": self.executions}
         if self.batches:
             drop |= {table: {"batch": self.batches} for table in ("batches", "experiments", "members")}
@@ -167,6 +168,7 @@ def _loss(paths: StorePaths, checked: Checked) -> _Loss:
                     loss.executions |= set() if finding.what == records.ORPHANS else set(finding.affected.executions)
                     if not finding.affected.executions:
                         loss.batches |= set(finding.affected.batches)
+        loss.executions |= _judgements_of(read, loss.executions)
         readable = [segment for segment in contents.sound if segment.name not in broken]
         going = {segment.name for segment in touched(read.question, readable, loss.drop)}
         loss.touched = [segment for segment in contents.sound if segment.name in broken or segment.name in going]
@@ -174,3 +176,9 @@ def _loss(paths: StorePaths, checked: Checked) -> _Loss:
         read.question.__exit__()
         contents.broken = broken
     return loss
+
+
+def _judgements_of(read: Records, executions: AbstractSet[str]) -> set[str]:
+    """The judgements that go with their executions."""
+    rows = read.each("SELECT judgement FROM judgements WHERE list_contains($e, execution)", e=sorted(executions))
+    return {row[0] for row in rows}

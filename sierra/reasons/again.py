@@ -13,7 +13,7 @@ from sierra.explain import other_programs, why_other
 from sierra.hashing import short
 from sierra.plans import Plan
 from sierra.standing import ON_CLUSTER, claimed
-from sierra.states import states
+from sierra.states import foreseen, states
 from sierra.store import Store
 
 
@@ -26,7 +26,7 @@ def again(project: LoadedProject, store: Store, batch: str, runs: Container[str]
     if plan.batch.id != batch:
         because = [f"other runs, those of batch {short(plan.batch.id)}, since:", *why_other(plan, store, batch)]
         return [*because, f"(sierra run {short(batch)} asks for these, with the code of then)"]
-    found = {run: state for run, state in states(plan, store).items() if runs is None or run in runs}
+    found = {run: state for run, state in foreseen(plan, store, states(plan, store)).items() if runs is None or run in runs}
     there = {} if all(state.good for state in found.values()) else claimed(store)
     counted = Counter(ON_CLUSTER if run in there and not state.good else state.why for run, state in found.items())
     lines = [f"{_runs(count)}: {why}" for why, count in counted.most_common()]

@@ -33,11 +33,11 @@ class Standing:
 ASKED = f"{LATEST} SELECT programs, reading FROM latest WHERE batch = $b"  # noqa: S608 - of our own parts
 STANDINGS = """
 SELECT t.counts, t.execution IS NOT NULL AS tried, coalesce(t.status = 'ok', false) AS good, e.reason, e.programs, e.reading,
-       count(*) AS runs, min(t.run) AS run, arg_min(t.execution, t.run) AS execution
+       count(*) AS runs, min(t.run) AS run, arg_min(t.own, t.run) AS execution
 FROM standing t LEFT JOIN (
-    SELECT execution, CASE WHEN status <> 'ok' THEN coalesce(reason, status) END AS reason,
+    SELECT judgement AS execution, CASE WHEN status <> 'ok' THEN coalesce(reason, status) END AS reason,
            CASE WHEN status = 'ok' THEN programs END AS programs, CASE WHEN status = 'ok' THEN reading END AS reading
-    FROM executions WHERE execution IN (SELECT execution FROM standing WHERE NOT counts)
+    FROM judged WHERE judgement IN (SELECT execution FROM standing WHERE NOT counts)
 ) e ON e.execution = t.execution
 GROUP BY ALL ORDER BY runs DESC, run
 """
@@ -45,7 +45,7 @@ GROUP BY ALL ORDER BY runs DESC, run
 
 def standings(question: Question, batches: list[str]) -> Iterator[Standing]:
     """What holds for the runs in the table `wanted` in each of these batches."""
-    question.views.make(("members", "sessions", "executions", "batches"))
+    question.views.make(("members", "sessions", "judged", "batches"))
     for batch in batches:
         make_runs(question, Place(batch), "standing", good_first=True, only=" AND m.run IN (SELECT run FROM wanted)")
         latest = question.sql(ASKED, b=batch).to_pylist() or [{"programs": None, "reading": None}]

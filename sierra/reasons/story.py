@@ -46,6 +46,10 @@ class Event:
     executed: int
     """Of the runs that this is about; so `failed`."""
     failed: int
+    judged: int
+    """Runs of which a recorded execution was judged anew, by other rules."""
+    other_rules: str
+    """What is other about these rules; empty where none was."""
     reused: int | None
     """Of all runs of its batch; None of a replay, and of an asking that was not recorded."""
     ended: bool
@@ -58,19 +62,23 @@ class Event:
 EXECUTED = """
 CREATE TEMP TABLE happened AS
 WITH mine AS (
-    SELECT e.execution, e.run, e.session, e.batch, e.started, e.ended, e.status, e.reason, e.programs, e.reading, e.purpose,
-           e.lamport
-    FROM executions e SEMI JOIN wanted USING (run)
+    SELECT e.judgement, e.judged, e.place, e.execution, e.run, e.session, e.batch, e.started, e.ended, e.status, e.reason,
+           e.programs, e.reading, e.purpose, e.lamport
+    FROM judged e SEMI JOIN wanted USING (run)
 ),
+first AS (SELECT * EXCLUDE (judgement, judged, place) FROM mine WHERE judgement = execution),
 earlier AS (
     SELECT e.execution, p.execution AS prior, p.lamport, p.programs, p.reading, p.reason,
            f.lamport IS NOT NULL AND f.lamport < e.lamport AS doubted,
            CASE WHEN p.status <> 'ok' AND (f.lamport IS NULL OR f.lamport < e.lamport) THEN $failed
                 WHEN p.reading <> e.reading THEN $rules WHEN p.programs <> e.programs THEN $programs
                 ELSE $good END AS worth
-    FROM mine e JOIN mine p ON p.run = e.run AND p.lamport < e.lamport AND p.purpose = 'run'
+    FROM first e JOIN mine p ON p.run = e.run AND p.execution <> e.execution AND p.place < e.lamport AND p.purpose = 'run'
         AND NOT (p.session <> e.session AND p.started < e.ended AND p.ended > e.started)
-    LEFT JOIN findings f ON f.execution = p.execution
+    LEFT JOIN findings f ON f.execution = p.judgement
+    QUALIFY row_number() OVER (
+        PARTITION BY e.execution, p.execution ORDER BY p.reading = e.reading DESC, p.place DESC, p.judgement
+    ) = 1
 ),
 best AS (
     SELECT execution, max(worth) AS worth, arg_max({'prior': prior, 'programs': programs, 'reading': reading,
@@ -78,10 +86,10 @@ best AS (
     FROM earlier GROUP BY execution
 )
 SELECT m.*, b.worth, b.best, EXISTS (
-    SELECT 1 FROM mine o WHERE o.run = m.run AND o.purpose = 'run' AND o.session <> m.session AND o.lamport < m.lamport
+    SELECT 1 FROM first o WHERE o.run = m.run AND o.purpose = 'run' AND o.session <> m.session AND o.lamport < m.lamport
         AND o.started < m.ended AND o.ended > m.started
 ) AS beside
-FROM mine m LEFT JOIN best b USING (execution)
+FROM first m LEFT JOIN best b USING (execution)
 """
 CAUSES = """
 SELECT session, batch, purpose, worth, beside, best.doubted AS doubted, CASE WHEN worth = 0 THEN best.reason END AS reason,
@@ -106,28 +114,36 @@ FROM copies JOIN executions e USING (execution) WHERE e.run IN (SELECT run FROM 
 ASKINGS = """
 SELECT * FROM sessions WHERE list_contains($b, batch) OR list_contains($s, session)
 """
+JUDGED = """
+SELECT j.session, any_value(j.batch) AS batch, count(DISTINCT j.run) AS runs, min(j.judged) AS judged,
+       min(j.lamport) AS lamport, list(DISTINCT j.reading) AS reading, list(DISTINCT e.reading) AS was_reading
+FROM judgements j SEMI JOIN wanted USING (run) JOIN judged e ON e.judgement = j.execution GROUP BY j.session
+"""
 REPLAYS = "SELECT replay, kind, target, verdict FROM replays WHERE list_contains($s, replay)"
 
 
 def tell(question: Question, batches: Sequence[str]) -> list[Event]:
     """All that happened to the runs in the table `wanted`, and all askings of these batches."""
-    question.views.make(("executions", "findings", "sessions", "replays", "members", "attempts", "copies"))
+    question.views.make(("executions", "judged", "findings", "sessions", "replays", "members", "attempts", "copies"))
     question.run(EXECUTED, {"failed": FAILED, "rules": OTHER_RULES, "programs": OTHER_PROGRAMS, "good": GOOD})
     rows = question.sql(CAUSES).to_pylist()
-    sessions_of = [row["session"] for row in rows]
+    judged = {row["session"]: row for row in question.sql(JUDGED).to_pylist()}
+    sessions_of = [*(row["session"] for row in rows), *judged]
     question.run("DROP TABLE happened")
     sessions = {row["session"]: row for row in question.sql(ASKINGS, b=list(batches), s=sessions_of).to_pylist()}
     by_session: dict[str, list[dict[str, Any]]] = {session: [] for session in sessions}
     for row in rows:
         by_session.setdefault(row["session"], []).append(row)
+    for session in judged:
+        by_session.setdefault(session, [])
     replays = {row["replay"]: row for row in question.sql(REPLAYS, s=list(by_session)).to_pylist()}
     more = _more(question)
     places = {
-        key: min(row["lamport"] for row in (*those, *([sessions[key]] if key in sessions else ())))
+        key: min(row["lamport"] for row in (*those, *(named[key] for named in (sessions, judged) if key in named)))
         for key, those in by_session.items()
     }
     return [
-        _event(question, key, by_session[key], sessions.get(key), replays.get(key), more.get(key, []))
+        _event(question, key, by_session[key], sessions.get(key), replays.get(key), more.get(key, []), judged.get(key))
         for key in sorted(places, key=lambda key: places[key])
     ]
 
@@ -139,23 +155,31 @@ def _event(
     asking: Mapping[str, Any] | None,
     replay: Mapping[str, Any] | None,
     more: Sequence[str],
+    judged: Mapping[str, Any] | None,
 ) -> Event:
     executed = sum(row["executions"] for row in rows)
     failed = sum(row["failed"] for row in rows)
     purpose = rows[0]["purpose"] if rows else "run"
     return Event(
         session=session,
-        when=asking["started"] if asking else min(row["started"] for row in rows),
+        when=asking["started"] if asking else _began(rows, judged),
         what="asking" if purpose == "run" else purpose,
-        batch=asking["batch"] if asking else rows[0]["batch"],
+        batch=(asking or (*rows, judged or {})[0])["batch"],
         query=asking["query"] if asking else "",
         executed=executed,
         failed=failed,
+        judged=judged["runs"] if judged else 0,
+        other_rules=_lines(other_rules(question, judged["was_reading"], judged["reading"])) if judged else "",
         reused=asking["reused"] if asking else None,
         ended=asking is not None or replay is not None,
         causes=tuple(_cause(question, row, replay) for row in rows),
         more=tuple(more),
     )
+
+
+def _began(rows: Sequence[Mapping[str, Any]], judged: Mapping[str, Any] | None) -> datetime | None:
+    """Return when a session that was not recorded as an asking had first done something."""
+    return min((row["started"] for row in rows), default=judged["judged"] if judged else None)
 
 
 def _more(question: Question) -> dict[str, list[str]]:

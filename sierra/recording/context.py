@@ -19,7 +19,9 @@ from sierra.store.segments import disk_errors
 ID, SESSION = re.compile("[0-9a-f]{64}"), re.compile("[0-9a-f]{16}")
 UNREAD = {"units", "time", "tolerance", "ordered", "volatile"}
 """Of an output, what makes no difference to how it is recorded."""
-SAVED = ("session", "batch", "purpose", "environment", "programs", "engine", "isolation", "shared", "enforced", "number")
+SAVED = (
+    *("session", "batch", "purpose", "environment", "programs", "engine", "isolation", "shared", "enforced", "number", "raw"),
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +47,9 @@ class Context:
     def lamport(self, position: int = 0) -> int | None:
         """Return the place in the order of what the session records; `position` is that of an execution in it."""
         return stamp(self.number, self.session, position)
+
+    raw: bool = True
+    """Whether the bytes of files that become tables are kept too."""
 
     @property
     def reading(self) -> str:

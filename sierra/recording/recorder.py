@@ -19,7 +19,7 @@ from sierra.recording.context import Context
 from sierra.recording.judging import Judged, doubted, judge
 from sierra.recording.logs import LOG_SHOWN, kept_of, last_words
 from sierra.recording.remarks import Remarks, as_files, lost
-from sierra.recording.tabled import Tabled, tabled
+from sierra.recording.tabled import Tabled, artifact_rows, tabled
 from sierra.store import Store
 from sierra.store.objects import Objects
 from sierra.store.reading import Shape, shown
@@ -170,7 +170,7 @@ class Recorder:
         tables = tabled(self._pending, writer, self._store, self._context, self._assigning, self._shapes)
         judged = [tables.judged(one) for one in self._pending]
         objects = Objects(writer.path("objects"))
-        artifacts = [row for one in judged for row in _artifacts(one.result, tables, objects)]
+        artifacts = [row for one in judged for row in _artifacts(one.result, tables, objects, raw=self._context.raw)]
         objects.close()
         writer.rows("artifacts", artifacts)
         first = self._next()
@@ -219,23 +219,13 @@ class Recorder:
         }
 
 
-def _artifacts(result: Result, tables: Tabled, objects: Objects) -> Iterator[dict[str, Any]]:
-    """The files that a run left; the content of those that are no table's is put among the objects."""
+def _artifacts(result: Result, tables: Tabled, objects: Objects, *, raw: bool) -> Iterator[dict[str, Any]]:
+    """Yield a row for each file that a run left. Their bytes are put among the objects; those of tables only with `raw`."""
     mine = {"execution": result.execution, "run": result.run}
-    for file in result.outputs:
-        count = tables.rows(result.execution, file)
-        if count is None:
+    for file, row in zip(result.outputs, artifact_rows(result, tables), strict=True):
+        if raw or row["kind"] == "file":
             objects.add_file(Path(result.directory, RUN_OUTPUT, file.path), file.sha256, file.bytes)
-        yield {
-            **mine,
-            "path": shown(file.path),
-            "kind": "file" if count is None else "table",
-            "output": tables.table(result.execution, file),
-            "size": file.bytes,
-            "sha256": file.sha256,
-            "rows": count,
-            "form": None if count is None else tables.form(result.execution, file),
-        }
+        yield row
     for name in (RUN_STDOUT, RUN_STDERR):
         content, size = kept_of(f"{result.directory}/{name}")
         if size:

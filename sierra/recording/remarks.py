@@ -123,7 +123,7 @@ def _only_column(kinds: Iterable[tuple[str, str]], output: str, name: str) -> bo
 
 FORMS = """
 SELECT a.output, a.form, count(DISTINCT a.execution) AS executions
-FROM artifacts a WHERE a.kind = 'table' AND a.execution IN (SELECT execution FROM good)
+FROM judged_artifacts a WHERE a.kind = 'table' AND a.execution IN (SELECT execution FROM good)
 GROUP BY ALL ORDER BY ALL
 """
 NUMERIC = """

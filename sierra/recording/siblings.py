@@ -13,12 +13,13 @@ from sierra.paths import SessionPaths
 from sierra.recording.context import Context
 from sierra.store import Store
 from sierra.store.reading import AS_TEXT, Siblings, difference, own_kind, right_kind
+from sierra.store.views import ORDER
 
-ANY_TABLE = "SELECT 1 FROM artifacts WHERE kind = 'table' LIMIT 1"
+ANY_TABLE = "SELECT 1 FROM judged_artifacts WHERE kind = 'table' LIMIT 1"
 
 
-def find_odd(store: Store, session: SessionPaths, context: Context) -> int:
-    """Find executions whose tables are not like their siblings', and record that; how many.
+def find_odd(store: Store, session: SessionPaths, context: Context) -> set[str]:
+    """Find executions whose tables are not like their siblings', and record that; their runs.
 
     Siblings are the good executions of one experiment with the same programs, whenever they were recorded. What most
     of them have is right (of two that as many have, the more). Row counts and columns of an output with
@@ -27,7 +28,7 @@ def find_odd(store: Store, session: SessionPaths, context: Context) -> int:
     """
     with store.ask() as question:
         if not question.sql(ANY_TABLE).num_rows:
-            return 0
+            return set()
         rows = question.sql(GOOD + ODD, **asked(context)).to_pylist()
     tables: dict[tuple[int, str], list[dict[str, Any]]] = {}
     for row in rows:
@@ -41,7 +42,7 @@ def find_odd(store: Store, session: SessionPaths, context: Context) -> int:
     same = {"found": now, "status": "mismatch", "lamport": context.lamport()}
     writer.rows("findings", ({"execution": one, "reason": reason, **same} for one, reason in found.items()))
     store.publish(writer)
-    return len(found)
+    return {row["run"] for row in rows if row["execution"] in found}
 
 
 def asked(context: Context) -> dict[str, str]:
@@ -49,25 +50,25 @@ def asked(context: Context) -> dict[str, str]:
     return {"batch": context.batch, "programs": context.programs, "reading": context.reading}
 
 
-GOOD = """
+GOOD = f"""
 WITH good AS (
-    SELECT m.ordinal, e.run, arg_max(e.execution, e.lamport) AS execution
+    SELECT m.ordinal, e.run, arg_max(e.judgement, {ORDER}) AS execution
     FROM (SELECT DISTINCT ordinal, run FROM members WHERE batch = $batch) m
-    JOIN executions e ON e.run = m.run AND e.status = 'ok' AND e.purpose = 'run'
+    JOIN judged e ON e.run = m.run AND e.status = 'ok' AND e.purpose = 'run'
         AND e.programs = $programs AND e.reading = $reading
     GROUP BY ALL
-)"""
-"""The good executions of a batch, by the place of their experiment."""
+)"""  # noqa: S608 - of our own parts
+"""The good executions of a batch, each by its last judgement, by the place of their experiment."""
 
 
 ODD = """,
 tables AS (
     SELECT g.ordinal, g.execution, a.output, sum(a.rows)::BIGINT AS rows, list_sort(list(DISTINCT a.form)) AS forms
-    FROM good g JOIN artifacts a ON a.execution = g.execution AND a.kind = 'table'
+    FROM good g JOIN judged_artifacts a ON a.execution = g.execution AND a.kind = 'table'
     GROUP BY ALL
 ),
 counted AS (
-    SELECT g.ordinal, g.execution, x.output, t.rows, t.forms
+    SELECT g.ordinal, g.run, g.execution, x.output, t.rows, t.forms
     FROM good g JOIN (SELECT DISTINCT ordinal, output FROM tables) x USING (ordinal)
     LEFT JOIN tables t USING (ordinal, execution, output)
 ),
@@ -210,26 +211,26 @@ def known(store: Store, context: Context, name: str) -> Siblings:
 
 
 PLACES = "SELECT run, min(ordinal) AS ordinal FROM members WHERE batch = $batch GROUP BY run"
-SIBLINGS = """
+SIBLINGS = f"""
 WITH mine AS (SELECT DISTINCT ordinal, run FROM members WHERE batch = $batch),
 alike AS (SELECT DISTINCT mine.ordinal, m.batch, m.ordinal AS theirs FROM mine JOIN members m USING (run)),
 family AS (
     SELECT DISTINCT a.ordinal, m.run FROM alike a JOIN members m ON m.batch = a.batch AND m.ordinal = a.theirs
 ),
 good AS (
-    SELECT f.ordinal, e.run, arg_max(e.execution, e.lamport) AS execution
+    SELECT f.ordinal, e.run, arg_max(e.judgement, {ORDER}) AS execution
     FROM family f
-    JOIN executions e ON e.run = f.run AND e.status = 'ok' AND e.purpose = 'run'
+    JOIN judged e ON e.run = f.run AND e.status = 'ok' AND e.purpose = 'run'
         AND e.programs = $programs AND e.reading = $reading
     GROUP BY ALL
-)"""
+)"""  # noqa: S608 - of our own parts
 """The good executions of the experiments of a batch, those with other numbers of runs of the same included."""
 SIBLINGS_FORMS = """
-SELECT DISTINCT a.form FROM artifacts a
+SELECT DISTINCT a.form FROM judged_artifacts a
 WHERE a.kind = 'table' AND a.output = $output AND a.execution IN (SELECT execution FROM good)
 """
 SIBLINGS_VOTES = """
 SELECT g.ordinal, a.form, count(DISTINCT a.execution) AS executions
-FROM artifacts a JOIN good g USING (execution) WHERE a.kind = 'table' AND a.output = $output
+FROM judged_artifacts a JOIN good g USING (execution) WHERE a.kind = 'table' AND a.output = $output
 GROUP BY ALL
 """

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from sierra.config import Output
 from sierra.model import OutputFile, Result, Status
@@ -39,8 +40,7 @@ class Tabled:
             name = self.table(execution, file)
             output, count = self.outputs.get(name or ""), self.rows(execution, file)
             if output and count is not None and count < output.min_rows:
-                reason = f"{file.path}: {count} rows; [outputs.{name}] min_rows asks for {output.min_rows}"
-                return Judged(one.result, Status.FAILED, reason)
+                return Judged(one.result, Status.FAILED, too_few(file.path, count, str(name), output))
         return one
 
     def table(self, execution: str, file: OutputFile) -> str | None:
@@ -66,6 +66,28 @@ class Tabled:
                 **({"hints": dict(hints)} if (hints := reading.hints.get((execution, file.path))) else {}),
             }
         )
+
+
+def too_few(path: str, rows: int, name: str, output: Output) -> str:
+    """Say that a file has fewer rows than its output asks for."""
+    return f"{path}: {rows} rows; [outputs.{name}] min_rows asks for {output.min_rows}"
+
+
+def artifact_rows(result: Result, tables: Tabled) -> Iterator[dict[str, Any]]:
+    """Yield a row of `artifacts` for each file of an execution that is no log."""
+    for file in result.outputs:
+        count = tables.rows(result.execution, file)
+        yield {
+            "execution": result.execution,
+            "run": result.run,
+            "path": shown(file.path),
+            "kind": "file" if count is None else "table",
+            "output": tables.table(result.execution, file),
+            "size": file.bytes,
+            "sha256": file.sha256,
+            "rows": count,
+            "form": None if count is None else tables.form(result.execution, file),
+        }
 
 
 def tabled(

@@ -1,8 +1,9 @@
 """Recorded files: which there are of which runs, and their bytes, streamed and checked.
 
-Input files, logs, and outputs that are no tables lie in the store byte for byte, as objects. An output that became a table
-does not: it is written from its rows, as CSV with the names that its columns had, each value as it is recorded (a float with
-the fewest digits that give it back). Often those are the very bytes that the run wrote, which their SHA-256 tells.
+Input files, logs and outputs lie in the store byte for byte, as objects. Of an output that became a table, the bytes may not be
+there (`[store] raw = false`, `sierra gc --raw`, a record of an older SIERRA). Then it is written from its rows, as CSV with the
+names that its columns had, each value as it is recorded (a float with the fewest digits that give it back). Often those are the
+very bytes that the run wrote, which their SHA-256 tells.
 
 Memory goes with the number of files that are asked for, never with their bytes.
 """
@@ -28,7 +29,7 @@ from sierra.store.names import column_names, identifier
 from sierra.store.reading import is_number
 from sierra.store.scans import read_parquet
 from sierra.store.segments import MANIFEST, Segment
-from sierra.store.views import files_with
+from sierra.store.views import ORDER, recording
 from sierra.wording import natural
 
 INPUT_FOLDER = "input/"
@@ -51,6 +52,8 @@ class Taken:
     status: str | None
     which: str
     """`counts`, `last` (none counts), `asked` (it was named itself), or `none` (it was never executed)."""
+    judgement: str | None = None
+    """The judgement of the execution that is meant, by which its files and rows are recorded."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,16 +69,21 @@ class Recorded:
     sha256: str | None
     """Of a log that was cut: of what is kept. None for an input that the store does not know by its name."""
     kept: int | None
-    """How many of its bytes are in the store; None where it is a table or absent."""
+    """How many of its bytes are in the store; None where they are not, though the rows of a table may be."""
     output: str | None
     form: str | None
     rows: int | None
 
     @property
+    def from_rows(self) -> bool:
+        """Whether it can only be written from the rows of its table."""
+        return self.kind == "table" and self.kept is None
+
+    @property
     def remark(self) -> str:
         """What is not as one would expect, in a few words."""
         match self.kind:
-            case "table":
+            case "table" if self.kept is None:
                 return "written from the table; bytes may differ"
             case _ if self.kept is None:
                 return "not in the store"
@@ -92,7 +100,7 @@ def take(question: Question, found: Found) -> list[Taken]:
     """
     with _readable():
         place = where(question, found)
-        statement = TAKEN.format(only=place.only)
+        statement = TAKEN.format(only=place.only, order=ORDER)
         return [Taken(*row) for row in question.each(statement, {**place.parameters, "named": place.execution})]
 
 
@@ -118,7 +126,7 @@ class Place:
 
 def where(question: Question, found: Found) -> Place:
     """Where it stands: a run or an experiment of several batches in the one that was last asked for."""
-    question.views.make(("members", "experiments", "batches", "executions", "counting", "sessions"))
+    question.views.make(("members", "experiments", "batches", "executions", "judged", "counting", "sessions"))
     run = found.id if found.kind == "run" else None
     if found.kind == "batch":
         return Place(found.id)
@@ -150,17 +158,20 @@ ORDER BY coalesce(s.asked, b.lamport) DESC, m.batch, m.ordinal LIMIT 1
 
 TAKEN = """
 WITH m AS (SELECT DISTINCT m.ordinal, m.number, m.run FROM members m WHERE m.batch = $b {only}),
-c AS (SELECT ordinal, run, execution FROM counting WHERE batch = $b),
-l AS (SELECT run, arg_max(execution, lamport) AS execution FROM executions WHERE purpose = 'run' GROUP BY run),
+c AS (SELECT ordinal, run, execution, judgement FROM counting WHERE batch = $b),
+l AS (SELECT e.run, arg_max(e.judgement, {order}) AS judgement FROM judged e WHERE e.purpose = 'run' GROUP BY e.run),
+n AS (SELECT e.run, arg_max(e.judgement, {order}) AS judgement FROM judged e WHERE e.execution = $named GROUP BY e.run),
 t AS (
-    SELECT x.experiment, m.ordinal, m.number, m.run, coalesce($named, c.execution, l.execution) AS execution,
+    SELECT x.experiment, m.ordinal, m.number, m.run,
+           CASE WHEN $named IS NULL OR $named = c.execution THEN coalesce(c.judgement, l.judgement)
+                ELSE n.judgement END AS judgement,
            CASE WHEN $named IS NOT NULL THEN 'asked' WHEN c.execution IS NOT NULL THEN 'counts'
-                WHEN l.execution IS NOT NULL THEN 'last' ELSE 'none' END AS which
+                WHEN l.judgement IS NOT NULL THEN 'last' ELSE 'none' END AS which
     FROM m JOIN experiments x ON x.batch = $b AND x.ordinal = m.ordinal
-    LEFT JOIN c ON c.ordinal = m.ordinal AND c.run = m.run LEFT JOIN l ON l.run = m.run
+    LEFT JOIN c ON c.ordinal = m.ordinal AND c.run = m.run LEFT JOIN l ON l.run = m.run LEFT JOIN n ON n.run = m.run
 )
-SELECT t.experiment, t.ordinal, t.number, t.run, t.execution, e.status, t.which
-FROM t LEFT JOIN executions e ON e.execution = t.execution ORDER BY t.ordinal, t.number
+SELECT t.experiment, t.ordinal, t.number, t.run, e.execution, e.status, t.which, t.judgement
+FROM t LEFT JOIN judged e ON e.judgement = t.judgement ORDER BY t.ordinal, t.number
 """
 
 
@@ -168,10 +179,10 @@ def recorded(question: Question, runs: Sequence[Taken], *, inputs: bool = False)
     """All files of these runs, in their order: input files, what they wrote, logs; or the input files alone."""
     import pyarrow as pa
 
-    columns = {"place": range(len(runs)), "run": [t.run for t in runs], "execution": [t.execution for t in runs]}
+    columns = {"place": range(len(runs)), "run": [t.run for t in runs], "execution": [t.judgement for t in runs]}
     question.register("taken", pa.table({name: list(values) for name, values in columns.items()}))
     with _readable():
-        question.views.make(("members", "recipes", "artifacts", "objects"))
+        question.views.make(("members", "recipes", "judged_artifacts", "objects"))
         rows = [(place, Recorded(runs[place], *rest)) for place, *rest in question.each(FILES, {"all": not inputs})]
     return [file for _, file in sorted(rows, key=lambda row: (row[0], PARTS.get(row[1].kind, 1), natural(row[1].path)))]
 
@@ -190,10 +201,10 @@ listed AS (
     UNION ALL
     SELECT t.place, CASE a.kind WHEN 'log' THEN a.path ELSE '{OUTPUT_FOLDER}' || a.path END, a.kind, a.size, a.sha256,
            a.output, a.form, a.rows
-    FROM taken t JOIN artifacts a USING (execution) WHERE $all
+    FROM taken t JOIN judged_artifacts a USING (execution) WHERE $all
 ),
 kept AS (SELECT sha256, any_value(size) AS kept FROM objects GROUP BY sha256)
-SELECT l.place, l.path, l.kind, coalesce(l.size, k.kept), l.sha256, CASE WHEN l.kind <> 'table' THEN k.kept END,
+SELECT l.place, l.path, l.kind, coalesce(l.size, k.kept), l.sha256, k.kept,
        l.output, l.form, l.rows
 FROM listed l LEFT JOIN kept k ON k.sha256 = l.sha256
 """
@@ -215,22 +226,18 @@ class Content:
 
 def contents(question: Question, files: Sequence[Recorded]) -> Iterator[Content]:
     """What these files hold, in the order in which it lies in the store; each of them once."""
-    those = holding(question, {file.taken.execution for file in files if file.taken.execution})
-    yield from _objects(question.segments, those, [file for file in files if file.kind != "table"])
-    yield from _tables(question, those, [file for file in files if file.kind == "table"])
+    those = holding(question, {file.taken.judgement for file in files if file.taken.judgement})
+    yield from _objects(question.segments, those, [file for file in files if not file.from_rows])
+    yield from _tables(question, those, [file for file in files if file.from_rows])
 
 
-def holding(question: Question, executions: Iterable[str]) -> list[Segment]:
-    """The segments in which these executions are recorded."""
+def holding(question: Question, judgements: Iterable[str]) -> list[Segment]:
+    """The segments in which these judgements are recorded."""
     import pyarrow as pa
 
-    segments = {s.files["executions"]: s for s in question.segments if "executions" in s.files}
-    if not segments:
-        return []
-    question.register("asked", pa.table({"execution": pa.array(executions, pa.string())}))
+    question.register("asked", pa.table({"execution": pa.array(judgements, pa.string())}))
     with _readable():
-        named = {row[0] for row in question.run(files_with(list(segments), "SELECT execution FROM asked"))}
-    return [segment for path, segment in segments.items() if path in named]
+        return recording(question.run, question.segments, "SELECT execution FROM asked")
 
 
 # Objects: found by their digests first, then read a row group at a time.
@@ -316,7 +323,7 @@ class _Groups:
 
 
 Key = tuple[str, str]
-"""An execution, and, where it wrote several files of one table, which of them."""
+"""A judgement, and, where its execution wrote several files of one table, which of them."""
 
 
 def _tables(question: Question, holding: Sequence[Segment], files: Sequence[Recorded]) -> Iterator[Content]:
@@ -325,7 +332,7 @@ def _tables(question: Question, holding: Sequence[Segment], files: Sequence[Reco
         return
     import pyarrow as pa
 
-    executions = {file.taken.execution for file in files}
+    executions = {file.taken.judgement for file in files}
     question.register("asked", pa.table({"execution": pa.array(executions, pa.string())}))
     question.run("SET threads = 1")
     question.run("SET TimeZone = 'UTC'")
@@ -353,7 +360,7 @@ def _once(question: Question, holding: Sequence[Segment], files: dict[tuple[str,
 def _key(file: Recorded) -> tuple[str, Key]:
     """What of which table's rows are this file's."""
     name = file.path.removeprefix(OUTPUT_FOLDER) if json.loads(file.form or "{}").get("file", "") is None else ""
-    return file.output or "", (file.taken.execution or "", name)
+    return file.output or "", (file.taken.judgement or "", name)
 
 
 class _Part:

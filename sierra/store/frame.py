@@ -18,12 +18,12 @@ from sierra.store.complaints import explain
 from sierra.store.names import identifier
 from sierra.store.segments import is_first_part
 from sierra.store.tables import RECORDED
-from sierra.store.views import files_with
+from sierra.store.views import files_with, recording
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
-MEMBERS = "SELECT execution FROM membership"
+MEMBERS = "SELECT judgement FROM membership"
 MIXED = "holds numbers in some runs, and other things in others"
 WHOLE = ("BOOLEAN", "BIGINT", "INTEGER", "SMALLINT", "TINYINT", "UBIGINT", "UINTEGER", "USMALLINT", "UTINYINT", "HUGEINT")
 NUMERIC = (*WHOLE, "DOUBLE", "FLOAT", "DECIMAL", "UHUGEINT")
@@ -49,12 +49,12 @@ class Frame:
     """What statistics are computed on. A context manager; see `sierra.analysis.Frame` for the contract."""
 
     def __init__(self, store: Store, batch: str, these: Mapping[str, str] | None = None) -> None:
-        """`these`: instead of those that count, the execution of each of these runs."""
+        """`these`: instead of those that count, the execution of each of these runs, or the judgement of it that is meant."""
         self.batch = batch
         self._question: Question = store.ask(batch)
         self._loaded: set[str] = set()
         self._relations: dict[str, Relation] = {}
-        self._question.views.make(("members", "executions", "experiments", "batches", "counting"))
+        self._question.views.make(("members", "judged", "experiments", "batches", "counting"))
         self._members(these)
         self._files = self._output_files()
 
@@ -66,36 +66,31 @@ class Frame:
 
     def _members(self, these: Mapping[str, str] | None) -> None:
         run = self._question.run
-        taken = "(SELECT ordinal, run, execution FROM counting WHERE batch = $b)"
+        taken = "(SELECT ordinal, run, judgement FROM counting WHERE batch = $b)"
         if these is not None:
             import pyarrow as pa
 
-            self._question.register("these", pa.table({"run": list(these), "execution": list(these.values())}))
-            taken = "(SELECT ordinal, run, execution FROM wanted JOIN these USING (run))"
+            self._question.register("these", pa.table({"run": list(these), "judgement": list(these.values())}))
+            taken = "(SELECT ordinal, run, judgement FROM wanted JOIN these USING (run))"
         run(
             "CREATE TEMP TABLE wanted AS SELECT DISTINCT ordinal, number, run FROM members WHERE batch = $b",
             {"b": self.batch},
         )
         run(
             "CREATE TEMP TABLE membership AS SELECT w.ordinal::INTEGER AS experiment, w.run, w.number::INTEGER AS number, "
-            f"c.execution, e.batch FROM wanted w JOIN {taken} c ON c.run = w.run AND c.ordinal = w.ordinal "
-            "JOIN executions e ON e.execution = c.execution",
+            f"c.judgement, e.batch FROM wanted w JOIN {taken} c ON c.run = w.run AND c.ordinal = w.ordinal "
+            "JOIN judged e ON e.judgement = c.judgement",
             {"b": self.batch} if these is None else {},
         )
 
     def _output_files(self) -> dict[str, list[str]]:
         """The output files of the segments that hold an execution that counts."""
         batches = {row[0][:12] for row in self._question.run("SELECT DISTINCT batch FROM membership")}
-        segments = [s for s in self._question.segments if s.batch in batches and "executions" in s.files]
-        having = set()
-        if segments:
-            found = self._question.run(files_with([segment.files["executions"] for segment in segments], MEMBERS))
-            having = {row[0] for row in found}
+        segments = [segment for segment in self._question.segments if segment.batch in batches]
         files: dict[str, list[str]] = {}
-        for segment in segments:
-            if segment.files["executions"] in having:
-                for name, path in segment.outputs():
-                    files.setdefault(name, []).append(path)
+        for segment in recording(self._question.run, segments, MEMBERS):
+            for name, path in segment.outputs():
+                files.setdefault(name, []).append(path)
         return {name: self._counting(paths) for name, paths in files.items()}
 
     def _counting(self, files: list[str]) -> list[str]:
@@ -160,6 +155,36 @@ class Frame:
             self._relations[table] = relation(self._question.run, files, f"execution IN ({MEMBERS})", rows=True)
         return self._relations[table]
 
+    def shared_axis(self, table: str, columns: Sequence[str]) -> str | None:
+        """Return the first of these numeric columns that behaves like a time: from row to row it increases, and it has the same
+        values in all runs, as far as each goes. There must be two runs at least, as anything that grows is alike in one.
+        """
+        if table not in self._loaded:
+            self._load(table, self._files[table])
+        data = identifier("data " + table)
+        grows = [column for column in columns if column in self._growing(data, columns)]
+        return next(
+            (column for column in grows if self._question.run(ALIKE.format(column=identifier(column), data=data))), None
+        )
+
+    def _growing(self, data: str, columns: Sequence[str]) -> set[str]:
+        """The columns that increase from row to row in the longest run."""
+        if not columns:
+            return set()
+        longest = (
+            f'SELECT run, "# experiment" FROM {data} GROUP BY ALL HAVING count(*) > 1 '
+            'ORDER BY count(*) DESC, run, "# experiment" LIMIT 1'
+        )
+        steps = ", ".join(f"{c}::DOUBLE AS {c}, lag({c}::DOUBLE) OVER w AS {p}" for c, p in _pairs(columns))
+        tests = ", ".join(
+            f"bool_and(isfinite({c}) AND ({p} IS NULL OR {c} > {p})) AND count({c}) = count(*)" for c, p in _pairs(columns)
+        )
+        rows = self._question.run(
+            f'SELECT {tests} FROM (SELECT {steps} FROM {data} SEMI JOIN ({longest}) USING (run, "# experiment") '
+            'WINDOW w AS (ORDER BY "# place"))'
+        )
+        return {column for column, grows in zip(columns, rows[0], strict=True) if grows}
+
     def samples(self, table: str, column: str, time: str = "") -> None:
         """Make `samples` be one column of one output. Raises NotFound for what the batch does not have."""
         files = self._files.get(table)
@@ -193,7 +218,7 @@ class Frame:
             f'CREATE TEMP TABLE {identifier("data " + table)} AS SELECT m.experiment AS "# experiment", '
             f'm.number AS "# number", row_number() OVER (PARTITION BY o.execution, m.experiment{file} '
             'ORDER BY o.filename, o.file_row_number) - 1 AS "# place", o.* EXCLUDE (execution, filename, file_row_number) '
-            f"FROM {source.sql} o JOIN membership m ON o.execution = m.execution"
+            f"FROM {source.sql} o JOIN membership m ON o.execution = m.judgement"
         )
         self._loaded.add(table)
 
@@ -205,6 +230,19 @@ class Frame:
             return self._question.connection.sql(text, params=parameters).to_arrow_table()
         except duckdb.Error as error:
             raise SqlError(explain(error)) from error
+
+
+ALIKE = """
+SELECT 1 FROM (SELECT count(DISTINCT run) AS runs FROM {data}) WHERE runs > 1 AND NOT EXISTS (
+    SELECT "# place" FROM {data} GROUP BY "# place"
+    HAVING min({column}) <> max({column}) OR count({column}) < count(*)
+)
+"""
+
+
+def _pairs(columns: Sequence[str]) -> list[tuple[str, str]]:
+    """Each column, and what its value in the row before is called, in SQL."""
+    return [(identifier(column), identifier(f"# before {column}")) for column in columns]
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,7 +24,14 @@ NUMBER, TIE, POSITION = 23, 18, 22
 HIGHEST = (1 << NUMBER) - 1
 STAMPED = "coalesce(lamport, epoch_us({time}) - 4611686018427387904)"
 """The SQL of a record's place in the order; `time` is the column that orders old records."""
-TIMES = {"batches": "created", "executions": "ended", "findings": "found", "replays": "ended", "sessions": "ended"}
+TIMES = {
+    "batches": "created",
+    "executions": "ended",
+    "findings": "found",
+    "judgements": "judged",
+    "replays": "ended",
+    "sessions": "ended",
+}
 """The tables that are ordered, each with that column."""
 
 

@@ -15,11 +15,11 @@ from sierra.store.scans import read_parquet
 OWN = ("run", "execution", "file", "filename", "file_row_number")
 
 Key = tuple[str, str, str | None]
-"""An execution, an output, and, where it wrote several files of it, which."""
+"""A judgement, an output, and, where its execution wrote several files of it, which."""
 
 
 def rows_of(question: Question, executions: Iterable[str], outputs: Iterable[str]) -> dict[Key, Any]:
-    """The tables that these executions wrote to these outputs, each a pyarrow.Table with its rows in their order."""
+    """The tables of these outputs by these judgements of executions, each a pyarrow.Table with its rows in their order."""
     import pyarrow as pa
 
     found: dict[Key, Any] = {}

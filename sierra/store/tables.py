@@ -97,7 +97,8 @@ RECORDED = {
         ),
         _table(
             "executions",
-            "One time that a run was executed: when, where, by what, and how it ended.",
+            "One time that a run was executed: when, where, by what, and how it ended. Where it was judged anew by other "
+            "rules, status, reason and reading are those of the last judgement; judged has all.",
             ("execution", ID, "the execution's id"),
             ("run", ID, "the run"),
             ("session", ID, "the asking that executed it"),
@@ -188,9 +189,23 @@ RECORDED = {
             ("argv", LIST, "the command that starts a container, but for what is a run's own"),
         ),
         _table(
+            "judgements",
+            "One time that a recorded execution was judged anew: by other rules, from its recorded files, not executed.",
+            ("judgement", ID, "the judgement's id"),
+            ("execution", ID, "the execution"),
+            ("run", ID, "its run"),
+            ("session", ID, "the asking that judged it anew"),
+            ("batch", ID, "the batch that it was judged for"),
+            ("judged", TIME, "when"),
+            ("status", TEXT, "as in executions"),
+            ("reason", TEXT, "why it is not ok, in a line"),
+            ("reading", ID, "hash of the rules: what the project declares of outputs and success"),
+            ("lamport", INT, "its place in the logical order, as in sessions"),
+        ),
+        _table(
             "findings",
             "What was found out about an execution after it was recorded; it is not ok from then on.",
-            ("execution", ID, "the execution"),
+            ("execution", ID, "the execution, or the judgement of it that is not ok"),
             ("found", TIME, "when"),
             ("status", TEXT, "what it is now"),
             ("reason", TEXT, "why, in a line"),
@@ -198,7 +213,7 @@ RECORDED = {
         ),
         _table(
             "artifacts",
-            "Every file that an execution left, and its logs.",
+            "Every file that an execution left, and its logs; as it was judged last.",
             ("execution", ID, "the execution"),
             ("run", ID, "the run"),
             ("path", TEXT, "path in the output folder; for logs, stdout or stderr"),
@@ -407,7 +422,7 @@ RECORDED = {
         ),
         _table(
             "objects",
-            "Files by the hash of their content, in parts of at most 8 MiB.",
+            "Files by the hash of their content, in parts of 8 MiB at most; those of tables unless [store] raw is false.",
             ("sha256", ID, "SHA-256 of the whole file"),
             ("part", INT, "place of this part, from 0"),
             ("size", INT, "size of the whole file", "bytes"),
@@ -448,8 +463,28 @@ DERIVED = {
             ("ordinal", INT, "the experiment's place in the batch, from 0"),
             ("run", ID, "the run"),
             ("execution", ID, "the execution"),
+            ("judgement", ID, "the judgement of it that counts, as in judged"),
             ("asked", TIME, "when the batch was last asked for"),
             ("lamport", INT, "the place of that in the logical order, as in sessions"),
+        ),
+        _table(
+            "judged",
+            "Every judgement of every execution: the first, made when it was recorded, and those that were made anew.",
+            ("judgement", ID, "the judgement; the first has the id of its execution"),
+            ("judged", TIME, "when"),
+            ("place", INT, "its place in the logical order; that of the first judgement is the execution's"),
+            *(
+                (column.name, column.type, f"{column.meaning}; by this judgement", column.unit)
+                if column.name in ("status", "reason", "reading")
+                else (column.name, column.type, column.meaning, column.unit)
+                for column in RECORDED["executions"].columns
+            ),
+        ),
+        _table(
+            "judged_artifacts",
+            "The rows of artifacts by each judgement; artifacts has those of the last one alone.",
+            ("execution", ID, "the judgement"),
+            *((column.name, column.type, column.meaning, column.unit) for column in RECORDED["artifacts"].columns[1:]),
         ),
         _table(
             "nondeterminism",
@@ -476,7 +511,7 @@ DERIVED = {
 
 RESERVED = frozenset(
     ("batch", "experiment", "run", "number", "seed", "execution", "row", "file", "session", "ordinal", "runs", "good", "failed")
-) | {column.name for table in DERIVED.values() for column in table.columns}
+) | {column.name for table in DERIVED.values() if not table.name.startswith("judged") for column in table.columns}
 """Names that no axis may have, because a column of the store has them."""
 
 BESIDE_OUTPUTS = frozenset(("run", "execution", "file", "number", "filename", "file_row_number"))

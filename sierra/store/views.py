@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 from sierra.errors import Damaged
@@ -16,8 +17,11 @@ from sierra.store.segments import Segment, is_first_part
 from sierra.store.tables import DERIVED, LATER, RECORDED
 
 NEEDS = {
-    "executions": ("findings",),
-    "counting": ("members", "sessions", "executions"),
+    "judged": ("findings", "judgements"),
+    "executions": ("judged",),
+    "artifacts": ("judged",),
+    "judged_artifacts": ("artifacts",),
+    "counting": ("members", "sessions", "judged"),
     "nondeterminism": ("executions", "verdicts"),
     "points": ("members", "experiments", "batches"),
     "runs": ("members", "experiments", "batches", "executions", "counting"),
@@ -110,9 +114,11 @@ class Views:
             body = self._runs()
         elif name == "points":
             body = self._points()
+        elif name == "judged_artifacts":
+            body = self._judged_artifacts()
         elif name in DEFINED:
             body = DEFINED[name]
-        elif name in RECORDED:
+        elif name == "judged" or name in RECORDED:
             self._make_recorded(name)
             return
         elif name in self._outputs:
@@ -127,10 +133,11 @@ class Views:
         import duckdb
 
         view = f"CREATE VIEW {identifier(name)} AS "
+        body = self._judged if name == "judged" else partial(self._recorded, name)
         try:
-            self._sql.execute(view + self._recorded(name))
+            self._sql.execute(view + body())
         except duckdb.Error:
-            self._execute(view + self._recorded(name, older=True))
+            self._execute(view + body(older=True))
         self._there.append(identifier(name))
 
     def _recorded(self, name: str, *, older: bool = False) -> str:
@@ -144,11 +151,10 @@ class Views:
             others = [c for c in self._columns(name, source) if c not in keys]
             picked = "".join(f", {_pick(c, FIRST.get(name))} AS {identifier(c)}" for c in others)
             return f"SELECT {', '.join(keys)}{picked} FROM {source} GROUP BY {', '.join(keys)}"
-        if name == "executions" and "findings" in self._files:
-            return (
-                "SELECT e.* REPLACE (coalesce(f.status, e.status) AS status, coalesce(f.reason, e.reason) AS reason) "
-                f"FROM {source} e LEFT JOIN findings f USING (execution)"
-            )
+        if name == "executions":
+            return self._executions(source)
+        if name == "artifacts" and self._anew:
+            return f"SELECT a.* REPLACE (l.execution AS execution) FROM {source} a JOIN ({LAST}) l ON a.execution = l.judgement"
         if name == "members" and self._within is not None:
             return f"SELECT * FROM {source} WHERE batch = {quote(self._within)}"
         return f"SELECT * FROM {source}"
@@ -179,6 +185,43 @@ class Views:
             if name in found.rounded:
                 holds = "fractions in some runs, and whole numbers too great for them in others: all digits are"
             self.told.append(f"{column} holds {holds} in {beside}")
+
+    @property
+    def _anew(self) -> bool:
+        """Whether anything was judged anew."""
+        return "judgements" in self._files
+
+    def _executions(self, source: str) -> str:
+        if not self._anew:
+            return "SELECT * EXCLUDE (judgement, judged, place) FROM judged"
+        said = "l.status AS status, l.reason AS reason, l.reading AS reading"
+        return f"SELECT e.* REPLACE ({said}) FROM {source} e JOIN ({LAST}) l USING (execution)"
+
+    def _judged(self, *, older: bool = False) -> str:
+        """Every judgement, the first of each execution and those made anew, with what was found out about it since."""
+        files = self._files.get("executions")
+        if files is None:
+            columns = ", ".join(f"NULL::{c.type} AS {identifier(c.name)}" for c in DERIVED["judged"].columns)
+            return f"SELECT {columns} WHERE false"
+        source = self._records("executions", files, older=older)
+        first = f"SELECT execution AS judgement, ended AS judged, lamport AS place, * FROM {source}"
+        if self._anew:
+            theirs = ", ".join(f"j.{name} AS {name}" for name in ("batch", "status", "reason", "reading"))
+            anew = (
+                f"SELECT j.judgement, j.judged, j.lamport AS place, e.* REPLACE ({theirs}) "
+                f"FROM judgements j JOIN {source} e USING (execution)"
+            )
+            first = f"{first} UNION ALL BY NAME {anew}"
+        if "findings" not in self._files:
+            return first
+        return (
+            "SELECT e.* REPLACE (coalesce(f.status, e.status) AS status, coalesce(f.reason, e.reason) AS reason) "
+            f"FROM ({first}) e LEFT JOIN findings f ON f.execution = e.judgement"
+        )
+
+    def _judged_artifacts(self) -> str:
+        files = self._files.get("artifacts")
+        return "FROM artifacts" if files is None else f"SELECT * FROM {self._records('artifacts', files, older=False)}"
 
     def _columns(self, name: str, source: str) -> list[str]:
         if name != "experiments":
@@ -229,9 +272,10 @@ class Views:
         self._tell(name, found, self.called[name.lower()])
         ours = "".join(f"p.{identifier(axis)}, " for axis in axes)
         return (
-            f"SELECT {ours}p.number, o.file_row_number AS {identifier(row)}, o.* EXCLUDE (file_row_number, filename){rename} "
+            f"SELECT {ours}p.number, o.file_row_number AS {identifier(row)}, "
+            f"o.* EXCLUDE (file_row_number, filename) REPLACE (c.execution AS execution){rename} "
             f"FROM {found.sql} o JOIN points p ON o.run = p.run "
-            f"WHERE o.execution IN (SELECT execution FROM ({COUNTED}))"
+            f"JOIN ({COUNTED}) c ON o.execution = c.judgement"
         )
 
     def _holding(self, files: list[str]) -> list[str]:
@@ -239,15 +283,15 @@ class Views:
         if self._within is not None:
             mine = self._of_batch(files)
             files = [file for file in files if file in mine] or files
-        elif all(map(is_first_part, files)) and "findings" not in self._files:
+        elif all(map(is_first_part, files)) and "findings" not in self._files and not self._anew:
             return files
-        found = {row[0] for row in self._execute(files_with(files, f"SELECT execution FROM ({COUNTED})")).fetchall()}
+        found = {row[0] for row in self._execute(files_with(files, f"SELECT judgement FROM ({COUNTED})")).fetchall()}
         return [file for file in files if file in found] or files
 
     def _of_batch(self, files: Sequence[str]) -> set[str]:
         """Of these files, those of batches that recorded an execution that counts."""
         batches = {
-            row[0][:12] for row in self._fetch(f"SELECT DISTINCT batch FROM executions SEMI JOIN ({COUNTED}) USING (execution)")
+            row[0][:12] for row in self._fetch(f"SELECT DISTINCT batch FROM judged SEMI JOIN ({COUNTED}) USING (judgement)")
         }
         return {path for segment in self._segments if segment.batch in batches for path in segment.files.values()} & set(files)
 
@@ -256,7 +300,7 @@ LATEST = """
 WITH asked AS (
     SELECT batch, programs, reading, ended, lamport FROM sessions WHERE reading IS NOT NULL
     UNION ALL
-    SELECT batch, programs, reading, ended, lamport FROM executions WHERE purpose = 'run'
+    SELECT batch, programs, reading, judged, place FROM judged WHERE purpose = 'run'
 ),
 latest AS (
     SELECT batch, arg_max(programs, lamport) AS programs, arg_max(reading, lamport) AS reading,
@@ -267,16 +311,32 @@ latest AS (
 """The programs and the rules of each batch's last asking, as the relation `latest`."""
 
 COUNTS = "e.status = 'ok' AND e.purpose = 'run' AND e.programs = l.programs AND e.reading = l.reading"
-"""Whether an execution e may count in a batch of which l is `latest`; of those that may, the last one does."""
+"""Whether a judgement e may count in a batch of which l is `latest`; of those that may, the last execution's last one does."""
+
+ORDER = "(e.lamport, e.place, e.judgement)"
+"""The order of judgements e: that of their executions, then their own."""
 
 COUNTING = f"""{LATEST}
-SELECT m.batch, m.ordinal, m.run, arg_max(e.execution, e.lamport) AS execution, any_value(l.asked) AS asked,
-       any_value(l.lamport) AS lamport
-FROM members m
-JOIN latest l ON m.batch = l.batch
-JOIN executions e ON e.run = m.run AND {COUNTS}
-GROUP BY m.batch, m.ordinal, m.run
+SELECT batch, ordinal, run, c.execution AS execution, c.judgement AS judgement, asked, lamport
+FROM (
+    SELECT m.batch, m.ordinal, m.run, any_value(l.asked) AS asked, any_value(l.lamport) AS lamport,
+           arg_max({{'execution': e.execution, 'judgement': e.judgement}}, {ORDER}) AS c
+    FROM members m
+    JOIN latest l ON m.batch = l.batch
+    JOIN judged e ON e.run = m.run AND {COUNTS}
+    GROUP BY m.batch, m.ordinal, m.run
+)
 """
+
+LAST = """
+SELECT execution, l.judgement AS judgement, l.status AS status, l.reason AS reason, l.reading AS reading
+FROM (
+    SELECT e.execution, arg_max({'judgement': e.judgement, 'status': e.status, 'reason': e.reason, 'reading': e.reading},
+           (e.place, e.judgement)) AS l
+    FROM judged e GROUP BY e.execution
+)
+"""
+"""The last judgement of each execution."""
 
 
 NONDETERMINISM = """
@@ -296,8 +356,11 @@ FROM several s LEFT JOIN judged j USING (run, programs)
 DEFINED = {"counting": COUNTING, "nondeterminism": NONDETERMINISM}
 
 
-COUNTED = "SELECT run, arg_max(execution, lamport) AS execution FROM counting GROUP BY run"
-"""A run's execution that counts for the batch last asked for."""
+COUNTED = """
+SELECT run, c.execution AS execution, c.judgement AS judgement
+FROM (SELECT run, arg_max({'execution': execution, 'judgement': judgement}, lamport) AS c FROM counting GROUP BY run)
+"""
+"""A run's execution that counts for the batch last asked for, and the judgement of it."""
 
 
 def _value(axis: str) -> str:
@@ -316,9 +379,19 @@ def _pick(column: str, first: str | None) -> str:
     return f"any_value({name})" if first is None else f"min({name})" if column == first else f"arg_min({name}, {first})"
 
 
-def files_with(files: Sequence[str], executions: str) -> str:
-    """The statement for which of these files have a row of one of the executions that a query gives."""
-    return f"SELECT DISTINCT filename FROM {read_parquet(files, filename=True)} WHERE execution IN ({executions})"
+def files_with(files: Sequence[str], judgements: str, column: str = "execution") -> str:
+    """The statement for which of these files have a row of one of the judgements that a query gives."""
+    return f"SELECT DISTINCT filename FROM {read_parquet(files, filename=True)} WHERE {column} IN ({judgements})"
+
+
+def recording(run: Callable[[str], list[tuple[Any, ...]]], segments: Sequence[Segment], judgements: str) -> list[Segment]:
+    """Return the segments in which judgements are recorded that a query gives: with their executions, or made anew."""
+    found: set[str] = set()
+    for name, column in (("executions", "execution"), ("judgements", "judgement")):
+        files = {segment.files[name]: segment.name for segment in segments if name in segment.files}
+        if files:
+            found |= {files[row[0]] for row in run(files_with(list(files), judgements, column))}
+    return [segment for segment in segments if segment.name in found]
 
 
 def records(name: str, files: Sequence[str], *, filename: bool = False) -> str:
