@@ -142,6 +142,7 @@ CREATE TABLE artifacts (
     "size" BIGINT,  -- its size [bytes]
     "sha256" VARCHAR,  -- SHA-256 of its bytes; of a log over 1 MiB, of what is kept of it, its beginning and end
     "rows" BIGINT,  -- rows it gave its table [1]
+    "counted" BIGINT,  -- rows that the file itself has, by a count that does not depend on how it was read [1]
     "form" VARCHAR  -- what its table looks like, as JSON: its file, what each column holds, whether its last line is whole
 );
 

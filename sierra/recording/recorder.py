@@ -222,6 +222,7 @@ def _artifacts(result: Result, tables: Tabled, objects: Objects) -> Iterator[dic
             "size": file.bytes,
             "sha256": file.sha256,
             "rows": count,
+            "counted": None if count is None else tables.counted(result.execution, file),
             "form": None if count is None else tables.form(result.execution, file),
         }
     for name in (RUN_STDOUT, RUN_STDERR):

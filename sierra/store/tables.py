@@ -204,6 +204,7 @@ RECORDED = {
             ("size", INT, "its size", "bytes"),
             ("sha256", ID, "SHA-256 of its bytes; of a log over 1 MiB, of what is kept of it, its beginning and end"),
             ("rows", INT, "rows it gave its table", "1"),
+            ("counted", INT, "rows that the file itself has, by a count that does not depend on how it was read", "1"),
             (
                 "form",
                 TEXT,
