@@ -159,7 +159,8 @@ CREATE TABLE artifacts (
     "size" BIGINT,  -- its size [bytes]
     "sha256" VARCHAR,  -- SHA-256 of its bytes; of a log over 1 MiB, of what is kept of it, its beginning and end
     "rows" BIGINT,  -- rows it gave its table [1]
-    "form" VARCHAR  -- what its table looks like, as JSON: its file, what each column holds, whether its last line is whole
+    "form" VARCHAR,  -- what its table looks like, as JSON: its file, what each column holds, whether its last line is whole
+    "counted" BIGINT  -- rows that the file itself has, by a count that does not depend on how it was read [1]
 );
 
 -- One asking of one query by one process, once it has ended.
@@ -400,7 +401,8 @@ CREATE TABLE judged_artifacts (
     "size" BIGINT,  -- its size [bytes]
     "sha256" VARCHAR,  -- SHA-256 of its bytes; of a log over 1 MiB, of what is kept of it, its beginning and end
     "rows" BIGINT,  -- rows it gave its table [1]
-    "form" VARCHAR  -- what its table looks like, as JSON: its file, what each column holds, whether its last line is whole
+    "form" VARCHAR,  -- what its table looks like, as JSON: its file, what each column holds, whether its last line is whole
+    "counted" BIGINT  -- rows that the file itself has, by a count that does not depend on how it was read [1]
 );
 
 -- Runs of which several good executions with the same programs, replays included, left other bytes.

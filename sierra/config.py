@@ -36,7 +36,8 @@ from sierra import directives
 from sierra.errors import ConfigError, Missing
 from sierra.paths import CONFIG, PYPROJECT, STORE
 
-Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z_][A-Za-z0-9_]*$")]
+NAME = r"^[A-Za-z_][A-Za-z0-9_]*$"
+Name = Annotated[str, StringConstraints(pattern=NAME)]
 """A name that is also a column in SQL."""
 VariableName = Annotated[str, StringConstraints(pattern=r"^[^=]+$")]
 Seconds = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -671,9 +672,17 @@ def _explain(error: ValidationError, model: type[BaseModel] = Project) -> str:
         return f"{where or 'table'}: {complaint['ctx']['error']}"
     if complaint["loc"][-1:] == ("[key]",):
         table = ".".join(map(str, complaint["loc"][:-2]))
-        return f"{table}: {complaint['input']!r} is not a name; use letters, digits and _, as in my_name"
+        return f"{table}: {_no_name(complaint['input'])}"
+    if complaint.get("ctx", {}).get("pattern") == NAME:
+        return f"{where}: {_no_name(complaint['input'])}"
     message = KINDS.get(complaint["type"]) or complaint["msg"].replace("Input", "it").replace("it should", "should", 1)
     return f"{where or 'table'} {message}, not {_written(complaint['input'])}"
+
+
+def _no_name(value: object) -> str:
+    """Return what to write in the place of what is not a name."""
+    letters = re.sub(r"[^A-Za-z0-9]+", "_", str(value)).strip("_").lstrip("0123456789_")
+    return f"{value!r} is not a name; use letters, digits and _, as in {letters or 'my_name'}"
 
 
 def _written(value: Any) -> str:

@@ -396,6 +396,12 @@ class OutputFile:
     """Whether its last byte is a line feed (or it is empty)."""
     head: str
     """Its first line, at most 4096 bytes of it."""
+    quotes: int | None = None
+    """Double quotes in it; None, as what follows, of what is no text, and where an older worker did not count."""
+    blank: int | None = None
+    """Lines in it without a character."""
+    alike: bool | None = None
+    """Whether all its lines end alike, in LF or in CR LF."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
@@ -10,6 +12,8 @@ from sierra.agreement import Agreement, Rules, Verdict, of_tables, of_texts, oth
 from sierra.config import Output
 from sierra.errors import Damaged
 from sierra.store import Question
+from sierra.store.counting import rows_by_file
+from sierra.store.files import holding
 from sierra.store.results import objects, rows_of
 
 BYTES = 64 << 20
@@ -37,9 +41,10 @@ def compare_all(
 ) -> Iterator[dict[str | None, Agreement]]:
     """As `compare`, of many executions, a few of them in memory at a time."""
     left = _artifacts(question, (execution for pair in pairs for execution in pair))
+    counted = _counted(question, left)
     for some in _by_weight((pair, list(_unlike(*(left[one] for one in pair)))) for pair in pairs):
         compared = [files for _, unlike in some for files in unlike if _same_kind(*files)]
-        contents = _Contents(question, [row for files in compared for row in files])
+        contents = _Contents(question, [row for files in compared for row in files], counted)
         for (recorded, found), _ in some:
             yield _of_artifacts(contents, left[recorded], left[found], declared)
 
@@ -54,6 +59,22 @@ def _artifacts(question: Question, executions: Iterable[str]) -> dict[str, Artif
     for row in question.sql(statement).to_pylist():
         left[row["execution"]][row["path"]] = row
     return dict(left)
+
+
+def _counted(question: Question, left: Mapping[str, Artifacts]) -> Counter[tuple[str, str, str | None]]:
+    """Return how many rows the store has of each table of these executions, counted without DuckDB.
+
+    The key is an execution, an output and, where there are several files of it, which.
+    """
+    outputs = {row["output"] for rows in left.values() for row in rows.values() if row["kind"] == "table"}
+    counted: Counter[tuple[str, str, str | None]] = Counter()
+    for segment in holding(question, sorted(left)) if outputs else ():
+        for output, path in segment.outputs():
+            if output in outputs:
+                with contextlib.suppress(Damaged):  # what is not read is not counted, and said so
+                    rows = rows_by_file(path).items()
+                    counted.update({(one, output, file): count for (one, file), count in rows if one in left})
+    return counted
 
 
 def _by_weight(pairs: Iterable[_Pair]) -> Iterator[list[_Pair]]:
@@ -84,7 +105,11 @@ def _same_kind(was: Artifact, now: Artifact) -> bool:
 class _Contents:
     """What some artifacts hold."""
 
-    def __init__(self, question: Question, artifacts: Sequence[Artifact]) -> None:
+    def __init__(
+        self, question: Question, artifacts: Sequence[Artifact], counted: Mapping[tuple[str, str, str | None], int]
+    ) -> None:
+        """`counted`: the rows of all tables that are compared, by another count."""
+        self._counted = counted
         tables = [one for one in artifacts if one["kind"] == "table"]
         files = [one["sha256"] for one in artifacts if one["kind"] != "table"]
         self._rows = (
@@ -93,12 +118,20 @@ class _Contents:
         self._bytes = objects(question, files) if files else {}
 
     def rows(self, artifact: Artifact) -> Any:
-        file = artifact["path"] if json.loads(artifact["form"] or "{}").get("file", "") is None else None
-        rows = self._rows.get((artifact["execution"], artifact["output"], file))
+        rows = self._rows.get(_key(artifact))
         if (count := 0 if rows is None else rows.num_rows) != artifact["rows"]:
             told = f"{count} of {artifact['rows']} rows of {artifact['output']!r} are in the store"
             raise Damaged(f"{told}, as execution {artifact['execution'][:10]} wrote them")
         return rows
+
+    def lost(self, was: Artifact, now: Artifact) -> str | None:
+        """Return how two tables of the same bytes are not as many rows in the store; None where they are."""
+        for whose, one, other in (("recorded", was, now), ("new", now, was)):
+            known = [row["counted"] for row in (one, other) if row["counted"] is not None]
+            truth = next(iter(known), one["rows"])
+            if (count := self._counted.get(_key(one), 0)) != truth:
+                return f"the same bytes, but of its {truth} rows the {whose} table has {count} (see sierra fsck)"
+        return None
 
     def bytes(self, artifact: Artifact) -> bytes:
         return self._bytes[artifact["sha256"]]
@@ -114,10 +147,23 @@ def _of_artifacts(
         elif path not in was:
             agreements[path] = Agreement(Verdict.DIFFERENT, "was not written, and is there now", form=True)
         elif was[path]["sha256"] == now[path]["sha256"]:
-            agreements[path] = Agreement(Verdict.IDENTICAL)
+            agreements[path] = _identical(contents, was[path], now[path])
         else:
             agreements[path] = _output(contents, was[path], now[path], declared)
     return agreements
+
+
+def _identical(contents: _Contents, was: Artifact, now: Artifact) -> Agreement:
+    """Return how far one output agrees, whose bytes are the same: of a table, the store must have all rows."""
+    tables = was["kind"] == now["kind"] == "table"
+    lost = contents.lost(was, now) if tables else None
+    return Agreement(Verdict.DIFFERENT, lost, form=True) if lost else Agreement(Verdict.IDENTICAL)
+
+
+def _key(artifact: Artifact) -> tuple[str, str, str | None]:
+    """Return what names a table in the store: the execution, the output and, where there are several files, which."""
+    several = json.loads(artifact["form"] or "{}").get("file", "") is None
+    return artifact["execution"], artifact["output"], artifact["path"] if several else None
 
 
 def _output(contents: _Contents, was: Artifact, now: Artifact, declared: Mapping[str, Output]) -> Agreement:

@@ -68,6 +68,7 @@ import itertools
 import json
 import os
 import queue
+import re
 import select
 import shutil
 import signal
@@ -84,6 +85,7 @@ LOGS = ("stdout", "stderr")
 RUNS = "runs"
 POLL_S = 0.25
 HEAD_BYTES = 4096
+EMPTY_LINE = re.compile(rb"(?<=\n)\r?\n")
 LOG_BYTES = 256 << 20  # of standard output or error, whatever the limits say
 CHUNK = 1 << 20
 SETTLE_S = 2.0
@@ -1026,7 +1028,7 @@ def remove(folder: str) -> None:
 
 
 def describe(path: str, name: str, go_on: Callable[[], None] = lambda: None) -> dict[str, Any]:
-    digest, size, lines, last, head = hashlib.sha256(), 0, 0, b"\n", None
+    digest, counts, head = hashlib.sha256(), Counts(), None
     with open(path, "rb", buffering=0) as file:
         while True:
             go_on()
@@ -1035,18 +1037,52 @@ def describe(path: str, name: str, go_on: Callable[[], None] = lambda: None) -> 
                 break
             if head is None:
                 head = chunk[:HEAD_BYTES].split(b"\n", 1)[0]
+                counts.text = b"\0" not in chunk
             digest.update(chunk)
-            size += len(chunk)
-            lines += chunk.count(b"\n")
-            last = chunk[-1:]
+            counts.add(chunk)
     return {
         "path": name,
-        "bytes": size,
         "sha256": digest.hexdigest(),
-        "lines": lines,
-        "ended": last == b"\n",
+        **counts.report(),
         "head": (head or b"").decode("utf-8", "replace"),
     }
+
+
+class Counts:
+    """Counts of the bytes, lines and quotes of a file, made piece by piece, from which the rows of a table follow.
+
+    A file with a NUL in its first piece is no text: only its bytes and line feeds are counted, which costs less.
+    """
+
+    def __init__(self) -> None:
+        self.text = True
+        self._size = self._lines = self._returns = self._pairs = self._quotes = self._blank = 0
+        self._before = b"\n"  # the last two bytes; a file begins as a line does
+
+    def add(self, chunk: bytes) -> None:
+        self._size += len(chunk)
+        self._lines += chunk.count(b"\n")
+        if self.text:
+            self._add_text(chunk)
+        self._before = (self._before + chunk[-2:])[-2:]
+
+    def _add_text(self, chunk: bytes) -> None:
+        self._quotes += chunk.count(b'"')
+        seen = self._before + chunk
+        returns = chunk.count(b"\r")
+        if returns or self._before.endswith(b"\r"):
+            self._returns += returns
+            self._pairs += chunk.count(b"\r\n") + (self._before[-1:] + chunk[:1] == b"\r\n")
+        if b"\n\n" in seen or b"\n\r\n" in seen:
+            self._blank += sum(found.end() > len(self._before) for found in EMPTY_LINE.finditer(seen))
+
+    def report(self) -> dict[str, Any]:
+        """The counts as `sierra.model.OutputFile` has them."""
+        counts = {"bytes": self._size, "lines": self._lines, "ended": self._before.endswith(b"\n")}
+        if self.text:
+            alike = self._returns == 0 or self._returns == self._pairs == self._lines
+            counts.update(quotes=self._quotes, blank=self._blank, alike=alike)
+        return counts
 
 
 def exceeded(running: Running) -> str | None:

@@ -66,6 +66,11 @@ def ask(project: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFi
         ("", "[limits]\nmemory = -5", "limits.memory should be greater than 0, not -5"),
         ("", "[limits]\nwall = inf", "limits.wall should be a finite number"),
         ("", '[outputs."a b"]\nfile = "a.csv"', "'a b' is not a name; use letters, digits and _"),
+        (
+            "",
+            '[outputs.x]\nfile = "a.csv"\nheader = false\ncolumns = ["t", "my speed (m/s)"]',
+            "outputs.x.columns.1: 'my speed (m/s)' is not a name; use letters, digits and _, as in my_speed_m_s",
+        ),
         ("", '[outputs.runs]\nfile = "a.csv"', "the store has a table 'runs' of its own; take another name"),
         ("", '[outputs.x]\nfile = "../a.csv"', "'../a.csv' should be a path within the run's output folder"),
         ("", '[outputs.x]\nfile = "/etc/passwd"', "'/etc/passwd' should be a path within the run's output folder"),

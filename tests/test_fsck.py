@@ -226,6 +226,7 @@ FORGED: dict[str, tuple[str, Callable[[dict[str, Any]], None]]] = {
     "an execution": ("executions", lambda row: row.update(execution=sha256(row["execution"].encode()))),
     "an artifact's digest": ("artifacts", lambda row: row.update(sha256="0" * 64)),
     "an artifact's rows": ("artifacts", lambda row: row.update(rows=row["rows"] and row["rows"] + 1)),
+    "an artifact's count": ("artifacts", lambda row: row.update(counted=row["counted"] and row["counted"] + 1)),
     "rows": ("output.swarm", lambda row: row.update(execution="0" * 64)),
     "content": ("objects", lambda row: row.update(content=row["content"] + b"x")),
     "an object's size": ("objects", lambda row: row.update(size=row["size"] + 1)),
@@ -238,6 +239,26 @@ FORGED: dict[str, tuple[str, Callable[[dict[str, Any]], None]]] = {
 def test_a_forged_record_is_found_though_all_hashes_of_files_are_right(root: Path, what: str) -> None:
     forge(root, *FORGED[what])
     assert {kind for kind, _ in wrong(root)} & {Kind.INCONSISTENT, Kind.LOST}
+
+
+def test_rows_that_were_never_read_are_missed_and_executed_again(root: Path) -> None:
+    """As a parser leaves them that stops early: the table has as many rows as the record says, the file had more."""
+    folder = segment_with(root, "output.swarm")
+    swarm = pq.read_table(folder / "output.swarm.parquet")
+    lost = swarm.column("execution")[0].as_py()
+    pq.write_table(swarm.slice(1), folder / "output.swarm.parquet")
+    artifacts = pq.read_table(folder / "artifacts.parquet")
+    rows = artifacts.to_pylist()
+    [row] = [row for row in rows if (row["execution"], row["path"]) == (lost, "swarm.csv")]
+    assert row["counted"] == row["rows"]
+    row["rows"] -= 1
+    pq.write_table(pa.Table.from_pylist(rows, schema=artifacts.schema), folder / "artifacts.parquet")
+    seal(folder)
+    [finding] = [finding for finding in fsck(root).findings if not finding.kind.fine]
+    assert (finding.kind, finding.path) == (Kind.LOST, "output.swarm")
+    assert f"(swarm.csv: {row['rows']}, not {row['counted']})" in finding.what
+    assert any("1 executions are lost" in line for line in repaired(root))
+    assert fsck(root).sound
 
 
 def test_a_file_that_vanished_is_missed_though_manifest_does_not_list_it(root: Path) -> None:

@@ -278,7 +278,7 @@ FAULTS = {
     "a further column": ("write(good.replace('\\n', ',w\\n', 1).replace('5\\n', '5,1\\n'))", "has the further column 'w'"),
     "another order": ("write('v,tick\\n0,0\\n0,1\\n0,2\\n')", "has its columns in another order"),
     "text among numbers": ("write(good.replace('1.5', 'oops'))", "line 3: text where numbers are in column 'v': 'oops'"),
-    "the header again": ("write(good.replace('1,1.5', 'tick,v'))", "line 3: text where numbers are in column 'tick': 'tick'"),
+    "the header again": ("write(good.replace('1,1.5', 'tick,v'))", "line 3: the header is there again: 'tick,v'"),
     "a doubled header": ("write(good.replace('v', 'v,v', 1))", "line 1: the column 'v' is there twice"),
     "too many fields": ("write(good.replace('1.5', '1.5,9'))", "line 3: too many fields (3, not 2)"),
     "no bytes": ("write('')", "is empty; not even a header"),
@@ -614,20 +614,75 @@ def test_one_text_among_numbers_is_blamed_wherever_the_boundaries_are(
         assert project.sql("SELECT avg(v) AS v FROM out").to_pylist() == [{"v": 1.5}]
 
 
+LOOKS_NUMERIC = "column 'v' of output 'out' is text in 2 runs, and has no figure: most of its cells look like numbers; "
+ONE_COLUMN = "column {!r} of output 'out' is text in 2 runs, and has no figure: "
+
+
 @pytest.mark.parametrize(
     ("content", "said"),
     [
-        ("t;v\n0;1,5\n1;2,5\n", "column 'v' of output 'out' is text in 2 of 2 runs; most of its cells are numbers"),
-        ("t,v\n0,1.5\n1,2.5\n2,NA\n", "column 'v' of output 'out' is text in 2 of 2 runs; most of its cells are numbers"),
-        ("t v\n0 1.5\n", "output 'out' is one column 't v' of texts: delimiter = \" \" in [outputs.out]?"),
+        ("t;v\n0;1,5\n1;2,5\n", LOOKS_NUMERIC + "write '1.5' for '1,5', with a decimal point"),
+        (
+            "t,v\n0,1.5\n1,2.5\n2,NA\n",
+            LOOKS_NUMERIC + "where there is no number, leave the cell empty instead of 'NA' (2 such cells)",
+        ),
+        (
+            "t,v\n0,1e5 m\n1,2e5 m\n",
+            LOOKS_NUMERIC + """write '1e5 m' without 'm' ([outputs.out] units = { "v" = "m" } says the unit)""",
+        ),
+        (
+            "t,v\n0,50%\n1,7.5%\n",
+            LOOKS_NUMERIC + """write '50%' without '%' ([outputs.out] units = { "v" = "%" } says the unit)""",
+        ),
+        ("t;v\n0;1'234.5\n1;2'000\n", LOOKS_NUMERIC + """write "1'234.5" without what groups its digits"""),
+        ("t,my speed\n0,-\n1,2\n2,3\n", LOOKS_NUMERIC.replace("'v'", "'my speed'") + "where there is no number, leave"),
+        ("t v\n0 1.5\n", ONE_COLUMN.format("t v") + 'is it several columns? (delimiter = " " in [outputs.out])'),
+        ("# t v\n0 1.5\n", ONE_COLUMN.format("# t v") + "the first line is a comment, and comments are not read; begin with"),
         ("t,v\n0,ab\n", None),
+        ("t,v\n0,3ab\n1,4cd\n2,77f\n", None),
+        ("t,v\n0,2020-01-01\n", None),
+        ("t,v\n0,12:30:05\n", None),
+        ("word\nthe\nword\n", None),
     ],
 )
-def test_texts_that_are_hardly_meant_as_such_are_said(
+def test_texts_that_are_hardly_meant_as_such_are_said_once_with_what_to_write(
     make: Make, noted: Callable[[], list[str]], content: str, said: str | None
 ) -> None:
-    run(make(f"write({content!r})"), runs=2)
+    assert not run(make(f"write({content!r})"), runs=2).failed
     assert [note[: len(said or "")] for note in noted()] == [said] * (said is not None)
+
+
+@pytest.mark.parametrize(
+    ("content", "line"),
+    [
+        ("tick,v\n0,0.5\n1,1.5\ntick,v\n0,0.5\n", 4),
+        ("name,kind\na,b\nname,kind\nc,d\n", 3),
+        ("v\n1\n2\nv\n3\n", 4),
+        ("\ufeffv,w\r\n1,2\r\n\ufeffv,w\r\n3,4\r\n", 3),
+    ],
+)
+def test_a_header_that_is_there_twice_fails_a_run_though_all_runs_have_it(make: Make, content: str, line: int) -> None:
+    project = make(f"write({content!r})")
+    assert run(project, runs=3).failed == 3
+    header = content.strip("\ufeff").splitlines()[0]
+    assert reasons(project) == [
+        f"out.csv: line {line}: the header is there again: {header!r} (is it appended to? write it once, before all rows)"
+    ]
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        ("# made by sim\nt,v\n0,1\n", "line 1: is a comment, where the names of the columns should be: '# made by sim'"),
+        ("t,v\n# warm-up\n0,1\n", "line 2: too few fields (1, not 2): '# warm-up' (comments are not read; write them to"),
+        ("# t,v\n0,1\n1\n", "line 3: too few fields (1, not 2): '1'"),
+    ],
+)
+def test_comments_in_a_csv_are_named(make: Make, content: str, said: str) -> None:
+    project = make(f"write({content!r})")
+    assert run(project, runs=2).failed == 2
+    [reason] = reasons(project)
+    assert said in reason
 
 
 def test_an_empty_column_in_one_experiment_fits_any_in_the_others(make: Make) -> None:

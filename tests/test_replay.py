@@ -466,6 +466,23 @@ def test_rows_that_the_store_has_lost_are_not_taken_for_a_result(make: Make) -> 
     assert "2 of 5 rows of 'swarm' are in the store" in ended.stderr
 
 
+def test_the_same_bytes_are_not_identical_where_the_record_lacks_rows_of_them(make: Make) -> None:
+    root = make()
+    batch = ask(root)
+    file = min(root.glob(".sierra/segments/*/output.swarm.parquet"))
+    lost = pq.read_table(file).column("execution")[0].as_py()
+    pq.write_table(pq.read_table(file).slice(1), file)
+    artifacts = pq.read_table(file.with_name("artifacts.parquet"))
+    rows = artifacts.to_pylist()
+    for row in rows:
+        if (row["execution"], row["path"]) == (lost, "swarm.csv"):
+            row.update(rows=row["rows"] - 1, counted=None)  # as they were recorded before they were counted
+    pq.write_table(pa.Table.from_pylist(rows, schema=artifacts.schema), file.with_name("artifacts.parquet"))
+    code, said = replay(root, batch)
+    assert (code, said["verdict"], said["counts"]) == (1, "different", {"identical": 3, "different": 1})
+    assert "the same bytes, but of its 5 rows the recorded table has 4 (see sierra fsck)" in json.dumps(said)
+
+
 def test_runs_that_are_left_out_are_counted_beside_the_verdict(make: Make) -> None:
     root = make(projects.SIMULATOR + "if count == 2 and seed % 2 == 0: sys.exit(7)\n")
     batch = ask(root, "population_size=1,2", "montecarlo.C4")

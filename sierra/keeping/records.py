@@ -29,6 +29,7 @@ from sierra.provenance.program import fingerprint
 from sierra.recording import UNREAD, judgement_id
 from sierra.store import Question, read_parquet
 from sierra.store.complaints import first_line
+from sierra.store.counting import rows_by_file
 from sierra.store.tables import RECORDED
 from sierra.store.views import records as records_of
 
@@ -353,36 +354,45 @@ def _inputs(records: Records) -> Iterator[Finding]:
         yield Finding(Kind.LOST, "members", "input files of runs are not in the store", of(records.question, runs=lost))
 
 
+EXPECTED = """
+SELECT execution, lower(output) AS output, CASE WHEN form->>'$.file' IS NULL THEN path ELSE '' END AS file,
+    any_value(path) AS path, sum(rows)::BIGINT AS rows, sum(counted)::BIGINT AS counted
+FROM judged_artifacts WHERE kind = 'table' GROUP BY ALL
+"""
+TABLES = f"""
+SELECT execution, output, coalesce(e.path, file), coalesce(e.counted, e.rows, 0), coalesce(w.rows, 0)
+FROM ({EXPECTED}) e FULL JOIN written w USING (execution, output, file)
+WHERE coalesce(e.rows, 0) <> coalesce(w.rows, 0) OR e.counted <> coalesce(w.rows, 0)
+ORDER BY ALL
+"""
+
+
 def _tables(records: Records) -> Iterator[Finding]:
-    """Rows of outputs: as many of each execution as its artifacts say, and of no others."""
-    expected = (
-        "SELECT execution, lower(output) AS output, sum(rows)::BIGINT AS rows FROM judged_artifacts "
-        "WHERE kind = 'table' GROUP BY ALL"
-    )
-    parts = [
-        f"SELECT execution, {_literal(name.partition('~')[0].removeprefix('output.').lower())} AS output, count(*) AS rows "
-        f"FROM {read_parquet([path])} GROUP BY execution"
-        for name, paths in records.files.items()
-        if name.startswith("output.")
-        for path in paths
-    ]
-    counted = " UNION ALL ".join(parts) or "SELECT '' AS execution, '' AS output, 0 AS rows WHERE false"
-    statement = (
-        f"SELECT execution, output, e.rows, f.rows FROM ({expected}) e FULL JOIN "
-        f"(SELECT execution, output, sum(rows)::BIGINT AS rows FROM ({counted}) GROUP BY ALL) f USING (execution, output) "
-        "WHERE coalesce(e.rows, 0) <> coalesce(f.rows, 0)"
-    )
-    bad: dict[str, list[str]] = {}
-    for execution, output, _, _ in records.each(statement):
-        bad.setdefault(output, []).append(execution)
+    """Rows of outputs: as many of each file of an execution as were read of it, and as were counted in it; no others."""
+    records.question.register("written", _written(records))
+    bad: dict[str, list[tuple[str, str]]] = {}
+    for execution, output, path, expected, found in records.each(TABLES):
+        bad.setdefault(output, []).append((execution, f"{path}: {found}, not {expected}"))
     for output, executions in sorted(bad.items()):
-        if named := _unless_broken(records, executions):
-            what = f"table {output!r} has not as many rows as executions wrote"
+        if named := _unless_broken(records, (execution for execution, _ in executions)):
+            first = next(told for execution, told in executions if execution in named)
+            what = f"table {output!r} has not as many rows as executions wrote ({first})"
             yield Finding(Kind.LOST, "output." + output, what, of(records.question, named))
 
 
-def _literal(text: str) -> str:
-    return "'" + text.replace("'", "''") + "'"
+def _written(records: Records) -> pa.Table:
+    """Return how many rows each file of each execution has in the store, counted without DuckDB."""
+    rows = [
+        (execution, output.lower(), file or "", count)
+        for segment in records.contents.sound
+        for output, path in segment.outputs()
+        for (execution, file), count in rows_by_file(path).items()
+    ]
+    table = pa.table([list(column) for column in zip(*rows, strict=True)] or [[]] * 4, schema=WRITTEN)
+    return table.group_by(WRITTEN.names[:3]).aggregate([("rows", "sum")]).rename_columns(WRITTEN.names)
+
+
+WRITTEN = pa.schema([("execution", pa.string()), ("output", pa.string()), ("file", pa.string()), ("rows", pa.int64())])
 
 
 def _manifests(records: Records) -> Iterator[Finding]:

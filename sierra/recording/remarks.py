@@ -72,32 +72,55 @@ class Remarks:
                 apart = f"the numbers in {name!r}, and what is none in {name + TEXT!r}"
                 seen = apart if "number" in stored else "all as text"
                 yield f"column {name!r} of output {output!r} holds {held} runs; SQL shows {seen}"
-        texts = [key for key, counts in kinds.items() if counts["text"]]
-        for output, name in texts:
-            if self._shapes[output].format == "csv" and len(name.split()) > 1 and _only_column(kinds, output, name):
-                told = f'delimiter = " " in [outputs.{output}]?'
-                yield f"output {output!r} is one column {name!r} of texts: {told}"
-        alone = [key for key in texts if all(kind == "text" or kind.endswith(AS_TEXT) for kind in kinds[key])]
-        yield from self._numeric_texts([key for key in alone if len(key[1].split()) == 1], kinds)
+        yield from self._texts(kinds)
 
-    def _numeric_texts(self, texts: Sequence[tuple[str, str]], kinds: Mapping[tuple[str, str], Counter[str]]) -> Iterator[str]:
-        """Columns of texts most of which are numbers, by the first rows that are there."""
-        if not texts:
-            return
+    def _texts(self, kinds: Mapping[tuple[str, str], Counter[str]]) -> Iterator[str]:
+        """Columns that are text in all runs, and were hardly meant as such."""
+        texts = [key for key, counts in kinds.items() if all(kind == "text" or kind.endswith(AS_TEXT) for kind in counts)]
+        for output, name in texts[:NOTED_AT_MOST]:
+            if told := self._as_one_column(kinds, output, name) or self._numeric(output, name):
+                runs = kinds[output, name].total()
+                yield f"column {name!r} of output {output!r} is text in {counted(runs, 'run')}, and has no figure: {told}"
+
+    def _as_one_column(self, kinds: Iterable[tuple[str, str]], output: str, name: str) -> str | None:
+        """Return what to write where a table is one column because its delimiter or its header was not seen as such."""
+        if self._shapes[output].format != "csv" or not _only_column(kinds, output, name):
+            return None
+        if name.startswith("#"):
+            return "the first line is a comment, and comments are not read; begin with the names of the columns, without '#'"
+        return f'is it several columns? (delimiter = " " in [outputs.{output}])' if len(name.split()) > 1 else None
+
+    def _numeric(self, output: str, name: str) -> str | None:
+        """Return what to write in a column of texts most of which look like numbers, by the first rows that are there."""
         with self._store.ask(self._context.batch) as question:
-            for output, name in texts[:NOTED_AT_MOST]:
-                question.views.make((output,))
-                named = {row[0].lower(): row[0] for row in question.run(f"DESCRIBE {identifier(output)}")}
-                column = next((named[n] for n in (name.lower() + "_", name.lower()) if n in named), None)
-                if column is None:
-                    continue
-                statement = NUMERIC.format(column=identifier(column), table=identifier(output))
-                [(cells, numbers)] = question.run(statement)
-                if numbers * 2 > cells:
-                    counts = kinds[output, name]
-                    runs = f"{counts['text']} of {counts.total()} runs"
-                    told = "most of its cells are numbers: decimal commas? NA?"
-                    yield f"column {name!r} of output {output!r} is text in {runs}; {told}"
+            question.views.make((output,))
+            named = {row[0].lower(): row[0] for row in question.run(f"DESCRIBE {identifier(output)}")}
+            column = next((named[n] for n in (name.lower() + "_", name.lower()) if n in named), None)
+            if column is None:
+                return None
+            rows = question.run(LOOKS.format(column=identifier(column), table=identifier(output), number=NUMBER))
+        looks = [(look, count, example) for look, count, example in rows if look != "number"]
+        numbers = sum(count for look, count, _ in rows if look in ("number", "comma", "grouped"))
+        united = max((count for look, count, _ in looks if look.startswith("unit ")), default=0)
+        if 2 * (numbers + united) <= sum(count for _, count, _ in rows):
+            return None
+        return "most of its cells look like numbers; " + _instead(output, name, *(looks[0] if looks else ("", 0, "")))
+
+
+def _instead(output: str, name: str, look: str, cells: int, example: str) -> str:
+    """Return what to write instead of a cell that keeps its column from being one of numbers."""
+    match look.partition(" "):
+        case ("comma", _, _):
+            return f"write {example.replace(',', '.')!r} for {example!r}, with a decimal point"
+        case ("grouped", _, _):
+            return f"write {example!r} without what groups its digits"
+        case ("unit", _, unit):
+            key = json.dumps(name, ensure_ascii=False)
+            told = f"[outputs.{output}] units = {{ {key} = {json.dumps(unit, ensure_ascii=False)} }}"
+            return f"write {example!r} without {unit!r} ({told} says the unit)"
+        case ("other", _, _):
+            return f"where there is no number, leave the cell empty instead of {example!r} ({counted(cells, 'such cell')})"
+    return "some further down do not"
 
 
 def lost(names: Sequence[str]) -> Iterator[str]:
@@ -126,11 +149,23 @@ SELECT a.output, a.form, count(DISTINCT a.execution) AS executions
 FROM judged_artifacts a WHERE a.kind = 'table' AND a.execution IN (SELECT execution FROM good)
 GROUP BY ALL ORDER BY ALL
 """
-NUMERIC = """
-SELECT count(*), count_if(
-    TRY_CAST(cell AS DOUBLE) IS NOT NULL OR regexp_full_match(cell, ' *[-+]?[0-9]+,[0-9]+([eE][-+]?[0-9]+)? *')
-) FROM (SELECT {column}::VARCHAR AS cell FROM {table} LIMIT 200000) WHERE cell IS NOT NULL
+NUMBER = r"[-+]?([0-9]+[.]?[0-9]*|[.][0-9]+)([eE][-+]?[0-9]+)?"
+LOOKS = """
+WITH cells AS (
+    SELECT trim(cell) AS cell FROM (SELECT {column}::VARCHAR AS cell FROM {table} LIMIT 200000) WHERE cell IS NOT NULL
+), looking AS (
+    SELECT cell, CASE
+        WHEN TRY_CAST(cell AS DOUBLE) IS NOT NULL AND NOT contains(cell, '_') THEN 'number'
+        WHEN regexp_full_match(cell, '[-+]?[0-9]+,[0-9]+([eE][-+]?[0-9]+)?') THEN 'comma'
+        WHEN regexp_full_match(cell, '[-+]?[0-9]{{1,3}}([ '',.][0-9]{{3}})+([.,][0-9]+)?') THEN 'grouped'
+        WHEN regexp_full_match(cell, '{number} *[^-+0-9eE.,;:_ ][^0-9]*') THEN
+            'unit ' || regexp_extract(cell, '^{number} *(.*)$', 3)
+        ELSE 'other' END AS look
+    FROM cells
+)
+SELECT look, count(*), min(cell) FROM looking GROUP BY look ORDER BY count(*) DESC, look LIMIT 1000
 """
+"""What cells look like: how many, and one of them."""
 
 
 def _hidden(question: Question, name: str, axes: Mapping[str, str]) -> Iterator[tuple[str, str, str]]:

@@ -52,6 +52,11 @@ class Tabled:
         name = self.table(execution, file)
         return self.readings[name].rows.get((execution, file.path)) if name else None
 
+    def counted(self, execution: str, file: OutputFile) -> int | None:
+        """Return the rows of a file by a count of the file itself; None of what has none."""
+        name = self.table(execution, file)
+        return self.readings[name].counted.get((execution, file.path)) if name else None
+
     def form(self, execution: str, file: OutputFile) -> str:
         """What a table looks like, for a comparison with its siblings'. Only a CSV's columns have an order of their own."""
         reading = self.readings[self.belongs[execution, file.path]]
@@ -87,6 +92,7 @@ def artifact_rows(result: Result, tables: Tabled) -> Iterator[dict[str, Any]]:
             "sha256": file.sha256,
             "rows": count,
             "form": None if count is None else tables.form(result.execution, file),
+            "counted": None if count is None else tables.counted(result.execution, file),
         }
 
 
@@ -119,4 +125,5 @@ def tabled(
 
 def _written(result: Result, file: OutputFile) -> Written:
     path = str(Path(result.directory, RUN_OUTPUT, file.path))
-    return Written(path, result.run, result.execution, file.path, file.head, file.lines, file.ended, file.bytes)
+    seen = (file.head, file.lines, file.ended, file.bytes, file.quotes, file.blank, file.alike)
+    return Written(path, result.run, result.execution, file.path, *seen)

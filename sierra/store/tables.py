@@ -227,6 +227,7 @@ RECORDED = {
                 TEXT,
                 "what its table looks like, as JSON: its file, what each column holds, whether its last line is whole",
             ),
+            ("counted", INT, "rows that the file itself has, by a count that does not depend on how it was read", "1"),
         ),
         _table(
             "sessions",
@@ -432,9 +433,11 @@ RECORDED = {
 }
 
 LATER = {
+    "artifacts": ("counted",),
     "batches": ("lamport",),
     "executions": ("lamport",),
     "findings": ("lamport",),
+    "judgements": ("lamport",),
     "sessions": ("lamport",),
     "replays": ("lamport",),
 }

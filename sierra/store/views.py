@@ -114,11 +114,9 @@ class Views:
             body = self._runs()
         elif name == "points":
             body = self._points()
-        elif name == "judged_artifacts":
-            body = self._judged_artifacts()
         elif name in DEFINED:
             body = DEFINED[name]
-        elif name == "judged" or name in RECORDED:
+        elif name in RECORDED or name in ("judged", "judged_artifacts"):
             self._make_recorded(name)
             return
         elif name in self._outputs:
@@ -133,7 +131,8 @@ class Views:
         import duckdb
 
         view = f"CREATE VIEW {identifier(name)} AS "
-        body = self._judged if name == "judged" else partial(self._recorded, name)
+        bodies = {"judged": self._judged, "judged_artifacts": self._judged_artifacts}
+        body = bodies.get(name, partial(self._recorded, name))
         try:
             self._sql.execute(view + body())
         except duckdb.Error:
@@ -162,9 +161,11 @@ class Views:
     def _records(self, name: str, files: list[str], *, older: bool) -> str:
         """Records as they stand in files; `older`: of which none has the later columns."""
         source = records(name, files) if older else read_parquet(files, union=name in LATER)
-        if name not in TIMES:
+        if name not in LATER:
             return source
-        return f"(SELECT * REPLACE ({STAMPED.format(time=TIMES[name])} AS lamport) FROM {source})"
+        values = {"lamport": STAMPED.format(time=TIMES.get(name))}  # DuckDB refuses those that no file has
+        later = ", ".join(f"{values.get(column, column)} AS {column}" for column in LATER[name])
+        return f"(SELECT * REPLACE ({later}) FROM {source})"
 
     def _experiments(self, files: list[str]) -> str:
         """The values of axes: those of one batch as they are, those of all with numbers apart from texts."""
@@ -219,9 +220,9 @@ class Views:
             f"FROM ({first}) e LEFT JOIN findings f ON f.execution = e.judgement"
         )
 
-    def _judged_artifacts(self) -> str:
+    def _judged_artifacts(self, *, older: bool = False) -> str:
         files = self._files.get("artifacts")
-        return "FROM artifacts" if files is None else f"SELECT * FROM {self._records('artifacts', files, older=False)}"
+        return "FROM artifacts" if files is None else f"SELECT * FROM {self._records('artifacts', files, older=older)}"
 
     def _columns(self, name: str, source: str) -> list[str]:
         if name != "experiments":

@@ -10,6 +10,7 @@ from typing import Any
 
 from sierra.store.complaints import first_line
 from sierra.store.names import identifier, quote
+from sierra.store.reading.counting import count_lines, lines_of
 from sierra.store.reading.reader import FILE
 from sierra.store.reading.shapes import Part, Written
 from sierra.store.reading.telling import shown
@@ -54,6 +55,9 @@ class Jsonl(Text):
 
     def text(self, cell: str) -> str:
         return f"CASE WHEN starts_with({cell}, '\"') THEN json_extract_string({cell}, '$') ELSE {cell} END"
+
+    def count(self, file: Written, read: int) -> int | str:
+        return read if lines_of(file) == read else count_lines(file)
 
     def first_fault(self, file: Written, names: Sequence[str], types: Mapping[str, str]) -> str | None:
         with Path(file.path).open(encoding="utf-8", errors="surrogateescape") as lines:

@@ -6,11 +6,13 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from sierra.errors import Damaged
 from sierra.store.complaints import first_line
+from sierra.store.counting import rows_in
 from sierra.store.names import identifier
 from sierra.store.reading.kinds import EMPTY, HUGE, alike, is_inexact, is_whole, kind_of
 from sierra.store.reading.reader import FILE, Reader
-from sierra.store.reading.shapes import Part, Shape, Siblings, Written
+from sierra.store.reading.shapes import AtFaultError, Part, Shape, Siblings, Written
 from sierra.store.scans import parquet_given, parquet_schema
 
 
@@ -40,6 +42,12 @@ class Parquet(Reader):
             kinds = {file.path: {name: kind_of(self._found[file.path][name]) for name in self.part.names} for file in some}
             self.done(target, some, kinds)
 
+    def count(self, file: Written, read: int) -> int | str:
+        try:
+            return rows_in(file.path)
+        except Damaged as error:
+            return str(error)
+
     def _write(self, files: Sequence[Written]) -> list[tuple[Path, list[Written]]]:
         """Write the files, those whose columns are of one kind into one Parquet file: where, and which."""
         kinds = {
@@ -52,7 +60,7 @@ class Parquet(Reader):
                 types = {name: self._type(name, some) for name in self.part.names}
                 columns = {name: f"CAST(t.{identifier(name)} AS {types[name]})" for name in self.part.names}
                 self.write(target, some, self._source(), columns)
-        except self.error:
+        except (self.error, AtFaultError):
             for target, _ in written:
                 target.unlink(missing_ok=True)
             raise

@@ -9,8 +9,9 @@ from typing import Any
 
 from sierra.errors import Missing
 from sierra.store.complaints import first_line
+from sierra.store.counting import rows_by_file
 from sierra.store.names import column_names, identifier
-from sierra.store.reading.shapes import Part, Reading, Shape, Siblings, Written
+from sierra.store.reading.shapes import AtFaultError, Part, Reading, Shape, Siblings, Written
 from sierra.store.reading.telling import shown
 from sierra.store.scans import copy, parquet_metadata, read_parquet
 
@@ -36,6 +37,7 @@ class Reader:
         self._more = 0
         """How many Parquet files hold what is not as in most files of their part."""
         self.rows: dict[tuple[str, str], int] = {}
+        self.counted: dict[tuple[str, str], int] = {}
         self.columns: dict[tuple[str, str], Mapping[str, str]] = {}
         self.hints: dict[tuple[str, str], dict[str, str]] = {}
         self.faults: dict[str, str] = {}
@@ -45,16 +47,60 @@ class Reader:
         for place, some in self._by_part(files):
             sound = self.sound(some)
             if place is None:  # without rows and columns
-                self.rows |= dict.fromkeys(((file.execution, file.name) for file in sound), 0)
-                self.columns |= {(file.execution, file.name): {} for file in sound}
+                self._without_rows(sound)
             elif sound:
                 self.part = self.parts[place]
                 self.target = self._first.with_stem(f"{self._first.stem}~{place + 1}") if place else self._first
-                self.one(sound)
+                self._one(sound)
         ended = sum(file.ended for file in files if (file.execution, file.name) in self.rows)
         shape = self.shape
         shape = replace(shape, parts=tuple(self.parts), files=shape.files + len(self.rows), ended=shape.ended + ended)
-        return Reading(self.rows, self.columns, self.hints, self.faults, shape)
+        return Reading(self.rows, self.counted, self.columns, self.hints, self.faults, shape)
+
+    def _without_rows(self, files: Sequence[Written]) -> None:
+        """Note that files have neither rows nor columns, if a count of them agrees."""
+        self.part = Part(())
+        for file, fault in self._miscounted(files, {}):
+            self.fault(file, fault)
+        for file in self.sound(files):
+            self.rows[file.execution, file.name] = 0
+            self.columns[file.execution, file.name] = {}
+
+    def _one(self, files: Sequence[Written]) -> None:
+        """Read the files of one part, without those of which other rows are read than they have."""
+        while files:
+            try:
+                self.one(files)
+            except AtFaultError as error:
+                for file, fault in error.faults:
+                    self.fault(file, fault)
+                for file in files:
+                    self.hints.pop((file.execution, file.name), None)
+                files = self.sound(files)
+            else:
+                return
+
+    def _miscounted(self, files: Sequence[Written], rows: Mapping[tuple[str, str], int]) -> Iterator[tuple[Written, str]]:
+        """Yield the files that do not have so many rows by a count of their own, each with what is wrong."""
+        for file in files:
+            key = file.execution, file.name
+            read = rows.get(key, 0)
+            counted = self.count(file, read)
+            if isinstance(counted, int):
+                self.counted[key] = counted
+            if counted != read:
+                yield file, counted if isinstance(counted, str) else self.miscount(file, counted, read)
+
+    def count(self, file: Written, read: int) -> int | str:
+        """Return the rows of a file, counted without DuckDB, or why they can't be. `read`: how many DuckDB has read.
+
+        What takes long need only be done where `read` isn't what a quick count gives.
+        """
+        raise NotImplementedError
+
+    def miscount(self, file: Written, counted: int, read: int) -> str:
+        """Return a sentence that says that a file has other rows than were read."""
+        return f"{counted} rows are in it, but {read} were read: it is not as other readers take it"
 
     def sort(self, files: Sequence[Written]) -> Mapping[str, Part | None]:
         """The columns (and delimiter) of each file that is not at fault, by its path; None where it has no rows nor columns."""
@@ -157,19 +203,32 @@ class Reader:
         try:
             rows = f"SELECT o.run, o.execution, {name}{named} FROM {source} t JOIN owners o ON t.{identifier(FILE)} = o.path"
             self.sql.execute(copy(rows, target), these(files))
-        except self.error:
+            self._check_rows(target, files)
+        except (self.error, AtFaultError):
             target.unlink(missing_ok=True)
             raise
         finally:
             self.sql.execute("RESET threads")
             self.sql.unregister("owners")
 
+    def _check_rows(self, target: Path, files: Sequence[Written]) -> None:
+        """Raise AtFaultError unless `target` has as many rows of each file as the file itself."""
+        only = self._names(files)
+        written = rows_by_file(target)
+        if faults := list(self._miscounted(files, {(one, only[one, name]): rows for (one, name), rows in written.items()})):
+            raise AtFaultError(faults)
+
+    def _names(self, files: Sequence[Written]) -> dict[tuple[str, str | None], str]:
+        """The names of files as they are, by what a Parquet file says: the execution, and, of several, which."""
+        many = self.shape.many
+        return {(file.execution, shown(file.name) if many else None): file.name for file in files}
+
     def _count(
         self, target: Path, files: Sequence[Written], columns: Sequence[str]
     ) -> Iterator[tuple[tuple[str, str], int, Sequence[int]]]:
         """Of each execution and file, the rows that were written, and how many of them have a value in these columns."""
         name = "file" if self.shape.many else "NULL"
-        only = {(file.execution, shown(file.name) if self.shape.many else None): file.name for file in files}
+        only = self._names(files)
         filled = "".join(f", count({identifier(column)})" for column in columns)
         statement = f"SELECT execution, {name}, count(*){filled} FROM {read_parquet([str(target)])} GROUP BY 1, 2"
         for execution, file, count, *values in self.sql.execute(statement).fetchall():

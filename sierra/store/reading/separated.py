@@ -6,14 +6,14 @@ import csv
 import io
 import math
 import re
-import sys
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from sierra.store.reading.counting import any_size, count_records, csv_reader, lines_of
 from sierra.store.reading.reader import FILE
-from sierra.store.reading.shapes import Part, Written
+from sierra.store.reading.shapes import Part, Shape, Siblings, Written
 from sierra.store.reading.telling import shown
 from sierra.store.reading.texts import Text
 from sierra.store.scans import csv_given
@@ -21,6 +21,9 @@ from sierra.store.scans import csv_given
 DELIMITERS = (",", "\t", ";", "|")
 HEAD_BYTES = 4096
 """So much of a first line a worker tells."""
+BOM = b"\xef\xbb\xbf"
+COMMENTS = "comments are not read; write them to another file"
+QUOTING = "write a field with quotes in it in quotes, and those in it twice"
 CONTROL = re.compile(r"[\x00-\x08\x0e-\x1f]")
 """Characters that no column's name has."""
 
@@ -30,6 +33,11 @@ class Csv(Text):
 
     _longest = 0
     """Bytes of the longest line of the part, where it has files of megabytes."""
+
+    def __init__(self, connection: Any, shape: Shape, target: Path, siblings: Siblings) -> None:
+        super().__init__(connection, shape, target, siblings)
+        self._records: dict[str, int | str] = {}
+        """By path, what came of counting the records of a file."""
 
     def sort(self, files: Sequence[Written]) -> Mapping[str, Part | None]:
         for file in files:
@@ -79,9 +87,92 @@ class Csv(Text):
         return None
 
     def one(self, files: Sequence[Written]) -> None:
+        for file in files:
+            if fault := self._misquoted(file):
+                self.fault(file, fault)
+        self._quoted_well(self.sound(files))
+
+    def _misquoted(self, file: Written) -> str | None:
+        """Return what is wrong with the quotes of a file. DuckDB may leave rows out after such, and say nothing."""
+        if file.quotes == 0:
+            return None
+        if (file.quotes or 0) % 2:
+            return self._unquoted(file)
+        counted = self._records_in(file)
+        return counted if isinstance(counted, str) else None
+
+    def _quoted_well(self, files: Sequence[Written]) -> None:
+        if not files:
+            return
         large = [file for file in files if file.bytes >= 2_000_000]
         self._longest = max(map(_longest_line, large), default=0)
         super().one(files)
+
+    def count(self, file: Written, read: int) -> int | str:
+        header = int(self.shape.header)
+        lines = None if file.quotes else lines_of(file, empty=self._empty)
+        if lines is not None and max(lines - header, 0) == read:
+            return read
+        counted = self._records_in(file)
+        return max(counted - header, 0) if isinstance(counted, int) else counted
+
+    def _records_in(self, file: Written) -> int | str:
+        """Return how many records Python's csv reads in a file, its header included; a sentence where it refuses."""
+        if (known := self._records.get(file.path)) is None:
+            try:
+                known = count_records(file, self._delimiter, empty=self._empty)
+            except csv.Error:
+                known = self._unquoted(file)
+            self._records[file.path] = known
+        return known
+
+    @property
+    def _empty(self) -> bool:
+        """Whether an empty line is a row, without a value."""
+        return len(self.part.names) == 1
+
+    @property
+    def _delimiter(self) -> str:
+        """The delimiter of the part that is read; where a file has no columns, any will do."""
+        return self.part.delimiter or ","
+
+    def miscount(self, file: Written, counted: int, read: int) -> str:
+        if not self.part.names:
+            return f"line 1: is empty, and {counted} rows follow; name the columns (columns = [...] in [outputs.…])"
+        told = self.first_fault(file, self.part.names, dict.fromkeys(self.part.names, "VARCHAR"))
+        return told or f"{super().miscount(file, counted, read)} ({QUOTING}, and end all lines alike)"
+
+    def _unquoted(self, file: Written) -> str:
+        """Return where quotes are not as they should be; where each has its like, the first line with an odd number."""
+        for line, record, _ in _read_slowly(file, self._delimiter):
+            if isinstance(record, str):
+                return f"line {line}: {record}"
+        with Path(file.path).open(encoding="utf-8", errors="surrogateescape", newline="") as lines:
+            odd = ((line, text) for line, text in enumerate(lines, 1) if text.count('"') % 2)
+            line, text = next(odd, (1, ""))
+        return f"line {line}: an odd number of quotes: {shown(text.strip())[:80]!r} ({QUOTING})"
+
+    def contradictions(
+        self, files: Sequence[Written], found: Mapping[str, Mapping[str, str | None]]
+    ) -> Iterator[tuple[Written, str]]:
+        """Yield the files in which the header is there again, as where a file was appended to: all columns are text then."""
+        names = [name for place, name in enumerate(self.part.names) if name != f"column{place}" and not reads_as_number(name)]
+        for file in files if self.shape.header else ():
+            if names and all(found[name].get(file.path) == "VARCHAR" for name in names) and (line := self._header_again(file)):
+                told = f"line {line}: the header is there again: {_first_record(file)[:80]!r}"
+                yield file, f"{told} (is it appended to? write it once, before all rows)"
+
+    def _header_again(self, file: Written) -> int | None:
+        """Return the next line that is the header; None where a single column has it among texts, as it may be."""
+        again = None
+        with Path(file.path).open("rb") as lines:
+            first = next(lines).removeprefix(BOM).strip()
+            for number, line in enumerate(lines, 2):
+                if line.removeprefix(BOM).strip() == first:
+                    again = again or number
+                elif len(self.part.names) == 1 and line.strip() and not reads_as_number(line.decode(errors="replace")):
+                    return None
+        return again
 
     def relation(self, names: Sequence[str], types: Mapping[str, str]) -> str:
         columns = {f"c{place}": "DOUBLE" if types[name] == "DOUBLE" else "VARCHAR" for place, name in enumerate(names)}
@@ -103,23 +194,32 @@ class Csv(Text):
                 self.fault(file, f"line {file.lines + 1}: its last line is cut short (no line feed at its end)")
 
     def first_fault(self, file: Written, names: Sequence[str], types: Mapping[str, str]) -> str | None:
-        ends = set()
-        for line, record, end in _records(file, self.part.delimiter):
+        ends: set[str] = set()
+        for line, record, end in _read_slowly(file, self._delimiter):
             if isinstance(record, str):
                 return f"line {line}: {record}"
             if not record or (line == 1 and self.shape.header):
                 continue
-            text = self.part.delimiter.join(record)
-            if any("\udc80" <= character <= "\udcff" for character in text):
-                return f"line {line}: is not UTF-8: {shown(text)[:80]!r}"
-            if len(record) != len(names) and not (len(record) == len(names) + 1 and not record[-1]):
-                few = "too few" if len(record) < len(names) else "too many"
-                return f"line {line}: {few} fields ({len(record)}, not {len(names)}): {text[:80]!r}"
-            for name, cell in zip(names, record, strict=False):
-                if types[name] == "DOUBLE" and cell and not reads_as_number(cell):
-                    return f"line {line}: text where numbers are in column {name!r}: {cell[:80]!r}"
+            if fault := self._fault_in(record, names, types):
+                if self.shape.header and names[0].startswith("#") and not ends:
+                    return f"line 1: is a comment, where the names of the columns should be: {names[0][:80]!r} ({COMMENTS})"
+                about = f" ({COMMENTS})" if record[0].startswith("#") else ""
+                return f"line {line}: {fault}{about}"
             ends.add(end)
         return "some lines end in CR LF, and some in LF" if len(ends) > 1 else None
+
+    def _fault_in(self, record: Sequence[str], names: Sequence[str], types: Mapping[str, str]) -> str | None:
+        """Return what is wrong with the fields of a line."""
+        text = self._delimiter.join(record)
+        if any("\udc80" <= character <= "\udcff" for character in text):
+            return f"is not UTF-8: {shown(text)[:80]!r}"
+        if len(record) != len(names) and not (len(record) == len(names) + 1 and not record[-1]):
+            few = "too few" if len(record) < len(names) else "too many"
+            return f"{few} fields ({len(record)}, not {len(names)}): {text[:80]!r}"
+        for name, cell in zip(names, record, strict=False):
+            if types[name] == "DOUBLE" and cell and not reads_as_number(cell):
+                return f"text where numbers are in column {name!r}: {cell[:80]!r}"
+        return None
 
 
 def delimiter_of(head: str) -> str:
@@ -153,9 +253,8 @@ def _longest_line(file: Written) -> int:
         return max(map(len, lines), default=0)
 
 
-def _records(file: Written, delimiter: str) -> Iterator[tuple[int, list[str] | str, str]]:
+def _read_slowly(file: Written, delimiter: str) -> Iterator[tuple[int, list[str] | str, str]]:
     """The records of a CSV with the lines they begin in and how those end; at last what cannot be read, as a sentence."""
-    before = csv.field_size_limit(sys.maxsize)
     ends: list[str] = []
 
     def lines(text: Iterable[str]) -> Iterator[str]:
@@ -164,21 +263,14 @@ def _records(file: Written, delimiter: str) -> Iterator[tuple[int, list[str] | s
             yield line
 
     line = 1
-    try:
-        with Path(file.path).open(encoding="utf-8-sig", errors="surrogateescape", newline="") as text:
-            if len(delimiter) != 1:
-                for place, whole in enumerate(text, 1):
-                    yield place, whole.rstrip("\r\n").split(delimiter), "\n"
-                return
-            reader = csv.reader(lines(text), delimiter=delimiter, strict=True)
-            try:
-                for record in reader:
-                    yield line, record, "\n" if reader.line_num > line and not file.ended else _end(ends)
-                    line = reader.line_num + 1
-            except csv.Error as error:
-                yield line, f"quotes are not closed, or not as CSV has them ({error})", ""
-    finally:
-        csv.field_size_limit(before)
+    with Path(file.path).open(encoding="utf-8-sig", errors="surrogateescape", newline="") as text, any_size():
+        reader = csv_reader(lines(text), delimiter)
+        try:
+            for record in reader:
+                yield line, record, "\n" if reader.line_num > line and not file.ended else _end(ends)
+                line = reader.line_num + 1
+        except csv.Error as error:
+            yield line, f"quotes are not closed, or not as CSV has them ({error})", ""
 
 
 def _end(ends: list[str]) -> str:

@@ -21,6 +21,10 @@ class Written:
     lines: int
     ended: bool
     bytes: int
+    quotes: int | None = None
+    """What a worker has counted, as in `sierra.model.OutputFile`; None where it has not."""
+    blank: int | None = None
+    alike: bool | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,8 +80,18 @@ class Reading:
     """
 
     rows: Mapping[tuple[str, str], int]
+    counted: Mapping[tuple[str, str], int]
+    """Rows by a count of the file itself, without the parser."""
     columns: Mapping[tuple[str, str], Mapping[str, str]]
     hints: Mapping[tuple[str, str], Mapping[str, str]]
     """By file and column, where text begins that most siblings read so far do not have."""
     faults: Mapping[str, str]
     shape: Shape
+
+
+class AtFaultError(Exception):
+    """Files that are at fault, each with a sentence: the others are to be read without them."""
+
+    def __init__(self, faults: Sequence[tuple[Written, str]]) -> None:
+        super().__init__("; ".join(f"{file.name}: {fault}" for file, fault in faults))
+        self.faults = faults

@@ -24,7 +24,7 @@ from sierra.store.reading.kinds import (
     right_kind,
 )
 from sierra.store.reading.reader import FILE, Reader, these
-from sierra.store.reading.shapes import Group, Written
+from sierra.store.reading.shapes import AtFaultError, Group, Written
 from sierra.store.reading.telling import shown
 from sierra.store.scans import read_parquet
 
@@ -51,24 +51,39 @@ class Text(Reader):
         """The first line of a file that is not as it should be, found the slow way."""
         raise NotImplementedError
 
+    def contradictions(
+        self, files: Sequence[Written], found: Mapping[str, Mapping[str, str | None]]
+    ) -> Iterable[tuple[Written, str]]:
+        """Return the files that contradict themselves, each with a sentence; `found`: what they hold, by column and path."""
+        return ()
+
     def one(self, files: Sequence[Written]) -> None:
-        names = self.part.names
         try:
-            written = self._exactly(files, self._quickly_seen(files, names))
+            written = self._exactly(files, self._quickly_seen(files, self.part.names))
         except (self.error, _MisreadError):
-            texts = dict.fromkeys(names, "VARCHAR")
-
-            def explain(file: Written, error: Exception) -> str:
-                return self.first_fault(file, names, texts) or first_line(error)
-
-            self.halve(files, lambda some: self._try(some, names), explain)
-            files = self.sound(files)
-            try:
-                written = self._exactly(files, self._seen(files, names), by_text=True) if files else []
-            except self.error as error:
-                raise self.unwritten(error) from error
+            written = self._slowly_written(files)
         for target, some, kinds in written:
             self.done(target, some, kinds)
+
+    def _slowly_written(self, files: Sequence[Written]) -> list[Target]:
+        """Write what is sound of files, of which some are not; what `_write` gives."""
+        names = self.part.names
+        texts = dict.fromkeys(names, "VARCHAR")
+
+        def explain(file: Written, error: Exception) -> str:
+            return self.first_fault(file, names, texts) or first_line(error)
+
+        self.halve(files, lambda some: self._try(some, names), explain)
+        files = self.sound(files)
+        try:
+            return self._exactly(files, self._seen(files, names), by_text=True) if files else []
+        except self.error as error:
+            for file in files:  # what each shows alone, many together may hide
+                self.halve([file], lambda some: self._try(some, names), explain)
+            sound = self.sound(files)
+            if len(sound) == len(files):
+                raise self.unwritten(error) from error
+            return self._slowly_written(sound)
 
     def _exactly(self, files: Sequence[Written], found: Found, *, by_text: bool = False) -> list[Target]:
         """As `_write`, with whole numbers that DOUBLE does not hold apart from fractions of other files."""
@@ -87,6 +102,8 @@ class Text(Reader):
 
         Where it was written, what, and what it is.
         """
+        if faults := list(self.contradictions(files, found)):
+            raise AtFaultError(faults)
         names = self.part.names
         texts = dict.fromkeys(names, "VARCHAR")
         kept = self._kept(files, found)
@@ -106,7 +123,7 @@ class Text(Reader):
                     raise _MisreadError
                 if rounded := self._rounded(target, some, {n: kind for n, kind in types.items() if n not in apart}):
                     raise _RoundedError(rounded)
-        except (self.error, _MisreadError, _RoundedError):
+        except (self.error, _MisreadError, _RoundedError, AtFaultError):
             for target, _, _ in written:
                 target.unlink(missing_ok=True)
             raise
