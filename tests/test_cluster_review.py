@@ -523,7 +523,7 @@ def test_what_changes_before_it_is_copied_for_nodes_is_named(clustered: Callable
     projects.commit(made.simulated.folder)
     plan = made.project.plan(*QUERY, runs=1)
     log.write_text("note: …\n")
-    words = r"code or programs have changed while they were being copied for the cluster: asked\.log \(\[source\] paths says"
+    words = r"changed while they were being copied for the cluster: asked\.log \(where these are no code, write paths = "
     with pytest.raises(Missing, match=words):
         made.project.execute(plan, runner="here", figures=False)
     assert made.project.run(*QUERY, runs=1, runner="here", figures=False).executed == 3

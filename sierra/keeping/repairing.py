@@ -31,9 +31,8 @@ from sierra.keeping.contents import DERIVED, FIXED, NAME
 from sierra.keeping.findings import Kind
 from sierra.keeping.records import Records
 from sierra.paths import StorePaths, write_whole
-from sierra.store import FORMAT
 from sierra.store.rewriting import Drop, Rewriting, groups, touched
-from sierra.store.segments import MANIFEST, Segment, manifest
+from sierra.store.segments import FORMAT, MANIFEST, READABLE, Segment, manifest
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +78,7 @@ def _ours(paths: StorePaths) -> None:
     """Raise Damaged for a store that says to be of another format: what is sound there would seem damaged here."""
     with contextlib.suppress(OSError):
         found = paths.format.read_bytes().decode("utf-8", "replace")
-        if re.fullmatch(r"sierra store \d+\n", found) and found != FORMAT:
+        if re.fullmatch(r"sierra store \d+\n", found) and found not in READABLE:
             told = f"this is {found.strip()!r}, which this SIERRA does not repair"
             raise Damaged(f"{paths.format}: {told}; if this SIERRA made it, let the file say {FORMAT.strip()!r}")
 

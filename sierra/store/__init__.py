@@ -21,15 +21,13 @@ from sierra.paths import StorePaths, write_whole
 from sierra.store.complaints import explain
 from sierra.store.connections import Connection
 from sierra.store.scans import check_folder, plain, read_parquet
-from sierra.store.segments import Segment, Writer, disk_errors, listed
+from sierra.store.segments import FORMAT, READABLE, Segment, Writer, disk_errors, listed
 from sierra.store.sharing import Shared
 from sierra.store.views import Views, outputs, tables_of
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
-FORMAT = "sierra store 2\n"
-"""Of what segments hold, and of what it means that they lie there. Raised whenever an older SIERRA would read it wrongly."""
 FORMAT_BYTES = 100
 """Are read of what says the format."""
 CACHEDIR = (
@@ -68,7 +66,7 @@ class Store:
                 found = file.read(FORMAT_BYTES).decode("utf-8", "backslashreplace")
         except OSError as error:
             raise Missing(f"no store in {root}: nothing has been run here yet (sierra run makes one)") from error
-        if found != FORMAT:
+        if found not in READABLE:
             told = f"this is {found.strip()[:40]!r}, and this SIERRA reads {FORMAT.strip()!r}"
             raise Damaged(
                 f"{self.paths.format}: {told}; read it with the SIERRA that made it, or move {root} away and ask again"

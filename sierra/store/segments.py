@@ -38,6 +38,11 @@ from sierra.hashing import sha256, sha256_file
 from sierra.paths import inside
 from sierra.store.tables import arrow_schema
 
+FORMAT = "sierra store 3\n"
+"""Of what segments hold, and of what it means that they lie there. Raised whenever an older SIERRA would read it wrongly."""
+READABLE = (FORMAT, "sierra store 2\n")
+"""Formats that are read. A store of an older one is of the newest as soon as a segment is added; what its records lack is
+NULL."""
 MANIFEST = "MANIFEST"
 OUTPUT = "output."
 SUFFIX = ".parquet"
@@ -166,6 +171,7 @@ class Writer:
             self.folder.rmdir()
             return False
         with disk_errors(self.folder):
+            _raise_format(segments.with_name("format"))
             target = inside(segments, self.seal())
             try:
                 self.folder.rename(target)
@@ -175,6 +181,15 @@ class Writer:
                 shutil.rmtree(self.folder)
             sync(segments)
         return True
+
+
+def _raise_format(path: Path) -> None:
+    """Have a store say that it is of the newest format. The file stays in its place, because it is a lock, too."""
+    with contextlib.suppress(FileNotFoundError), path.open("rb") as file:
+        if file.read(len(FORMAT) + 1).decode("utf-8", "replace") in READABLE[1:]:
+            with path.open("r+b") as changed:
+                changed.write(FORMAT.encode())
+                os.fsync(changed.fileno())
 
 
 def manifest(files: Iterable[Path]) -> bytes:
