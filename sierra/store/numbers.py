@@ -15,10 +15,9 @@ from sierra.errors import Damaged
 from sierra.hashing import sealed, unsealed
 from sierra.paths import StorePaths, write_whole
 from sierra.store import Question, Store
-from sierra.store.order import HIGHEST, number_of
+from sierra.store.order import HIGHEST, TIMES, number_of
 from sierra.store.scans import read_parquet
 from sierra.store.segments import Segment
-from sierra.store.tables import LATER
 
 
 def following(paths: StorePaths, living: Iterable[int]) -> int:
@@ -45,7 +44,7 @@ def _recorded(paths: StorePaths) -> int:
 
 
 def _highest(question: Question, segments: Iterable[Segment]) -> int:
-    files = [segment.files[table] for segment in segments for table in LATER if table in segment.files]
+    files = [segment.files[table] for segment in segments for table in TIMES if table in segment.files]
     if not files:
         return 0
     [(highest,)] = question.run(f"SELECT max(lamport) FROM {read_parquet(files, schema={'lamport': 'BIGINT'})}")
