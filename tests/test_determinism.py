@@ -43,7 +43,7 @@ def test_what_is_the_same_or_differs_as_declared_is_no_finding(tmp_path: Path) -
 
 
 def test_runs_that_were_executed_again_without_a_replay_are_found_too(tmp_path: Path) -> None:
-    project = make(tmp_path, NOISY, '[outputs.swarm]\nfile = "swarm.csv"\n')
+    project = make(tmp_path, NOISY, '[store]\nraw = false\n[outputs.swarm]\nfile = "swarm.csv"\n')  # else judged anew
     batch = project.run("population_size=1", figures=False).batch
     config = project.root / "sierra.toml"
     config.write_text(config.read_text() + "min_rows = 2\n")
