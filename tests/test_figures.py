@@ -505,7 +505,7 @@ ODD: Mapping[str, Any] = {
 @pytest.mark.parametrize("case", ODD)
 def test_nothing_odd_in_the_data_keeps_a_figure_from_being_drawn(kind: str, case: str) -> None:
     axes, odd = ODD[case](kind, 20 if kind in ("timeseries", "stacked") else 0)
-    tables = None if odd is None else dict.fromkeys(("energy", "other") if kind == "stacked" else ("energy",), odd)
+    tables = None if odd is None else dict.fromkeys(("searching", "other") if kind == "stacked" else ("energy",), odd)
     drawn = drawing(kind, axes, tables, title="T_$", ylabel="{" * 99)
     assert all(len(data) > 1000 for _, data in figures.rendered(drawn))
     assert svg(drawing(kind, axes, tables, log_y=True))
@@ -533,6 +533,7 @@ def test_nothing_to_draw_is_an_error_of_one_line(tmp_path: Path) -> None:
         (drawing("summary", (Axis("noise", (0, 1)),), log_x=True), "log_x needs values above 0, noise has 0"),
         (drawing(tables={"energy": table(4, 5, mean=np.full(20, -1.0))}, log_y=True), "log_y needs values above 0"),
         (drawing("stacked", tables={"a": table(4, 5, mean=np.full(20, -1.0))}), "values of at least 0"),
+        (drawing("stacked", tables={"energy": table(4, 5), "lifted": table(4, 5)}), r"not energy \[J\], lifted \(no unit\)"),
         (drawing(axes=(SIZES, Axis("seed", tuple(range(40))))), "40 panels are more than 36"),
     ],
 )

@@ -55,6 +55,10 @@ def stacked(drawing: Drawing) -> Figure:
     center = CENTERS[drawing.figure.center][0]
     if any(np.nanmin(style.column(table, center)) < 0 for table in drawing.tables.values()):
         raise UsageError(f"figure {drawing.name}: stacked areas need values of at least 0; draw lines instead")
+    units = {name: drawing.units.get(name, "") for name in drawing.tables}
+    if len(set(units.values())) > 1:
+        told = ", ".join(f"{name} [{unit}]" if unit else f"{name} (no unit)" for name, unit in units.items())
+        raise UsageError(f"figure {drawing.name}: only columns of one unit can be stacked, not {told}; see units in [outputs]")
     if "t" in next(iter(drawing.tables.values())).column_names:
         return _stacked_over_time(drawing, center)
     return _stacked_over_axis(drawing, center)
@@ -199,8 +203,7 @@ def _stack_colours(count: int) -> list[Any]:
 def _stack_label(drawing: Drawing) -> str:
     if drawing.figure.ylabel:
         return drawing.figure.ylabel
-    units = {drawing.units.get(name, "") for name in drawing.tables}
-    return style.label("sum", units.pop() if len(units) == 1 else "")
+    return style.label("sum", drawing.units.get(next(iter(drawing.tables)), ""))
 
 
 def _stack_legend(figure: Figure, drawing: Drawing) -> None:
