@@ -240,8 +240,9 @@ def test_to_identify_an_unchanged_image_starts_no_podman(
     project.import_image(made.docker_archive(project.root / "sim.tar", LAYERS), tag)
     project.pin(tag)
     time.sleep(2.1)  # what was changed just now is asked for again
-    monkeypatch.setenv("PATH", str(tmp_path))  # where there is none
-    images.verify(project.root, images.pinned(project.root, tag))
+    with monkeypatch.context() as patch:
+        patch.setenv("PATH", str(tmp_path))  # where there is none
+        images.verify(project.root, images.pinned(project.root, tag))
 
 
 def test_layers_come_to_what_podman_makes_of_them(project: Project, storages: Storages, tmp_path: Path) -> None:
