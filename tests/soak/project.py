@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
+from collections.abc import Set as AbstractSet
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +12,8 @@ from sierra.store import Store
 from tests import projects
 from tests.soak.faults import sierra
 
+Wanted = Mapping[str, list[dict[str, Any]]]
+"""The content of an undisturbed store, by what it is."""
 QUERY = ("run", "population_size.Log4", "--runs", "4", "-j", "2", "--no-figures")
 RUNS = 12
 
@@ -95,7 +99,7 @@ class Differs(AssertionError):
     """Something is not as it is after an undisturbed run."""
 
 
-def check(root: Path, wanted: dict[str, list[dict[str, Any]]], before: set[str] = frozenset()) -> None:  # type: ignore[assignment]
+def check(root: Path, wanted: Wanted, before: AbstractSet[str] = frozenset()) -> None:
     """Finish the query, and compare the store with an undisturbed one; `before` are executions that must not be lost."""
     done = sierra(root, *QUERY)
     if done.code != 0:

@@ -11,7 +11,7 @@ import signal
 import string
 import subprocess
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from random import Random
 from typing import Any, get_args
@@ -19,9 +19,8 @@ from typing import Any, get_args
 import tests.soak.faults as faults
 from tests import projects
 from tests.soak.faults import Action, Ended, sierra
-from tests.soak.project import NAMES, QUERY, Differs, check, content, left_over, make, recorded
+from tests.soak.project import NAMES, QUERY, Differs, Wanted, check, content, left_over, make, recorded
 
-Wanted = Mapping[str, list[dict[str, Any]]]
 OTHER = ("run", "noise=0.5", "--no-figures")
 CODES = (0, 1, 2, 3, 130)
 
@@ -89,7 +88,7 @@ def fault_at_a_point(place: Place, wanted: Wanted, point: str = "", action: Acti
     action = action or place.chance.choice(get_args(Action))
     ended = sierra(root, *QUERY, point=point, action=action)
     expect(ended, *((*CODES, -signal.SIGKILL) if action == "kill" and ended.struck else CODES))
-    check(root, dict(wanted), recorded(root))
+    check(root, wanted, recorded(root))
     return f"{action} at {point!r}" + ("" if ended.struck else " (not reached)")
 
 
@@ -102,7 +101,7 @@ def kill_at_a_time(place: Place, wanted: Wanted) -> str:
         _kill(pid)
     process.wait(faults.LONGEST_S)
     _until_gone(root)
-    check(root, dict(wanted), recorded(root))
+    check(root, wanted, recorded(root))
     return f"killed {victim} after {wait:.3f} s"
 
 
@@ -120,10 +119,10 @@ def fault_in_maintenance(
     expect(sierra(root, "fsck"), 0)
     expect(sierra(root, *called), *((0, 2, 3) if words[0] == "rm" else (0,)))
     if words[0] == "rm":
-        check(root, dict(wanted))
+        check(root, wanted)
     else:
         expect(sierra(root, "rm", other_batch(root), "--yes"), 0)
-        check(root, dict(wanted))
+        check(root, wanted)
     return f"{action} at {point!r} of {' '.join(called)}" + ("" if ended.struck else " (not reached)")
 
 
@@ -144,7 +143,7 @@ def flipped_bit(place: Place, wanted: Wanted) -> str:
     for query in (QUERY, OTHER):
         expect(sierra(root, *query), 0)
     expect(sierra(root, "rm", other_batch(root), "--yes"), 0)
-    check(root, dict(wanted))
+    check(root, wanted)
     return told
 
 
@@ -161,7 +160,7 @@ def fuzzed_calls(place: Place, wanted: Wanted) -> str:
     expect(sierra(root, *OTHER), 0)
     expect(sierra(root, "rm", other_batch(root), "--yes"), 0)
     projects.make(root, simulator=(root / "sim.py").read_text())
-    check(root, dict(wanted))
+    check(root, wanted)
     return f"{len(lines)} fuzzed calls"
 
 
@@ -176,7 +175,7 @@ def fuzzed_settings(place: Place, wanted: Wanted) -> str:
             expect(Ended((*QUERY, "-n"), done.returncode, done.stdout, done.stderr), *CODES)
         file.write_text(text)
     expect(sierra(root, "rm", other_batch(root), "--yes"), 0)
-    check(root, dict(wanted))
+    check(root, wanted)
     return "12 mutated settings"
 
 
@@ -191,7 +190,7 @@ def full_disk(place: Place, wanted: Wanted) -> str:
         root = make(disk, place.name)
         expect(sierra(root, *QUERY), 0, 1, 3)
         _mount(disk, "remount,size=64m")
-        check(root, dict(wanted), recorded(root))
+        check(root, wanted, recorded(root))
     finally:
         subprocess.run(["umount", "--lazy", str(disk)], check=True)
     return f"a disk of {size} kB"
@@ -211,7 +210,7 @@ def jumping_clock(place: Place, wanted: Wanted, days: int = 0) -> str:
     expect(sierra(root, *QUERY, prefix=(faketime, "-f", f"{days:+d}d"), environment=path), 0)
     if content(root)["swarm"] == wanted["swarm"]:
         raise Differs("the other Python has given the same values")
-    check(root, dict(wanted), recorded(root))
+    check(root, wanted, recorded(root))
     return f"a clock {days:+d} days off"
 
 
@@ -239,7 +238,7 @@ def many_at_once(place: Place, wanted: Wanted) -> str:
     keep = {row["batch"] for row in wanted["members"]}
     for batch in {row["batch"] for row in Store(root / ".sierra").rows("SELECT batch FROM batches")} - keep:
         expect(sierra(root, "rm", batch, "--yes"), 0)
-    check(root, dict(wanted))
+    check(root, wanted)
     return "at once: " + "; ".join(" ".join(words[:2]) for words in called)
 
 
