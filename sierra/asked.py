@@ -23,6 +23,8 @@ from sierra.store.tables import arrow_schema
 
 AT_A_TIME = 4_096
 """Members that are in memory as rows."""
+THERE = "SELECT blob FROM blobs SEMI JOIN objects USING (sha256)"
+"""Files of sources that the store has: both what stands for them, and their content, which a repair may have taken."""
 COUNTS = ("executed", "again", "reused", "failed", "missing", "interrupted")
 
 
@@ -37,7 +39,7 @@ def keep(plan: Plan, store: Store, session: Session) -> None:
     writer = store.writer(session.paths.segment, batch.id)
     with store.ask() as question:
         known = _known_inputs(plan, question)
-        blobs = set(question.sql("SELECT blob FROM blobs").column(0).to_pylist()) if code.vcs == "none" else set()
+        blobs = set(question.sql(THERE).column(0).to_pylist()) if code.vcs == "none" else set()
     objects = Objects(writer.path("objects"))
     for _, files in plan.inputs.files(batch, lambda run: run.id not in known):
         for _, content in files:

@@ -1,6 +1,6 @@
 """What bears SIERRA's own mark, and so may be removed. All else is left alone, and `sierra fsck` names it.
 
-.sierra/id                  the id of the store, made by chance
+.sierra/id                  the id of the store: 24 digits made by chance, and 8 of their SHA-256
 .sierra/work/mark           the id of the store whose sessions these are
 .sierra/work/<session>/     a session: named by 16 hexadecimal digits, and signed in `owner.0` by the process that made it
     elsewhere               the path of the folder where its runs execute, if that is not here
@@ -24,6 +24,7 @@ from pathlib import Path
 
 from sierra import worker
 from sierra.errors import Damaged, Missing
+from sierra.hashing import sha256
 from sierra.paths import SessionPaths, StorePaths
 
 ID = re.compile(rb"([0-9a-f]{32})\n")
@@ -38,7 +39,7 @@ ADVICE = 'remove the link; to execute runs elsewhere, write in sierra.toml: [sto
 def identity(store: StorePaths) -> str:
     """Return the store's id; make one where there is none. Raises Damaged for a file that holds no id."""
     if not os.path.lexists(store.identity):
-        _write_once(store.identity, secrets.token_hex(16))
+        _write_once(store.identity, _checked(secrets.token_hex(12)))
     if (found := id_in(store.identity)) is None:
         raise Damaged(f"{store.identity}: holds no id of a store; move it and {store.work} away, and SIERRA makes both again")
     return found
@@ -47,7 +48,13 @@ def identity(store: StorePaths) -> str:
 def id_in(path: Path) -> str | None:
     """Return the id of a store that a file holds; None where it holds none."""
     matched = ID.fullmatch(_beginning(path))
-    return matched[1].decode() if matched else None
+    said = matched[1].decode() if matched else ""
+    return said if said and said == _checked(said[:24]) else None
+
+
+def _checked(digits: str) -> str:
+    """Add to the digits of an id what tells whether one has changed."""
+    return digits + sha256(digits.encode())[:8]
 
 
 def mark_work(store: StorePaths) -> None:

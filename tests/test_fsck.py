@@ -441,6 +441,26 @@ def test_what_says_that_there_is_a_batch_is_recorded_again(root: Path, tables: S
     assert fsck(root).sound
 
 
+def test_files_of_a_source_are_recorded_again_where_only_their_content_is_lost(root: Path) -> None:
+    folder = segment_with(root, "blobs")
+    content = pq.read_table(folder / "objects.parquet")
+    extend(folder / "objects.parquet")
+    repaired(root)
+    assert (folder.parent.parent / "damaged" / folder.name).exists()
+    for query, runs in [("population_size=1,2", None), ("population_size=2,3", 3), ("noise=0.5", None)]:
+        assert sierra.open(root).run(query, runs=runs, figures=False).executed == 0
+    assert fsck(root).sound
+    again = sierra.open(root).sql("SELECT sha256 FROM objects")["sha256"].to_pylist()
+    assert set(content["sha256"].to_pylist()) <= set(again)
+
+
+def test_a_repair_says_that_bytes_of_tables_are_lost(root: Path) -> None:
+    folder = segment_with(root, "output.swarm")
+    extend(folder / "objects.parquet")
+    assert any(f"segments/{folder.name}: the bytes of files that became tables" in line for line in repaired(root))
+    assert fsck(root).sound
+
+
 def test_a_batch_that_is_executing_is_not_in_the_way_of_a_check(simulate: Callable[..., Any]) -> None:
     project = simulate(held(20))
     running = project.start("run", "size=1,2", "--runs", "20", "-j", "2", "--no-figures")

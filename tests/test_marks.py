@@ -96,7 +96,7 @@ def test_what_lies_among_sessions_and_is_none_is_left_and_named(recorded: Path, 
 
 
 def test_a_store_of_before_there_were_marks_goes_on(tmp_path: Path, simulate: Callable[..., Simulated]) -> None:
-    project = simulate(held(2))
+    project = simulate(held(4))
     asked = project.start("run", "size=1,2,3,4", "-j", "2", "--no-figures")
     project.until_executed(4, asked)
     asked.send_signal(signal.SIGKILL)
@@ -224,7 +224,7 @@ def test_runs_execute_elsewhere_and_what_died_there_is_recorded_and_removed(
     tmp_path: Path, theirs: Path, simulate: Callable[..., Simulated], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("MY_SCRATCH", str(theirs))
-    project = simulate(f"pwd >> '{tmp_path}/places'\n{held(2)}")
+    project = simulate(f"pwd >> '{tmp_path}/places'\n{held(4)}")
     with (project.folder / "sierra.toml").open("a") as file:
         file.write('[store]\nwork = "$MY_SCRATCH"\n')
     before = files(theirs)

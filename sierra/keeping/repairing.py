@@ -126,6 +126,9 @@ def _salvage(paths: StorePaths, root: Path, checked: Checked, dry_run: bool, tel
         _write(paths, root, loss, tell)
     for name in names:
         yield f"segments/{name}: what is sound in it written to a new segment, and the old one moved to damaged/"
+    for segment in loss.touched:
+        if "artifacts" in segment.files and "objects.parquet" in checked.contents.broken.get(segment.name, ()):
+            yield f"segments/{segment.name}: the bytes of files that became tables are lost, their rows are not"
     if loss.executions:
         yield f"{len(loss.executions)} executions are lost; sierra run executes again those that counted"
     for batch in sorted(loss.batches):
