@@ -203,7 +203,12 @@ def _outdated(root: Path, image: Image | None) -> Iterator[str]:
 def _source(project: LoadedProject, own: Sequence[str]) -> source.Source:
     wanted, store = project.config.source, StorePaths(ProjectPaths(project.root).store)
     return source.capture(
-        project.root, paths=wanted.paths, without=own, dirty=wanted.dirty, large=wanted.large, memory=store.files
+        project.root,
+        paths=wanted.paths,
+        without=own,
+        dirty=wanted.dirty,
+        large=wanted.large,
+        memory=store.files if store.format.is_file() else None,
     )
 
 

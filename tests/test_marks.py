@@ -123,6 +123,36 @@ def test_a_folder_that_is_not_empty_becomes_no_store(tmp_path: Path, theirs: Pat
     assert (theirs / ".gitignore").read_text() == "theirs\n"
 
 
+@pytest.mark.parametrize(
+    "words",
+    [("run", "population_size=1", "-n"), ("run", "population_size=1"), ("fsck",), ("fsck", "--repair"), ("gc", "--yes")],
+)
+def test_a_folder_that_is_no_store_stays_as_it_is(
+    tmp_path: Path, theirs: Path, words: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sierra.provenance.source.outside.SETTLED_NS", -1e12)  # hashes of new files are remembered too
+    for name in ("files", "numbers"):
+        (theirs / name).write_text("theirs\n")
+    root = projects.make(tmp_path / "project")
+    (root / ".sierra").symlink_to(theirs)
+    before = stores.state(root)
+    ended = projects.quick(root, *words)
+    assert stores.state(root) == before
+    if "-n" not in words:
+        assert (ended.returncode, ended.stderr.count("\n")) == (3, 1)
+
+
+def test_of_what_a_repair_put_aside_only_segments_are_removed(recorded: Path, tmp_path: Path, theirs: Path) -> None:
+    root = stores.copy(recorded, tmp_path / "project")
+    shutil.copytree(theirs, root / ".sierra" / "theirs")
+    next(root.glob(".sierra/segments/*/executions.parquet")).write_bytes(b"")
+    assert projects.quick(root, "fsck", "--repair").returncode == 0
+    assert projects.quick(root, "gc", "--damaged", "--yes").returncode == 0
+    assert [path.name for path in (root / ".sierra" / "damaged").iterdir()] == ["theirs"]
+    assert files(root / ".sierra" / "damaged" / "theirs") == files(theirs)
+    assert [(one.kind, one.path) for one in sierra.open(root).fsck().findings] == [("foreign", "damaged/theirs")]
+
+
 def died(root: Path, theirs: Path, **fields: object) -> Path:
     """A session that died, as a stranger may make it up: its journal has a run whose folder is `theirs`."""
     session = root / ".sierra" / "work" / "00000000deadbeef"

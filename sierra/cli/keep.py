@@ -84,7 +84,7 @@ def _print(report: Report) -> None:
 def gc(
     yes: Annotated[bool, typer.Option("--yes", "-y", help="Do not ask.")] = False,
     dry_run: Annotated[bool, typer.Option("--dry-run", "-n", help="Only say what would be done.")] = False,
-    damaged: Annotated[bool, typer.Option("--damaged", help="Also what sierra fsck --repair put aside.")] = False,
+    damaged: Annotated[bool, typer.Option("--damaged", help="Also the segments that sierra fsck --repair put aside.")] = False,
     raw: Annotated[
         bool, typer.Option("--raw", help="Also the bytes of files that became tables; the rows of the tables stay.")
     ] = False,

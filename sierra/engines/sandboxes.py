@@ -82,7 +82,7 @@ def _unpack(squashfs: Path, folder: Path) -> None:
 
 def _remove(folder: Path) -> None:
     """Remove a folder, also where an image has made parts of it read-only."""
-    if not folder.exists():
+    if folder.is_symlink() or not folder.is_dir():
         return
     for root, _, _ in os.walk(folder):
         with contextlib.suppress(OSError):

@@ -15,7 +15,7 @@ from sierra.keeping.contents import Contents, Objects
 from sierra.keeping.findings import Affected, Finding, Kind, of, worst_first
 from sierra.keeping.records import Records
 from sierra.paths import StorePaths
-from sierra.store import Question, read_parquet
+from sierra.store import Question, check_free, read_parquet
 from sierra.store.sharing import Shared
 
 Tell = Callable[[str], None]
@@ -48,9 +48,11 @@ class Checked:
 
 
 def check(paths: StorePaths, root: Path, tell: Tell = lambda text: None) -> Checked:
-    """Check a store; `root` is its project. Raises Missing where there is none."""
+    """Check a store; `root` is its project. Raises Missing where there is none, or a folder of somebody else's."""
     if not paths.root.is_dir():
         raise Missing(f"no store in {paths.root}: nothing has been run here yet (sierra run makes one)")
+    if not contents.has_segments(paths):
+        check_free(paths.root)
     began = time.monotonic()
     shared = Shared(paths.reading)
     try:

@@ -2,7 +2,7 @@
 
 What nothing needs: folders of askings that died (what had finished there is recorded first), unfinished files, segments that
 were replaced, recorded files that no record refers to. Git's `refs/sierra/` are left alone: other projects and stores may
-share the repository, and no store knows of them all. What a repair put aside goes only where that is asked for.
+share the repository, and no store knows of them all. Segments that a repair put aside go only where that is asked for.
 
 Only where that is asked for, the bytes of files that became tables go too; their rows stay. Bytes that are also those of an
 input, of a file that became no table, or of a source stay: each is needed as that.
@@ -20,7 +20,7 @@ from pathlib import Path
 from sierra import recovery, sessions, worker
 from sierra.images.described import unfinished
 from sierra.keeping.changing import changing, publish, undisturbed
-from sierra.keeping.contents import UNFINISHED
+from sierra.keeping.contents import UNFINISHED, put_aside
 from sierra.paths import StorePaths
 from sierra.store import Question, Store, read_parquet
 from sierra.store.rewriting import Drop, Group, Rewriting, groups, out_of_use, tidy, touched
@@ -87,7 +87,7 @@ def plan(store: Store, *, damaged: bool = False, raw: bool = False) -> Collectio
         dead = [one for one in sessions.all_of(paths) if locks and one.root not in living]
         unused = len(out_of_use(paths))
     merged = [group for group in made.groups if len(group.segments) > 1]
-    aside = len(list(paths.damaged.iterdir())) if damaged and paths.damaged.is_dir() else 0
+    aside = len(put_aside(paths)) if damaged else 0
     return Collection(
         len(dead),
         len(list(_unfinished(paths))),
@@ -115,8 +115,8 @@ def collect(
     recovered = recovery.finish_dead(store)
     for path in list(_unfinished(paths)):
         worker.remove(str(path)) if path.is_dir() else path.unlink(missing_ok=True)
-    if damaged:
-        worker.remove(str(paths.damaged))
+    for path in put_aside(paths) if damaged else ():
+        worker.remove(str(path))
     left = 0
     with changing(paths) as session:
         made = _plan(store, raw=raw)

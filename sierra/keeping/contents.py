@@ -40,6 +40,8 @@ from sierra.store.tables import RECORDED, arrow_schema, is_table
 from sierra.store.views import ONCE
 
 NAME = re.compile(r"[0-9a-f]{12}-([0-9a-f]{16})")
+ASIDE = re.compile(rf"{NAME.pattern}(\.\d+)?")
+"""What a segment is called that a repair has put aside."""
 LINE = re.compile(r"([0-9a-f]{64})  ([^/\0]+)")
 UNFINISHED = re.compile(r"\.(format|\.?gitignore|CACHEDIR\.TAG|MANIFEST|id)\.\d+")
 CHUNK = 1 << 20
@@ -134,8 +136,24 @@ def _top(paths: StorePaths) -> Iterator[Finding]:
             yield Finding(Kind.STRAY, _shown(paths, path), "does not belong to a store")
     if not paths.segments.is_dir():
         yield Finding(Kind.ABSENT, "segments", "is not there: all that was recorded is gone")
+    segments = put_aside(paths)
     for entry in _entries(paths.damaged):
-        yield Finding(Kind.LEFT, _shown(paths, Path(entry.path)), "put aside by a repair; sierra gc --damaged removes it")
+        path = Path(entry.path)
+        if path in segments:
+            yield Finding(Kind.LEFT, _shown(paths, path), "put aside by a repair; sierra gc --damaged removes it")
+        else:
+            yield Finding(Kind.FOREIGN, _shown(paths, path), "is no segment, and is left alone; move it away if it is yours")
+
+
+def has_segments(paths: StorePaths) -> bool:
+    """Return whether anything is recorded, as far as names tell."""
+    return any(NAME.fullmatch(entry.name) for entry in _entries(paths.segments))
+
+
+def put_aside(paths: StorePaths) -> list[Path]:
+    """Return the segments among what a repair has put aside: no more of it is ever removed."""
+    found = [Path(entry.path) for entry in _entries(paths.damaged) if entry.is_dir(follow_symlinks=False)]
+    return [path for path in found if ASIDE.fullmatch(path.name)]
 
 
 def _is_sealed(path: Path) -> bool:

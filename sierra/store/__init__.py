@@ -79,7 +79,7 @@ class Store:
         paths = StorePaths(root)
         if not paths.format.exists():
             with disk_errors(root):
-                _check_free(root)
+                check_free(root)
                 paths.segments.mkdir(parents=True, exist_ok=True)
                 if not paths.work.is_symlink():
                     paths.work.mkdir(exist_ok=True)
@@ -197,7 +197,7 @@ class Store:
         return self.object(rows[0]["sha256"]) if rows else None
 
 
-def _check_free(root: Path) -> None:
+def check_free(root: Path) -> None:
     """Raise Missing for a folder that has no store, and holds what is no part of one."""
     paths = StorePaths(root)
     held = sorted(path.name for path in root.iterdir()) if root.is_dir() else []
@@ -339,4 +339,4 @@ def apart(answer: pa.Table) -> pa.Table:
     return answer.rename_columns(names)
 
 
-__all__ = ["Found", "Question", "Store", "read_parquet"]
+__all__ = ["Found", "Question", "Store", "check_free", "read_parquet"]
