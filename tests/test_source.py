@@ -735,6 +735,15 @@ def test_a_submodule_that_was_changed_says_what_brings_the_changes(nested: Path,
     with pytest.raises(Missing, match="submodule 'one'") as caught:
         restored(code, clone, tmp_path / "out")
     assert "sierra source fetch" in one_line(caught)
+    assert [source.is_there(root, code.tree, code.manifest) for root in (nested, clone)] == [True, False]
+
+
+def test_a_changed_file_beside_a_submodule_is_named(nested: Path, git: Git, tmp_path: Path) -> None:
+    fill(nested, {"sub/b.txt": "changed"})
+    code = capture(nested)
+    git("clone", "-q", f"file://{nested}", str(tmp_path / "clone"))
+    with pytest.raises(Missing, match=r"file 'sub/b\.txt' is neither in git"):
+        restored(code, tmp_path / "clone", tmp_path / "out")
 
 
 def test_sources_are_pushed_and_fetched_by_command(repository: Path, git: Git, tmp_path: Path) -> None:

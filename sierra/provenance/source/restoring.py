@@ -43,7 +43,7 @@ def restore(tree: str, manifest: bytes, root: Path, target: Path, content: Conte
     if git is not None and not lacking:
         _checkout(git, files, target, commit)
         return
-    for path, what in files.items():
+    for path, what in sorted(files.items(), key=lambda item: parts(item[1])[0] == REPOSITORY):
         mode, blob = parts(what)
         found = None if mode == REPOSITORY else content(blob)
         if found is None and git is not None and blob not in lacking and mode != REPOSITORY:
@@ -55,8 +55,21 @@ def restore(tree: str, manifest: bytes, root: Path, target: Path, content: Conte
 
 
 def is_there(root: Path, tree: str, manifest: bytes) -> bool:
-    """Whether the git repository that `root` lies in has the files of a recorded source."""
-    return in_repository(root) and not _lacking(Git(root), tree.rpartition(":")[2], read(manifest))
+    """Return whether the git repository that `root` lies in has the files of a recorded source.
+
+    A submodule that is not checked out is taken to have them. Raises Damaged for a path that is none of git's.
+    """
+    files = read(manifest)
+    _check(files)
+    if not in_repository(root) or _lacking(Git(root), tree.rpartition(":")[2], files):
+        return False
+    inner = {path: parts(what)[1] for path, what in files.items() if parts(what)[0] == REPOSITORY}
+    return all(_is_inside(root / os.fsdecode(path), thing) for path, thing in inner.items())
+
+
+def _is_inside(folder: Path, thing: str) -> bool:
+    """Return whether a repository in a source has a commit or a tree, as far as that can be told."""
+    return not (folder / ".git").exists() or Git(folder).has(thing)
 
 
 def _check(files: Files) -> None:
