@@ -543,6 +543,15 @@ def test_data_that_do_not_suit_the_figure_are_refused(shown: Drawing, complaint:
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize("kind", [*KINDS, "heatmap"])
+def test_numbers_too_large_for_an_axis_are_refused(kind: str, tmp_path: Path) -> None:
+    shown = drawing(kind, (SIZES, NAMES) if kind == "heatmap" else (SIZES,))
+    large = {name: made.set_column(0, "mean", pa.array(np.full(made.num_rows, 1.7e308))) for name, made in shown.tables.items()}
+    with pytest.raises(SierraError, match=r"1\.7e\+308 is too large to be drawn"):
+        figures.draw(replace(shown, tables=large), tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.parametrize("name", ["", "../up", "a/b", ".."])
 def test_a_figure_stays_in_its_folder(name: str, tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="cannot be the name"):

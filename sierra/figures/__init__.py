@@ -25,6 +25,9 @@ from sierra.paths import write_whole
 
 Format = Literal["png", "pdf", "svg"]
 
+LARGEST = 1e300
+"""Numbers from which on the distances that axes need are no numbers any more."""
+
 
 @dataclass(frozen=True, slots=True)
 class Drawing:
@@ -60,11 +63,24 @@ def draw(drawing: Drawing, folder: Path) -> tuple[Path, ...]:
         raise UsageError(f"{drawing.name!r} cannot be the name of a figure's files")
     if not any(table.num_rows and table.column("n").to_numpy().any() for table in drawing.tables.values()):
         raise SierraError(f"figure {drawing.name}: there is no value to draw")
+    _check_size(drawing)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         return tuple(write_whole(folder / f"{drawing.name}.{ending}", data) for ending, data in rendered(drawing))
     except OSError as error:
         raise Missing(f"{folder}: cannot write figure {drawing.name}: {error.strerror}") from error
+
+
+def _check_size(drawing: Drawing) -> None:
+    """Raise SierraError for a number that is so large that no axis can be divided."""
+    import numpy as np
+
+    tables = [*drawing.tables.values(), *([drawing.runs] if drawing.runs is not None else [])]
+    columns = [column.to_numpy() for table in tables for column in table.columns]
+    numbers = [np.abs(column[np.isfinite(column)]) for column in columns if column.dtype.kind == "f"]
+    largest = max((float(column.max(initial=0.0)) for column in numbers), default=0.0)
+    if largest > LARGEST:
+        raise SierraError(f"{largest:.3g} is too large to be drawn; let runs write it in a larger unit")
 
 
 def rendered(drawing: Drawing) -> list[tuple[Format, bytes]]:
