@@ -70,7 +70,6 @@ def stats(
       sierra stats swarm coverage --times own --format csv -o coverage.csv
     """
     from sierra.cli.opened import project
-    from sierra.cli.output import note
 
     if (measure is Measure.time_to) != (threshold is not None):
         raise UsageError("--measure time_to and --threshold X go together")
@@ -78,6 +77,4 @@ def stats(
         raise UsageError("--times gives a row for each time, --measure one for each experiment; choose one of them")
     reduced = None if times else (measure or Measure.final).value
     table = project().statistics(batch, output, column, measure=reduced, threshold=threshold, times=times and times.value)
-    if said := (table.schema.metadata or {}).get(b"sierra:note"):
-        note(said.decode())
     write(table, Format.json if as_json else format, file)
