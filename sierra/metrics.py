@@ -60,6 +60,8 @@ def _check_single(column: Column) -> None:
     """Check that no run has several rows at one time. Raises NotFound."""
     try:
         analysis.coverage(column)
+    except NotFound:
+        raise
     except UsageError as error:
         raise NotFound(f"output {column.table!r}: {error}") from error
     except SierraError:

@@ -119,6 +119,14 @@ def test_a_name_with_brackets_is_declared_as_it_is(tmp_path: Path) -> None:
 METRIC = '[equivalence.heat]\ntable = "floor"\ncolumn = "heat"\nmargin = 1\n'
 
 
+def test_a_metrics_column_that_is_not_there_is_named(tmp_path: Path) -> None:
+    project = _project(tmp_path / "p", config=DECLARED + METRIC.replace('"heat"', '"haet"'))
+    summary = project.run("population_size=1", figures=False)
+    [note] = [note for note in project.replay(summary.batch).notes if "equivalence" in note]
+    assert note.startswith("[equivalence]: output 'floor' has no column 'haet'; did you mean 'heat'?")
+    assert "Error" not in note
+
+
 def test_several_rows_at_one_time_are_compared_by_no_metric(tmp_path: Path) -> None:
     project = _project(tmp_path / "p", config=DECLARED + METRIC)
     summary = project.run("population_size=1", figures=False)

@@ -196,6 +196,8 @@ class Frame:
             self._load(table, files)
         described = self._question.run(f"DESCRIBE {identifier('data ' + table)}")
         known = [row[0] for row in described if row[0] not in ("# experiment", "# number", "# place")]
+        if column.lower() not in map(str.lower, known):
+            raise NotFound(f"output {table!r} has no column {column!r}; {like(column, known)}")
         if time and time.lower() not in map(str.lower, known):
             raise NotFound(
                 f"output {table!r} has no column {time!r} to be its time ([outputs.{table}] time); {like(time, known)}"
