@@ -108,6 +108,7 @@ def test_a_format_that_is_no_text_is_damage(recorded: Path, tmp_path: Path) -> N
             done = projects.quick(root, *words)
             assert (done.returncode, done.stderr.count("\n")) == (1, 1)
             assert "format: this is" in done.stderr
+            assert "sierra fsck --repair writes it again" in done.stderr
             assert len(done.stderr) < 1000
             assert harmless(done.stderr)
     assert projects.quick(root, "fsck").returncode == 1

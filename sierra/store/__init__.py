@@ -68,9 +68,9 @@ class Store:
             raise Missing(f"no store in {root}: nothing has been run here yet (sierra run makes one)") from error
         if found not in READABLE:
             told = f"this is {found.strip()[:40]!r}, and this SIERRA reads {FORMAT.strip()!r}"
-            raise Damaged(
-                f"{self.paths.format}: {told}; read it with the SIERRA that made it, or move {root} away and ask again"
-            )
+            other = f"read it with the SIERRA that made it, or move {root} away and ask again"
+            heals = other if re.fullmatch(r"sierra store \d+\n", found) else "sierra fsck --repair writes it again"
+            raise Damaged(f"{self.paths.format}: {told}; {heals}")
 
     @classmethod
     def create(cls, root: Path) -> Store:
