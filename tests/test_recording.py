@@ -659,6 +659,9 @@ def test_texts_that_are_hardly_meant_as_such_are_said_once_with_what_to_write(
         ("name,kind\na,b\nname,kind\nc,d\n", 3),
         ("v\n1\n2\nv\n3\n", 4),
         ("\ufeffv,w\r\n1,2\r\n\ufeffv,w\r\n3,4\r\n", 3),
+        ("tick,v\n0,0.5\n tick, v \n0,0.5\n", 3),
+        ('tick,v\n0,0.5\n"tick","v"\n0,0.5\n', 3),
+        ("tick,v\r0,0.5\rtick,v\r1,0.5\r", 3),
     ],
 )
 def test_a_header_that_is_there_twice_fails_a_run_though_all_runs_have_it(make: Make, content: str, line: int) -> None:
