@@ -86,7 +86,7 @@ def found(store: Store, prefix: str) -> list[Standing]:
     """What is on a cluster of that name, attended or not. Raises NotFound where nothing is."""
     rows = [row for paths in named(store, prefix) if (row := submitted(paths))]
     if not rows:
-        raise NotFound(f"nothing of {prefix!r} is on a cluster; sierra status shows what is")
+        raise NotFound(f"nothing of {prefix!r} is on a cluster now; sierra status shows what is, sierra ls what is recorded")
     return rows
 
 

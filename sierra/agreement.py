@@ -178,11 +178,13 @@ def _of_rows(recorded: Any, found: Any, rules: Rules, unlike: Sequence[str] = ()
 
 def _equal(distances: Sequence[_Distance], unlike: Sequence[str]) -> str:
     """Say why two tables of other bytes are equal."""
-    if unlike:
-        every = " (which is every column)" * (not distances)
-        return f"only what is declared volatile{every} differs: {few([_cut(repr(name)) for name in unlike], NAMED)}"
     digits = " (of fractions, the 17 digits that a number holds)" * any(one.fractions for one in distances)
-    return f"the same values{digits}, written in other bytes"
+    if not unlike:
+        return f"the same values{digits}, written in other bytes"
+    every = " (which is every column)" * (not distances)
+    named = few([_cut(repr(name)) for name in unlike], NAMED)
+    rest = f"; all else has the same values{digits}" if digits else ""
+    return f"only what is declared volatile{every} differs: {named}{rest}"
 
 
 def _other_length(was: int, now: int, parted: Sequence[_Distance]) -> Agreement:

@@ -79,7 +79,7 @@ SELECT batch, query FROM batches
 WHERE axes = $axes AND recipe = $recipe AND template_sha256 = $template_sha256 AND base_seed = $base_seed AND sets = $sets
     AND controller IS NOT DISTINCT FROM $controller AND scenario IS NOT DISTINCT FROM $scenario
     AND NOT EXISTS (SELECT 1 FROM batches WHERE batch = $batch)
-ORDER BY created DESC LIMIT $most
+ORDER BY lamport DESC, batch LIMIT $most
 """
 SHARED = "SELECT 1 FROM members WHERE batch = $batch AND list_contains($runs, run) LIMIT 1"
 LOOKED_AT = 100

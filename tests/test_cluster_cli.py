@@ -139,6 +139,9 @@ def test_status_says_how_it_stands_and_records_what_has_finished(waiting: Waitin
     assert (now["done"], now["failed"], now["ended"]) == (6, 0, True)
     assert waiting.good() == 6
     assert waiting.project.work() == []
+    late = waiting.project.quick("attach", waiting.batch())
+    assert late.returncode == 2
+    assert "is on a cluster now; sierra status shows what is, sierra ls what is recorded" in late.stderr
 
 
 def test_nothing_on_a_cluster_is_said_and_no_error(waiting: Waiting) -> None:

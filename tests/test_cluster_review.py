@@ -32,6 +32,7 @@ from sierra.errors import ConfigError, Full, Missing, SierraError
 from sierra.paths import user_apptainer
 from sierra.pipeline import Summary
 from sierra.runners import cluster, harvest, schedulers
+from sierra.runners.packs import Attempt, Pack
 from sierra.runners.schedulers import Bounds, Request, State, Task
 from sierra.sessions import Session
 from sierra.store import Store
@@ -686,3 +687,17 @@ def test_runs_that_take_their_node_down_hold_nothing_up(untold: Callable[..., Cl
     made.gate.with_name("gate.which").write_text(f"{runs[0].id} {runs[-1].id}")
     summary = ask(made)
     assert (summary.failed, summary.executed, summary.missing) == (2, 24, 0)
+
+
+def track(path: Path, node: str, started: float, ahead: float) -> harvest.Track:
+    """What is known of an attempt at element 0, on a node whose clock is ahead."""
+    attempt = Attempt(node, "s", 0, "1_0", node, started, 1, 1, None, None, {}, {}, {}, "3.11", ahead)
+    return harvest.Track(Pack(path), 0, attempt, ahead=ahead)
+
+
+def test_the_last_attempt_is_the_last_though_a_node_before_had_a_clock_ahead(tmp_path: Path) -> None:
+    before, after = track(tmp_path / "a", "n1", 5000.0, 3600.0), track(tmp_path / "b", "n2", 2000.0, 0.0)
+    assert harvest.last_of([before, after], 0) is after
+    assert harvest.last_of([after, before], 0) is after
+    assert harvest.last_of([before, after], 1) is None
+    assert before.since == 1400.0

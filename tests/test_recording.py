@@ -614,7 +614,7 @@ def test_one_text_among_numbers_is_blamed_wherever_the_boundaries_are(
         assert project.sql("SELECT avg(v) AS v FROM out").to_pylist() == [{"v": 1.5}]
 
 
-LOOKS_NUMERIC = "column 'v' of output 'out' is text in 2 runs, and has no figure: most of its cells look like numbers; "
+LOOKS_NUMERIC = "column 'v' of output 'out' is text in 2 runs, and has no figure: most of its values look like numbers; "
 ONE_COLUMN = "column {!r} of output 'out' is text in 2 runs, and has no figure: "
 
 
@@ -635,6 +635,12 @@ ONE_COLUMN = "column {!r} of output 'out' is text in 2 runs, and has no figure: 
             LOOKS_NUMERIC + """write '50%' without '%' ([outputs.out] units = { "v" = "%" } says the unit)""",
         ),
         ("t;v\n0;1'234.5\n1;2'000\n", LOOKS_NUMERIC + """write "1'234.5" without what groups its digits"""),
+        ("t;v\n0;1_234.5\n1;2_000\n", LOOKS_NUMERIC + "write '1_234.5' without what groups its digits"),
+        (
+            "t,v\n0,1.5\n1,n/a\n2,NA\n3,NA\n4,-\n",
+            LOOKS_NUMERIC + "where there is no number, leave the cell empty instead of '-' (8 such cells)",
+        ),
+        ("t,v\n0,ab\n1,NA\n2,NA\n", None),
         ("t,my speed\n0,-\n1,2\n2,3\n", LOOKS_NUMERIC.replace("'v'", "'my speed'") + "where there is no number, leave"),
         ("t v\n0 1.5\n", ONE_COLUMN.format("t v") + 'is it several columns? (delimiter = " " in [outputs.out])'),
         ("# t v\n0 1.5\n", ONE_COLUMN.format("# t v") + "the first line is a comment, and comments are not read; begin with"),
@@ -659,6 +665,9 @@ def test_texts_that_are_hardly_meant_as_such_are_said_once_with_what_to_write(
         ("name,kind\na,b\nname,kind\nc,d\n", 3),
         ("v\n1\n2\nv\n3\n", 4),
         ("\ufeffv,w\r\n1,2\r\n\ufeffv,w\r\n3,4\r\n", 3),
+        ("tick,v\n0,0.5\n tick, v \n0,0.5\n", 3),
+        ('tick,v\n0,0.5\n"tick","v"\n0,0.5\n', 3),
+        ("tick,v\r0,0.5\rtick,v\r1,0.5\r", 3),
     ],
 )
 def test_a_header_that_is_there_twice_fails_a_run_though_all_runs_have_it(make: Make, content: str, line: int) -> None:

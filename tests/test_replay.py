@@ -555,6 +555,11 @@ def test_equal_numbers_are_equal_to_the_digits_that_are_kept() -> None:
         "the same values (of fractions, the 17 digits that a number holds), written in other bytes"
     )
     assert of_tables(table(v=[1]), table(v=[1])).why == "the same values, written in other bytes"
+    beside = of_tables(table(v=[0.1], when=[1]), table(v=[0.1], when=[2]), Rules(volatile=["when"]))
+    assert beside.why == (
+        "only what is declared volatile differs: 'when'; all else has the same values (of fractions, the 17 digits that a "
+        "number holds)"
+    )
     old, new = (
         pa.table({"v": pa.array([Decimal(text)], pa.decimal128(38, 30))}) for text in (f"0.{'1' * 20}1", f"0.{'1' * 20}2")
     )

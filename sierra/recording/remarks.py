@@ -98,13 +98,15 @@ class Remarks:
             column = next((named[n] for n in (name.lower() + "_", name.lower()) if n in named), None)
             if column is None:
                 return None
-            rows = question.run(LOOKS.format(column=identifier(column), table=identifier(output), number=NUMBER))
+            rows = question.run(
+                LOOKS.format(column=identifier(column), table=identifier(output), number=NUMBER, missing=MISSING)
+            )
         looks = [(look, count, example) for look, count, example in rows if look != "number"]
         numbers = sum(count for look, count, _ in rows if look in ("number", "comma", "grouped"))
         united = max((count for look, count, _ in looks if look.startswith("unit ")), default=0)
-        if 2 * (numbers + united) <= sum(count for _, count, _ in rows):
+        if 2 * (numbers + united) <= sum(count for look, count, _ in rows if look != "missing"):
             return None
-        return "most of its cells look like numbers; " + _instead(output, name, *(looks[0] if looks else ("", 0, "")))
+        return "most of its values look like numbers; " + _instead(output, name, *(looks[0] if looks else ("", 0, "")))
 
 
 def _instead(output: str, name: str, look: str, cells: int, example: str) -> str:
@@ -118,7 +120,7 @@ def _instead(output: str, name: str, look: str, cells: int, example: str) -> str
             key = json.dumps(name, ensure_ascii=False)
             told = f"[outputs.{output}] units = {{ {key} = {json.dumps(unit, ensure_ascii=False)} }}"
             return f"write {example!r} without {unit!r} ({told} says the unit)"
-        case ("other", _, _):
+        case ("other" | "missing", _, _):
             return f"where there is no number, leave the cell empty instead of {example!r} ({counted(cells, 'such cell')})"
     return "some further down do not"
 
@@ -150,6 +152,8 @@ FROM judged_artifacts a WHERE a.kind = 'table' AND a.execution IN (SELECT execut
 GROUP BY ALL ORDER BY ALL
 """
 NUMBER = r"[-+]?([0-9]+[.]?[0-9]*|[.][0-9]+)([eE][-+]?[0-9]+)?"
+MISSING = "n[./]?a[.]?|#n/a|null|none|nil|missing|undefined|-+|[?]"
+"""What is written where there is no number, so that such cells tell nothing of what a column holds."""
 LOOKS = """
 WITH cells AS (
     SELECT trim(cell) AS cell FROM (SELECT {column}::VARCHAR AS cell FROM {table} LIMIT 200000) WHERE cell IS NOT NULL
@@ -157,7 +161,8 @@ WITH cells AS (
     SELECT cell, CASE
         WHEN TRY_CAST(cell AS DOUBLE) IS NOT NULL AND NOT contains(cell, '_') THEN 'number'
         WHEN regexp_full_match(cell, '[-+]?[0-9]+,[0-9]+([eE][-+]?[0-9]+)?') THEN 'comma'
-        WHEN regexp_full_match(cell, '[-+]?[0-9]{{1,3}}([ '',.][0-9]{{3}})+([.,][0-9]+)?') THEN 'grouped'
+        WHEN regexp_full_match(cell, '[-+]?[0-9]{{1,3}}([ '',._][0-9]{{3}})+([.,][0-9]+)?') THEN 'grouped'
+        WHEN regexp_full_match(lower(cell), '{missing}') THEN 'missing'
         WHEN regexp_full_match(cell, '{number} *[^-+0-9eE.,;:_ ][^0-9]*') THEN
             'unit ' || regexp_extract(cell, '^{number} *(.*)$', 3)
         ELSE 'other' END AS look

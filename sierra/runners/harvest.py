@@ -11,7 +11,7 @@ import gzip
 import json
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -96,6 +96,17 @@ class Track:
     trouble: str | None = None
     late: list[tuple[float, Ended]] = field(default_factory=list)
     """Runs whose files are not there as they were recorded, and since when."""
+
+    @property
+    def since(self) -> float:
+        """When it began, by the shared file system's clock; 0 if that was not read yet."""
+        return self.attempt.started - self.ahead if self.attempt else 0.0
+
+
+def last_of(tracks: Iterable[Track], element: int) -> Track | None:
+    """Return the last attempt at an element, though the nodes' clocks differ."""
+    own = (track for track in tracks if track.element == element and track.attempt)
+    return max(own, key=lambda track: track.since, default=None)
 
 
 class Harvest:
@@ -290,8 +301,7 @@ class Harvest:
 
     def _last(self, index: int) -> Track | None:
         """The last attempt at an element."""
-        tracks = [track for track in self._tracks.values() if track.element == index and track.attempt]
-        return max(tracks, key=lambda track: track.attempt.started if track.attempt else 0.0, default=None)
+        return last_of(self._tracks.values(), index)
 
     def _row(self, track: Track, begun: Attempt, word: str | None) -> dict[str, Any]:
         return {
@@ -302,7 +312,7 @@ class Harvest:
             "scheduler": self._made.version,
             "job": begun.job,
             "node": begun.node,
-            "started": moment(begun.started - track.ahead),
+            "started": moment(track.since),
             "ended": moment(track.ended - track.ahead),
             "clock": begun.clock,
             "cpus": begun.cpus,
@@ -334,7 +344,7 @@ class Harvest:
         if last is None or last.attempt is None:
             return None
         end = last.attempt.allocation.get("SLURM_JOB_END_TIME", "")
-        return float(end) - last.attempt.started if end.isdigit() else None
+        return float(end) - last.since if end.isdigit() else None
 
     def cut_alone(self, index: int) -> set[str]:
         """Runs of an element that were cut off while they had it for themselves."""

@@ -21,7 +21,6 @@ from sierra.store.scans import csv_given
 DELIMITERS = (",", "\t", ";", "|")
 HEAD_BYTES = 4096
 """So much of a first line a worker tells."""
-BOM = b"\xef\xbb\xbf"
 COMMENTS = "comments are not read; write them to another file"
 QUOTING = "write a field with quotes in it in quotes, and those in it twice"
 CONTROL = re.compile(r"[\x00-\x08\x0e-\x1f]")
@@ -165,12 +164,16 @@ class Csv(Text):
     def _header_again(self, file: Written) -> int | None:
         """Return the next line that is the header; None where a single column has it among texts, as it may be."""
         again = None
-        with Path(file.path).open("rb") as lines:
-            first = next(lines).removeprefix(BOM).strip()
+
+        def fields(line: str) -> tuple[str, ...]:
+            return split(line.removeprefix("\ufeff").rstrip("\n"), self._delimiter)
+
+        with Path(file.path).open(encoding="utf-8", errors="replace") as lines, any_size():
+            names = fields(next(lines))
             for number, line in enumerate(lines, 2):
-                if line.removeprefix(BOM).strip() == first:
+                if fields(line) == names:
                     again = again or number
-                elif len(self.part.names) == 1 and line.strip() and not reads_as_number(line.decode(errors="replace")):
+                elif len(self.part.names) == 1 and line.strip() and not reads_as_number(line):
                     return None
         return again
 
