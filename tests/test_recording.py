@@ -422,6 +422,14 @@ def test_where_text_begins_in_json_among_numbers_is_noted(tmp_path: Path) -> Non
     assert reading.hints == {("e1", "out.jsonl"): {"a": "out.jsonl: line 2: text where numbers are in column 'a': 'q'"}}
 
 
+def test_decimals_that_no_table_can_hold_are_at_fault(tmp_path: Path) -> None:
+    wide, good = (pa.array([Decimal("1.5")], pa.decimal256(60, 20)), pa.array([Decimal("1.5")], pa.decimal128(38, 20)))
+    reading, rows = table(tmp_path, [parquet(tmp_path, {"v": column}) for column in (good, wide, good)], "parquet")
+    assert list(reading.faults) == ["e1"]
+    assert reading.faults["e1"].endswith("the column 'v' has decimals of more than 38 digits, the most that a table keeps")
+    assert len(rows) == 2
+
+
 def test_parquet_files_of_other_types_are_noticed_and_other_widths_joined(tmp_path: Path) -> None:
     files = [{"a": [1]}, {"a": [1.5]}, {"a": ["x"]}, {"a": [2]}]
     reading, rows = table(tmp_path, [parquet(tmp_path, file) for file in files], "parquet")

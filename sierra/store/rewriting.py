@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import contextlib
 import shutil
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
@@ -23,6 +24,7 @@ from sierra.paths import StorePaths
 from sierra.store import Question
 from sierra.store.complaints import first_line
 from sierra.store.connections import connect
+from sierra.store.counting import Written, rows_by_file
 from sierra.store.names import identifier
 from sierra.store.objects import GROUP, ROWS
 from sierra.store.scans import copy, read_parquet
@@ -270,10 +272,11 @@ def _write_output(target: Path, paths: Sequence[str], executions: AbstractSet[st
         connection.execute("SET disabled_optimizers = 'join_order,build_side_probe_side'")  # rows keep their order
         stays = f"SELECT o.* FROM {read_parquet(paths)} o ANTI JOIN gone g ON o.execution = g.execution"
         before = connection.execute(SUM.format(rows=stays)).fetchall()[0]
-        if before[0]:
+        kept = {written: rows for written, rows in _counted(paths).items() if written[0] not in executions}
+        if before[0] or kept:
             connection.execute(copy(stays, target))
             written = connection.execute(SUM.format(rows=f"SELECT * FROM {read_parquet([str(target)])}")).fetchall()[0]
-            if written != before or not _schema(str(target)).equals(_schema(paths[0])):
+            if written != before or _counted([str(target)]) != kept or not _schema(str(target)).equals(_schema(paths[0])):
                 raise Damaged(f"{paths[0]}: its rows are not the same written again; nothing was changed")
     except duckdb.IOException as error:
         raise Missing(f"cannot write {target}: {first_line(error)}") from error
@@ -281,6 +284,11 @@ def _write_output(target: Path, paths: Sequence[str], executions: AbstractSet[st
         raise Damaged(f"{paths[0]}: cannot be written again: {first_line(error)}") from error
     finally:
         connection.close()
+
+
+def _counted(paths: Sequence[str]) -> Counter[Written]:
+    """Return how many rows each execution, and each of its files, has in these Parquet files, counted without DuckDB."""
+    return sum((rows_by_file(path) for path in paths), Counter[Written]())
 
 
 SUM = "SELECT count(*), sum(hash(place, line))::VARCHAR FROM (SELECT row_number() OVER () AS place, t AS line FROM ({rows}) t)"

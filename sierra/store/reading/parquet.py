@@ -15,6 +15,9 @@ from sierra.store.reading.reader import FILE, Reader
 from sierra.store.reading.shapes import AtFaultError, Part, Shape, Siblings, Written
 from sierra.store.scans import parquet_given, parquet_schema
 
+DIGITS = 38
+"""Digits of a DECIMAL of DuckDB, at most; it reads decimals of more as DOUBLE, without a word."""
+
 
 class Parquet(Reader):
     """Parquet knows its types."""
@@ -22,12 +25,17 @@ class Parquet(Reader):
     def __init__(self, connection: Any, shape: Shape, target: Path, siblings: Siblings) -> None:
         super().__init__(connection, shape, target, siblings)
         self._found: Mapping[str, Mapping[str, str]] = {}
+        self._wide: dict[str, str] = {}
+        """A column of each file that has decimals which DuckDB would turn to DOUBLE."""
 
     def sort(self, files: Sequence[Written]) -> Mapping[str, Part | None]:
         try:
             self._found = self._schemas(files)
         except self.error:
             self._found = self._schemas(self._readable(files))
+        for file in self.sound(files):
+            if name := self._wide.get(file.path):
+                self.fault(file, f"the column {name!r} has decimals of more than {DIGITS} digits, the most that a table keeps")
         return {path: Part(tuple(columns)) for path, columns in self._found.items()}
 
     def one(self, files: Sequence[Written]) -> None:
@@ -93,13 +101,14 @@ class Parquet(Reader):
         """Names and types of each file's columns; files that say the same are asked once."""
         rows = self.fetch(
             "SELECT file_name, list((name, type, type_length, num_children, converted_type, scale, precision, logical_type)"
-            f"::VARCHAR) FROM {parquet_schema()} GROUP BY file_name",
+            f"::VARCHAR), min(name) FILTER (precision > {DIGITS}) FROM {parquet_schema()} GROUP BY file_name",
             files,
         )
+        self._wide |= {path: name for path, _, name in rows if name}
         by_path = {file.path: file for file in files}
         described: dict[tuple[str, ...], dict[str, str]] = {}
         found = {}
-        for path, schema in rows:
+        for path, schema, _ in rows:
             key = tuple(schema)
             if key not in described:
                 columns = self.fetch(f"DESCRIBE SELECT * FROM {self._source()}", [by_path[path]])
