@@ -352,10 +352,13 @@ def _called(experiment: Experiment) -> str:
 
 
 def _check_names(project: LoadedProject) -> None:
-    """What becomes a table or a column of the store may not be called like one of the store's own."""
-    for name in project.config.outputs:
+    """What becomes a table or a column of the store may not be called like one of the store's own, or be named in vain."""
+    for name, output in project.config.outputs.items():
         if not check_name(name):
             raise ConfigError(f"{project.file}: [outputs.{name}]: the store has a table {name!r} of its own; take another name")
+        if output.columns and output.header:
+            told = "columns are the names of a CSV without header; write header = false too, or leave columns out"
+            raise ConfigError(f"{project.file}: [outputs.{name}]: {told}")
     for name in project.config.variables:
         if name.lower() in RESERVED:
             raise ConfigError(f"{project.file}: variable {name!r}: the store has a column of that name; take another name")

@@ -71,6 +71,11 @@ def ask(project: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFi
             '[outputs.x]\nfile = "a.csv"\nheader = false\ncolumns = ["t", "my speed (m/s)"]',
             "outputs.x.columns.1: 'my speed (m/s)' is not a name; use letters, digits and _, as in my_speed_m_s",
         ),
+        (
+            "",
+            '[outputs.x]\nfile = "a.csv"\ncolumns = ["t"]',
+            "[outputs.x]: columns are the names of a CSV without header; write header = false too, or leave columns out",
+        ),
         ("", '[outputs.runs]\nfile = "a.csv"', "the store has a table 'runs' of its own; take another name"),
         ("", '[outputs.x]\nfile = "../a.csv"', "'../a.csv' should be a path within the run's output folder"),
         ("", '[outputs.x]\nfile = "/etc/passwd"', "'/etc/passwd' should be a path within the run's output folder"),

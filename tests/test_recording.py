@@ -652,6 +652,7 @@ ONE_COLUMN = "column {!r} of output 'out' is text in 2 runs, and has no figure: 
         ("t,my speed\n0,-\n1,2\n2,3\n", LOOKS_NUMERIC.replace("'v'", "'my speed'") + "where there is no number, leave"),
         ("t v\n0 1.5\n", ONE_COLUMN.format("t v") + 'is it several columns? (delimiter = " " in [outputs.out])'),
         ("# t v\n0 1.5\n", ONE_COLUMN.format("# t v") + "the first line is a comment, and comments are not read; begin with"),
+        ("# a\nt\n0\n1\n2\n", ONE_COLUMN.format("# a") + "the first line is a comment, and comments are not read; begin with"),
         ("t,v\n0,ab\n", None),
         ("t,v\n0,3ab\n1,4cd\n2,77f\n", None),
         ("t,v\n0,2020-01-01\n", None),
@@ -664,6 +665,20 @@ def test_texts_that_are_hardly_meant_as_such_are_said_once_with_what_to_write(
 ) -> None:
     assert not run(make(f"write({content!r})"), runs=2).failed
     assert [note[: len(said or "")] for note in noted()] == [said] * (said is not None)
+
+
+def test_a_comment_before_the_header_is_named_where_it_has_as_many_fields(make: Make, noted: Callable[[], list[str]]) -> None:
+    assert not run(make("write('# a, b\\nt,v\\n0,1\\n1,2\\n')"), runs=2).failed
+    told = "is text in 2 runs, and has no figure: the first line is a comment, and comments are not read; "
+    assert [told in note for note in noted()] == [True, True]
+
+
+def test_a_delimiter_that_a_table_does_not_have_is_said_with_the_one_that_it_has(
+    make: Make, noted: Callable[[], list[str]]
+) -> None:
+    project = make("write('t,v\\n0,1\\n1,2\\n')", '[outputs.out]\nfile = "out.csv"\ndelimiter = ";"\n')
+    assert not run(project, runs=2).failed
+    assert noted() == [ONE_COLUMN.format("t,v") + 'is it several columns? (delimiter = "," in [outputs.out])']
 
 
 @pytest.mark.parametrize(
@@ -693,6 +708,10 @@ def test_a_header_that_is_there_twice_fails_a_run_though_all_runs_have_it(make: 
         ("# made by sim\nt,v\n0,1\n", "line 1: is a comment, where the names of the columns should be: '# made by sim'"),
         ("t,v\n# warm-up\n0,1\n", "line 2: too few fields (1, not 2): '# warm-up' (comments are not read; write them to"),
         ("# t,v\n0,1\n1\n", "line 3: too few fields (1, not 2): '1'"),
+        (
+            "# made by sim\n# version 3\nt,v\n0,1\n",
+            "line 1: is a comment, where the names of the columns should be: '# made by",
+        ),
     ],
 )
 def test_comments_in_a_csv_are_named(make: Make, content: str, said: str) -> None:

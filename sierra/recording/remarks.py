@@ -14,8 +14,11 @@ from sierra.recording.siblings import GOOD, asked, many
 from sierra.store import Question, Store
 from sierra.store.columns import TEXT
 from sierra.store.names import identifier
-from sierra.store.reading import AS_TEXT, Shape, shown
+from sierra.store.reading import AS_TEXT, Shape, delimiter_of, shown
 from sierra.wording import counted
+
+COMMENT = "the first line is a comment, and comments are not read; begin with the names of the columns, without '#'"
+SEVERAL = "is it several columns? (delimiter = {delimiter} in [outputs.{output}])"
 
 
 class Remarks:
@@ -78,7 +81,7 @@ class Remarks:
         """Columns that are text in all runs, and were hardly meant as such."""
         texts = [key for key, counts in kinds.items() if all(kind == "text" or kind.endswith(AS_TEXT) for kind in counts)]
         for output, name in texts[:NOTED_AT_MOST]:
-            if told := self._as_one_column(kinds, output, name) or self._numeric(output, name):
+            if told := self._as_one_column(kinds, output, name) or self._numeric(kinds, output, name):
                 runs = kinds[output, name].total()
                 yield f"column {name!r} of output {output!r} is text in {counted(runs, 'run')}, and has no figure: {told}"
 
@@ -87,10 +90,12 @@ class Remarks:
         if self._shapes[output].format != "csv" or not _only_column(kinds, output, name):
             return None
         if name.startswith("#"):
-            return "the first line is a comment, and comments are not read; begin with the names of the columns, without '#'"
-        return f'is it several columns? (delimiter = " " in [outputs.{output}])' if len(name.split()) > 1 else None
+            return COMMENT
+        if self._shapes[output].delimiter and (other := delimiter_of(name)) in name:
+            return SEVERAL.format(delimiter=json.dumps(other), output=output)
+        return SEVERAL.format(delimiter='" "', output=output) if len(name.split()) > 1 else None
 
-    def _numeric(self, output: str, name: str) -> str | None:
+    def _numeric(self, kinds: Iterable[tuple[str, str]], output: str, name: str) -> str | None:
         """Return what to write in a column of texts most of which look like numbers, by the first rows that are there."""
         with self._store.ask(self._context.batch) as question:
             question.views.make((output,))
@@ -106,6 +111,8 @@ class Remarks:
         united = max((count for look, count, _ in looks if look.startswith("unit ")), default=0)
         if 2 * (numbers + united) <= sum(count for look, count, _ in rows if look != "missing"):
             return None
+        if _first_column(kinds, output).startswith("#") and looks and looks[0][0] == "other":
+            return COMMENT
         return "most of its values look like numbers; " + _instead(output, name, *(looks[0] if looks else ("", 0, "")))
 
 
@@ -140,6 +147,10 @@ def as_files(kept: Mapping[str, Mapping[str, None]]) -> Iterator[str]:
         some = "or more " if len(files) == NOTED_AT_MOST else ""
         these = f"{str(first)!r} and {len(files) - 1} {some}others are" if len(files) > 1 else f"{str(first)!r} is"
         yield f"{these} kept as {'files' if len(files) > 1 else 'a file'}: {told}"
+
+
+def _first_column(kinds: Iterable[tuple[str, str]], output: str) -> str:
+    return next(name for table, name in kinds if table == output)
 
 
 def _only_column(kinds: Iterable[tuple[str, str]], output: str, name: str) -> bool:

@@ -27,7 +27,7 @@ from sierra.store.reading.jsonl import Jsonl
 from sierra.store.reading.kinds import AS_TEXT, is_number, own_kind, right_kind
 from sierra.store.reading.parquet import Parquet
 from sierra.store.reading.reader import Reader
-from sierra.store.reading.separated import Csv
+from sierra.store.reading.separated import Csv, delimiter_of
 from sierra.store.reading.shapes import Reading, Shape, Siblings, Written
 from sierra.store.reading.telling import difference, shown
 from sierra.store.scans import Aliases
@@ -38,6 +38,7 @@ __all__ = [
     "Shape",
     "Siblings",
     "Written",
+    "delimiter_of",
     "difference",
     "is_number",
     "own_kind",

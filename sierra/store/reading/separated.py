@@ -126,6 +126,10 @@ class Csv(Text):
         return known
 
     @property
+    def _first_line(self) -> str:
+        return "the names of the columns" if self.shape.header else "the first row"
+
+    @property
     def _empty(self) -> bool:
         """Whether an empty line is a row, without a value."""
         return len(self.part.names) == 1
@@ -198,16 +202,24 @@ class Csv(Text):
 
     def first_fault(self, file: Written, names: Sequence[str], types: Mapping[str, str]) -> str | None:
         ends: set[str] = set()
+        only_comments = True
         for line, record, end in _read_slowly(file, self._delimiter):
             if isinstance(record, str):
                 return f"line {line}: {record}"
-            if not record or (line == 1 and self.shape.header):
+            if not record:
+                continue
+            is_comment = record[0].startswith("#")
+            if line == 1 and self.shape.header:
+                only_comments = is_comment
                 continue
             if fault := self._fault_in(record, names, types):
-                if self.shape.header and names[0].startswith("#") and not ends:
-                    return f"line 1: is a comment, where the names of the columns should be: {names[0][:80]!r} ({COMMENTS})"
-                about = f" ({COMMENTS})" if record[0].startswith("#") else ""
+                if only_comments and line > 1 and not is_comment:
+                    return (
+                        f"line 1: is a comment, where {self._first_line} should be: {_first_record(file)[:80]!r} ({COMMENTS})"
+                    )
+                about = f" ({COMMENTS})" if is_comment else ""
                 return f"line {line}: {fault}{about}"
+            only_comments &= is_comment
             ends.add(end)
         return "some lines end in CR LF, and some in LF" if len(ends) > 1 else None
 
