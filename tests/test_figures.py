@@ -447,6 +447,25 @@ def test_marks_at_zero_do_not_go_below_it() -> None:
     assert min(line.get_transform().transform([(0.0, 20.0)])[0][0] for line in marks) >= zero - 0.01
 
 
+@pytest.mark.parametrize("first", [SIZES, Axis("noise", (0.0, 0.5, 1.0, 1.5))])
+@pytest.mark.parametrize("count", [3, 12, 60])
+def test_marks_of_all_groups_lie_within_the_plot(first: Axis, count: int) -> None:
+    from sierra.figures import points, style
+
+    shown = drawing("summary", (first, Axis("terrain", tuple(f"terrain {k}" for k in range(count)))))
+    with style.applied():
+        figure = points.summary(shown)
+        style.settle(figure, shown)
+        figure.canvas.draw()
+        plot, *_ = figure.axes
+        marks = [line for line in plot.lines if line.get_linestyle() == "None" and len(xs(line)) == 4]
+        assert len(marks) >= count
+        for line in marks:
+            places = line.get_transform().transform(line.get_xydata())[:, 0]
+            assert plot.bbox.x0 <= min(places)
+            assert max(places) <= plot.bbox.x1
+
+
 @pytest.mark.parametrize(
     ("keys", "complaint"),
     [
@@ -522,7 +541,7 @@ def test_one_time_is_drawn_as_a_mark() -> None:
 def test_nothing_to_draw_is_an_error_of_one_line(tmp_path: Path) -> None:
     empty = table(4, 20, n=np.zeros(80, dtype=int))
     for tables in ({"energy": empty}, {"energy": empty.slice(0, 0)}):
-        with pytest.raises(SierraError, match=r"^figure timeseries: there is no value to draw$"):
+        with pytest.raises(SierraError, match=r"^there is no value to draw$"):
             figures.draw(drawing(tables=tables), tmp_path)
     assert not list(tmp_path.iterdir())
 

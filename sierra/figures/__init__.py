@@ -62,7 +62,7 @@ def draw(drawing: Drawing, folder: Path) -> tuple[Path, ...]:
     if drawing.name.startswith(".") or not drawing.name or Path(drawing.name).name != drawing.name:
         raise UsageError(f"{drawing.name!r} cannot be the name of a figure's files")
     if not any(table.num_rows and table.column("n").to_numpy().any() for table in drawing.tables.values()):
-        raise SierraError(f"figure {drawing.name}: there is no value to draw")
+        raise SierraError("there is no value to draw")
     _check_size(drawing)
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -21,7 +21,13 @@ if TYPE_CHECKING:
 
 GOLDEN = 0.6180339887498949
 APART = 1.6
-"""Points between the intervals of two groups at the same number."""
+"""Points between the intervals of two groups at the same number; less where there are many groups."""
+WIDEST = 40
+"""Points over which the intervals at one number are spread."""
+CAP = 4
+"""Points that a mark or the end of an interval reaches to each side, at most."""
+WIDTH = 0.7 * 72 * style.COLUMN
+"""How wide a plot is, about, in points."""
 DENSE = 5
 """From how many runs on a density says more than the runs themselves."""
 
@@ -37,6 +43,7 @@ def summary(drawing: Drawing) -> Figure:
     low, high = (style.column(table, name) for name in names[1:])
     ordinals = table.column("experiment").to_pylist()
     looks = _looks(groups)
+    shifts = _shifts(first, len(groups.values))
     for (place, _), look in zip(enumerate(groups.values), looks, strict=True):
         rows = [k for k, o in enumerate(ordinals) if others(drawing).index(rest_of(drawing, o)) == place]
         x = _places(drawing, first, [ordinals[k] for k in rows], place, len(groups.values))
@@ -46,8 +53,9 @@ def summary(drawing: Drawing) -> Figure:
         made += plot.plot(np.asarray(x)[censored], center[rows][censored], **hollow)
         made += _never(plot, np.asarray(x)[censored & (style.column(table, "n")[rows] == 0)], look["color"])
         if first.numeric:
-            _shift(made, (place - (0 if 0 in first.values else (len(groups.values) - 1) / 2)) * APART)
-    style.scale_values(plot, first, log=drawing.figure.log_x)
+            _shift(made, shifts[place])
+    aside = max(map(abs, shifts)) + CAP
+    style.scale_values(plot, first, log=drawing.figure.log_x, margin=max(0.04, aside / (WIDTH - 2 * aside)))
     _frame(figure, plot, drawing, first, groups, looks, table, float(np.nanmin(center)), float(np.nanmax(center)))
     return figure
 
@@ -166,6 +174,12 @@ def _places(drawing: Drawing, first: Axis, ordinals: list[int], place: int, coun
     if first.numeric:
         return [float(value) for value in values]
     return [first.values.index(value) + _dodge(place, count) for value in values]
+
+
+def _shifts(first: Axis, count: int) -> list[float]:
+    """How many points each group is moved aside: to both sides of a number, but never below 0."""
+    apart = min(APART, WIDEST / count)
+    return [(place - (0 if 0 in first.values else (count - 1) / 2)) * apart for place in range(count)]
 
 
 def _shift(made: list[Any], points: float) -> None:

@@ -54,11 +54,11 @@ def stacked(drawing: Drawing) -> Figure:
     """The columns on top of each other: over time in a panel for each experiment, or over the first axis."""
     center = CENTERS[drawing.figure.center][0]
     if any(np.nanmin(style.column(table, center)) < 0 for table in drawing.tables.values()):
-        raise UsageError(f"figure {drawing.name}: stacked areas need values of at least 0; draw lines instead")
+        raise UsageError("stacked areas need values of at least 0; draw lines instead")
     units = {name: drawing.units.get(name, "") for name in drawing.tables}
     if len(set(units.values())) > 1:
         told = ", ".join(f"{name} [{unit}]" if unit else f"{name} (no unit)" for name, unit in units.items())
-        raise UsageError(f"figure {drawing.name}: only columns of one unit can be stacked, not {told}; see units in [outputs]")
+        raise UsageError(f"only columns of one unit can be stacked, not {told}; see units in [outputs]")
     if "t" in next(iter(drawing.tables.values())).column_names:
         return _stacked_over_time(drawing, center)
     return _stacked_over_axis(drawing, center)
@@ -100,9 +100,7 @@ def with_n(entries: list[str], counts: list[int]) -> list[str]:
 
 def _panel_count(drawing: Drawing, combinations: list[Any]) -> int:
     if len(combinations) > PANELS:
-        raise UsageError(
-            f"figure {drawing.name}: {len(combinations)} panels are more than {PANELS}; draw a summary or a heatmap"
-        )
+        raise UsageError(f"{len(combinations)} panels are more than {PANELS}; draw a summary or a heatmap")
     return len(combinations)
 
 

@@ -387,7 +387,7 @@ def scale_y(plot: Any, drawing: Drawing, lowest: float, highest: float) -> None:
     if not drawing.figure.log_y:
         return
     if not highest > 0:
-        raise UsageError(f"figure {drawing.name}: log_y needs values above 0, and there is none")
+        raise UsageError("log_y needs values above 0, and there is none")
     plot.set_yscale("log", nonpositive="clip")
     log_ticks(plot, lowest, highest)
 
