@@ -12,6 +12,7 @@ import math
 import re
 import shutil
 import sys
+import textwrap
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from datetime import datetime
 from decimal import Decimal
@@ -125,10 +126,19 @@ def readable(text: str) -> str:
 
 
 def fields(record: Mapping[str, Any], indent: str = "") -> None:
-    """Names and values, a line each."""
+    """Names and values, a line each; on a terminal, as many lines as a long value needs."""
     width = max((len(name) for name in record), default=0)
     for name, value in record.items():
-        print(f"{indent}{name.ljust(width)}  {cell(value)}")
+        label = f"{indent}{name.ljust(width)}  "
+        print(label + ("\n" + " " * len(label)).join(_lines(cell(value), len(label))))
+
+
+def _lines(text: str, beside: int) -> list[str]:
+    """Return a text as the lines that a terminal has room for, if there is one; words stay whole, to be copied."""
+    if not sys.stdout.isatty():
+        return [text]
+    room = max(shutil.get_terminal_size().columns - beside, 20)
+    return textwrap.wrap(text, room, break_long_words=False, break_on_hyphens=False) or [""]
 
 
 def note(message: str) -> None:
