@@ -173,7 +173,7 @@ class _Gallery:
         self._seen: dict[str, analysis.Coverage] = {}
         self._times: dict[str, str] = {}
         self.taken: list[str] = []
-        """Which columns were taken for times by how they behave alone, a sentence each."""
+        """Which columns were taken for times by how they behave alone, and where none was, a sentence each."""
 
     def wanted(self, name: str | None) -> tuple[Mapping[str, Figure], list[str]]:
         """The figures to draw, by name, and what is to be said about them."""
@@ -262,6 +262,11 @@ class _Gallery:
             return first
         found = self._frame.shared_axis(output.name, output.columns) if output.rows > 1 else None
         if found is None:
+            if declared is None and output.rows > 1:
+                told = f"output {output.name!r} has no time: its rows are counted instead"
+                self.taken.append(
+                    f'{told}, as no column increases alike in all runs (time = "COLUMN" in [outputs.{output.name}] names one)'
+                )
             return ""
         told = f"{found!r} is taken for the time of output {output.name!r}, as it increases alike in all runs"
         self.taken.append(f'{told} (time = "COLUMN" in [outputs.{output.name}] names another)')

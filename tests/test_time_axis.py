@@ -70,6 +70,10 @@ def test_what_does_not_behave_like_a_time_is_none(written: str, tmp_path: Path) 
     found, told = times(asked(tmp_path, simulator))
     assert found == {0, 1, 2, 3, 4}
     assert "is taken for" not in told
+    assert "output 'swarm' has no time: its rows are counted instead, as no column increases alike in all runs" in told
+    config = tmp_path / "sierra.toml"
+    config.write_text(config.read_text() + '[outputs.swarm]\nfile = "swarm.csv"\n')
+    assert "are counted instead" not in times(tmp_path)[1], "who declares an output has said that it has no time"
 
 
 def test_of_one_run_no_column_is_taken_for_the_time(tmp_path: Path) -> None:
