@@ -241,11 +241,41 @@ def test_without_the_bytes_the_runs_execute_and_it_is_said_why(tmp_path: Path) -
     assert project.executed == 2 * RUNS
 
 
+def test_rules_that_read_tables_as_before_need_no_bytes(tmp_path: Path) -> None:
+    project = Counted(tmp_path / "project", "[store]\nraw = false\n" + WIDE)
+    project.ask()
+    rows = {name: project.rows(f"SELECT * EXCLUDE (row) FROM {name} ORDER BY run, row") for name in ("swarm", "wide")}
+    project.declare(SWARM + 'units = { coverage = "m" }\n' + WIDE)
+    assert project.ask()["judged"] == RUNS, "what is declared for the first time is read as it was"
+    project.declare(WIDE + "min_rows = 4\n")
+    assert f"0 of {RUNS} runs would execute, {RUNS} would be judged anew" in project.said("run", *ASK, "--dry-run")
+    short = project.value("SELECT count(*) FROM (SELECT run FROM wide GROUP BY run HAVING count(*) = 3)")
+    answer = project.ask(1)
+    assert (answer["executed"], answer["judged"], answer["failed"]) == (0, RUNS, short)
+    project.declare(WIDE + "required = false\n[success]\nexit_status = [0, 3]\n")
+    answer = project.ask()
+    assert (answer["executed"], answer["judged"], answer["failed"]) == (0, RUNS, 0)
+    assert project.executed == RUNS
+    for name, found in rows.items():
+        assert project.rows(f"SELECT * EXCLUDE (row) FROM {name} ORDER BY run, row") == found
+    artifacts = "SELECT * EXCLUDE (execution) FROM judged_artifacts WHERE kind = 'table' GROUP BY ALL HAVING count(*) < 4"
+    assert project.rows(artifacts) == []
+    project.is_sound()
+
+
+def test_rows_that_are_not_as_many_as_were_recorded_are_not_copied(project: Counted, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sierra.store.again.ROWS", "SELECT o.* REPLACE (m.made AS execution) FROM {files} o, made m LIMIT 5")
+    project.declare(WIDE + "min_rows = 1\n")
+    ended = quick(project.root, "run", *ASK)
+    assert ended.returncode == 1
+    assert "rows where" in ended.stderr
+
+
 def test_bytes_that_are_dropped_are_said_to_be_and_runs_execute_where_they_are_needed(project: Counted) -> None:
     rows = project.rows("SELECT * EXCLUDE (row) FROM swarm ORDER BY run, row")
     told = project.said("gc", "--raw", "--dry-run")
     assert "files that became tables: their bytes, not their rows" in told
-    assert "will execute their runs again" in told
+    assert "may execute their runs again" in told
     assert quick(project.root, "gc", "--yes").returncode == 0
     kept = "SELECT count(*) FROM judged_artifacts a JOIN objects USING (sha256) WHERE a.kind = 'table'"
     assert project.value(kept) == 2 * RUNS

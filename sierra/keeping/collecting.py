@@ -213,7 +213,7 @@ def _parts(group: Group) -> Iterator[Group]:
 
 
 RAW_LOST = (
-    "files that became tables: their bytes, not their rows. Changed [outputs] or [success] will execute their runs again, "
+    "files that became tables: their bytes, not their rows. Changed [outputs] or [success] may execute their runs again, "
     "sierra files writes them from their rows, and no check can read them again"
 )
 

@@ -13,17 +13,19 @@ looks for judgements (`judged`, `judged_artifacts`), whoever counts what happene
 earlier rules finds the judgement by them, and judges nothing.
 
 What can be judged anew is an execution with the same programs that ended by itself, and was good or failed by its rules alone.
-The bytes that the new rules look at must be in the store: those of each file that is to be a table, and of the marker. Where
-they are not, where a log that is the marker was cut, and where an execution failed before and fails by the new rules at once,
-the run is executed. What is judged anew and is not good by that has failed, as if it had been executed.
+The bytes that the new rules look at must be in the store: those of each file that is to be a table, and of the marker. Rules
+that read tables as before (`min_rows`, `required`) look at no bytes of theirs: the rows that are recorded are copied. Where
+bytes are not there, where a log that is the marker was cut, and where an execution failed before and fails by the new rules
+at once, the run is executed. What is judged anew and is not good by that has failed, as if it had been executed.
 """
 
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from itertools import islice
 from pathlib import Path
@@ -41,9 +43,10 @@ from sierra.recording.judging import Judged, judge
 from sierra.recording.remarks import Remarks, as_files
 from sierra.recording.tabled import Tabled, artifact_rows, tabled, too_few
 from sierra.store import Question, Store
+from sierra.store.again import write_again
 from sierra.store.files import Recorded, Taken, contents
 from sierra.store.reading import Shape
-from sierra.store.segments import disk_errors
+from sierra.store.segments import Writer, disk_errors
 
 AT_A_TIME = 4_000
 """Runs that are looked at, and judged, at a time."""
@@ -76,6 +79,10 @@ class Past:
     success: Success
     """The rules by which it was judged."""
     artifacts: tuple[Artifact, ...]
+    judgement: str
+    """By which its artifacts and rows are recorded."""
+    tabled: bool = False
+    """Whether the rows that its tables have by the new rules are recorded."""
 
     @property
     def good(self) -> bool:
@@ -180,9 +187,21 @@ def _past(question: Question, context: Context, runs: Iterable[str], *, mismatch
         artifacts[row["execution"]].append(row)
     for row in rows:
         if row["reading"] in rules:
-            named = {name: row[name] for name in ("run", "execution", "status", "reason", "found", "exit_code")}
+            named = {name: row[name] for name in ("run", "execution", "status", "reason", "found", "exit_code", "judgement")}
             outputs, success = rules[row["reading"]]
-            yield Past(**named, outputs=outputs, success=success, artifacts=tuple(artifacts[row["judgement"]]))
+            one = Past(**named, outputs=outputs, success=success, artifacts=tuple(artifacts[row["judgement"]]))
+            yield replace(one, tabled=_is_tabled(one, context))
+
+
+def _is_tabled(one: Past, context: Context) -> bool:
+    """Check whether the files that are to be tables are recorded as those tables, read in the same way, with their rows."""
+    recorded = {(row["output"], row["path"]) for row in one.artifacts if row["rows"] is not None}
+    before, now = ({(n, file.path): shape for n, shape, file in _tables(one, o)} for o in (one.outputs, context.outputs))
+    return before == now and now.keys() == recorded
+
+
+def _tables(one: Past, outputs: Mapping[str, Output]) -> Iterator[tuple[str, Shape, OutputFile]]:
+    return Assigning(outputs).of(one.result(one.execution, Path(), {}))
 
 
 def _is_hopeless(one: Past, context: Context) -> bool:
@@ -215,9 +234,8 @@ def _lacking(one: Past, context: Context, sizes: Mapping[str, int]) -> str | Non
 
 
 def needed(one: Past, context: Context) -> list[Artifact]:
-    """Return the files that are read to judge an execution: those that are to be tables, and the markers."""
-    result = one.result(one.execution, Path(), {})
-    tables = {file.path for _, _, file in Assigning(context.outputs).of(result)}
+    """Return the files that are read to judge an execution: those that are to be tables and are none yet, and the markers."""
+    tables = set() if one.tabled else {file.path for _, _, file in _tables(one, context.outputs)}
     markers = {context.success.marker, *(() if one.good else (one.success.marker,))} - {""}
     files = [row for row in one.artifacts if row["kind"] != "log" and row["path"] in tables | markers]
     return [*files, *(row for row in one.artifacts if row["kind"] == "log" and row["path"] in markers)]
@@ -240,7 +258,7 @@ def judge_anew(store: Store, session: SessionPaths, context: Context, runs: Iter
     assigning, shapes = Assigning(context.outputs), dict[str, Shape]()
     for foreseen in foresee(store, context, runs, mismatched=mismatched):
         anew.unread |= foreseen.lacking
-        for some in _by_weight(foreseen.possible.values(), context):
+        for some in _by_weight(sorted(foreseen.possible.values(), key=lambda one: one.tabled), context):
             with disk_errors(session.anew):
                 session.anew.mkdir()
             try:
@@ -252,12 +270,12 @@ def judge_anew(store: Store, session: SessionPaths, context: Context, runs: Iter
 
 
 def _by_weight(past: Iterable[Past], context: Context) -> Iterator[list[Past]]:
-    """Executions of which not too much must lie unpacked on the disk at a time; one at least."""
+    """Executions of one kind of which not too much must lie unpacked on the disk at a time; one at least."""
     some: list[Past] = []
     weight = 0
     for one in past:
         more = sum(row["size"] for row in needed(one, context))
-        if some and weight + more > BYTES:
+        if some and (weight + more > BYTES or one.tabled != some[0].tabled):
             yield some
             some, weight = [], 0
         some.append(one)
@@ -283,13 +301,31 @@ class _Group:
         first = [Judged(result, *judge(result, self.context.outputs, self.context.success)) for _, result in results.values()]
         first = [one for one in first if self._is_worth(results[one.result.execution][0], one)]
         writer = self.store.writer(self.session.segment, self.context.batch)
-        tables = tabled(first, writer, self.store, self.context, self.assigning, self.shapes)
+        if past[0].tabled:
+            tables: Tabled = self._copied([results[one.result.execution] for one in first if one.status is Status.OK], writer)
+        else:
+            tables = tabled(first, writer, self.store, self.context, self.assigning, self.shapes)
         made = [(results[one.result.execution][0], tables.judged(one)) for one in first]
         writer.rows("artifacts", (row for of, one in made for row in _artifacts(of, one.result, tables)))
         writer.rows("judgements", (self._row(of, one) for of, one in made))
         writer.rows("readings", [{"reading": self.context.reading, "declared": self.context.declared}] if made else [])
         self.store.publish(writer)
         self.anew.judged |= {of.run for of, _ in made}
+
+    def _copied(self, good: Sequence[tuple[Past, Result]], writer: Writer) -> Tabled:
+        """Write the rows that are recorded once more. Raises Damaged where these are not as many as their artifacts say."""
+        recorded = {
+            (result.execution, row["path"]): row for one, result in good for row in one.artifacts if row["rows"] is not None
+        }
+        tables = Counter[str]()
+        for row in recorded.values():
+            tables[row["output"].lower()] += row["rows"]
+        with self.store.ask() as question:
+            written = write_again(question, writer, tables, {one.judgement: result.execution for one, result in good})
+        for name, rows in tables.items():
+            if rows != written[name]:
+                raise Damaged(f"table {name!r} has {written[name]} rows where {rows} were recorded; see sierra fsck")
+        return Recalled(self.context.outputs, recorded=recorded)
 
     def _is_worth(self, past: Past, one: Judged) -> bool:
         """Whether it is recorded how an execution is judged now; where it failed before and fails still, it is executed."""
@@ -345,6 +381,31 @@ class _Group:
             "reading": self.context.reading,
             "lamport": self.context.lamport(),
         }
+
+
+@dataclass(frozen=True, slots=True)
+class Recalled(Tabled):
+    """What is recorded of the tables of judgements, by which others have the same."""
+
+    recorded: Mapping[tuple[str, str], Artifact] = field(default_factory=dict)
+
+    def table(self, execution: str, file: OutputFile) -> str | None:
+        name: str | None = self._of(execution, file).get("output")
+        return name
+
+    def rows(self, execution: str, file: OutputFile) -> int | None:
+        count: int | None = self._of(execution, file).get("rows")
+        return count
+
+    def counted(self, execution: str, file: OutputFile) -> int | None:
+        count: int | None = self._of(execution, file).get("counted")
+        return count
+
+    def form(self, execution: str, file: OutputFile) -> str:
+        return str(self._of(execution, file)["form"])
+
+    def _of(self, execution: str, file: OutputFile) -> Artifact:
+        return self.recorded.get((execution, file.path), {})
 
 
 def _recorded(one: Past, row: Artifact) -> Recorded:
