@@ -16,15 +16,15 @@ from sierra.version import __version__
 if TYPE_CHECKING:
     import os
 
-    from sierra.api import Project
+    from sierra.project import Project
 
 
 def open(path: str | os.PathLike[str] = ".") -> Project:
-    """The project that `path` lies in, with its store; see `sierra.api.Project`.
+    """The project that `path` lies in, with its store; see `sierra.project.Project`.
 
     Raises sierra.errors.Missing where there is no `sierra.toml` in that folder or above it.
     """
-    from sierra.api import Project
+    from sierra.project import Project
 
     return Project(path)
 

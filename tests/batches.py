@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 import sierra
-from sierra import processes
-from sierra.api import Project
-from sierra.runners.packs import Pack, Started
+from sierra.project import Project
+from sierra.runners.cluster.result_log import Pack, Started
+from sierra.worker import processes
 from tests import projects
 from tests.clusters import Slurm
 from tests.waiting import until

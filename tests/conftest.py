@@ -18,7 +18,7 @@ from typing import Any
 import pytest
 from hypothesis import settings
 
-from sierra.store import Store
+from sierra.store.store import Store
 from tests import clusters, projects, stores
 from tests.waiting import PATIENCE_S, until
 
@@ -45,8 +45,8 @@ def no_progress() -> Iterator[None]:
 def no_early_segments() -> Iterator[None]:
     """Into how many segments this process records does not depend on how long runs take."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("sierra.recording.recorder.SOON_S", 1e9)
-        patch.setattr("sierra.recording.recorder.LATE_S", 1e9)
+        patch.setattr("sierra.ingest.recorder.SOON_S", 1e9)
+        patch.setattr("sierra.ingest.recorder.LATE_S", 1e9)
         yield
 
 

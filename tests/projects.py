@@ -13,7 +13,7 @@ from pathlib import Path
 
 import typer.main
 
-from sierra import cli
+from sierra.cli import main
 
 typer.main.get_command = functools.cache(typer.main.get_command)
 """Else each command within this process would make all commands anew, which takes as long as what many of them do."""
@@ -94,7 +94,7 @@ def quick(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
     sys.argv, sys.stdin = ["sierra", *words], io.StringIO()
     try:
         with contextlib.chdir(folder), contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
-            cli.main()
+            main.main()
     except SystemExit as ended:
         out.flush()
         said = out.buffer.getvalue().decode()  # type: ignore[attr-defined]

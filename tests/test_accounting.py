@@ -12,12 +12,12 @@ from pathlib import Path
 import pytest
 
 import sierra
-from sierra.config import ClusterTable
+from sierra.config.project_file import ClusterTable
 from sierra.errors import ConfigError, Full, Missing
-from sierra.runners import cluster
-from sierra.runners.schedulers import Limit, Request
+from sierra.runners.cluster import runner
 from sierra.runners.schedulers import slurm as scheduler
-from sierra.runners.schedulers.accounting import Allowed, Partitions, allowed
+from sierra.runners.schedulers.base import Limit, Request
+from sierra.runners.schedulers.slurm_limits import Allowed, Partitions, allowed
 from tests.clusters import Slurm
 from tests.conftest import Simulated
 
@@ -206,7 +206,7 @@ def test_a_site_that_allows_one_job_at_a_time_has_nodes_tried_out_first(
     simulate: Callable[..., Simulated], slurm: Slurm, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))  # nobody knows of these nodes yet
-    monkeypatch.setattr(cluster, "FULL_S", 0.5)
+    monkeypatch.setattr(runner, "FULL_S", 0.5)
     submit = scheduler.Slurm.submit
 
     def one_at_a_time(self: scheduler.Slurm, request: Request) -> str:

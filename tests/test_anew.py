@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from sierra.store import Store
+from sierra.store.store import Store
 from tests import projects
 from tests.projects import SIERRA, quick
 from tests.waiting import until

@@ -16,11 +16,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from lxml import etree
 
-from sierra import config, query
+from sierra.config import project_file as config
 from sierra.errors import ConfigError, QueryError, TemplateError
-from sierra.inputs.xml import XmlTemplate
 from sierra.model import Change, Criterion, MonteCarlo
 from sierra.platforms.argos import Argos, Size
+from sierra.query import grammar as query
+from sierra.templates.xml import XmlTemplate
 from tests import projects
 
 TEMPLATE = """<?xml version="1.0"?>

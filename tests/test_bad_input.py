@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from sierra import cli
+from sierra.cli import main
 from tests.projects import CONFIG, TEMPLATE, make, quick, sierra
 
 Ask = Callable[..., tuple[int, str]]
@@ -28,7 +28,7 @@ def ask(project: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFi
         monkeypatch.chdir(project)
         monkeypatch.setattr(sys, "argv", ["sierra", *words])
         with pytest.raises(SystemExit) as ended:
-            cli.main()
+            main.main()
         said = capsys.readouterr()
         assert said.out == ""
         assert said.err.startswith("sierra: ")

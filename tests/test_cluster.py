@@ -12,9 +12,9 @@ from pathlib import Path
 import pytest
 
 import sierra
-from sierra import processes
-from sierra.api import Project
-from sierra.runners.packs import Ended
+from sierra.project import Project
+from sierra.runners.cluster.result_log import Ended
+from sierra.worker import processes
 from tests import projects
 from tests.batches import CLUSTER, Gated, at_rest, ended, is_whole, packed, rows
 from tests.clusters import Slurm

@@ -15,8 +15,8 @@ from typing import Any
 
 import pytest
 
-from sierra.runners import element
-from sierra.runners.packs import Ended, Started
+from sierra.runners.cluster.result_log import Ended, Started
+from sierra.worker import array_task
 from tests import projects
 from tests.batches import packed
 from tests.clusters import Slurm
@@ -178,7 +178,7 @@ def test_what_cannot_be_read_now_is_not_thrown_away(waiting: Waiting, command: t
     until(lambda: waiting.alive() == 0, "the jobs end")
     [folder] = waiting.project.work()
     later = folder / "results" / "0.a.pack"
-    later.write_bytes(element.line_of({"event": "start", "when": 1}))
+    later.write_bytes(array_task.line_of({"event": "start", "when": 1}))
     done = waiting.project.quick(*(word.format(batch=waiting.batch()) for word in command))
     assert done.returncode == (0 if command == ("status",) else 1)
     assert "another version of SIERRA" in done.stderr

@@ -15,8 +15,8 @@ from typing import Any
 
 import pytest
 
-from sierra import processes
-from sierra.runners.packs import Finished, Requeued
+from sierra.runners.cluster.result_log import Finished, Requeued
+from sierra.worker import processes
 from tests import clusters, projects
 from tests.batches import WAITING, Gated, at_rest, ended, is_whole, packed, rows
 from tests.clusters import Slurm
@@ -405,7 +405,7 @@ import errno, fcntl
 def flock(descriptor, how):
     raise OSError(errno.ENOLCK, "No locks available")
 fcntl.flock = flock
-from sierra.cli import main
+from sierra.cli.main import main
 main()
 """
 

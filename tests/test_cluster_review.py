@@ -24,18 +24,19 @@ from typing import Any, ClassVar
 import pytest
 
 import sierra
-from sierra import worker
-from sierra.api import Project
-from sierra.asking import Progress
-from sierra.config import ClusterTable
+from sierra.config.project_file import ClusterTable
 from sierra.errors import ConfigError, Full, Missing, SierraError
-from sierra.paths import user_apptainer
-from sierra.pipeline import Summary
-from sierra.runners import cluster, harvest, schedulers
-from sierra.runners.packs import Attempt, Pack
-from sierra.runners.schedulers import Bounds, Request, State, Task
-from sierra.sessions import Session
-from sierra.store import Store
+from sierra.execution.execute import Summary
+from sierra.execution.executor import Progress
+from sierra.execution.sessions import Session
+from sierra.project import Project
+from sierra.runners import schedulers
+from sierra.runners.cluster import collect, runner
+from sierra.runners.cluster.result_log import Attempt, Pack
+from sierra.runners.schedulers.base import Bounds, Request, State, Task
+from sierra.store.layout import user_apptainer
+from sierra.store.store import Store
+from sierra.worker import worker
 from tests import containers, projects
 from tests.clusters import Slurm
 from tests.conftest import Simulated
@@ -161,7 +162,7 @@ def here(monkeypatch: pytest.MonkeyPatch) -> Iterator[type[Here]]:
     monkeypatch.setattr(Here, "cancelled", None)
     monkeypatch.setattr(Here, "held", 0)
     for name, seconds in (("FIRST_POLL_S", 0.1), ("LAST_POLL_S", 1.0), ("QUIET_S", 0.1)):  # it knows all at once
-        monkeypatch.setattr(cluster, name, seconds)
+        monkeypatch.setattr(runner, name, seconds)
     yield Here
     for _, _, _, process in Here.tasks:
         cut_off(process)
@@ -239,7 +240,7 @@ def test_what_ends_while_it_is_cancelled_is_kept(clustered: Callable[..., Cluste
     monkeypatch.setattr(Here, "submit", late_to_heed)
     made.project.run(*QUERY, runs=1, runner="here", detach=True, figures=False)
     made.simulated.until_executed(1)
-    monkeypatch.setattr(harvest, "READ_S", 60.0)
+    monkeypatch.setattr(collect, "READ_S", 60.0)
     monkeypatch.setattr(Here, "cancelled", made.gate.touch)
 
     def late(self: Here, name: str) -> tuple[Task, ...] | None:
@@ -286,7 +287,7 @@ def test_half_of_a_session_that_is_removed_is_no_submission(tmp_path: Path, monk
 
 
 def test_what_cannot_be_read_is_cancelled_all_the_same(clustered: Callable[..., Clustered]) -> None:
-    from sierra.runners import element
+    from sierra.worker import array_task as element
 
     made = clustered(WAITS)
     made.project.run(*QUERY, runs=1, runner="here", detach=True, figures=False)
@@ -306,7 +307,7 @@ def test_a_site_without_room_makes_no_run_fail(clustered: Callable[..., Clustere
     which = 'if [ "$SIERRA_RUN_ID" = "$(cat "{gate}.which")" ] && [ ! -e "{gate}" ]; then touch "{gate}"; sleep 60; fi; '
     made = clustered(which + PRINTS, elements=2)
     made.gate.with_name("gate.which").write_text(made.project.plan(*QUERY, runs=1).batch.runs[1].id)
-    monkeypatch.setattr(cluster, "FULL_S", 0.1)
+    monkeypatch.setattr(runner, "FULL_S", 0.1)
     monkeypatch.setattr(Here, "full", 5)
     cut: list[subprocess.Popen[bytes]] = []
 
@@ -599,7 +600,7 @@ def test_nodes_say_themselves_that_they_lack_a_device(contained: Callable[..., P
 
 DIES = """
 import os, sierra
-from sierra.runners import schedulers
+from sierra.runners.base import schedulers
 from tests.test_cluster_review import Here
 
 schedulers.SHIPPED["here"] = "tests.test_cluster_review:Here"
@@ -689,15 +690,15 @@ def test_runs_that_take_their_node_down_hold_nothing_up(untold: Callable[..., Cl
     assert (summary.failed, summary.executed, summary.missing) == (2, 24, 0)
 
 
-def track(path: Path, node: str, started: float, ahead: float) -> harvest.Track:
+def track(path: Path, node: str, started: float, ahead: float) -> collect.Track:
     """What is known of an attempt at element 0, on a node whose clock is ahead."""
     attempt = Attempt(node, "s", 0, "1_0", node, started, 1, 1, None, None, {}, {}, {}, "3.11", ahead)
-    return harvest.Track(Pack(path), 0, attempt, ahead=ahead)
+    return collect.Track(Pack(path), 0, attempt, ahead=ahead)
 
 
 def test_the_last_attempt_is_the_last_though_a_node_before_had_a_clock_ahead(tmp_path: Path) -> None:
     before, after = track(tmp_path / "a", "n1", 5000.0, 3600.0), track(tmp_path / "b", "n2", 2000.0, 0.0)
-    assert harvest.last_of([before, after], 0) is after
-    assert harvest.last_of([after, before], 0) is after
-    assert harvest.last_of([before, after], 1) is None
+    assert collect.last_of([before, after], 0) is after
+    assert collect.last_of([after, before], 0) is after
+    assert collect.last_of([before, after], 1) is None
     assert before.since == 1400.0

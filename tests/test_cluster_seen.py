@@ -11,9 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from sierra.runners import submission
-from sierra.runners.packs import Started
-from sierra.runners.schedulers import State, Task
+from sierra.runners.cluster import submission
+from sierra.runners.cluster.result_log import Started
+from sierra.runners.schedulers.base import State, Task
 from tests.batches import packed
 from tests.clusters import Slurm
 from tests.conftest import Simulated

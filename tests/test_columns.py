@@ -13,8 +13,8 @@ import pyarrow.parquet as pq
 import pytest
 
 import sierra
-from sierra.api import Project
 from sierra.errors import UsageError
+from sierra.project import Project
 from sierra.store.columns import Relation, relation
 from sierra.store.connections import connect
 from tests import projects

@@ -16,9 +16,9 @@ from typing import Any
 
 import pytest
 
-from sierra import sessions
 from sierra.errors import Missing
-from sierra.paths import StorePaths
+from sierra.execution import sessions
+from sierra.store.layout import StorePaths
 from tests.conftest import held
 from tests.waiting import until
 
@@ -224,7 +224,7 @@ import os, fcntl
 def flock(descriptor, how):
     raise OSError(errno.ENOLCK, "No locks available")
 fcntl.flock = flock
-from sierra.cli import main
+from sierra.cli.main import main
 main()
 """
 

@@ -11,7 +11,7 @@ import pyarrow as pa
 import pytest
 
 from sierra.errors import SqlError
-from sierra.store import Question, Store
+from sierra.store.store import Question, Store
 
 SEEN = (
     "SELECT view_name FROM duckdb_views() WHERE NOT internal UNION ALL SELECT table_name FROM duckdb_tables() "

@@ -13,8 +13,9 @@ import pyarrow.parquet as pq
 import pytest
 
 import sierra
-from sierra.engines import Abilities, probing
-from sierra.keeping.findings import Kind
+from sierra.containers.engines import capabilities
+from sierra.containers.engines.base import Abilities
+from sierra.maintenance.findings import Kind
 from tests import containers, images, projects, stores
 from tests.test_fsck import seal
 
@@ -74,7 +75,7 @@ def make(folder: Path) -> Path:
             ("new", IGNORED, "new", ("cpus = 1.0", "pids = 50")),
             ("reaching", ENFORCED, "new", ("network = true", 'mounts = { "/maps" = "../maps" }')),
         ):
-            patch.setattr(probing, "podman", lambda able=able: able)
+            patch.setattr(capabilities, "podman", lambda able=able: able)
             configure(root, name, *more)
             succeed(root, "image", "pin")
             batches[called] = ask(root, "population_size=1")
@@ -331,7 +332,7 @@ def test_what_only_a_removed_batch_needs_goes_and_what_others_need_stays(root: P
 def test_merged_segments_keep_what_is_recorded_of_containers(root: Path) -> None:
     before = {table: sorted(map(str, rows(root, table))) for table in ("images", "isolations")}
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("sierra.keeping.collecting.MANY", 2)
+        patch.setattr("sierra.maintenance.gc.MANY", 2)
         assert "9 small segments, merged into 3" in succeed(root, "gc", "--yes")
     assert {table: sorted(map(str, rows(root, table))) for table in before} == before
     assert wrong(root) == set()

@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 
 import sierra
-from sierra.api import Project
 from sierra.errors import NotFound, UsageError
+from sierra.project import Project
 from tests import projects
 
 MARKED = """

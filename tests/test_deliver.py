@@ -5,12 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+import sierra.extract
 
 import sierra
-import sierra.extract
-from sierra.api import Project
 from sierra.errors import UsageError
-from sierra.wording import natural
+from sierra.project import Project
+from sierra.util.text import natural
 from tests import projects
 
 FLOORS = """\

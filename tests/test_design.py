@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from sierra.inputs.xml import XmlTemplate
+from sierra.templates.xml import XmlTemplate
 from tests import projects
 
 TEMPLATE = """\

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 import sierra
-from sierra.difference.results import Mean, newcombe, welch
+from sierra.explain.diff.results import Mean, newcombe, welch
 from tests import projects, stores
 
 Make = Callable[..., Path]

@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 
 from sierra.errors import Missing
-from sierra.hashing import sealed, unsealed
-from sierra.provenance import digests
-from sierra.provenance.digests import Digests
+from sierra.provenance import hash_cache
+from sierra.provenance.hash_cache import Digests
+from sierra.util.hashing import sealed, unsealed
 
 LARGE = b"x" * (1 << 17)
 
@@ -71,8 +71,8 @@ def test_no_cache_folder_is_no_error(tmp_path: Path, cache: Path) -> None:
 
 
 def test_memory_is_bounded(tmp_path: Path, cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(digests, "MOST", 3)
-    monkeypatch.setattr(digests, "RACY_NS", -(10**12))
+    monkeypatch.setattr(hash_cache, "MOST", 3)
+    monkeypatch.setattr(hash_cache, "RACY_NS", -(10**12))
     for number in range(5):
         (tmp_path / str(number)).write_bytes(LARGE)
         hashed(tmp_path / str(number))

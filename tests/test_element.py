@@ -24,17 +24,16 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from sierra import worker
 from sierra.errors import Damaged
 from sierra.model import Client, Job, Limits
-from sierra.paths import SessionPaths
 from sierra.provenance import machine
-from sierra.runners import element
-from sierra.runners.dealing import deal
-from sierra.runners.packs import Attempt, Ended, Finished, Pack, Requeued, Started, Trouble
+from sierra.runners.cluster.result_log import Attempt, Ended, Finished, Pack, Requeued, Started, Trouble
+from sierra.runners.cluster.shard import deal
+from sierra.store.layout import SessionPaths
+from sierra.worker import array_task, worker
 from tests.waiting import PATIENCE_S, until
 
-SCRIPTS = {"worker.py": worker, "element.py": element, "machine.py": machine}
+SCRIPTS = {"worker.py": worker, "element.py": array_task, "machine.py": machine}
 
 
 def job(name: str, code: str, *, limits: Limits | None = None, files: tuple[tuple[str, bytes], ...] = ()) -> Job:
@@ -154,7 +153,7 @@ def test_jobs_arrive_as_they_were_dealt(folder: Folder) -> None:
         job("less", "true", files=(("in.xml", b"abcabc"), ("c", b"new"))),
     ]
     assert folder.deal(jobs) == (4,)
-    arrived = list(element.jobs(str(folder.paths.jobs(0))))
+    arrived = list(array_task.jobs(str(folder.paths.jobs(0))))
     assert arrived == [json.loads(local.line(one)) for one in jobs]
 
 
@@ -165,7 +164,7 @@ def test_any_contents_arrive_as_they_were_dealt(tmp_path: Path, contents: list[b
 
     jobs = [job("x", "true", files=(("in", content),)) for content in contents]
     deal(jobs, 1, SessionPaths(tmp_path))
-    assert list(element.jobs(str(SessionPaths(tmp_path).jobs(0)))) == [json.loads(local.line(one)) for one in jobs]
+    assert list(array_task.jobs(str(SessionPaths(tmp_path).jobs(0)))) == [json.loads(local.line(one)) for one in jobs]
 
 
 def test_a_list_of_jobs_that_is_cut_short_is_trouble(folder: Folder) -> None:
@@ -427,7 +426,7 @@ def test_a_python_that_has_other_distributions_is_said(folder: Folder, tmp_path:
     for name in ("numpy-1.26.4.dist-info", "old.egg-info", "numpy", "~umpy"):
         (tmp_path / "site-packages" / name).mkdir(parents=True)
     where = f"{tmp_path}/site-packages:{tmp_path}/none"
-    held = element.installed(where)
+    held = array_task.installed(where)
     assert [Path(path).name for path in held] == ["numpy-1.26.4.dist-info", "old.egg-info"]
     folder.set(needs=[{"name": "python3: installed distributions", "path": where, "sha256": "", "search": "", "holds": held}])
     folder.deal(many(2, "true"))
@@ -704,7 +703,7 @@ def test_a_pack_is_read_while_it_grows(packed: Pack, tmp_path: Path) -> None:
 
 def test_a_record_of_another_version_is_said(tmp_path: Path) -> None:
     pack = Pack(tmp_path / "0.a.b.c.d.pack")
-    pack.path.write_bytes(element.line_of({"event": "start", "execution": "x", "time": 1.0, "weather": "fine"}))
+    pack.path.write_bytes(array_task.line_of({"event": "start", "execution": "x", "time": 1.0, "weather": "fine"}))
     with pytest.raises(Damaged, match="another version"):
         list(pack.read())
 
@@ -722,17 +721,17 @@ def test_no_path_leads_out_of_a_runs_folder(packed: Pack, tmp_path: Path, path: 
 
 def test_no_output_is_told_that_is_not_in_the_pack(packed: Pack, tmp_path: Path) -> None:
     with packed.path.open("rb") as file:
-        ends = [(record, at, after) for record, at, after in element.records(file, 0) if record["event"] == "end"]
+        ends = [(record, at, after) for record, at, after in array_task.records(file, 0) if record["event"] == "end"]
         record, at, after = next(one for one in ends if one[0]["outputs"])
         file.seek(at)
         payload = file.read(after - at)
     record.pop("check", None)
     hostile = Pack(tmp_path / packed.path.name)
-    hostile.path.write_bytes(element.line_of(record) + payload)
+    hostile.path.write_bytes(array_task.line_of(record) + payload)
     assert [type(event) for event in hostile.read()] == [Ended]
     record["outputs"][0]["path"] = "../../x"
     hostile = Pack(tmp_path / packed.path.name)
-    hostile.path.write_bytes(element.line_of(record) + payload)
+    hostile.path.write_bytes(array_task.line_of(record) + payload)
     with pytest.raises(Damaged):
         list(hostile.read())
 
@@ -750,7 +749,7 @@ def test_an_element_costs_little_beside_its_worker(folder: Folder, tmp_path: Pat
     whole = cpu_of_children() - began
     alone = tmp_path / "alone"
     alone.mkdir()
-    lines = [json.dumps(one).encode() + b"\n" for one in element.jobs(str(folder.paths.jobs(0)))]
+    lines = [json.dumps(one).encode() + b"\n" for one in array_task.jobs(str(folder.paths.jobs(0)))]
     began = cpu_of_children()
     command = [sys.executable, "-I", "-S", str(folder.root / "worker.py"), str(alone), "2"]
     with subprocess.Popen(command, stdin=subprocess.PIPE) as process:

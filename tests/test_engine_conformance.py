@@ -9,9 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from sierra import engines, images
-from sierra.engines import Box, Process, Uncontained, conformance
+from sierra.containers import engines, images
+from sierra.containers.engines.base import Box, Process, Uncontained
 from sierra.model import Client
+from sierra.testing import engines as conformance
 from tests import containers
 from tests.users import User, a_user, called_as
 

@@ -13,8 +13,9 @@ from pathlib import Path
 
 import pytest
 
-from sierra.engines import Abilities, Box, Process, find, sandboxes
-from sierra.images import Image, Kind
+from sierra.containers.engines import sandboxes
+from sierra.containers.engines.base import Abilities, Box, Process, find
+from sierra.containers.images import Image, Kind
 from sierra.model import Result
 from tests.projects import quick
 

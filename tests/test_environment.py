@@ -12,7 +12,7 @@ import pytest
 
 import sierra
 from sierra.provenance import environment, machine
-from sierra.runners import element
+from sierra.worker import array_task
 from tests import projects
 
 X86 = """\
@@ -100,7 +100,7 @@ def test_locale_time_zone_and_modules_are_told(monkeypatch: pytest.MonkeyPatch) 
 def test_modules_that_a_node_has_loaded_are_told() -> None:
     here = environment.capture("1")
     node = {"LOADEDMODULES": "gcc/14.2:openmpi/5.0", "LANG": "C.UTF-8", "HOME": "/root"}
-    told = {name: value for name, value in node.items() if element.is_recorded(name, list(environment.recorded(())))}
+    told = {name: value for name, value in node.items() if array_task.is_recorded(name, list(environment.recorded(())))}
     there = environment.elsewhere(here, machine.facts(), told)
     assert there["modules"] == ["gcc/14.2", "openmpi/5.0"]
     assert json.loads(there["variables"]) == {"LANG": "C.UTF-8"}

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 import sierra
-from sierra import config
+from sierra.config import project_file
 from tests import projects
 
 SIERRA = str(Path(sys.executable).with_name("sierra"))
@@ -47,7 +47,7 @@ def _mujoco(require: Any) -> None:
 
 
 def test_the_example_is_a_project() -> None:
-    project = config.parse(tomllib.loads((EXAMPLE / "sierra.toml").read_text()), "swarm")
+    project = project_file.parse(tomllib.loads((EXAMPLE / "sierra.toml").read_text()), "swarm")
     assert {"random_walk", "pheromone"} <= project.controllers.keys()
     assert {"open", "cluttered"} <= project.scenarios.keys()
     assert "scalability" in project.queries

@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sierra.errors import ConfigError
-from sierra.inputs.expressions import MAX_LENGTH, fill, names
 from sierra.model import Value
+from sierra.templates.expressions import MAX_LENGTH, fill, names
 from tests.effort import effort
 
 AXES: Mapping[str, Value] = {"population_size": 8, "noise": 0.25, "scenario": "low", "seed": 42}

@@ -22,10 +22,11 @@ import pyarrow as pa
 import pytest
 from PIL import Image
 
-from sierra import config, figures
-from sierra.config import Figure
+from sierra.config import project_file
+from sierra.config.project_file import Figure
+from sierra.deliverables import figures
+from sierra.deliverables.figures.base import Drawing
 from sierra.errors import ConfigError, Missing, SierraError, UsageError
-from sierra.figures import Drawing
 from sierra.model import Axis
 
 SIZES = Axis("population_size", (1, 2, 4, 8), unit="robots")
@@ -36,7 +37,7 @@ DC = "{http://purl.org/dc/elements/1.1/}"
 
 
 def table(experiments: int, times: int = 0, **changed: Any) -> pa.Table:
-    """Aggregates as `sierra.analysis` makes them: over time, or, without times, one row for each experiment."""
+    """Aggregates as `sierra.stats.aggregate` makes them: over time, or, without times, one row for each experiment."""
     rows = experiments * (times or 1)
     ordinal = np.repeat(np.arange(experiments), times or 1)
     t = np.tile(np.arange(times or 1, dtype=float), experiments)
@@ -155,7 +156,7 @@ def test_the_users_own_settings_of_matplotlib_change_nothing_and_are_left_alone(
 
 
 def test_importing_figures_imports_neither_matplotlib_nor_seaborn() -> None:
-    code = "import sys, sierra.figures; print([m for m in ('matplotlib', 'seaborn', 'numpy', 'pyarrow') if m in sys.modules])"
+    code = "import sys, sierra.deliverables.figures.base; print([m for m in ('matplotlib', 'seaborn', 'numpy', 'pyarrow') if m in sys.modules])"
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     out = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
     assert out.stdout.strip() == "[]"
@@ -212,10 +213,10 @@ def test_the_legend_says_the_values_and_n_where_it_differs() -> None:
 
 
 def test_the_legend_does_not_cover_data() -> None:
-    from sierra.figures import series, style
+    from sierra.deliverables.figures import style, timeseries
 
     with style.applied():
-        figure = series.timeseries(drawing())
+        figure = timeseries.timeseries(drawing())
         style.settle(figure, drawing())
         boxes = [legend.get_window_extent() for legend in figure.legends]
         assert boxes
@@ -225,11 +226,12 @@ def test_the_legend_does_not_cover_data() -> None:
 @pytest.mark.parametrize("kind", [*KINDS, "heatmap"])
 @pytest.mark.parametrize("title", ["", "A title " * 12])
 def test_nothing_that_is_written_lies_outside_or_on_something_else(kind: str, title: str) -> None:
-    from sierra.figures import grid, points, series, style
+    from sierra.deliverables.figures import heatmap, style, timeseries
+    from sierra.deliverables.figures import summary as points
 
     long = Axis("terrain", tuple(f"a rather long name of terrain {k}" for k in range(4)))
     shown = drawing(kind, (long, NAMES) if kind == "heatmap" else (long,), title=title)
-    painters = {"timeseries": series.timeseries, "stacked": series.stacked, "heatmap": grid.heatmap}
+    painters = {"timeseries": timeseries.timeseries, "stacked": timeseries.stacked, "heatmap": heatmap.heatmap}
     painters |= {"summary": points.summary, "box": points.box, "violin": points.violin}
     with style.applied():
         figure = painters[kind](shown)
@@ -258,7 +260,8 @@ def test_thirty_experiments_have_a_colour_bar_and_not_thirty_entries() -> None:
 
 
 def test_a_log_scale_of_values_is_drawn_on_one() -> None:
-    from sierra.figures import points, style
+    from sierra.deliverables.figures import style
+    from sierra.deliverables.figures import summary as points
 
     with style.applied():
         geometric = points.summary(drawing("summary")).axes[0]
@@ -284,17 +287,18 @@ def test_a_heatmap_shows_its_numbers_and_hatches_what_is_missing() -> None:
 
 
 def test_one_run_has_a_line_and_no_band() -> None:
-    from sierra.figures import series, style
+    from sierra.deliverables.figures import style, timeseries
 
     none = pa.nulls(80, pa.float64())
     alone = drawing(tables={"energy": table(4, 20, low=none, high=none)})
     with style.applied():
-        assert len(series.timeseries(drawing()).axes[0].collections) == 4
-        assert not series.timeseries(alone).axes[0].collections
+        assert len(timeseries.timeseries(drawing()).axes[0].collections) == 4
+        assert not timeseries.timeseries(alone).axes[0].collections
 
 
 def test_a_mark_is_hollow_where_runs_never_reached_the_threshold() -> None:
-    from sierra.figures import points, style
+    from sierra.deliverables.figures import style
+    from sierra.deliverables.figures import summary as points
 
     censored = table(4, never=np.array([0, 3, 0, 0]))
     with style.applied():
@@ -303,7 +307,8 @@ def test_a_mark_is_hollow_where_runs_never_reached_the_threshold() -> None:
 
 
 def test_experiments_in_which_no_run_reached_the_threshold_are_marked_at_the_upper_edge() -> None:
-    from sierra.figures import points, style
+    from sierra.deliverables.figures import style
+    from sierra.deliverables.figures import summary as points
 
     nan = np.array([10.0, 20.0, np.nan, np.nan])
     late = table(4, n=np.array([10, 7, 0, 0]), never=np.array([0, 3, 10, 10]), mean=nan, low=nan, high=nan)
@@ -326,10 +331,11 @@ def ragged(n: int = 2, reach: float = 500.0) -> dict[str, Any]:
 
 
 def plot_of(shown: Drawing) -> Any:
-    from sierra.figures import points, series, style
+    from sierra.deliverables.figures import style, timeseries
+    from sierra.deliverables.figures import summary as points
 
     with style.applied():
-        return {"timeseries": series.timeseries, "summary": points.summary}[shown.figure.kind](shown).axes[0]
+        return {"timeseries": timeseries.timeseries, "summary": points.summary}[shown.figure.kind](shown).axes[0]
 
 
 def test_intervals_of_few_runs_do_not_set_the_range_and_are_said_to_be_cut_off() -> None:
@@ -375,7 +381,8 @@ def test_what_has_no_place_on_a_logarithmic_axis_is_said() -> None:
 
 
 def test_a_run_without_a_place_does_not_take_the_density_of_the_others_away() -> None:
-    from sierra.figures import points, style
+    from sierra.deliverables.figures import style
+    from sierra.deliverables.figures import summary as points
 
     runs = reduced(4)
     lowered = np.where(np.arange(40) % 10 == 0, 0.0, runs.column("value").to_numpy())
@@ -404,7 +411,7 @@ def test_intervals_of_several_groups_at_one_number_lie_side_by_side() -> None:
 @pytest.mark.parametrize("axis", [SIZES, NAMES, Axis("terrain", tuple(f"terrain {k}" for k in range(12)))])
 @pytest.mark.parametrize("kind", ["timeseries", "summary"])
 def test_no_two_lines_differ_by_their_colour_alone(axis: Axis, kind: str) -> None:
-    from sierra.figures import style
+    from sierra.deliverables.figures import style
 
     axes = (axis,) if kind == "timeseries" else (SIZES, axis)
     looks = style.looks(axis)
@@ -418,12 +425,12 @@ def test_no_two_lines_differ_by_their_colour_alone(axis: Axis, kind: str) -> Non
 
 @pytest.mark.parametrize("kind", ["stacked", "timeseries"])
 def test_labels_of_many_panels_lie_within_the_figure_and_apart(kind: str) -> None:
-    from sierra.figures import series, style
+    from sierra.deliverables.figures import style, timeseries
 
     axes = (Axis("population_size", (1, 2, 4), unit="robots"), Axis("communication_range", (0.25, 0.5, 1.5, 2.5), unit="m"))
     shown = drawing(kind, axes, ylabel="the energy that all robots have used together")
     with style.applied():
-        figure = series.stacked(shown) if kind == "stacked" else series.timeseries(shown)
+        figure = timeseries.stacked(shown) if kind == "stacked" else timeseries.timeseries(shown)
         style.settle(figure, shown)
         figure.canvas.draw()
         outer = figure.bbox.padded(2)
@@ -450,7 +457,8 @@ def test_marks_at_zero_do_not_go_below_it() -> None:
 @pytest.mark.parametrize("first", [SIZES, Axis("noise", (0.0, 0.5, 1.0, 1.5))])
 @pytest.mark.parametrize("count", [3, 12, 60])
 def test_marks_of_all_groups_lie_within_the_plot(first: Axis, count: int) -> None:
-    from sierra.figures import points, style
+    from sierra.deliverables.figures import style
+    from sierra.deliverables.figures import summary as points
 
     shown = drawing("summary", (first, Axis("terrain", tuple(f"terrain {k}" for k in range(count)))))
     with style.applied():
@@ -478,7 +486,7 @@ def test_marks_of_all_groups_lie_within_the_plot(first: Axis, count: int) -> Non
 )
 def test_keys_of_a_figure_that_would_do_nothing_are_refused(keys: Mapping[str, Any], complaint: str) -> None:
     with pytest.raises(ConfigError, match=re.escape(complaint)):
-        config.parse({"template": "t.xml", "figures": {"f": keys}}, "sierra.toml")
+        project_file.parse({"template": "t.xml", "figures": {"f": keys}}, "sierra.toml")
 
 
 def test_files_are_named_from_the_working_directory_where_that_is_shorter(simulate: Callable[..., Any]) -> None:
@@ -531,10 +539,10 @@ def test_nothing_odd_in_the_data_keeps_a_figure_from_being_drawn(kind: str, case
 
 
 def test_one_time_is_drawn_as_a_mark() -> None:
-    from sierra.figures import series, style
+    from sierra.deliverables.figures import style, timeseries
 
     with style.applied():
-        plot = series.timeseries(drawing(tables={"energy": table(4, 1)})).axes[0]
+        plot = timeseries.timeseries(drawing(tables={"energy": table(4, 1)})).axes[0]
     assert sum(line.get_marker() == "o" and len(xs(line)) == 1 for line in plot.lines) == 4
 
 

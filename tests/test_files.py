@@ -14,7 +14,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from sierra.store import Store
+from sierra.store.store import Store
 from tests import projects
 from tests.projects import make, quick
 

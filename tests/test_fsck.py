@@ -14,11 +14,11 @@ import pyarrow.parquet as pq
 import pytest
 
 import sierra
-from sierra.hashing import sha256
-from sierra.keeping.checking import Report
-from sierra.keeping.findings import Kind
-from sierra.recording import recorder
+from sierra.ingest import recorder
+from sierra.maintenance.findings import Kind
+from sierra.maintenance.fsck import Report
 from sierra.store.segments import manifest
+from sierra.util.hashing import sha256
 from tests import projects, stores
 from tests.conftest import Simulated, held
 

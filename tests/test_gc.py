@@ -14,8 +14,8 @@ from typing import Any
 import pytest
 
 import sierra
-from sierra.keeping import collecting
-from sierra.store.tables import RECORDED
+from sierra.maintenance import gc
+from sierra.store.schema import RECORDED
 from tests import projects, stores
 from tests.conftest import held
 
@@ -156,11 +156,11 @@ def test_beside_a_running_batch_nothing_is_lost(simulate: Callable[..., Any]) ->
 def test_a_reader_keeps_what_it_reads(root: Path) -> None:
     store = sierra.open(root).store
     with store.ask() as question:
-        found = collecting.collect(store)
+        found = gc.collect(store)
         assert found is not None
         assert found.left > 0
         assert question.sql("SELECT count(*) AS n FROM executions").to_pylist() == [{"n": 12}]
-    again = collecting.collect(store)
+    again = gc.collect(store)
     assert again is not None
     assert again.left == 0
     assert sierra.open(root).fsck().findings == ()

@@ -10,17 +10,19 @@ from pathlib import Path
 import pytest
 
 import sierra
-from sierra.config import Output, Success
-from sierra.containment import Containment
-from sierra.engines import Abilities, Box, Client, Mount, Process, Uncontained
-from sierra.hashing import digest, digest_plain, merkle
-from sierra.images import Image, Kind
-from sierra.model import OutputFile, Recipe
-from sierra.plans import Plan
+from sierra.config.project_file import Output, Success
+from sierra.containers.engines.base import Abilities, Box, Mount, Process, Uncontained
+from sierra.containers.images import Image, Kind
+from sierra.containers.isolation import Containment
+from sierra.design.seeds import seed
+from sierra.execution.plans import Plan
+from sierra.ingest.context import Context
+from sierra.ingest.recorder import result_hash
+from sierra.model import Client, OutputFile, Recipe
 from sierra.provenance.program import fingerprint
-from sierra.provenance.source import Entry, Source, tree_hash
-from sierra.recording import Context, result_hash
-from sierra.seeds import seed
+from sierra.provenance.source.capture import Source
+from sierra.provenance.source.manifest import Entry, tree_hash
+from sierra.util.hashing import digest, digest_plain, merkle
 from tests import projects
 
 TOML = """

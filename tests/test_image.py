@@ -17,13 +17,13 @@ from pathlib import Path
 import pytest
 
 import sierra
-from sierra import images
-from sierra.api import Project
+from sierra.containers import images
+from sierra.containers.images import layers, oci, squashfs
 from sierra.errors import Damaged, Missing, SierraError
-from sierra.images import archive, layers, squashfs
-from sierra.keeping import checking
-from sierra.paths import StorePaths
-from sierra.store.tables import RECORDED
+from sierra.maintenance import fsck
+from sierra.project import Project
+from sierra.store.layout import StorePaths
+from sierra.store.schema import RECORDED
 from tests import images as made
 from tests import projects
 from tests.projects import quick
@@ -239,7 +239,7 @@ def test_an_image_has_a_row_that_gives_it_back(project: Project) -> None:
 def test_what_is_known_of_images_is_no_stranger_to_fsck(project: Project) -> None:
     made.docker_archive(project.root / "sim.tar", [BASE])
     project.pin("sim.tar")
-    assert checking.check(StorePaths(project.root / ".sierra"), project.root).report.sound
+    assert fsck.check(StorePaths(project.root / ".sierra"), project.root).report.sound
     assert project.collection().nothing
 
 
@@ -347,7 +347,7 @@ def test_what_is_no_sound_image_is_refused(project: Project, what: str) -> None:
 
 
 def test_a_bomb_is_not_unpacked(project: Project, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(archive, "LEAST_BOUND", 1 << 20)
+    monkeypatch.setattr(oci, "LEAST_BOUND", 1 << 20)
     made.oci_archive(project.root / "sim.tar", [made.layer(("zeros", bytes(64 << 20)))])
     assert_refused(project, "sim.tar", "layer 1", "expands to more than")
 
@@ -439,7 +439,7 @@ def test_a_recipe_that_is_not_built_is_to_be_built_before_it_is_pinned(
     recipe = project.root / "containers" / "sim"
     recipe.mkdir(parents=True)
     (recipe / "Containerfile").write_text("FROM scratch\n")
-    monkeypatch.setattr("sierra.images.storage.look", lambda name: None)
+    monkeypatch.setattr("sierra.containers.images.podman_storage.look", lambda name: None)
     with pytest.raises(Missing) as raised:
         images.pinned(project.root, "containers/sim")
     build, pin = (str(raised.value).index(f"run: sierra image {verb} containers/sim") for verb in ("build", "pin"))
@@ -462,7 +462,7 @@ def test_what_is_built_from_outside_is_proposed_by_its_tag(project: Project, mon
         (folder / "Containerfile").write_text("FROM scratch\n")
     made.docker_archive(project.root / "sim.tar", [BASE])
     image = images.named(project.root, "sim.tar")
-    monkeypatch.setattr("sierra.images.building.build", lambda root, name, network: replace(image, name=name))
+    monkeypatch.setattr("sierra.containers.images.build.build", lambda root, name, network: replace(image, name=name))
     for given, proposed in ((project.root / "sim", "sim"), (project.root.parent / "other", "localhost/sierra/other")):
         said = quick(project.root, "image", "build", str(given)).stdout
         assert said.endswith(f"next: sierra image pin {proposed}\n")
@@ -585,7 +585,7 @@ def test_exported_files_are_read_again(project: Project, tmp_path: Path) -> None
     image = project.pin("sim.tar").image
     done = quick(project.root, "image", "export", "sim.tar", str(tmp_path / "out.tar"), "--json")
     assert json.loads(done.stdout)["id"] == image.id
-    assert archive.read(tmp_path / "out.tar").id == image.id
+    assert oci.read(tmp_path / "out.tar").id == image.id
     made.docker_archive(project.root / "sim.tar", [BASE, TOP], layer0=TOP)
     done = quick(project.root, "image", "export", "sim.tar", str(tmp_path / "again.tar"))
     assert done.returncode == 1

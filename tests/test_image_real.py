@@ -16,11 +16,12 @@ from pathlib import Path
 import pytest
 
 import sierra
-from sierra import engines, images
-from sierra.api import Project
+from sierra.containers import engines, images
+from sierra.containers.images import containerfile as recipe
+from sierra.containers.images import layers, oci, podman_storage
 from sierra.errors import Missing
-from sierra.images import archive, layers, recipe, storage
-from sierra.paths import StorePaths
+from sierra.project import Project
+from sierra.store.layout import StorePaths
 from tests import images as made
 from tests import projects
 from tests.containers import sleepers
@@ -132,10 +133,10 @@ def test_an_exported_image_is_the_same_elsewhere(busybox: Project, storages: Sto
         digests.add(made.sha256((tmp_path / name).read_bytes()))
     assert len(digests) == 1
     storages.choose("there")
-    assert storage.identify(built.id) is None
+    assert podman_storage.identify(built.id) is None
     done = quick(busybox.root, "image", "import", str(tmp_path / "one.tar"), "--name", "localhost/images-copy:1")
     assert done.returncode == 0, done.stderr
-    assert storage.identify("localhost/images-copy:1") == built.id == storage.identify(built.id)
+    assert podman_storage.identify("localhost/images-copy:1") == built.id == podman_storage.identify(built.id)
     assert done.stdout.splitlines()[1] == "next: sierra image pin localhost/images-copy:1"
     done = quick(busybox.root, "image", "import", str(tmp_path / "one.tar"))
     assert done.stdout.splitlines()[1] == f"pinned already: {BUSYBOX}"
@@ -147,17 +148,17 @@ def test_a_damaged_archive_does_not_get_into_podman(project: Project, storages: 
     done = quick(project.root, "image", "import", str(path), "--name", "localhost/images-bad:1")
     assert (done.returncode, done.stderr.count("\n")) == (1, 1)
     assert "layer 2 of 2 is not the image's" in done.stderr
-    assert storage.identify("localhost/images-bad:1") is None
+    assert podman_storage.identify("localhost/images-bad:1") is None
     assert list((project.root / ".sierra").glob("images/*")) == []
 
 
 def test_an_archive_moves_no_tag(project: Project, storages: Storages) -> None:
     tag = "localhost/images-mine:1"
     mine = project.import_image(made.docker_archive(project.root / "mine.tar", LAYERS[:1], tag=tag)).image
-    assert (mine.name, storage.identify(tag)) == (tag, mine.id)
+    assert (mine.name, podman_storage.identify(tag)) == (tag, mine.id)
     other = project.import_image(made.docker_archive(project.root / "other.tar", LAYERS, tag=tag)).image
-    assert storage.identify(tag) == mine.id
-    assert other.name == other.id == storage.identify(other.id)
+    assert podman_storage.identify(tag) == mine.id
+    assert other.name == other.id == podman_storage.identify(other.id)
     assert project.pin(other.name).image.id == other.id
 
 
@@ -167,7 +168,7 @@ def test_podman_gets_the_image_that_was_checked(project: Project, storages: Stor
     evil = made.docker_archive(project.root / "evil.tar", LAYERS[:1]).read_bytes()
     (project.root / "both.tar").write_bytes(evil[: len(evil.rstrip(b"\0")) // 512 * 512 + 512] + good)
     image = project.import_image(project.root / "both.tar").image
-    assert image.id == archive.read(project.root / "good.tar").id
+    assert image.id == oci.read(project.root / "good.tar").id
     listed = subprocess.run(["podman", "images", "--all", "--quiet", "--no-trunc"], check=True, capture_output=True, text=True)
     assert listed.stdout.split() == [image.id]
 
@@ -194,7 +195,7 @@ def test_a_tag_that_is_gone_can_still_be_run_by_its_id(project: Project, storage
     tag = "localhost/images-gone:1"
     image = project.import_image(made.docker_archive(project.root / "sim.tar", LAYERS), tag).image
     pinned = project.pin(tag).image
-    storage.tag(image.id, "localhost/images-other:1")
+    podman_storage.tag(image.id, "localhost/images-other:1")
     subprocess.run(["podman", "untag", tag, tag], check=True, capture_output=True)
     images.verify(project.root, pinned)
     assert engines.find("podman").prepare(pinned, project.root, StorePaths(project.root / ".sierra")) == image.id
@@ -229,7 +230,7 @@ def test_a_podman_that_does_not_work_is_no_harm_to_what_does_not_need_it(
 def test_an_archive_is_loaded_for_podman_by_its_content(project: Project, storages: Storages) -> None:
     made.oci_archive(project.root / "sim.tar", LAYERS)
     image, store = project.pin("sim.tar").image, StorePaths(project.root / ".sierra")
-    assert engines.find("podman").prepare(image, project.root, store) == image.id == storage.identify(image.id)
+    assert engines.find("podman").prepare(image, project.root, store) == image.id == podman_storage.identify(image.id)
     assert engines.find("podman").prepare(image, project.root, store) == image.id
 
 
@@ -259,7 +260,7 @@ def test_layers_come_to_what_podman_makes_of_them(project: Project, storages: St
             kind = "folder" if member.isdir() else "link" if member.issym() else "file"
             file = tar.extractfile(member) if kind == "file" else None
             theirs[member.name.rstrip("/")] = (kind, made.sha256(file.read()) if file else member.linkname)
-    ours = {entry.path: (entry.type, entry.sha256 or entry.target) for entry in layers.merge(archive.read(path)).entries}
+    ours = {entry.path: (entry.type, entry.sha256 or entry.target) for entry in layers.merge(oci.read(path)).entries}
     for name in ("dev", "etc/hosts", "etc/hostname", "etc/mtab", "etc/resolv.conf", "proc", "run", "sys", "run/.containerenv"):
         theirs.pop(name, None)
     assert theirs == ours

@@ -11,11 +11,11 @@ from pathlib import Path
 import pytest
 
 import sierra
-from sierra.checkout import _bring
 from sierra.errors import Damaged
-from sierra.paths import ProjectPaths, StorePaths
-from sierra.sessions import Session
-from sierra.store import Store
+from sierra.execution.checkout import _bring
+from sierra.execution.sessions import Session
+from sierra.store.layout import ProjectPaths, StorePaths
+from sierra.store.store import Store
 from tests import projects, stores
 from tests.conftest import Simulated, held
 
@@ -130,7 +130,7 @@ def test_a_folder_that_is_not_empty_becomes_no_store(tmp_path: Path, theirs: Pat
 def test_a_folder_that_is_no_store_stays_as_it_is(
     tmp_path: Path, theirs: Path, words: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("sierra.provenance.source.outside.SETTLED_NS", -1e12)  # hashes of new files are remembered too
+    monkeypatch.setattr("sierra.provenance.source.plain_tree.SETTLED_NS", -1e12)  # hashes of new files are remembered too
     for name in ("files", "numbers"):
         (theirs / name).write_text("theirs\n")
     root = projects.make(tmp_path / "project")

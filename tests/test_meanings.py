@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from sierra.config import ClusterTable
+from sierra.config.project_file import ClusterTable
 from sierra.errors import ConfigError
-from sierra.runners.schedulers import Request
-from sierra.runners.schedulers.meanings import PBS, SLURM, Meaning, about
+from sierra.runners.schedulers.base import Request
 from sierra.runners.schedulers.pbs import Pbs
+from sierra.runners.schedulers.refusals import PBS, SLURM, Meaning, about
 from tests import pbs, projects
 from tests.clusters import Slurm
 

@@ -15,13 +15,13 @@ import pytest
 
 import sierra
 from sierra.errors import Damaged
-from sierra.hashing import sha256
-from sierra.paths import StorePaths
-from sierra.sessions import Session
-from sierra.store import Store
+from sierra.execution.sessions import Session
+from sierra.store.layout import StorePaths
 from sierra.store.order import POSITION, TIE, TIMES, number_of
+from sierra.store.schema import LATER
 from sierra.store.segments import MANIFEST, manifest
-from sierra.store.tables import LATER
+from sierra.store.store import Store
+from sierra.util.hashing import sha256
 from tests import projects
 
 Change = Callable[[str, pa.Table], pa.Table]

@@ -17,13 +17,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import sierra
-from sierra.config import ClusterTable
+from sierra.config.project_file import ClusterTable
 from sierra.errors import ConfigError, Full, Missing
-from sierra.runners import conformance
-from sierra.runners.schedulers import Request, State, qstat, qsub
+from sierra.runners.schedulers import qstat, qsub
+from sierra.runners.schedulers.base import Request, State
 from sierra.runners.schedulers.pbs import Pbs
 from sierra.runners.schedulers.qsub import Dialect
-from sierra.wording import ranges
+from sierra.testing import runners
+from sierra.util.text import ranges
 from tests import clusters, pbs, projects
 from tests.conftest import Simulated
 from tests.waiting import until
@@ -599,14 +600,14 @@ def test_no_text_is_too_odd_to_be_read(text: str) -> None:
 
 @pytest.mark.slow
 def test_it_is_a_scheduler(server: pbs.Server, tmp_path: Path) -> None:
-    conformance.check(Pbs(ClusterTable()), tmp_path / "shared")
+    runners.check(Pbs(ClusterTable()), tmp_path / "shared")
 
 
 @pytest.mark.slow
 @pytest.mark.real
 def test_it_is_a_scheduler_over_slurm(wrapper: clusters.Slurm) -> None:
     with clusters.folder() as folder:
-        conformance.check(Pbs(ClusterTable()), folder)
+        runners.check(Pbs(ClusterTable()), folder)
 
 
 # batches

@@ -15,9 +15,9 @@ from pathlib import Path
 import pytest
 
 import sierra
-from sierra.pipeline import Summary
-from sierra.runners import pilot, sizing
-from sierra.runners.packs import Started
+from sierra.execution.execute import Summary
+from sierra.runners.cluster import calibrate, sizing
+from sierra.runners.cluster.result_log import Started
 from tests.batches import packed
 from tests.clusters import Slurm
 from tests.conftest import Simulated
@@ -124,7 +124,7 @@ def test_long_runs_get_many_elements(simulate: Callable[..., Simulated], slurm: 
 @pytest.mark.slow
 def test_a_run_that_lasts_as_long_as_an_element_tells_enough(waiting: Simulated, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sizing, "ELEMENT_S", 1.0)
-    monkeypatch.setattr(pilot, "ELEMENT_S", 1.0)
+    monkeypatch.setattr(calibrate, "ELEMENT_S", 1.0)
     said: list[str] = []
 
     def say(text: str) -> None:
@@ -140,7 +140,7 @@ def test_a_run_that_lasts_as_long_as_an_element_tells_enough(waiting: Simulated,
 
 @pytest.mark.slow
 def test_no_node_is_waited_for_for_long(waiting: Simulated, slurm: Slurm, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pilot, "PATIENCE_S", 1.0)
+    monkeypatch.setattr(calibrate, "PATIENCE_S", 1.0)
     slurm.command("scontrol", "update", f"nodename={','.join(slurm.names)}", "state=drain", "reason=test")
     said: list[str] = []
 

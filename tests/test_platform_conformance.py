@@ -10,13 +10,17 @@ from typing import Any, ClassVar
 import pytest
 from pydantic import ConfigDict
 
-from sierra import config, jobs, platforms, query
+from sierra import platforms
+from sierra.config import project_file
 from sierra.errors import ConfigError, TemplateError
-from sierra.inputs.xml import XmlTemplate
+from sierra.execution import commands
 from sierra.model import Add, Axis, Change, Criterion, Point, Remove, Rename, Set
-from sierra.platforms import Platform, Reader, conformance
 from sierra.platforms.argos import Argos
+from sierra.platforms.base import Platform, Reader
 from sierra.platforms.command import Command
+from sierra.query import grammar
+from sierra.templates.xml import XmlTemplate
+from sierra.testing import platforms as conformance
 
 TEMPLATE = XmlTemplate(
     b"""<argos-configuration>
@@ -35,7 +39,7 @@ TEMPLATE = XmlTemplate(
 EXAMPLES = {
     criterion.name: criterion
     for criterion in map(
-        query.parse,
+        grammar.parse,
         (
             "population_size.Log8",
             "population_constant_density.5p0.I16.C4",
@@ -47,9 +51,9 @@ EXAMPLES = {
 OPTIONS = {"length": 30, "ticks_per_second": 5, "threads": 2, "arena": "12x10x2", "label": "foraging"}
 
 
-def argos(options: Mapping[str, object] | None = None) -> config.Project:
+def argos(options: Mapping[str, object] | None = None) -> project_file.Project:
     table = {"template": "t.argos", "platform": "argos", "platforms": {"argos": options or {}}}
-    return config.parse(table, "sierra.toml")
+    return project_file.parse(table, "sierra.toml")
 
 
 def test_argos_conforms() -> None:
@@ -61,7 +65,7 @@ def test_argos_conforms_with_all_its_options() -> None:
 
 
 def test_command_conforms() -> None:
-    project = config.parse({"template": "t.xml", "command": "python3 sim.py {input} {seed}"}, "sierra.toml")
+    project = project_file.parse({"template": "t.xml", "command": "python3 sim.py {input} {seed}"}, "sierra.toml")
     conformance.gives_the_same_answers(Command, project, TEMPLATE, {})
     conformance.says_what_its_options_are(Command(project))
     conformance.checks_in_one_line(Command(project), TEMPLATE)
@@ -75,10 +79,10 @@ def test_command_conforms() -> None:
 
 
 def test_the_suite_knows_the_placeholders_that_are_filled() -> None:
-    assert set(jobs.KNOWN) == conformance.COMMAND_PLACEHOLDERS
+    assert set(commands.KNOWN) == conformance.COMMAND_PLACEHOLDERS
 
 
-SPEED = query.parse("speed=1,2")
+SPEED = grammar.parse("speed=1,2")
 CHANGE = Set("/a/@b", "1", why="test")
 Span = tuple[Axis, tuple[Point, ...]]
 
@@ -92,10 +96,10 @@ def span(*values: Any, name: str = "speed", changes: tuple[Change, ...] | None =
 class Sound:
     """A platform that conforms; the tests break one answer of it each."""
 
-    Options: ClassVar[type[config.Table]] = config.Table
+    Options: ClassVar[type[project_file.Table]] = project_file.Table
 
-    def __init__(self, project: config.Project) -> None:
-        config.options(config.Table, project.platforms.get("sound", {}), "[platforms.sound]")
+    def __init__(self, project: project_file.Project) -> None:
+        project_file.options(project_file.Table, project.platforms.get("sound", {}), "[platforms.sound]")
 
     def changes(self, template: Reader) -> tuple[Change, ...]:
         return (CHANGE,)
@@ -122,8 +126,8 @@ class Sound:
         return {"SOUND_PATH": "{project}/lib"}
 
 
-def check(make: Callable[[config.Project], Platform]) -> None:
-    project = config.parse({"template": "t.xml", "platform": "sound"}, "sierra.toml")
+def check(make: Callable[[project_file.Project], Platform]) -> None:
+    project = project_file.parse({"template": "t.xml", "platform": "sound"}, "sierra.toml")
     conformance.check(make, project, TEMPLATE, {"speed": SPEED})
 
 
@@ -196,7 +200,7 @@ def test_an_axis_that_is_not_right_is_noticed(answer: Span | None, complaint: st
             return answer if criterion.name == "speed" else None
 
     with pytest.raises(AssertionError, match=complaint):
-        conformance.spans_an_axis(Broken(config.parse({"template": "t.xml"}, "sierra.toml")), TEMPLATE, SPEED)
+        conformance.spans_an_axis(Broken(project_file.parse({"template": "t.xml"}, "sierra.toml")), TEMPLATE, SPEED)
 
 
 def test_a_path_of_this_machine_is_noticed(monkeypatch: pytest.MonkeyPatch, tmp_path: Any) -> None:
@@ -212,7 +216,7 @@ def test_a_path_of_this_machine_is_noticed(monkeypatch: pytest.MonkeyPatch, tmp_
 
 def test_options_that_nobody_reads_are_noticed() -> None:
     class Broken(Sound):
-        def __init__(self, project: config.Project) -> None:
+        def __init__(self, project: project_file.Project) -> None:
             pass
 
     with pytest.raises(AssertionError, match="is no ConfigError"):
@@ -220,7 +224,7 @@ def test_options_that_nobody_reads_are_noticed() -> None:
 
 
 def test_options_that_take_anything_are_noticed() -> None:
-    class Anything(config.Table):
+    class Anything(project_file.Table):
         model_config = ConfigDict(extra="allow")
 
     class Broken(Sound):
@@ -248,7 +252,7 @@ def test_a_check_that_answers_or_rambles_is_noticed() -> None:
 
 @pytest.mark.parametrize("driving", ["command", "argos"])
 def test_the_options_of_a_platform_are_checked_whichever_drives(driving: str) -> None:
-    project = config.parse(
+    project = project_file.parse(
         {"template": "t.xml", "platform": driving, "command": "x {input}", "platforms": {"argos": {"lenght": 3}}}, "sierra.toml"
     )
     with pytest.raises(ConfigError, match=r"\[platforms.argos\]: .*lenght.*length"):
@@ -256,26 +260,26 @@ def test_the_options_of_a_platform_are_checked_whichever_drives(driving: str) ->
 
 
 def test_options_of_a_platform_that_is_not_there_are_told_those_that_are() -> None:
-    project = config.parse({"template": "t.xml", "command": "x {input}", "platforms": {"argus": {}}}, "sierra.toml")
+    project = project_file.parse({"template": "t.xml", "command": "x {input}", "platforms": {"argus": {}}}, "sierra.toml")
     with pytest.raises(ConfigError, match=r"\[platforms.argus\]: unknown platform 'argus'; known are command, argos"):
         platforms.find("command", project)
 
 
 def test_an_installed_platform_and_its_options_are_found_by_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "soundly.py").write_text(
-        "from sierra.config import Table\n"
+        "from sierra.config.project_file import Table\n"
         "class Options(Table):\n    volume: int = 1\n"
         "class Soundly:\n    Options = Options\n    def __init__(self, project): self.project = project\n"
     )
     info = tmp_path / "soundly-1.dist-info"
     info.mkdir()
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: soundly\nVersion: 1\n")
-    (info / "entry_points.txt").write_text("[sierra.platforms]\nsoundly = soundly:Soundly\n")
+    (info / "entry_points.txt").write_text("[sierra.platforms.base]\nsoundly = soundly:Soundly\n")
     monkeypatch.syspath_prepend(str(tmp_path))
     table = {"template": "t.xml", "platform": "soundly", "command": "x {input}", "platforms": {"soundly": {"volume": 2}}}
     assert "soundly" in platforms.names()
-    assert type(platforms.find("soundly", config.parse(table, "sierra.toml"))).__name__ == "Soundly"
-    wrong = config.parse({**table, "platform": "command", "platforms": {"soundly": {"volumes": 2}}}, "sierra.toml")
+    assert type(platforms.find("soundly", project_file.parse(table, "sierra.toml"))).__name__ == "Soundly"
+    wrong = project_file.parse({**table, "platform": "command", "platforms": {"soundly": {"volumes": 2}}}, "sierra.toml")
     with pytest.raises(ConfigError, match=r"\[platforms.soundly\]: .*volume"):
         platforms.find("command", wrong)
 
@@ -291,7 +295,7 @@ def test_answers_that_change_are_noticed() -> None:
         check(Asked)
 
     class Made(Sound):
-        def __init__(self, project: config.Project) -> None:
+        def __init__(self, project: project_file.Project) -> None:
             super().__init__(project)
             self._number = next(counter)
 
@@ -303,6 +307,6 @@ def test_answers_that_change_are_noticed() -> None:
 
 
 def test_an_example_of_something_else_is_noticed() -> None:
-    project = config.parse({"template": "t.xml", "platform": "sound"}, "sierra.toml")
+    project = project_file.parse({"template": "t.xml", "platform": "sound"}, "sierra.toml")
     with pytest.raises(AssertionError, match="is one of 'mass'"):
-        conformance.describes_its_criteria(Sound(project), {"speed": query.parse("mass=1,2")})
+        conformance.describes_its_criteria(Sound(project), {"speed": grammar.parse("mass=1,2")})

@@ -15,7 +15,8 @@ import pytest
 
 import sierra
 from sierra.errors import Missing
-from sierra.provenance import libraries, named, program, programs
+from sierra.provenance import libraries, program, programs
+from sierra.provenance import referenced_files as named
 from sierra.provenance.program import NOTHING, Kind, Program, Programs
 from tests import projects
 

@@ -12,10 +12,11 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import sierra
-from sierra import explain, states
 from sierra.errors import ConfigError, Missing
+from sierra.execution import reuse
+from sierra.explain import changes
 from sierra.provenance import programs, source
-from sierra.provenance.source import SWHID, Source
+from sierra.provenance.source.capture import SWHID, Source
 
 Git = Callable[..., str]
 WITHOUT = ("sierra.toml", ".sierra", "figures", "./t.xml")
@@ -320,7 +321,7 @@ def test_changed_programs_execute_again_and_the_reason_is_told(tmp_path: Path) -
     assert project.run("n=1", figures=False).reused == 2
     program(Path(simulator), "#!/bin/sh\necho v > out.csv; echo 2 >> out.csv\n")
     planned = project.plan("n=1")
-    whys = {state.why for state in states.states(planned, project.store).values()}
+    whys = {state.why for state in reuse.states(planned, project.store).values()}
     assert whys == {"executed with other programs"}
     assert project.run("n=1", figures=False).executed == 2
     assert project.sql("SELECT DISTINCT v FROM out").column(0).to_pylist() == [2]
@@ -346,7 +347,7 @@ def test_a_changed_source_file_is_named(tmp_path: Path) -> None:
     (project.root / "sim.sh").write_text("exit 0\n")
     project.run("n=1", figures=False)
     (project.root / "sim.sh").write_text("exit 0 # changed\n")
-    assert "the source has changed: sim.sh" in explain.why_new(project.plan("n=1"), project.store)
+    assert "the source has changed: sim.sh" in changes.why_new(project.plan("n=1"), project.store)
 
 
 def test_notes_that_make_runs_new_are_told_how_to_be_no_code(tmp_path: Path) -> None:
@@ -355,7 +356,7 @@ def test_notes_that_make_runs_new_are_told_how_to_be_no_code(tmp_path: Path) -> 
     (project.root / "README.md").write_text("before\n")
     project.run("n=1", figures=False)
     (project.root / "README.md").write_text("after\n")
-    told = explain.why_new(project.plan("n=1"), project.store)
+    told = changes.why_new(project.plan("n=1"), project.store)
     assert told[1] == "the source has changed: README.md"
     assert 'write paths = ["sim.sh"] under [source] in sierra.toml' in told[2]
 

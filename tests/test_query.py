@@ -10,27 +10,16 @@ import pytest
 from hypothesis import assume, example, given
 from hypothesis import strategies as st
 
-from sierra import query, scales
 from sierra.errors import QueryError
-from sierra.model import (
-    ConstantDensity,
-    Criterion,
-    Linear,
-    Listed,
-    Log,
-    MonteCarlo,
-    Scale,
-    Span,
-    Steps,
-    VariableDensity,
-)
+from sierra.model import ConstantDensity, Criterion, Linear, Listed, Log, MonteCarlo, Scale, Span, Steps, VariableDensity
+from sierra.query import grammar, ranges
 from tests.effort import effort
 
 NAMES = st.from_regex(r"[A-Za-z_][A-Za-z0-9_]{0,12}", fullmatch=True).filter(lambda name: name != "montecarlo")
-WHOLES = st.integers(-scales.LARGEST, scales.LARGEST)
+WHOLES = st.integers(-ranges.LARGEST, ranges.LARGEST)
 COUNTS = st.integers(2, 40)
 DECIMALS = st.builds(Fraction, st.integers(-(10**24), 10**24), st.integers(0, 18).map(lambda places: 10**places)).filter(
-    lambda number: abs(number) <= scales.LARGEST
+    lambda number: abs(number) <= ranges.LARGEST
 )
 POSITIVES = DECIMALS.map(abs).filter(bool)
 FLOATS = st.floats(allow_nan=False, allow_infinity=False)
@@ -58,7 +47,7 @@ def spans(draw: st.DrawFn) -> Span:
 
 def right(scale: Scale) -> bool:
     try:
-        scales.check(scale)
+        ranges.check(scale)
     except QueryError:
         return False
     return True
@@ -77,7 +66,7 @@ SCALES: st.SearchStrategy[Scale] = st.one_of(
 )
 CRITERIA = st.one_of(
     st.builds(Criterion, NAMES.filter(lambda name: name != "population_variable_density"), SCALES),
-    st.builds(Criterion, st.just("montecarlo"), st.integers(1, scales.MOST).map(MonteCarlo)),
+    st.builds(Criterion, st.just("montecarlo"), st.integers(1, ranges.MOST).map(MonteCarlo)),
     st.builds(VariableDensity, POSITIVES, POSITIVES, COUNTS)
     .filter(lambda scale: scale.start != scale.end)
     .map(lambda scale: Criterion("population_variable_density", scale)),
@@ -116,28 +105,28 @@ ALPHABET = st.sampled_from(
     ],
 )
 def test_a_criterion_means_its_values(text: str, scale: Scale, values: tuple[object, ...]) -> None:
-    criterion = query.parse(text)
+    criterion = grammar.parse(text)
     assert criterion == Criterion(re.split("[.=]", text)[0], scale)
-    made = scales.values(criterion.scale)
+    made = ranges.values(criterion.scale)
     assert [(type(value), value) for value in made] == [(type(value), value) for value in values]
 
 
 def test_constant_density_has_arenas_that_grow() -> None:
-    scale = query.parse("population_constant_density.5p0.I16.C4").scale
+    scale = grammar.parse("population_constant_density.5p0.I16.C4").scale
     assert scale == ConstantDensity(Fraction(5), Fraction(16), 4)
-    assert scales.growths(scale) == tuple(map(Fraction, (0, 16, 32, 48)))
+    assert ranges.growths(scale) == tuple(map(Fraction, (0, 16, 32, 48)))
 
 
 def test_variable_density_has_exact_densities() -> None:
-    scale = query.parse("population_variable_density.1p0.5p0.C4").scale
+    scale = grammar.parse("population_variable_density.1p0.5p0.C4").scale
     assert scale == VariableDensity(Fraction(1), Fraction(5), 4)
-    assert scales.densities(scale) == (Fraction(1), Fraction(7, 3), Fraction(11, 3), Fraction(5))
+    assert ranges.densities(scale) == (Fraction(1), Fraction(7, 3), Fraction(11, 3), Fraction(5))
 
 
 @pytest.mark.parametrize("text", ["x.5p0.I16.C4", "population_variable_density.1p0.5p0.C4"])
 def test_densities_have_no_values_without_a_platform(text: str) -> None:
     with pytest.raises(QueryError, match="platform"):
-        scales.values(query.parse(text).scale)
+        ranges.values(grammar.parse(text).scale)
 
 
 @pytest.mark.parametrize(
@@ -152,20 +141,20 @@ def test_densities_have_no_values_without_a_platform(text: str) -> None:
     ],
 )
 def test_there_is_one_canonical_text(text: str, canonical: str) -> None:
-    assert query.text(query.parse(text)) == canonical
+    assert grammar.text(grammar.parse(text)) == canonical
 
 
 @given(CRITERIA)
 def test_a_criterion_is_read_as_it_was_written(criterion: Criterion) -> None:
-    written = query.text(criterion)
-    again = query.parse(written)
+    written = grammar.text(criterion)
+    again = grammar.parse(written)
     assert again == criterion
-    assert query.text(again) == written
+    assert grammar.text(again) == written
     if isinstance(criterion.scale, Listed) and isinstance(again.scale, Listed):
         assert [type(value) for value in again.scale.values] == [type(value) for value in criterion.scale.values]
 
 
-@given(st.one_of(st.lists(ALPHABET, max_size=12).map("".join), st.text(max_size=30), CRITERIA.map(query.text)), st.data())
+@given(st.one_of(st.lists(ALPHABET, max_size=12).map("".join), st.text(max_size=30), CRITERIA.map(grammar.text)), st.data())
 @example("x=" + "1" * 5000, None)
 @example("x.Log" + "9" * 5000, None)
 @example("x=0:1e999999999:3", None)
@@ -180,15 +169,15 @@ def test_any_text_is_a_criterion_or_an_error_of_one_line(text: str, data: st.Dat
         assert len(complaint.splitlines()) == 1
         assert complaint.encode()
     else:
-        assert query.parse(query.text(criterion)) == criterion
-        if scales.count(criterion.scale) < 1000 and not isinstance(criterion.scale, ConstantDensity | VariableDensity):
-            assert len(set(scales.values(criterion.scale))) == scales.count(criterion.scale)
+        assert grammar.parse(grammar.text(criterion)) == criterion
+        if ranges.count(criterion.scale) < 1000 and not isinstance(criterion.scale, ConstantDensity | VariableDensity):
+            assert len(set(ranges.values(criterion.scale))) == ranges.count(criterion.scale)
 
 
 def read(text: str) -> tuple[Criterion | None, str]:
     """The criterion, or the complaint."""
     try:
-        return query.parse(text), ""
+        return grammar.parse(text), ""
     except QueryError as error:
         return None, str(error)
 
@@ -197,7 +186,7 @@ def read(text: str) -> tuple[Criterion | None, str]:
 def test_a_long_wrong_text_is_refused_at_once(text: str) -> None:
     def refused() -> None:
         with pytest.raises(QueryError):
-            query.parse(text)
+            grammar.parse(text)
 
     assert effort(refused) < 40
 
@@ -264,7 +253,7 @@ def test_a_long_wrong_text_is_refused_at_once(text: str) -> None:
 )
 def test_an_error_says_what_is_wrong_and_what_would_be_right(text: str, message: str) -> None:
     with pytest.raises(QueryError) as caught:
-        query.parse(text)
+        grammar.parse(text)
     assert str(caught.value) == message
 
 
@@ -273,7 +262,7 @@ def test_who_gives_no_scale_is_shown_all(text: str) -> None:
     with pytest.raises(
         QueryError, match=re.escape("noise.Log8, noise.Linear100.C10, noise.1.9.C5, noise=0:1:5 or noise=1,2,4")
     ):
-        query.parse(text)
+        grammar.parse(text)
 
 
 @given(
@@ -290,7 +279,7 @@ def test_what_an_error_suggests_is_right(scale: str) -> None:
     suggestions = SUGGESTION.findall(complaint.partition("; use ")[2])
     assert suggestions or "divide" not in complaint
     for suggestion in suggestions:
-        assert query.parse("x" + suggestion if suggestion[0] in ".=" else f"x.{suggestion}").name == "x"
+        assert grammar.parse("x" + suggestion if suggestion[0] in ".=" else f"x.{suggestion}").name == "x"
 
 
 @pytest.mark.parametrize(
@@ -310,14 +299,14 @@ def test_what_an_error_suggests_is_right(scale: str) -> None:
 )
 def test_a_criterion_that_no_text_asks_for_has_none(criterion: Criterion) -> None:
     with pytest.raises(QueryError):
-        query.text(criterion)
+        grammar.text(criterion)
 
 
 # Several criteria
 
 
 def test_criteria_keep_their_order() -> None:
-    assert [each.name for each in query.parse_all(["noise=0:1:5", "population_size.Log8"])] == [
+    assert [each.name for each in grammar.parse_all(["noise=0:1:5", "population_size.Log8"])] == [
         "noise",
         "population_size",
     ]
@@ -338,14 +327,14 @@ def test_criteria_keep_their_order() -> None:
 )
 def test_criteria_that_do_not_go_together_are_refused(texts: list[str], message: str) -> None:
     with pytest.raises(QueryError) as caught:
-        query.parse_all(texts)
+        grammar.parse_all(texts)
     assert str(caught.value) == message
 
 
-@pytest.mark.parametrize("name", sorted(query.RESERVED))
+@pytest.mark.parametrize("name", sorted(grammar.RESERVED))
 def test_no_axis_is_named_like_a_column_of_the_store(name: str) -> None:
     with pytest.raises(QueryError, match="column of the store"):
-        query.parse_all([f"{name}=1,2"])
+        grammar.parse_all([f"{name}=1,2"])
 
 
 # Values
@@ -353,13 +342,13 @@ def test_no_axis_is_named_like_a_column_of_the_store(name: str) -> None:
 
 @given(SCALES.filter(lambda scale: not isinstance(scale, ConstantDensity)))
 def test_values_are_distinct_and_as_many_as_counted(scale: Scale) -> None:
-    values = scales.values(scale)
-    assert len(values) == len(set(values)) == scales.count(scale)
+    values = ranges.values(scale)
+    assert len(values) == len(set(values)) == ranges.count(scale)
 
 
 @given(st.one_of(spans(), steps()))
 def test_each_step_is_the_nearest_number_to_the_exact_one(scale: Span | Steps) -> None:
-    values = scales.values(scale)
+    values = ranges.values(scale)
     for index, value in enumerate(values):
         exact = scale.start + Fraction(scale.end - scale.start) * index / (scale.count - 1)
         assert value == (int(exact) if exact.denominator == 1 else float(exact))
@@ -368,21 +357,21 @@ def test_each_step_is_the_nearest_number_to_the_exact_one(scale: Span | Steps) -
 
 @given(st.integers(1, 62), st.integers(1, 10**6), st.integers(1, 40))
 def test_log_doubles_and_linear_steps_evenly(power: int, step: int, count: int) -> None:
-    assert scales.values(Log(2**power)) == tuple(2**each for each in range(power + 1))
-    assert scales.values(Linear(step * count, count)) == tuple(step * (each + 1) for each in range(count))
+    assert ranges.values(Log(2**power)) == tuple(2**each for each in range(power + 1))
+    assert ranges.values(Linear(step * count, count)) == tuple(step * (each + 1) for each in range(count))
 
 
 def test_values_that_floats_cannot_tell_apart_are_refused() -> None:
     with pytest.raises(QueryError, match="closer together than floats can tell apart"):
-        query.parse("x=100:100.00000000000001:5")
+        grammar.parse("x=100:100.00000000000001:5")
 
 
 @pytest.mark.parametrize("scale", [Log(1000), Linear(8, 10), Steps(1, 9, 4), Listed((1, 1)), MonteCarlo(0)])
 def test_a_scale_made_by_hand_is_held_to_the_same_rules(scale: Scale) -> None:
     with pytest.raises(QueryError):
-        scales.values(scale)
+        ranges.values(scale)
 
 
 def test_a_million_values_take_seconds_at_most() -> None:
-    values = scales.values(query.parse("x=0:0.3:1000000").scale)
+    values = ranges.values(grammar.parse("x=0:0.3:1000000").scale)
     assert (len(values), values[0], values[-1]) == (1_000_000, 0, 0.3)

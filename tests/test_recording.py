@@ -19,13 +19,14 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import sierra
-from sierra import worker
-from sierra.api import Project
 from sierra.errors import QueryError
-from sierra.pipeline import Summary
-from sierra.recording import Recorder
-from sierra.store.frame import Frame
-from sierra.store.reading import Reading, Shape, Written, read
+from sierra.execution.execute import Summary
+from sierra.ingest.model import Reading, Shape, Written
+from sierra.ingest.read import read
+from sierra.ingest.recorder import Recorder
+from sierra.project import Project
+from sierra.store.samples import Frame
+from sierra.worker import worker
 from tests import projects
 
 TOML = """
@@ -309,7 +310,7 @@ def test_one_faulty_run_is_noticed_and_said(make: Make, fault: str) -> None:
 
 
 def seeds(count: int) -> list[int]:
-    from sierra.seeds import seed
+    from sierra.design.seeds import seed
 
     return [seed(0, number) for number in range(count)]
 

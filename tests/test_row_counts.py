@@ -17,8 +17,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from sierra import worker
-from sierra.store.reading import Reading, Shape, Written, read
+from sierra.ingest.model import Reading, Shape, Written
+from sierra.ingest.read import read
+from sierra.worker import worker
 
 CORES = 2
 MANY = (1, 3, 2 * CORES, 2 * CORES + 1, 40)
@@ -185,7 +186,9 @@ def test_a_parser_that_reads_less_than_is_there_is_not_believed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
 ) -> None:
     """Whatever a parser leaves out in silence: here a filter stands for it."""
-    from sierra.store.reading import Csv, Jsonl, Parquet
+    from sierra.ingest.csv import Csv
+    from sierra.ingest.jsonl import Jsonl
+    from sierra.ingest.parquet import Parquet
 
     paths = [tmp_path / f"{number}.{kind}" for number in range(3)]
     for number, path in enumerate(paths):

@@ -12,13 +12,14 @@ from typing import Any
 import pytest
 
 from sierra import runners
-from sierra.config import ClusterTable
+from sierra.config.project_file import ClusterTable
 from sierra.model import Job, Limits, Result
-from sierra.paths import SessionPaths
-from sierra.runners import Look, Runner, Work, conformance
-from sierra.runners.cluster import Cluster
-from sierra.runners.conformance import Ordeal
+from sierra.runners.base import Look, Runner, Work
+from sierra.runners.cluster.runner import Cluster
 from sierra.runners.local import Local
+from sierra.store.layout import SessionPaths
+from sierra.testing import runners as conformance
+from sierra.testing.runners import Ordeal
 from tests import clusters, pbs
 from tests.waiting import until
 

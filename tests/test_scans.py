@@ -15,9 +15,11 @@ from hypothesis import strategies as st
 
 import sierra
 from sierra.errors import Missing
-from sierra.store import Store, scans
+from sierra.ingest.model import Shape, Written
+from sierra.ingest.read import read
+from sierra.store import scans
 from sierra.store.connections import Connection, connect
-from sierra.store.reading import Shape, Written, read
+from sierra.store.store import Store
 from tests import projects
 
 PACKAGE = Path(sierra.__file__).parent

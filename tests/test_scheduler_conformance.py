@@ -9,11 +9,12 @@ from pathlib import Path
 
 import pytest
 
-from sierra.config import ClusterTable
-from sierra.runners import conformance, schedulers
-from sierra.runners.conformance import Trial
-from sierra.runners.schedulers import Request, State, Task
+from sierra.config.project_file import ClusterTable
+from sierra.runners import schedulers
+from sierra.runners.schedulers.base import Request, State, Task
 from sierra.runners.schedulers.slurm import Slurm
+from sierra.testing import runners
+from sierra.testing.runners import Trial
 from tests import clusters
 from tests.users import a_user, called_as
 
@@ -23,7 +24,7 @@ pytestmark = pytest.mark.real
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["slurm", "pbs"])
 def test_it_conforms(name: str, slurm: clusters.Slurm, tmp_path: Path) -> None:
-    conformance.check(schedulers.find(name)(ClusterTable()), tmp_path)
+    runners.check(schedulers.find(name)(ClusterTable()), tmp_path)
 
 
 @pytest.mark.slow
@@ -34,7 +35,7 @@ def test_it_conforms_without_rights(slurm: clusters.Slurm, require: Callable[...
         def check() -> None:
             os.environ.update(slurm.environment)
             (user.home / "trials").mkdir()
-            conformance.check(Slurm(ClusterTable()), user.home / "trials")
+            runners.check(Slurm(ClusterTable()), user.home / "trials")
 
         called_as(user, check)
 
@@ -57,7 +58,7 @@ class Leaking(Slurm):
     """A scheduler whose scripts have a secret in them."""
 
     def script(self, request: Request) -> str:
-        return super().script(request) + f"# {os.environ.get(conformance.CANARY)}\n"
+        return super().script(request) + f"# {os.environ.get(runners.CANARY)}\n"
 
 
 class Forgetting(Slurm):
@@ -84,12 +85,12 @@ class Ruthless(Slurm):
 @pytest.mark.parametrize(
     ("scheduler", "claim", "complaint"),
     [
-        (Splitting, conformance.passes_words_as_they_are, "became|No such file"),
-        (Counting, conformance.executes_each_element_once, "executed were"),
-        (Leaking, conformance.says_what_it_hands_over, "environment"),
-        (Forgetting, conformance.finds_jobs_by_name, "not found at once"),
-        (Remembering, conformance.may_be_looked_at_after_the_end, "does not end"),
-        (Ruthless, conformance.cancels_some, "after element 1 was cancelled"),
+        (Splitting, runners.passes_words_as_they_are, "became|No such file"),
+        (Counting, runners.executes_each_element_once, "executed were"),
+        (Leaking, runners.says_what_it_hands_over, "environment"),
+        (Forgetting, runners.finds_jobs_by_name, "not found at once"),
+        (Remembering, runners.may_be_looked_at_after_the_end, "does not end"),
+        (Ruthless, runners.cancels_some, "after element 1 was cancelled"),
     ],
 )
 def test_the_suite_notices(
@@ -101,6 +102,6 @@ def test_the_suite_notices(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     if scheduler is Remembering:
-        monkeypatch.setattr(conformance, "PATIENCE_S", 4.0)
+        monkeypatch.setattr(runners, "PATIENCE_S", 4.0)
     with pytest.raises((AssertionError, FileNotFoundError), match=complaint):
         claim(Trial(scheduler(ClusterTable()), tmp_path))

@@ -17,12 +17,13 @@ import pytest
 from pydantic import BaseModel
 
 import sierra
-from sierra import config, schemas
+from sierra.config import project_file
 from sierra.platforms.argos import ArgosOptions
+from sierra.setup import schemas
 
 FOLDER = Path(__file__).parent.parent / "schemas"
 EXAMPLE = Path(sierra.__file__).parent / "examples" / "swarm" / "sierra.toml"
-MODELS = {model.__name__: model for model in config.Table.__subclasses__() if model.__module__ == config.__name__}
+MODELS = {model.__name__: model for model in project_file.Table.__subclasses__() if model.__module__ == project_file.__name__}
 
 
 def schema(*options: str) -> str:
@@ -92,8 +93,8 @@ def test_the_commented_toml_is_nothing_but_comments_and_blank_lines(reference: s
 
 def test_the_commented_toml_without_its_marks_is_a_valid_project(reference: str) -> None:
     whole = uncommented(reference)
-    config.parse(whole, "sierra.toml")
-    config.options(ArgosOptions, whole["platforms"]["argos"], "[platforms.argos]")
+    project_file.parse(whole, "sierra.toml")
+    project_file.options(ArgosOptions, whole["platforms"]["argos"], "[platforms.argos]")
     jsonschema.validate(whole, json.loads(schema("--toml", "--json")))
 
 

@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sierra import seeds
+from sierra.design import seeds
+from sierra.design.seeds import LARGEST, seed
 from sierra.errors import QueryError
-from sierra.seeds import LARGEST, seed
 
 BASES = st.integers(0, 2**63 - 1)
 NUMBERS = st.integers(0, LARGEST - 1)

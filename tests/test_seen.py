@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 
+from sierra.provenance.change_guard import seen
 from sierra.provenance.program import NOTHING
-from sierra.provenance.seen import seen
 from sierra.provenance.source.manifest import Entry, listed
 from tests import projects
 from tests.conftest import PRINTS, held

@@ -14,12 +14,12 @@ from typing import Any
 
 import pytest
 
-from sierra.config import ClusterTable
+from sierra.config.project_file import ClusterTable
 from sierra.errors import ConfigError, Full, Missing, SierraError
-from sierra.runners.schedulers import Request, State, Task
-from sierra.runners.schedulers.accounting import seconds
+from sierra.runners.schedulers.base import Request, State, Task
 from sierra.runners.schedulers.slurm import PATH, Slurm, refusal, tasks
-from sierra.wording import ranges
+from sierra.runners.schedulers.slurm_limits import seconds
+from sierra.util.text import ranges
 from tests import clusters
 from tests.waiting import PATIENCE_S
 

@@ -18,10 +18,10 @@ import pytest
 
 import sierra
 from sierra.errors import ConfigError, Damaged, Missing
-from sierra.hashing import sealed, unsealed
 from sierra.provenance import source
-from sierra.provenance.source import SWHID, Source
+from sierra.provenance.source.capture import SWHID, Source
 from sierra.provenance.source.remote import without_credentials
+from sierra.util.hashing import sealed, unsealed
 from tests import projects
 
 Git = Callable[..., str]

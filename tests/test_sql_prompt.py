@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 
-from sierra.cli.prompt import is_complete
+from sierra.cli.sql_prompt import is_complete
 from tests.projects import SIERRA, make, quick, sierra
 from tests.waiting import PATIENCE_S
 

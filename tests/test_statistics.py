@@ -18,11 +18,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import sierra
-from sierra import analysis
-from sierra.analysis import student_t
-from sierra.config import Figure
+from sierra import stats
+from sierra.config.project_file import Figure
 from sierra.errors import SierraError, UsageError
 from sierra.model import Axis
+from sierra.stats import student_t
 
 AXIS = (Axis("size", (1, 2)),)
 NUMBERS = st.floats(min_value=-1e6, max_value=1e6, allow_nan=False).map(lambda x: round(x, 6))
@@ -54,7 +54,7 @@ class Memory:
 def over_runs(values: Iterable[float | None], *, whole: bool = False) -> dict[str, Any]:
     """All statistics of one experiment whose runs ended with these values."""
     frame = Memory((0, number, 0.0, value) for number, value in enumerate(values))
-    table, _ = analysis.by_experiment(frame, "final", analysis.STATISTICS, analysis.coverage(frame), whole=whole)
+    table, _ = stats.by_experiment(frame, "final", stats.STATISTICS, stats.coverage(frame), whole=whole)
     found: list[dict[str, Any]] = table.to_pylist()
     return found[0]
 
@@ -169,16 +169,16 @@ def test_fractions_that_happen_to_be_the_same_are_no_rate() -> None:
 
 def test_what_is_a_rate_is_one_in_all_experiments_and_at_all_times() -> None:
     frame = Memory((e, run, float(t), float(e == 1 and run > t)) for e in range(2) for run in range(5) for t in range(3))
-    seen = analysis.coverage(frame)
+    seen = stats.coverage(frame)
     for table in (
-        analysis.by_time(frame, ["interval"], seen)[0],
-        analysis.by_experiment(frame, "final", ["interval"], seen)[0],
+        stats.by_time(frame, ["interval"], seen)[0],
+        stats.by_experiment(frame, "final", ["interval"], seen)[0],
     ):
         assert set(table["interval"].to_pylist()) == {"Wilson"}
         assert table["high"].to_pylist()[0] == pytest.approx(0.434482, abs=1e-6)
-    late, _ = analysis.by_experiment(frame, "time_to", ["interval"], seen, 1.0, whole=True)
+    late, _ = stats.by_experiment(frame, "time_to", ["interval"], seen, 1.0, whole=True)
     assert "Wilson" not in late["interval"].to_pylist()
-    note = analysis.compute(figure(), AXIS, {"energy": frame}).note
+    note = stats.compute(figure(), AXIS, {"energy": frame}).note
     assert note.startswith("mean, Wilson's 95 % CI of a rate, n = 5")
 
 
@@ -223,7 +223,7 @@ def test_an_experiment_of_which_all_is_missing_has_no_mean() -> None:
 
 def test_n_is_counted_at_each_time() -> None:
     frame = Memory((0, run, float(t), float(run)) for run in range(5) for t in range(3 if run else 2))
-    table, _ = analysis.by_time(frame, ["interval"], analysis.coverage(frame))
+    table, _ = stats.by_time(frame, ["interval"], stats.coverage(frame))
     assert table["n"].to_pylist() == [5, 5, 4]
     assert table["mean"].to_pylist() == [2.0, 2.0, 2.5]
 
@@ -234,23 +234,23 @@ def test_the_same_data_give_the_same_bits_in_any_order_and_with_any_threads() ->
     rng.shuffle(mixed := list(range(len(rows))))
     for measure in ("mean", "final"):
         one, many = Memory(rows, threads=1), Memory((rows[k] for k in mixed), threads=4)
-        seen = analysis.coverage(one)
-        assert analysis.by_experiment(one, measure, analysis.STATISTICS, seen)[0].equals(
-            analysis.by_experiment(many, measure, analysis.STATISTICS, seen)[0]
+        seen = stats.coverage(one)
+        assert stats.by_experiment(one, measure, stats.STATISTICS, seen)[0].equals(
+            stats.by_experiment(many, measure, stats.STATISTICS, seen)[0]
         )
-        assert analysis.by_time(one, ["interval"], seen)[0].equals(analysis.by_time(many, ["interval"], seen)[0])
+        assert stats.by_time(one, ["interval"], seen)[0].equals(stats.by_time(many, ["interval"], seen)[0])
 
 
 def measured(measure: str, values: list[float | None], threshold: float | None = None) -> dict[str, Any]:
     frame = Memory((0, 0, float(t), value) for t, value in enumerate(values))
-    table, _ = analysis.by_experiment(frame, measure, ["mean"], analysis.coverage(frame), threshold)
+    table, _ = stats.by_experiment(frame, measure, ["mean"], stats.coverage(frame), threshold)
     found: list[dict[str, Any]] = table.to_pylist()
     return found[0]
 
 
 def test_the_final_value_is_the_one_at_the_largest_time() -> None:
     frame = Memory([(0, 0, 2.0, 7.0), (0, 0, 0.0, 1.0), (0, 0, 1.0, 9.0)])
-    assert analysis.reduced(frame, "final")["value"].to_pylist() == [7.0]
+    assert stats.reduced(frame, "final")["value"].to_pylist() == [7.0]
 
 
 def test_a_final_value_that_is_missing_is_not_replaced_by_an_earlier_one() -> None:
@@ -274,7 +274,7 @@ def test_a_missing_value_reaches_no_threshold(gap: float | None) -> None:
 
 def test_runs_that_never_reach_a_threshold_are_counted_and_not_averaged() -> None:
     frame = Memory((0, run, float(t), float(t * run)) for run in range(4) for t in range(10))
-    found = analysis.by_experiment(frame, "time_to", ["mean"], analysis.coverage(frame), 9.0)[0].to_pylist()[0]
+    found = stats.by_experiment(frame, "time_to", ["mean"], stats.coverage(frame), 9.0)[0].to_pylist()[0]
     assert (found["n"], found["never"], found["missing"]) == (3, 1, 0)
     assert found["mean"] == pytest.approx((9 + 5 + 3) / 3, rel=1e-12)
 
@@ -300,7 +300,7 @@ def test_runs_meet_on_a_common_time_axis_and_none_goes_beyond_its_end(
     for run, expected in ((0, first), (1, second)):
         frame = Memory(row for row in RAGGED if row[1] == run)
         grid = [0.0, 1.0, 2.0, 3.0, 4.0]
-        table, _ = analysis.resampled(frame, grid, ["mean"], analysis.coverage(frame), linear=linear)
+        table, _ = stats.resampled(frame, grid, ["mean"], stats.coverage(frame), linear=linear)
         found = dict(zip(table["t"].to_pylist(), table["mean"].to_pylist(), strict=True))
         assert [found.get(t) for t in grid] == expected
 
@@ -308,7 +308,7 @@ def test_runs_meet_on_a_common_time_axis_and_none_goes_beyond_its_end(
 def test_resampling_does_not_fill_what_is_missing() -> None:
     frame = Memory([(0, 0, 0.0, 1.0), (0, 0, 1.0, None), (0, 0, 2.0, 3.0)])
     for linear in (False, True):
-        table, _ = analysis.resampled(frame, [0.0, 1.5, 2.0], ["mean"], analysis.coverage(frame), linear=linear)
+        table, _ = stats.resampled(frame, [0.0, 1.5, 2.0], ["mean"], stats.coverage(frame), linear=linear)
         assert table["mean"].to_pylist() == [1.0, None, 3.0]
         assert table["missing"].to_pylist() == [0, 1, 0]
 
@@ -320,13 +320,13 @@ def test_linear_interpolation_is_that_of_numpy(points: list[tuple[int, float]], 
     t, v = np.array(points, dtype=float).T
     grid = sorted(data.draw(st.sets(st.floats(t[0], t[-1]), min_size=1, max_size=10)))
     frame = Memory((0, 0, a, b) for a, b in zip(t.tolist(), v.tolist(), strict=True))
-    table, _ = analysis.resampled(frame, grid, ["mean"], analysis.coverage(frame), linear=True)
+    table, _ = stats.resampled(frame, grid, ["mean"], stats.coverage(frame), linear=True)
     assert table["mean"].to_pylist() == pytest.approx(np.interp(grid, t, v).tolist(), rel=1e-9, abs=1e-6)
 
 
 def test_a_figure_of_runs_with_different_times_says_that_they_were_resampled() -> None:
     frame = Memory((0, run, t + run / 10, float(t)) for run in range(8) for t in range(20))
-    computed = analysis.compute(figure(), AXIS, {"energy": frame})
+    computed = stats.compute(figure(), AXIS, {"energy": frame})
     assert "times differ: last values carried forward to 20 common times" in computed.note
     assert max(computed.tables["energy"]["n"].to_pylist()) == 8
 
@@ -350,7 +350,7 @@ def test_linear_interpolation_bridges_no_missing_value_and_goes_beyond_no_end(
 ) -> None:
     rows, grid = sorted((float(t), v) for t, v in points), sorted(times)
     frame = Memory((0, 0, t, v) for t, v in rows)
-    table, _ = analysis.resampled(frame, grid, ["mean"], analysis.coverage(frame), linear=True)
+    table, _ = stats.resampled(frame, grid, ["mean"], stats.coverage(frame), linear=True)
     found = dict(zip(table["t"].to_pylist(), table["mean"].to_pylist(), strict=True))
     expected = {t: v for t, v in zip(grid, interpolated(rows, grid), strict=True) if not math.isnan(v)}
     assert {t for t, v in found.items() if v is not None} == set(expected)
@@ -363,7 +363,7 @@ SHIFTED = [(0, run, t + run / 10, float(t)) for run in range(8) for t in range(2
 
 
 def test_a_figure_interpolates_where_it_is_asked_to_and_says_so() -> None:
-    computed = analysis.compute(figure(times="linear"), AXIS, {"energy": Memory(SHIFTED)})
+    computed = stats.compute(figure(times="linear"), AXIS, {"energy": Memory(SHIFTED)})
     assert "; interpolated linearly to 20 common times" in computed.note
     assert "-- $linear: True" in computed.sql
     grid = np.linspace(0.0, 19.7, 20).tolist()
@@ -375,7 +375,7 @@ def test_a_figure_interpolates_where_it_is_asked_to_and_says_so() -> None:
 
 
 def test_a_figure_keeps_to_the_runs_own_times_where_it_is_asked_to_and_says_that_they_differ() -> None:
-    computed = analysis.compute(figure(times="own"), AXIS, {"energy": Memory(SHIFTED)})
+    computed = stats.compute(figure(times="own"), AXIS, {"energy": Memory(SHIFTED)})
     assert computed.tables["energy"].num_rows == 160
     assert computed.note == "mean, no interval, n = 1; times differ: each run at its own"
 
@@ -385,7 +385,7 @@ def test_times_that_all_runs_share_are_the_common_ones_in_spite_of_rounding(time
     """A simulator adds 0.1 again and again: a grid just before its times would show the value of one row before."""
     clock = np.cumsum(np.full(100, 0.1)).tolist()
     frame = Memory((0, run, clock[t], float(t * run)) for run in range(3) for t in range(100))
-    table, _, said = analysis.at_times(frame, times, ["interval"], analysis.coverage(frame))
+    table, _, said = stats.at_times(frame, times, ["interval"], stats.coverage(frame))
     assert table["mean"].to_pylist() == pytest.approx([float(t) for t in range(100)], abs=1e-9)
     assert said == [f"{'interpolated linearly' if times == 'linear' else 'last values carried forward'} to 100 common times"]
 
@@ -393,25 +393,25 @@ def test_times_that_all_runs_share_are_the_common_ones_in_spite_of_rounding(time
 @pytest.mark.parametrize("times", ["own", "carry", "linear", None])
 def test_runs_of_one_time_count_once_each(times: str | None) -> None:
     frame = Memory((0, run, 7.0, float(run)) for run in range(5))
-    table, _, _ = analysis.at_times(frame, times, ["interval"], analysis.coverage(frame))
+    table, _, _ = stats.at_times(frame, times, ["interval"], stats.coverage(frame))
     assert (table["t"].to_pylist(), table["n"].to_pylist(), table["mean"].to_pylist()) == ([7.0], [5], [2.0])
 
 
 def test_unknown_times_are_refused() -> None:
     frame = Memory(SHIFTED)
     with pytest.raises(UsageError, match="unknown times 'cubic'; known are own, carry, linear"):
-        analysis.at_times(frame, "cubic", ["mean"], analysis.coverage(frame))
+        stats.at_times(frame, "cubic", ["mean"], stats.coverage(frame))
 
 
 def test_a_run_that_ended_early_is_no_reason_to_resample() -> None:
     frame = Memory((0, run, float(t), 1.0) for run in range(8) for t in range(20 if run else 5))
-    computed = analysis.compute(figure(), AXIS, {"energy": frame})
+    computed = stats.compute(figure(), AXIS, {"energy": frame})
     assert computed.note == "mean, 95 % CI, n = 7–8"
 
 
 def test_the_note_says_all_that_is_not_in_the_numbers() -> None:
     frame = Memory([(0, 0, 0.0, 1.0), (0, 1, 0.0, None), (0, 2, 0.0, math.inf), (0, 3, math.nan, 5.0), (1, 0, 0.0, 2.0)])
-    note = analysis.compute(figure("summary"), AXIS, {"energy": frame}, planned={0: 5, 1: 4}).note
+    note = stats.compute(figure("summary"), AXIS, {"energy": frame}, planned={0: 5, 1: 4}).note
     assert note == (
         "mean, no interval, n = 1; 4 of 9 runs absent; 1 missing value left out; 1 infinite value left out;"
         " 1 row without a time left out"
@@ -421,23 +421,23 @@ def test_the_note_says_all_that_is_not_in_the_numbers() -> None:
 def test_several_rows_of_a_run_at_one_time_are_no_sample() -> None:
     frame = Memory((0, run, float(t), 1.0) for run in range(3) for t in range(5) for _ in range(2))
     with pytest.raises(UsageError, match="3 runs with more than one row at the same time"):
-        analysis.coverage(frame)
+        stats.coverage(frame)
 
 
 def test_nothing_recorded_is_an_error_of_one_line() -> None:
     with pytest.raises(SierraError, match="no run has written any row"):
-        analysis.compute(figure(), AXIS, {"energy": Memory([])})
+        stats.compute(figure(), AXIS, {"energy": Memory([])})
     with pytest.raises(SierraError, match="no finite value in energy"):
-        analysis.compute(figure(), AXIS, {"energy": Memory([(0, 0, 0.0, None)])})
+        stats.compute(figure(), AXIS, {"energy": Memory([(0, 0, 0.0, None)])})
 
 
 def test_a_threshold_that_no_run_reaches_is_said_with_its_value_and_the_number_of_runs() -> None:
     rows = [(e, run, float(t), float(t)) for e in range(2) for run in range(6) for t in range(5)]
     asked = figure("summary", measure="time_to", threshold=5.5)
     with pytest.raises(SierraError, match=r"^energy reaches the threshold 5.5 in none of 12 runs; there is no time to draw$"):
-        analysis.compute(asked, AXIS, {"energy": Memory(rows)})
+        stats.compute(asked, AXIS, {"energy": Memory(rows)})
     with pytest.raises(SierraError, match=r"in none of 13 runs, 1 without any value of it; there is"):
-        analysis.compute(asked, AXIS, {"energy": Memory([*rows, (1, 6, 0.0, None)])})
+        stats.compute(asked, AXIS, {"energy": Memory([*rows, (1, 6, 0.0, None)])})
 
 
 @pytest.mark.parametrize(
@@ -446,13 +446,13 @@ def test_a_threshold_that_no_run_reaches_is_said_with_its_value_and_the_number_o
 )
 def test_the_note_says_which_threshold_was_not_reached_how_often_and_how_that_looks(kind: str, mark: str) -> None:
     frame = Memory((e, run, float(t), float(t + run * e)) for e in range(2) for run in range(4) for t in range(5))
-    note = analysis.compute(figure(kind, measure="time_to", threshold=6), AXIS, {"energy": frame}).note
+    note = stats.compute(figure(kind, measure="time_to", threshold=6), AXIS, {"energy": frame}).note
     assert note.endswith(f"; threshold 6 never reached in 6 of 8 runs{mark}")
 
 
 def test_a_heatmap_of_one_variable_is_refused() -> None:
     with pytest.raises(UsageError, match="two independent variables, this batch has 1"):
-        analysis.compute(figure("heatmap"), AXIS, {"energy": Memory([(0, 0, 0.0, 1.0)])})
+        stats.compute(figure("heatmap"), AXIS, {"energy": Memory([(0, 0, 0.0, 1.0)])})
 
 
 @pytest.mark.parametrize(
@@ -462,7 +462,7 @@ def test_a_heatmap_of_one_variable_is_refused() -> None:
 def test_without_any_declared_each_column_gets_the_figures_that_suit_the_batch(
     axes: int, series: bool, expected: list[str]
 ) -> None:
-    found = analysis.default_figures("robots", ["energy"], AXIS * axes, series=series)
+    found = stats.default_figures("robots", ["energy"], AXIS * axes, series=series)
     assert [f.kind for f in found.values()] == expected
     assert list(found) == [f"robots_energy_{kind}" for kind in expected]
 
@@ -471,19 +471,19 @@ def test_without_any_declared_each_column_gets_the_figures_that_suit_the_batch(
 @pytest.mark.parametrize("center", ["mean", "median", "iqm"])
 def test_each_kind_of_figure_has_what_it_needs(kind: str, center: str) -> None:
     frame = Memory((e, run, float(t), float(t + run)) for e in range(2) for run in range(6) for t in range(4))
-    computed = analysis.compute(figure(kind, center=center), AXIS, {"energy": frame})
+    computed = stats.compute(figure(kind, center=center), AXIS, {"energy": frame})
     assert computed.tables["energy"].num_rows == (8 if kind in ("timeseries", "stacked") else 2)
     assert (computed.runs is not None) == (kind in ("box", "violin"))
     assert "FROM samples" in computed.sql
 
 
 def test_every_sql_file_is_used_and_begins_with_its_formula() -> None:
-    files = sorted(path.relative_to(analysis.HERE).as_posix() for path in analysis.HERE.rglob("*.sql"))
-    known = {f"statistics/{name}.sql" for name in analysis.STATISTICS} | {
+    files = sorted(path.relative_to(stats.HERE).as_posix() for path in stats.HERE.rglob("*.sql"))
+    known = {f"statistics/{name}.sql" for name in stats.STATISTICS} | {
         f"measures/{m}.sql" for m in ("final", "mean", "time_to")
     }
     assert set(files) == known | {"by_time.sql", "by_experiment.sql", "coverage.sql", "resample.sql"}
-    for path in analysis.HERE.rglob("*.sql"):
+    for path in stats.HERE.rglob("*.sql"):
         text = path.read_text(encoding="utf-8")
         assert text.startswith("-- ")
         assert path.stem.startswith(("by_", "coverage")) or re.match(r"-- .*([=:∓]|the)", text)
@@ -491,7 +491,7 @@ def test_every_sql_file_is_used_and_begins_with_its_formula() -> None:
 
 def test_the_statements_name_their_values_as_parameters() -> None:
     frame = Memory((0, run, 0.0, float(run)) for run in range(3))
-    _, text = analysis.by_experiment(frame, "time_to", ["interval"], analysis.coverage(frame), 1.5)
+    _, text = stats.by_experiment(frame, "time_to", ["interval"], stats.coverage(frame), 1.5)
     assert "-- $threshold: 1.5\n" in text
     assert "1.5" not in re.sub(r"--[^\n]*", "", text)
 

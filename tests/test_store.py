@@ -13,14 +13,14 @@ from typing import Any
 import pytest
 
 import sierra
-from sierra.api import Project
 from sierra.errors import Damaged, Missing, NotFound, SqlError
-from sierra.store import Store
+from sierra.project import Project
 from sierra.store.connections import connect
-from sierra.store.frame import Frame
 from sierra.store.objects import PART, Objects
+from sierra.store.samples import Frame
+from sierra.store.schema import DERIVED, RECORDED, check_name
 from sierra.store.segments import MANIFEST, Writer
-from sierra.store.tables import DERIVED, RECORDED, check_name
+from sierra.store.store import Store
 from tests import stores
 
 TOML = """
@@ -280,7 +280,7 @@ def test_the_last_good_execution_with_the_last_programs_counts(project: Project,
 
 
 def _seed(number: int) -> int:
-    from sierra.seeds import seed
+    from sierra.design.seeds import seed
 
     return seed(0, number)
 
@@ -312,7 +312,7 @@ def test_a_finding_takes_an_execution_out_of_all_tables(project: Project) -> Non
 def test_questions_are_answered_while_a_batch_runs(
     project: Project, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("sierra.recording.recorder.SOON_S", 0.1)
+    monkeypatch.setattr("sierra.ingest.recorder.SOON_S", 0.1)
     folder = tmp_path_factory.mktemp("beside")
     waits = f'[ "$(wc -l < {folder}/begun)" -le 10 ] || until [ -e {folder}/gate ]; do sleep 0.02; done\n'
     (project.root / "sim.sh").write_text(f"echo >> {folder}/begun\n{waits}{SIM}")

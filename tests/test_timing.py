@@ -9,9 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import sierra
-from sierra import timing
+from sierra.execution import timing
+from sierra.execution.timing import Timed, estimate
 from sierra.model import Value
-from sierra.timing import Timed, estimate
 from tests.conftest import Simulated
 
 SLEEPS = """sleep 0.$(sed -n 's/.* {}="\\([0-9]\\).*/\\1/p' "$1"); printf 't,v\\n1,1\\n' > swarm.csv"""

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 import sierra
-from sierra import seeds
+from sierra.design import seeds
 from tests import projects, stores
 
 Install = Callable[[int], None]

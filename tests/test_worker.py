@@ -21,8 +21,8 @@ from typing import Any
 
 import pytest
 
-from sierra import worker
-from sierra.worker import cpu_of
+from sierra.worker import worker
+from sierra.worker.worker import cpu_of
 from tests.waiting import PATIENCE_S, until
 
 PROGRAM = str(Path(worker.__file__))

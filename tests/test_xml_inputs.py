@@ -12,11 +12,11 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from sierra import inputs
+from sierra import templates
 from sierra.errors import ConfigError, Missing, SierraError, TemplateError
-from sierra.inputs import Template
-from sierra.inputs.xml import XmlTemplate
 from sierra.model import Add, Change, Remove, Rename, Set, Value
+from sierra.templates.base import Template
+from sierra.templates.xml import XmlTemplate
 from tests import projects
 from tests.effort import effort
 
@@ -89,7 +89,7 @@ def test_a_file_is_read_whatever_it_is_called(tmp_path: Path) -> None:
     for name in ("template.xml", "swarm.world", "swarm.rou.xml", "no ending", 'a\'; echo "ü"\n.launch'):
         file = tmp_path / name
         file.write_text(MUJOCO)
-        read = inputs.read(file)
+        read = templates.read(file)
         assert read.find("//replicate/@count") == ("8",)
         assert read.sha256 == hashlib.sha256(MUJOCO.encode()).hexdigest()
 
@@ -113,7 +113,7 @@ def test_paths_are_proposed_in_time_that_grows_as_the_template_does(element: str
 
 
 def test_xml_is_a_format_that_is_shipped() -> None:
-    assert inputs.formats()[0] == "xml"
+    assert templates.formats()[0] == "xml"
 
 
 @pytest.mark.parametrize("text", [MUJOCO, GAZEBO, SUMO, NAMESPACES])
@@ -303,7 +303,7 @@ def test_any_bytes_are_a_template_or_refused(data: bytes) -> None:
 def test_a_file_that_is_not_there_is_missing(tmp_path: Path) -> None:
     for path in (tmp_path / "none.xml", tmp_path / "a\nb", tmp_path / "nul\0"):
         with pytest.raises(Missing, match=r"cannot be read$") as caught:
-            inputs.read(path)
+            templates.read(path)
         assert str(caught.value).isprintable()
 
 
@@ -311,7 +311,7 @@ def test_a_directory_or_a_pipe_is_not_a_template(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
     for path in (tmp_path, tmp_path / "pipe"):
         with pytest.raises(TemplateError, match="not a file"):
-            inputs.read(path)
+            templates.read(path)
 
 
 # Paths
@@ -752,7 +752,7 @@ MANY = "<a>" + '<b c="1"><d/></b>' * 2000 + "</a>"
     ],
 )
 def test_a_path_that_would_be_evaluated_for_ever_is_refused(path: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sierra.inputs.trial.LIMIT_S", 1)
+    monkeypatch.setattr("sierra.templates.xpath_trial.LIMIT_S", 1)
     with pytest.raises(TemplateError) as caught:
         template(MANY).find(path)
     assert str(caught.value).startswith(f"{path} takes more than 1 s of computing in template.xml; use a path")
@@ -760,7 +760,7 @@ def test_a_path_that_would_be_evaluated_for_ever_is_refused(path: str, monkeypat
 
 @pytest.mark.slow
 def test_the_command_line_names_such_a_path_in_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sierra.inputs.trial.LIMIT_S", 1)
+    monkeypatch.setattr("sierra.templates.xpath_trial.LIMIT_S", 1)
     wide = "//*[count(//*[count(//*[count(//*)>0])>0])>0]/@c"
     folder = projects.make(tmp_path / "p", template=projects.TEMPLATE.replace("</arena>", MANY + "</arena>"))
     ran = projects.quick(folder, "run", "noise=1", "--set", f"{wide}=2", "-n")
@@ -792,7 +792,7 @@ def test_a_path_that_may_take_long_and_is_none_is_told_as_any_other() -> None:
     ],
 )
 def test_a_usual_path_starts_no_process(path: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delattr("sierra.inputs.trial.subprocess.run")
+    monkeypatch.delattr("sierra.templates.xpath_trial.subprocess.run")
     assert template("<x>" + MANY * 10 + "</x>").find(path) is not None
 
 

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from sierra.cli import completing
+from sierra.cli import complete
 
 if TYPE_CHECKING:
-    from sierra.adopting import Cancelled
+    from sierra.execution.takeover import Cancelled
 
 
 def status(
@@ -18,7 +18,7 @@ def status(
         str | None,
         typer.Argument(
             metavar="HASH",
-            autocompletion=completing.ids,
+            autocompletion=complete.ids,
             help="A batch, or a session, by the beginning of its id (default: all).",
         ),
     ] = None,
@@ -35,14 +35,14 @@ def status(
       sierra status
       sierra status 774d --json
     """
-    from sierra.cli import opened, standings
+    from sierra.cli import open_project, render_status
     from sierra.cli.output import note, print_json
 
-    found = opened.project().status(prefix, say=note)
+    found = open_project.project().status(prefix, say=note)
     if as_json:
         print_json([asdict(one) for one in found])
     elif found:
-        standings.show(found)
+        render_status.show(found)
     else:
         print("nothing is on a cluster" if prefix is None else f"nothing of {prefix} is on a cluster")
 
@@ -52,7 +52,7 @@ def attach(
         str,
         typer.Argument(
             metavar="HASH",
-            autocompletion=completing.ids,
+            autocompletion=complete.ids,
             help="A batch, or a session of `sierra status`, by the beginning of its id.",
         ),
     ],
@@ -70,16 +70,16 @@ def attach(
     Example:
       sierra attach 774d
     """
-    from sierra import settings
-    from sierra.cli import opened, summaries
+    from sierra.cli import open_project, render_summary
     from sierra.cli.output import note
     from sierra.cli.progress import watching
+    from sierra.config import user
 
-    project = opened.project()
-    drawn = settings.load().figures if figures is None else figures
+    project = open_project.project()
+    drawn = user.load().figures if figures is None else figures
     with watching(quiet=as_json) as display:
         summary = project.attach(prefix, figures=drawn, watch=display.show, say=note, leave=display.leave)
-    summaries.tell(project, summary, {} if as_json else None)
+    render_summary.tell(project, summary, {} if as_json else None)
 
 
 def cancel(
@@ -87,7 +87,7 @@ def cancel(
         str,
         typer.Argument(
             metavar="HASH",
-            autocompletion=completing.ids,
+            autocompletion=complete.ids,
             help="A batch, or a session of `sierra status`, by the beginning of its id.",
         ),
     ],
@@ -99,10 +99,10 @@ def cancel(
     Example:
       sierra cancel 774d
     """
-    from sierra.cli import opened
+    from sierra.cli import open_project
     from sierra.cli.output import note, print_json
 
-    done = opened.project().cancel(prefix, say=note)
+    done = open_project.project().cancel(prefix, say=note)
     if as_json:
         print_json([asdict(one) for one in done])
         return
@@ -111,7 +111,7 @@ def cancel(
 
 
 def _cancelled(one: Cancelled) -> str:
-    from sierra.wording import counted
+    from sierra.util.text import counted
 
     ending = f"; {one.ending} is still ending it" if one.ending else ""
     failed = f" ({one.failed} of them failed)" if one.failed else ""

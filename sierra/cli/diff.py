@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sierra.cli import completing
+from sierra.cli import complete
 
 if TYPE_CHECKING:
-    from sierra.difference import Comparison, Difference
+    from sierra.explain.diff.compare import Comparison
+    from sierra.explain.diff.model import Difference
 
 LINES = 6
 """Differences of one kind that are shown."""
@@ -27,14 +28,14 @@ def diff(
         str,
         typer.Argument(
             metavar="A",
-            autocompletion=completing.ids,
+            autocompletion=complete.ids,
             help="A batch, experiment, run or execution, by the beginning of its id.",
         ),
     ],
     after: Annotated[
         str,
         typer.Argument(
-            metavar="B", autocompletion=completing.ids, help="Another one of the same kind; or a run, and an execution."
+            metavar="B", autocompletion=complete.ids, help="Another one of the same kind; or a run, and an execution."
         ),
     ],
     patch: Annotated[bool, typer.Option("--patch", help="Show all of the patch, and of all other details.")] = False,
@@ -53,7 +54,7 @@ def diff(
       sierra diff 774d 0cdc
       sierra diff 774d 0cdc --patch
     """
-    from sierra.cli.opened import project
+    from sierra.cli.open_project import project
     from sierra.cli.output import note, print_json
 
     answer = project().diff(before, after)
@@ -89,7 +90,7 @@ def _answer(answer: Comparison) -> dict[str, Any]:
 
 
 def _print(answer: Comparison, *, everything: bool) -> None:
-    from sierra.hashing import short
+    from sierra.util.hashing import short
 
     print(f"{answer.before.kind} {short(answer.before.id)} → {answer.after.kind} {short(answer.after.id)}")
     for _, alike in groupby(answer.differences, lambda one: (one.kind, one.rank)):

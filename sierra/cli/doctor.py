@@ -18,8 +18,8 @@ def doctor(
     """
     from dataclasses import asdict
 
-    from sierra import checks
     from sierra.cli.output import print_json
+    from sierra.setup import doctor as checks
 
     found = checks.all_checks()
     if as_json:

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sierra.cli import completing
+from sierra.cli import complete
 from sierra.errors import UsageError
 
 if TYPE_CHECKING:
-    from sierra.api import Project
-    from sierra.extract import Listing, Outcome
+    from sierra.project import Project
+    from sierra.store.export import Listing, Outcome
     from sierra.store.files import Recorded, Taken
 
 SPOOLED = 64 << 20
@@ -31,7 +31,7 @@ def files(
     prefix: Annotated[
         str,
         typer.Argument(
-            metavar="HASH", autocompletion=completing.ids, help="The beginning of an id, as `sierra show` shows them."
+            metavar="HASH", autocompletion=complete.ids, help="The beginning of an id, as `sierra show` shows them."
         ),
     ],
     paths: Annotated[
@@ -54,9 +54,9 @@ def files(
       sierra files 774d --to recorded
       sierra files 774d "*.csv" stderr --to recorded
     """
-    from sierra.cli.opened import project
+    from sierra.cli.open_project import project
     from sierra.cli.output import print_json
-    from sierra.extract import extract, listing
+    from sierra.store.export import extract, listing
 
     opened = project()
     listed = listing(opened.store, prefix, paths or ())
@@ -79,7 +79,7 @@ def _print_one(opened: Project, listed: Listing) -> None:
 
     from sierra.cli.output import note, readable
     from sierra.errors import Damaged
-    from sierra.extract import content
+    from sierra.store.export import content
 
     if len(listed.files) > 1:
         raise UsageError(f"that is {len(listed.files)} files; name one of one run, or say where with --to FOLDER")
@@ -113,7 +113,7 @@ def _doubt(opened: Project, folder: Path) -> None:
 
 
 def _execution(run: Taken) -> str:
-    from sierra.hashing import short
+    from sierra.util.hashing import short
 
     if run.execution is None:
         return "never executed: nothing but its input is recorded"
@@ -122,7 +122,7 @@ def _execution(run: Taken) -> str:
 
 def _print(listed: Listing) -> None:
     from sierra.cli.output import fields, readable, table
-    from sierra.hashing import short
+    from sierra.util.hashing import short
 
     several = len(listed.runs) > 1
     owner = ("experiment", "number", "run", "execution", "status") if several else ()

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 if TYPE_CHECKING:
-    from sierra.images import Contents, Image
+    from sierra.containers.images import Contents, Image
 
 app = typer.Typer(
     name="image",
@@ -44,9 +44,9 @@ def build(
       sierra image build containers/sim
       sierra image build containers/python containers/swarm
     """
-    from sierra.cli.opened import project
+    from sierra.cli.open_project import project
     from sierra.cli.output import print_json
-    from sierra.images.naming import tag
+    from sierra.containers.images.resolve import tag
 
     opened, built = project(), []
     for name in recipes or (None,):
@@ -76,7 +76,7 @@ def import_(
     Examples:
       sierra image import sim.tar --name localhost/sim:1
     """
-    from sierra.cli.opened import project
+    from sierra.cli.open_project import project
     from sierra.cli.output import print_json
 
     opened = project()
@@ -103,7 +103,7 @@ def export(
     Examples:
       sierra image export localhost/sim:1 sim.tar
     """
-    from sierra.cli.opened import project
+    from sierra.cli.open_project import project
     from sierra.cli.output import print_json
 
     image = project().export_image(name, file)
@@ -125,7 +125,7 @@ def pin(name: Name = None, as_json: AsJson = False) -> None:
       sierra image pin
       sierra image pin localhost/sim:1
     """
-    from sierra.cli.opened import project
+    from sierra.cli.open_project import project
     from sierra.cli.output import note, print_json
 
     found = project().pin(name)
@@ -156,7 +156,7 @@ def show(
       sierra image show
       sierra image show localhost/sim:1 --program python3
     """
-    from sierra.cli.opened import project
+    from sierra.cli.open_project import project
     from sierra.cli.output import cell, fields, print_json, readable
 
     found = project().image(name)
@@ -182,10 +182,10 @@ def ls(as_json: AsJson = False) -> None:
     """
     from dataclasses import asdict
 
-    from sierra.cli.keep import size
-    from sierra.cli.opened import project
+    from sierra.cli.maintenance import size
+    from sierra.cli.open_project import project
     from sierra.cli.output import print_json, readable, table
-    from sierra.images import short
+    from sierra.containers.images import short
 
     known = project().images()
     if as_json:

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 import typer
 
 if TYPE_CHECKING:
-    from sierra.start import Guess, Question
+    from sierra.setup.init.answers import Question
+    from sierra.setup.init.write import Guess
 
 T = TypeVar("T")
 
@@ -48,15 +49,15 @@ def init(
       sierra init -y --template arena.xml --command "./sim {input}" \\
                   --variable "population_size=//swarm/@count"
     """
-    from sierra import start
+    from sierra.setup.init import wizard
 
     if example is not None:
-        _say_example(folder, start.copy_example(example, folder), as_json=as_json)
+        _say_example(folder, wizard.copy_example(example, folder), as_json=as_json)
         return
-    said = start.Options(template, command, seed, tuple(variables or ()), tuple(source or ()))
+    said = wizard.Options(template, command, seed, tuple(variables or ()), tuple(source or ()))
     somebody = not yes and not as_json and sys.stdin.isatty() and sys.stdout.isatty()
-    guess = start.find_out(folder, said, _ask if somebody else None)
-    _say(folder, start.write(folder, guess), guess, as_json=as_json)
+    guess = wizard.find_out(folder, said, _ask if somebody else None)
+    _say(folder, wizard.write(folder, guess), guess, as_json=as_json)
 
 
 def _ask(question: Question, check: Callable[[str], T]) -> T:

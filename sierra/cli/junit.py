@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from xml.etree import ElementTree as ET
 
 if TYPE_CHECKING:
-    from sierra.verdicts import Compared, OfExperiment, Replay
+    from sierra.replay.verdicts import Compared, OfExperiment, Replay
 
 
 def write(answer: Replay, file: Path) -> None:

@@ -102,7 +102,7 @@ def cell(value: Any) -> str:
 
 def short_id(value: Any) -> Any:
     """Return the beginning of an id, by which commands know it; anything else as it is."""
-    from sierra.hashing import short
+    from sierra.util.hashing import short
 
     is_id = isinstance(value, str) and len(value) == 64 and not value.strip("0123456789abcdef")
     return short(value) if is_id else value

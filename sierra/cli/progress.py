@@ -10,11 +10,11 @@ from typing import Any
 
 import typer
 
-from sierra.asking import Progress
-from sierra.cli import leaving
+from sierra.cli import detach
 from sierra.cli.output import raw, safe
 from sierra.errors import UsageError
-from sierra.wording import counted
+from sierra.execution.executor import Progress
+from sierra.util.text import counted
 
 FIRST_S, LAST_S = 10.0, 300.0
 """Between two lines, which get rarer: a log of days is to be short."""
@@ -31,8 +31,8 @@ class Display:
         """Hear how far it has come."""
 
     def leave(self) -> bool:
-        """Whether what goes on on a cluster is left to itself, now that the user wants to end: see `sierra.cli.leaving`."""
-        return leaving.asked()
+        """Whether what goes on on a cluster is left to itself, now that the user wants to end: see `sierra.cli.detach`."""
+        return detach.asked()
 
 
 @contextlib.contextmanager
@@ -120,7 +120,7 @@ class _Bar(Display):
     def leave(self) -> bool:
         self._bars.stop()
         try:
-            return leaving.asked()
+            return detach.asked()
         finally:
             self._bars.start()
 

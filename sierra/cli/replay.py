@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sierra.cli import completing
+from sierra.cli import complete
 from sierra.errors import Missing, UsageError
 
 if TYPE_CHECKING:
-    from sierra.agreement import Agreement, Verdict
-    from sierra.config import Tolerance
-    from sierra.verdicts import Compared, OfExperiment, Replay
+    from sierra.config.project_file import Tolerance
+    from sierra.replay.compare import Agreement, Verdict
+    from sierra.replay.verdicts import Compared, OfExperiment, Replay
 
 SHOWN = 3
 
@@ -25,7 +25,7 @@ def replay(
         str,
         typer.Argument(
             metavar="HASH",
-            autocompletion=completing.ids,
+            autocompletion=complete.ids,
             help="A batch, experiment, run or execution, by the beginning of its id.",
         ),
     ],
@@ -73,12 +73,12 @@ def replay(
       sierra replay 774d --no-record
     """
     from sierra.cli import junit as junit_file
-    from sierra.cli import opened
+    from sierra.cli import open_project
     from sierra.cli.output import note, print_json
     from sierra.cli.progress import watching
 
     asked = tolerances(set_tolerance or ())
-    project = opened.project()
+    project = open_project.project()
     if junit is not None and not junit.parent.is_dir():
         raise Missing(f"{junit}: there is no folder {junit.parent}")
     with watching(quiet=as_json) as display:
@@ -108,7 +108,7 @@ def replay(
 
 def tolerances(texts: Iterable[str]) -> dict[str, dict[str, Tolerance]]:
     """By output and column, from `[OUTPUT.]COLUMN=KIND:X[,KIND:X]`. Raises UsageError."""
-    from sierra import config
+    from sierra.config import project_file
 
     found: dict[str, dict[str, Tolerance]] = {}
     for text in texts:
@@ -120,7 +120,7 @@ def tolerances(texts: Iterable[str]) -> dict[str, dict[str, Tolerance]]:
             kinds = {}
         if not (output and column and kinds):
             raise UsageError(f"--set-tolerance {text!r}: write it as COLUMN=rel:1e-9 or OUTPUT.COLUMN=abs:0.1,ulp:4")
-        found.setdefault(output, {})[column] = config.options(config.Tolerance, kinds, f"--set-tolerance {text!r}")
+        found.setdefault(output, {})[column] = project_file.options(project_file.Tolerance, kinds, f"--set-tolerance {text!r}")
     return found
 
 
@@ -167,7 +167,7 @@ def _output(run: Compared, path: str | None, found: Agreement) -> dict[str, Any]
 
 def _print(answer: Replay) -> None:
     from sierra.cli.output import table
-    from sierra.hashing import short
+    from sierra.util.hashing import short
 
     if answer.interrupted:
         print("interrupted: nothing was compared")
@@ -203,7 +203,7 @@ def _values(experiment: OfExperiment) -> str:
 
 def _alike(answer: Replay) -> dict[tuple[Verdict, str | None], list[tuple[Compared, Agreement]]]:
     """The outputs that are not identical, by verdict and path, the worst verdict first."""
-    from sierra.agreement import Verdict
+    from sierra.replay.compare import Verdict
 
     order = list(Verdict)
     found: dict[tuple[Verdict, str | None], list[tuple[Compared, Agreement]]] = {}
@@ -217,7 +217,7 @@ def _alike(answer: Replay) -> dict[tuple[Verdict, str | None], list[tuple[Compar
 def _print_outputs(verdict: Verdict, path: str | None, found: Sequence[tuple[Compared, Agreement]]) -> None:
     """Some runs for all of which one output has the same verdict; of what is fine, one will do."""
     from sierra.cli.output import readable
-    from sierra.hashing import short
+    from sierra.util.hashing import short
 
     shown = found[: 1 if verdict.fine else SHOWN]
     for run, agreement in shown:
@@ -233,8 +233,8 @@ def _grown(agreement: Agreement) -> str:
     """How a difference grows, from where there is one."""
     from itertools import dropwhile
 
-    from sierra.agreement import distance
     from sierra.cli.output import cell
+    from sierra.replay.compare import distance
 
     apart = list(dropwhile(lambda part: part[1] == 0, agreement.growth))
     same = agreement.growth[: len(agreement.growth) - len(apart)]

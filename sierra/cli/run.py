@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sierra.cli import completing
+from sierra.cli import complete
 
 if TYPE_CHECKING:
-    from sierra.api import Project
-    from sierra.plans import Plan
+    from sierra.execution.plans import Plan
+    from sierra.project import Project
 
 STDERR = 2
 
@@ -23,7 +23,7 @@ def run(
         list[str],
         typer.Argument(
             metavar="QUERY",
-            autocompletion=completing.criteria,
+            autocompletion=complete.criteria,
             help="Criteria, one for each axis. The name of a query in sierra.toml stands for its own. "
             "Or the beginning of a batch's id: what is missing of it, with the code of then.",
         ),
@@ -79,13 +79,13 @@ def run(
       sierra run population_size.Log8 --on slurm --detach
       sierra run population_size.Log8 --on slurm --dry-run --explain
     """
-    from sierra import settings
-    from sierra.cli import opened, proposals, summaries
+    from sierra.cli import open_project, render_estimate, render_summary
     from sierra.cli.output import note, print_json
     from sierra.cli.progress import planning, watching
-    from sierra.query import setting
+    from sierra.config import user
+    from sierra.query.grammar import setting
 
-    project = opened.project()
+    project = open_project.project()
     plan = project.plan(
         *query,
         runs=runs,
@@ -103,7 +103,7 @@ def run(
         proposed = project.proposal(plan, runner, detach=detach)
         told |= {"proposal": proposed and asdict(proposed)}
         if proposed and not as_json:
-            proposals.show(proposed, explain=explain, script=dry_run)
+            render_estimate.show(proposed, explain=explain, script=dry_run)
         if dry_run:
             for text in (*plan.notes, *(proposed.notes if proposed else ())):
                 note(text)
@@ -117,7 +117,7 @@ def run(
             plan,
             jobs=jobs,
             fail_fast=fail_fast,
-            figures=settings.load().figures if figures is None else figures,
+            figures=user.load().figures if figures is None else figures,
             watch=display.show,
             runner=runner,
             detach=detach,
@@ -125,27 +125,27 @@ def run(
             leave=display.leave,
         )
     more: dict[str, Any] = {name: told[name] for name in ("reasons", "new_because", "proposal") if name in told}
-    summaries.tell(project, summary, more if as_json else None, detached=detach)
+    render_summary.tell(project, summary, more if as_json else None, detached=detach)
 
 
 def _preview(project: Project, plan: Plan, *, explain: bool, as_json: bool) -> dict[str, Any]:
     """What would execute, and (with `explain`) why."""
-    from sierra import standing
-    from sierra.cli import standings
+    from sierra.cli import render_status
     from sierra.cli.output import table
-    from sierra.explain import other_programs, why_new
-    from sierra.hashing import short
-    from sierra.states import foreseen
-    from sierra.states import states as states_of
+    from sierra.execution import status
+    from sierra.execution.reuse import foreseen
+    from sierra.execution.reuse import states as states_of
+    from sierra.explain.changes import other_programs, why_new
+    from sierra.util.hashing import short
 
     store = project.stored()
     states = foreseen(plan, store, states_of(plan, store))
     anew = sum(state.anew for state in states.values())
     missing = {run for run, state in states.items() if not state.good and not state.anew}
-    there = missing & standing.claimed(store).keys() if store and missing else set()
-    now = standing.seen(store, there) if store and there else []
+    there = missing & status.claimed(store).keys() if store and missing else set()
+    now = status.seen(store, there) if store and there else []
     todo = len(missing) - len(there)
-    reasons = Counter(standing.ON_CLUSTER if run in there else state.why for run, state in states.items())
+    reasons = Counter(status.ON_CLUSTER if run in there else state.why for run, state in states.items())
     told: dict[str, Any] = {
         "batch": plan.batch.id,
         "query": plan.text,
@@ -181,7 +181,7 @@ def _preview(project: Project, plan: Plan, *, explain: bool, as_json: bool) -> d
         beside = f", {len(there)} are on a cluster, and would be followed" if there else ""
         judged = f", {anew} would be judged anew, as [outputs] or [success] have changed" if anew else ""
         print(f"{todo} of {len(states)} runs would execute{judged}{beside}")
-    for line in standings.lines(now):
+    for line in render_status.lines(now):
         print(line)
     return told
 
@@ -201,7 +201,7 @@ def _check_log(plan: Plan) -> None:
 def _again(project: Project, plan: Plan) -> dict[str, Any]:
     """Say, before hours are spent, why runs execute again although the same was asked before."""
     from sierra.cli.output import note
-    from sierra.explain import why_again
+    from sierra.explain.changes import why_again
 
     why = why_again(plan, project.stored())
     if why:

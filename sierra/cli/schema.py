@@ -27,9 +27,9 @@ def schema(
     """
     from dataclasses import asdict
 
-    from sierra import schemas
     from sierra.cli.output import print_json, table
     from sierra.errors import NotFound
+    from sierra.setup import schemas
 
     if write is not None:
         schemas.write(write)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from sierra.provenance.source import Shared
+    from sierra.provenance.source.sharing import Shared
 
 app = typer.Typer(
     name="source",
@@ -37,7 +37,7 @@ def push(remote: Remote = None, as_json: AsJson = False) -> None:
       sierra source push
       sierra source push origin
     """
-    from sierra.cli.opened import project
+    from sierra.cli.open_project import project
 
     _tell(project().push_sources(remote), "pushed to", as_json=as_json)
 
@@ -53,14 +53,14 @@ def fetch(remote: Remote = None, as_json: AsJson = False) -> None:
       sierra source fetch
       sierra source fetch origin
     """
-    from sierra.cli.opened import project
+    from sierra.cli.open_project import project
 
     _tell(project().fetch_sources(remote), "here, from", as_json=as_json)
 
 
 def _tell(shared: list[Shared], what: str, *, as_json: bool) -> None:
     from sierra.cli.output import print_json
-    from sierra.wording import counted
+    from sierra.util.text import counted
 
     if as_json:
         print_json([asdict(one) for one in shared])

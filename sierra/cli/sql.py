@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sierra.cli import completing
+from sierra.cli import complete
 from sierra.errors import UsageError
-from sierra.paths import write_whole
+from sierra.util.fs import write_whole
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
-    from sierra.store import Store
+    from sierra.store.store import Store
 
 SHOWN_ROWS = 200
 
@@ -40,7 +40,7 @@ def sql(
     batch: Annotated[
         str | None,
         typer.Option(
-            "--batch", "-b", metavar="HASH", autocompletion=completing.ids, help="See the runs and outputs of this batch alone."
+            "--batch", "-b", metavar="HASH", autocompletion=complete.ids, help="See the runs and outputs of this batch alone."
         ),
     ] = None,
     output: Annotated[Path | None, typer.Option("--output", "-o", metavar="FILE", help="Write it to a file.")] = None,
@@ -60,12 +60,12 @@ def sql(
       sierra sql "FROM runs" --format parquet -o runs.parquet
       sierra sql - < question.sql
     """
-    from sierra.cli.opened import project
+    from sierra.cli.open_project import project
 
     opened = project()
     within = None if batch is None else opened.batch(batch)
     if statement is None:
-        from sierra.cli.prompt import prompt
+        from sierra.cli.sql_prompt import prompt
 
         prompt(lambda text: write(_ask(opened.store, text, within), Format.table, None))
         return
@@ -93,7 +93,7 @@ def _ask(store: Store, text: str, within: str | None) -> pa.Table:
 def write(answer: pa.Table, format: Format, output: Path | None) -> None:
     """An answer in a format, to a file or to standard output; what must be known of it, to standard error."""
     from sierra.cli.output import note
-    from sierra.store import NOTE
+    from sierra.store.store import NOTE
 
     if told := (answer.schema.metadata or {}).get(NOTE.encode()):
         note(told.decode())

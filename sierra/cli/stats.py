@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from sierra.cli import completing
+from sierra.cli import complete
 from sierra.cli.sql import Format, write
 from sierra.errors import UsageError
 
@@ -32,13 +32,13 @@ class Times(StrEnum):
 def stats(
     output: Annotated[
         str,
-        typer.Argument(metavar="OUTPUT", autocompletion=completing.tables, help="The output, as SHOW TABLES in SQL has it."),
+        typer.Argument(metavar="OUTPUT", autocompletion=complete.tables, help="The output, as SHOW TABLES in SQL has it."),
     ],
     column: Annotated[str, typer.Argument(metavar="COLUMN", help="One of its columns.")],
     batch: Annotated[
         str | None,
         typer.Option(
-            "--batch", "-b", metavar="HASH", autocompletion=completing.ids, help="The batch (default: the last asked for)."
+            "--batch", "-b", metavar="HASH", autocompletion=complete.ids, help="The batch (default: the last asked for)."
         ),
     ] = None,
     measure: Annotated[
@@ -69,7 +69,7 @@ def stats(
       sierra stats swarm coverage --measure time_to --threshold 0.5
       sierra stats swarm coverage --times own --format csv -o coverage.csv
     """
-    from sierra.cli.opened import project
+    from sierra.cli.open_project import project
 
     if (measure is Measure.time_to) != (threshold is not None):
         raise UsageError("--measure time_to and --threshold X go together")

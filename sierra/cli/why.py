@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from sierra.cli import completing
+from sierra.cli import complete
 
 if TYPE_CHECKING:
-    from sierra.reasons import Why
-    from sierra.reasons.standing import Standing
-    from sierra.reasons.story import Event
+    from sierra.explain.effective import Standing
+    from sierra.explain.history import Event
+    from sierra.explain.why import Why
 
 LINES = 10
 
@@ -22,7 +22,7 @@ def why(
         str,
         typer.Argument(
             metavar="HASH",
-            autocompletion=completing.ids,
+            autocompletion=complete.ids,
             help="A batch, experiment, run or execution, by the beginning of its id.",
         ),
     ],
@@ -38,7 +38,7 @@ def why(
       sierra why 774d
       sierra why 292ca7e4 --json
     """
-    from sierra.cli.opened import project
+    from sierra.cli.open_project import project
     from sierra.cli.output import print_json
 
     answer = project().why(prefix)
@@ -55,9 +55,9 @@ def why(
 
 
 def _print(answer: Why) -> None:
-    from sierra.cli import standings
+    from sierra.cli import render_status
     from sierra.cli.output import readable
-    from sierra.hashing import short
+    from sierra.util.hashing import short
 
     many = f": {_runs(answer.runs)}" if answer.found.kind in ("batch", "experiment") else ""
     print(f"{answer.found.kind} {short(answer.found.id)}{many}")
@@ -78,7 +78,7 @@ def _print(answer: Why) -> None:
         print(f"  batch {short(one.batch)}: {_standing(one)}{readable(one.why)}")
     if len(answer.standings) > LINES:
         print(f"  and {len(answer.standings) - LINES} more (--json has them all)")
-    for line in standings.lines(answer.clusters):
+    for line in render_status.lines(answer.clusters):
         print(line)
     print("asking again now:")
     for line in answer.again:
@@ -86,7 +86,7 @@ def _print(answer: Why) -> None:
 
 
 def _standing(one: Standing) -> str:
-    from sierra.hashing import short
+    from sierra.util.hashing import short
 
     if one.counts:
         return f"execution {short(one.execution or '')}: " if one.runs == 1 else f"of {one.runs} runs, "
@@ -95,7 +95,7 @@ def _standing(one: Standing) -> str:
 
 def _print_event(event: Event, answer: Why, *, because: bool) -> None:
     from sierra.cli.output import cell, readable
-    from sierra.hashing import short
+    from sierra.util.hashing import short
 
     many = answer.runs > 1
     failed = f", {event.failed} of them failed" if many else " and failed"

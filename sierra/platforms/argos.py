@@ -59,8 +59,7 @@ from typing import Annotated, ClassVar
 
 from pydantic import Field, NonNegativeInt, PositiveInt, StringConstraints
 
-from sierra import scales
-from sierra.config import Project, Table, options
+from sierra.config.project_file import Project, Table, options
 from sierra.errors import ConfigError, QueryError, TemplateError
 from sierra.model import (
     Add,
@@ -78,7 +77,8 @@ from sierra.model import (
     Value,
     VariableDensity,
 )
-from sierra.platforms import Reader
+from sierra.platforms.base import Reader
+from sierra.query import ranges
 
 TABLE = "[platforms.argos]"
 PLACEHOLDER = "__CONTROLLER__"
@@ -278,7 +278,7 @@ class Argos:
     def _population_size(self, criterion: Criterion, template: Reader) -> tuple[Axis, tuple[Point, ...]]:
         if isinstance(criterion.scale, MonteCarlo):
             raise QueryError(f"{criterion.name} has a range; use {criterion.name}.Log8")
-        populations = tuple(_whole(criterion.name, value) for value in scales.values(criterion.scale))
+        populations = tuple(_whole(criterion.name, value) for value in ranges.values(criterion.scale))
         path = self._population(template)
         points = tuple(Point(n, (_quantity(path, n, criterion.name),)) for n in populations)
         return Axis(criterion.name, populations, label=LABEL), points
@@ -288,7 +288,7 @@ class Argos:
         if not isinstance(scale, ConstantDensity):
             raise QueryError(f"{name} has a density, an increment in metres and a count; use {name}.5p0.I16.C4")
         first, path = _arena_size(template), self._population(template)
-        sizes = tuple(Size(first.x + longer, first.y + longer) for longer in scales.growths(scale))
+        sizes = tuple(Size(first.x + longer, first.y + longer) for longer in ranges.growths(scale))
         populations = tuple(_agents(name, size.area, scale.density) for size in sizes)
         if len(set(populations)) < len(populations):
             raise QueryError(_too_slow(name, first, scale, populations))
@@ -304,7 +304,7 @@ class Argos:
             raise QueryError(f"{name} has two densities and a count; use {name}.1p0.5p0.C4")
         size, path = _arena_size(template), self._population(template)
         self._check_walls(template, size, "")
-        populations = tuple(_agents(name, size.area, density) for density in scales.densities(scale))
+        populations = tuple(_agents(name, size.area, density) for density in ranges.densities(scale))
         if len(set(populations)) < len(populations):
             raise QueryError(_too_close(name, size, scale, populations))
         fixed = Set(f"{ARENA}/@size", _sides(template, size), expect=1, why=name)
@@ -480,7 +480,7 @@ def _too_close(name: str, size: Size, scale: VariableDensity, populations: tuple
 
 
 def _sizes(scale: Scale) -> dict[str, Size]:
-    values = scales.values(scale) if isinstance(scale, Listed) else ()
+    values = ranges.values(scale) if isinstance(scale, Listed) else ()
     matches = {text: re.fullmatch(_SIZE, text) for text in values if isinstance(text, str)}
     if not values or len(matches) < len(values) or not all(matches.values()):
         raise QueryError("an arena is its sides in metres; use arena=10x10,20x10")
@@ -639,17 +639,17 @@ def _number(text: str, what: str) -> Fraction:
 
 
 def _joined(numbers: Iterable[Fraction]) -> str:
-    return ",".join(scales.plain(number) for number in numbers)
+    return ",".join(ranges.plain(number) for number in numbers)
 
 
 def _plain(number: Fraction) -> str:
     """For people: at most four decimals."""
-    return scales.plain(round(number, 4))
+    return ranges.plain(round(number, 4))
 
 
 def _step(number: Fraction) -> str:
     """At least that, as criteria write it: 6p25."""
-    return scales.plain(Fraction(math.ceil(number * 100), 100)).replace(".", "p")
+    return ranges.plain(Fraction(math.ceil(number * 100), 100)).replace(".", "p")
 
 
 def _literal(text: str) -> str:

@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from pathlib import PurePosixPath
 from typing import ClassVar
 
-from sierra.config import Project, Table, options
+from sierra.config.project_file import Project, Table, options
 from sierra.errors import ConfigError
 from sierra.model import Axis, Change, Criterion, Point
-from sierra.platforms import Reader
+from sierra.platforms.base import Reader
 
 
 class CommandOptions(Table):

@@ -16,9 +16,9 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from sierra.hashing import digest, sha256
 from sierra.provenance import program, pythons
 from sierra.provenance.machine import facts, usable_cores
+from sierra.util.hashing import digest, sha256
 
 VARIABLES = (
     *("LANG", "LANGUAGE", "LC_*", "TZ", "PATH", "LD_LIBRARY_PATH", "LD_PRELOAD", "GLIBC_TUNABLES", "MALLOC_*"),

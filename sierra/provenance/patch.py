@@ -15,10 +15,10 @@ from pathlib import Path
 from typing import Literal
 
 from sierra.errors import Missing
-from sierra.lines import patch
-from sierra.provenance.source import SWHID
+from sierra.provenance.source.capture import SWHID
 from sierra.provenance.source.git import Git, in_repository
 from sierra.provenance.source.manifest import REPOSITORY, parts, read
+from sierra.util.textdiff import patch
 
 SHOWN = 20
 """Commits that are told one by one."""

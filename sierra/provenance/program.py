@@ -10,7 +10,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
-from sierra.hashing import digest
+from sierra.util.hashing import digest
 
 INSTALLED = ": installed distributions"
 """How the name ends of all that a Python has installed, whose path is folders, as in a PATH."""

@@ -19,11 +19,11 @@ from pathlib import Path
 from typing import Any
 
 from sierra.errors import Missing
-from sierra.hashing import sha256, short
 from sierra.provenance import libraries, pythons
-from sierra.provenance.digests import Digests
+from sierra.provenance.hash_cache import Digests
 from sierra.provenance.program import INSTALLED, NOTHING, Kind, Program, Programs, by_likelihood, called, versions
-from sierra.wording import few
+from sierra.util.hashing import sha256, short
+from sierra.util.text import few
 
 SHOWN = 5
 

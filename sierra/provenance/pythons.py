@@ -21,8 +21,8 @@ from typing import Any
 from urllib.parse import unquote, urlsplit
 
 from sierra.errors import Missing
-from sierra.hashing import digest
-from sierra.provenance.digests import Digests
+from sierra.provenance.hash_cache import Digests
+from sierra.util.hashing import digest
 
 NAME = re.compile(r"python(\d(\.\d+)?t?)?")
 ASK = "import sys; print('\\n' + ascii([sys.executable, sys.prefix, sys.base_prefix, sys.path]))"

@@ -22,12 +22,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from sierra import processes
-from sierra.config import ProgramsTable
-from sierra.hashing import digest
-from sierra.paths import user_versions
+from sierra.config.project_file import ProgramsTable
 from sierra.provenance.program import Kind, Program, Programs
-from sierra.provenance.remembered import Remembered
+from sierra.store.layout import user_versions
+from sierra.util.cache import Remembered
+from sierra.util.hashing import digest
+from sierra.worker import processes
 
 PATIENCE_S = 10.0
 """As simulators may need where the machine is busy: that one says nothing is remembered like what it says."""

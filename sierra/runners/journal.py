@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from sierra.hashing import short
 from sierra.model import OutputFile, Result
+from sierra.util.hashing import short
 
 AT_ONCE = 1 << 20
 

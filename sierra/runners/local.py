@@ -15,13 +15,14 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from sierra import worker
-from sierra.config import ClusterTable
+from sierra.config.project_file import ClusterTable
 from sierra.errors import Missing
 from sierra.model import Client, Job, Limits, Result
-from sierra.paths import SessionPaths
-from sierra.runners import Look, Work, orphans
+from sierra.runners import orphans
+from sierra.runners.base import Look, Work
 from sierra.runners.journal import Journal, Stalled, Started
+from sierra.store.layout import SessionPaths
+from sierra.worker import worker
 
 
 class Local:

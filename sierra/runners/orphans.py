@@ -13,11 +13,11 @@ import time
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from sierra import processes, worker
 from sierra.errors import Missing
 from sierra.model import Result
-from sierra.paths import SessionPaths
 from sierra.runners.journal import Journal, Started
+from sierra.store.layout import SessionPaths
+from sierra.worker import processes, worker
 
 PATIENCE_S = 10.0
 

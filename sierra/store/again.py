@@ -6,11 +6,11 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from sierra.errors import Damaged, Missing
-from sierra.store import Question
-from sierra.store.complaints import first_line
 from sierra.store.connections import connect
+from sierra.store.errors import first_line
 from sierra.store.scans import copy, read_parquet
 from sierra.store.segments import OUTPUT, Writer, is_first_part
+from sierra.store.store import Question
 
 ROWS = "SELECT o.* REPLACE (m.made AS execution) FROM {files} o JOIN made m ON o.execution = m.known"
 HOLDING = "SELECT DISTINCT o.filename FROM {files} o SEMI JOIN made m ON o.execution = m.known"

@@ -14,8 +14,8 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from sierra.store.column_types import EMPTY, HUGE, bit, is_inexact, is_number, is_whole, narrowest, reads_as
 from sierra.store.names import column_names, identifier
-from sierra.store.reading.kinds import EMPTY, HUGE, bit, is_inexact, is_number, is_whole, narrowest, reads_as
 from sierra.store.scans import parquet_schema, read_parquet, steady
 
 Fetch = Callable[[str], Sequence[Sequence[Any]]]

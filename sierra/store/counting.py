@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from sierra.errors import Damaged
-from sierra.store.complaints import first_line
+from sierra.store.errors import first_line
 
 HELD = 256 << 20
 """Bytes that the columns counted may take in one row group: no file of ours comes near."""

@@ -22,15 +22,15 @@ from pathlib import Path
 from typing import Any
 
 from sierra.errors import Damaged
-from sierra.hashing import sha256_file
-from sierra.store import Found, Question
-from sierra.store.complaints import explain, first_line
+from sierra.store.column_types import is_number
+from sierra.store.errors import explain, first_line
 from sierra.store.names import column_names, identifier
-from sierra.store.reading import is_number
 from sierra.store.scans import read_parquet
 from sierra.store.segments import MANIFEST, Segment
+from sierra.store.store import Found, Question
 from sierra.store.views import ORDER, recording
-from sierra.wording import natural
+from sierra.util.hashing import sha256_file
+from sierra.util.text import natural
 
 INPUT_FOLDER = "input/"
 OUTPUT_FOLDER = "output/"

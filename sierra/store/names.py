@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from sierra.store.tables import BESIDE_OUTPUTS
+from sierra.store.schema import BESIDE_OUTPUTS
 
 
 def quote(text: str) -> str:

@@ -10,9 +10,9 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from sierra.hashing import sha256
+from sierra.store.schema import arrow_schema
 from sierra.store.segments import disk_errors
-from sierra.store.tables import arrow_schema
+from sierra.util.hashing import sha256
 
 PART = 8 << 20
 GROUP = 32 << 20

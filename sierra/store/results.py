@@ -7,10 +7,10 @@ from itertools import groupby
 from typing import Any
 
 from sierra.errors import Damaged
-from sierra.hashing import sha256
-from sierra.store import Question
 from sierra.store.files import holding
 from sierra.store.scans import read_parquet
+from sierra.store.store import Question
+from sierra.util.hashing import sha256
 
 OWN = ("run", "execution", "file", "filename", "file_row_number")
 

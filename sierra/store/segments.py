@@ -17,7 +17,7 @@ is one rename, a segment may have two files more, listed in MANIFEST as all othe
     AFTER       the name of a segment: this one counts only once that is there
 
 One new segment names those that it replaces. Of several, each is published first, to count AFTER a last one, which has
-nothing but REPLACES. To remove what is replaced is only tidying up, at any later time (see `sierra.store.rewriting`); who
+nothing but REPLACES. To remove what is replaced is only tidying up, at any later time (see `sierra.store.compaction`); who
 replaces a segment also names what that has replaced. A line that is no segment's name means nothing.
 """
 
@@ -34,9 +34,9 @@ from pathlib import Path
 from typing import Any
 
 from sierra.errors import Missing
-from sierra.hashing import sha256, sha256_file
-from sierra.paths import inside
-from sierra.store.tables import arrow_schema
+from sierra.store.schema import arrow_schema
+from sierra.util.fs import inside
+from sierra.util.hashing import sha256, sha256_file
 
 FORMAT = "sierra store 3\n"
 """Of what segments hold, and of what it means that they lie there. Raised whenever an older SIERRA would read it wrongly."""

@@ -9,12 +9,12 @@ from typing import Any
 
 from sierra.errors import Damaged
 from sierra.store.columns import Relation, relation
-from sierra.store.complaints import first_line
+from sierra.store.errors import first_line
 from sierra.store.names import column_names, identifier, quote
 from sierra.store.order import STAMPED, TIMES
 from sierra.store.scans import read_parquet
+from sierra.store.schema import DERIVED, LATER, RECORDED
 from sierra.store.segments import Segment, is_first_part
-from sierra.store.tables import DERIVED, LATER, RECORDED
 
 NEEDS = {
     "judged": ("findings", "judgements"),

@@ -66,15 +66,18 @@ def ask(here: Path, runs: int) -> None:
 def loop(here: Path, engine: str, runs: int, folder: Path) -> Callable[[], float]:
     """The same runs without SIERRA: a folder each, with an input file."""
     import sierra
-    from sierra import containment, jobs
+    from sierra.containers import isolation
+    from sierra.execution import commands
 
     plan = sierra.open(here).plan("population_size=1", runs=1, engine=engine)
     store = sierra.open(here).store
-    contained = containment.contain(
+    contained = isolation.contain(
         plan.engine, plan.image, plan.batch.recipe, plan.project.config.container, plan.limits,
         code=here, project=here, store=store.paths, session="bench",
     )  # fmt: skip
-    maker = jobs.Maker(plan.batch.recipe, here, plan.engine, plan.limits, "bench", here, image=plan.image, box=contained.box)
+    maker = commands.Maker(
+        plan.batch.recipe, here, plan.engine, plan.limits, "bench", here, image=plan.image, box=contained.box
+    )
     client = maker.job(plan.batch.runs[0], (("input.xml", b""),)).client
     assert client is not None
     words = " ".join(shlex.quote(word) for word in client.argv).replace("\0", "'\"$1\"'")

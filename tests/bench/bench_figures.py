@@ -1,4 +1,4 @@
-"""Figures: `sierra.figures` against a script that draws the same from the same aggregates by hand, in three formats.
+"""Figures: `sierra.deliverables.figures.base` against a script that draws the same from the same aggregates by hand, in three formats.
 
     python tests/bench/bench_figures.py [experiments] [times] [figures]
 
@@ -36,8 +36,8 @@ def aggregates(experiments: int, times: int) -> tuple[Any, Any]:
 
 def ours(experiments: int, times: int, figures: int, folder: Path) -> float:
     """CPU seconds that SIERRA takes."""
-    from sierra.config import Figure
-    from sierra.figures import Drawing, draw
+    from sierra.config.project_file import Figure
+    from sierra.deliverables.figures.base import Drawing, draw
     from sierra.model import Axis
 
     series, last = aggregates(experiments, times)

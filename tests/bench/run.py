@@ -173,8 +173,9 @@ def recording(folder: Path) -> None:
     import pyarrow.csv
     import pyarrow.parquet
 
+    from sierra.ingest.model import Shape, Written
+    from sierra.ingest.read import read
     from sierra.store.connections import connect
-    from sierra.store.reading import Shape, Written, read
 
     files = []
     for number in range(1000):
@@ -222,7 +223,7 @@ def start(folder: Path) -> None:
 
 def listing(folder: Path) -> None:
     """`sierra ls` over 1,000 batches and 1,000,000 runs."""
-    from sierra.store import Store
+    from sierra.store.store import Store
 
     here = project(folder / "project")
     store = Store.create(here / ".sierra")
@@ -256,9 +257,9 @@ def fill(store: object, *, batches: int, runs: int) -> None:
 
     import pyarrow as pa
 
-    from sierra.hashing import sha256
-    from sierra.store import Store
-    from sierra.store.tables import arrow_schema
+    from sierra.store.schema import arrow_schema
+    from sierra.store.store import Store
+    from sierra.util.hashing import sha256
 
     assert isinstance(store, Store)
     now = datetime.now(UTC)
@@ -373,7 +374,7 @@ def large_clusters(folder: Path) -> None:
 
 def schema_of(table: str) -> tuple[list[str], list[object]]:
     """A recorded table's columns and their types."""
-    from sierra.store.tables import arrow_schema
+    from sierra.store.schema import arrow_schema
 
     schema = arrow_schema(table)
     return list(schema.names), list(schema.types)

@@ -8,7 +8,7 @@ from collections.abc import Set as AbstractSet
 from pathlib import Path
 from typing import Any
 
-from sierra.store import Store
+from sierra.store.store import Store
 from tests import projects
 from tests.soak.faults import sierra
 

@@ -76,7 +76,7 @@ def expect(ended: Ended, *codes: int) -> Ended:
 
 def batch_of(root: Path, words: Sequence[str]) -> str:
     """The id of the batch that a call of `sierra run` made."""
-    from sierra.store import Store
+    from sierra.store.store import Store
 
     [row] = Store(root / ".sierra").rows("SELECT batch FROM batches WHERE starts_with(query, $q)", q=words[1])
     return str(row["batch"])
@@ -234,7 +234,7 @@ def many_at_once(place: Place, wanted: Wanted) -> str:
     for words, process in zip(called, begun, strict=True):
         out, _ = process.communicate(timeout=faults.LONGEST_S)
         expect(Ended(words, process.returncode, out, ""), 0)
-    from sierra.store import Store
+    from sierra.store.store import Store
 
     keep = {row["batch"] for row in wanted["members"]}
     for batch in {row["batch"] for row in Store(root / ".sierra").rows("SELECT batch FROM batches")} - keep:

@@ -12,9 +12,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from sierra.errors import Missing
-from sierra.provenance.source.chosen import shown
 from sierra.provenance.source.git import Git
 from sierra.provenance.source.manifest import Files
+from sierra.provenance.source.paths import shown
 
 POINTER = b"version https://git-lfs.github.com/spec/v1\n"
 ATTRIBUTES = ".gitattributes"

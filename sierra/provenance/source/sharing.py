@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Literal
 
 from sierra.errors import Missing, UsageError
-from sierra.provenance.source import place
+from sierra.provenance.source import origin
 from sierra.provenance.source.git import Git, in_repository
 from sierra.provenance.source.manifest import repositories
 from sierra.provenance.source.remote import without_credentials
@@ -67,9 +67,9 @@ def _all(git: Git, path: str) -> Iterator[tuple[str, Git]]:
 
 def _chosen(git: Git, remote: str | None, *, inside: bool) -> str | None:
     """Return the remote that a repository takes."""
-    if remote is not None and (not inside or remote in place.remotes(git)):
+    if remote is not None and (not inside or remote in origin.remotes(git)):
         return remote
-    return place.default_remote(git)
+    return origin.default_remote(git)
 
 
 def _shared(git: Git, path: str, way: Way, remote: str) -> Shared:

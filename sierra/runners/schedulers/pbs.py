@@ -31,13 +31,14 @@ from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 
-from sierra.config import ClusterTable
+from sierra.config.project_file import ClusterTable
 from sierra.errors import ConfigError, Full, Missing
-from sierra.paths import write_whole
 from sierra.runners import schedulers
-from sierra.runners.schedulers import Bounds, Limit, Request, Scheduler, State, Task, least, qstat, qsub
-from sierra.runners.schedulers.meanings import PBS, about
+from sierra.runners.schedulers import qstat, qsub
+from sierra.runners.schedulers.base import Bounds, Limit, Request, Scheduler, State, Task, least
 from sierra.runners.schedulers.qsub import Dialect
+from sierra.runners.schedulers.refusals import PBS, about
+from sierra.util.fs import write_whole
 
 PATIENCE_S = 20.0
 SUBMITTING_S = 120.0

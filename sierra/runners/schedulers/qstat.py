@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
-from sierra.runners.schedulers import State, Task
+from sierra.runners.schedulers.base import State, Task
 
 Record = Mapping[str, str]
 """The attributes of a job, a queue or a server by their names, as in the text: `resources_max.walltime`; and its `id`."""

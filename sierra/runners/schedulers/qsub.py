@@ -27,11 +27,11 @@ import shlex
 from collections.abc import Iterator
 from enum import StrEnum
 
-from sierra.config import ClusterTable
+from sierra.config.project_file import ClusterTable
 from sierra.errors import ConfigError
-from sierra.runners.schedulers import Request
+from sierra.runners.schedulers.base import Request
 from sierra.runners.schedulers.qstat import ELEMENTS
-from sierra.wording import ranges
+from sierra.util.text import ranges
 
 MIB = 1 << 20
 

@@ -24,12 +24,13 @@ import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
-from sierra.config import ClusterTable
+from sierra.config.project_file import ClusterTable
 from sierra.errors import ConfigError, Full, Missing, SierraError
-from sierra.runners.schedulers import Bounds, Limit, Request, State, Task, accounting, least
-from sierra.runners.schedulers.accounting import Partitions, seconds
-from sierra.runners.schedulers.meanings import SLURM, about
-from sierra.wording import ranges
+from sierra.runners.schedulers import slurm_limits
+from sierra.runners.schedulers.base import Bounds, Limit, Request, State, Task, least
+from sierra.runners.schedulers.refusals import SLURM, about
+from sierra.runners.schedulers.slurm_limits import Partitions, seconds
+from sierra.util.text import ranges
 
 PATIENCE_S = 20.0
 POLL_S = 0.5
@@ -94,7 +95,7 @@ class Slurm:
         parameters = config.get("SchedulerParameters", "")
         chosen = self._partitions(_answer("scontrol", "--all", "--oneliner", "show", "partition"))
         user = pwd.getpwuid(os.geteuid()).pw_name
-        granted = accounting.allowed(_answer, config, user, self._table, _asked_for(chosen))
+        granted = slurm_limits.allowed(_answer, config, user, self._table, _asked_for(chosen))
         walls = [_limit(seconds(line.get("MaxTime", "")), f"MaxTime of partition {name}") for name, line in chosen.items()]
         return Bounds.of(
             array=least(

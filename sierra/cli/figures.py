@@ -1,0 +1,47 @@
+"""`sierra figures`: draw again."""
+
+from __future__ import annotations
+
+import os
+from typing import Annotated
+
+import typer
+
+from sierra.cli import complete
+
+
+def figures(
+    prefix: Annotated[
+        str | None,
+        typer.Argument(metavar="HASH", autocompletion=complete.ids, help="The batch (default: the last asked for)."),
+    ] = None,
+    name: Annotated[str | None, typer.Argument(metavar="NAME", help="One figure (default: all).")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print a JSON list of files instead.")] = False,
+) -> None:
+    """Draw the figures of a batch again.
+
+    They are drawn from what is recorded; nothing executes.
+
+    \b
+    Examples:
+      sierra figures
+      sierra figures 3f9a1c
+      sierra figures 3f9a1c swarm_coverage_summary
+    """
+    from sierra.cli.open_project import project
+    from sierra.cli.output import note, print_json
+
+    paths, notes = project().draw(prefix, name)
+    for text in notes:
+        note(text)
+    if as_json:
+        print_json([str(path) for path in paths])
+    else:
+        for path in paths:
+            print(from_here(path))
+
+
+def from_here(path: str | os.PathLike[str]) -> str:
+    """A path as short as it can be named from the working directory."""
+    whole = os.fspath(path)
+    return min(os.path.relpath(whole), whole, key=len)

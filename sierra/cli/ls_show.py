@@ -1,0 +1,159 @@
+"""`sierra ls` and `sierra show`: what is in the store."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from sierra.cli import complete
+
+if TYPE_CHECKING:
+    pass
+
+SHOWN_REASONS = 10
+MORE = 4
+"""Columns that are named where the terminal has no room for them."""
+AT_MOST = {"attempts": 20, "nondeterminism": 10, "verdicts": 20}
+"""Rows of tables that may be as long as a batch."""
+
+
+def ls(
+    as_json: Annotated[bool, typer.Option("--json", help="Print a JSON list instead.")] = False,
+) -> None:
+    """List the batches, the last asked for last.
+
+    \b
+    Example:
+      sierra ls
+    """
+    from sierra.cli.open_project import project
+    from sierra.cli.output import print_json, table
+    from sierra.util.hashing import short
+
+    batches = project().batches
+    if as_json:
+        print_json(batches)
+        return
+    columns = {
+        "batch": [short(row["batch"]) for row in batches],
+        "asked": [row["answered"] or row["created"] for row in batches],
+        **{name: [row[name] for row in batches] for name in ("query", "controller", "scenario")},
+        **_where_any("set", [" ".join(row["sets"]) for row in batches]),
+        **_where_any("other than before", [", ".join(row["unlike"]) for row in batches]),
+        **{name: [row[name] for row in batches] for name in ("experiments", "runs")},
+        "state": [_state(row) for row in batches],
+    }
+    table(tuple(columns), zip(*columns.values(), strict=True), right=("experiments", "runs"))
+
+
+def _where_any(name: str, texts: Sequence[str]) -> dict[str, Sequence[str]]:
+    """Return a column, where there is something in it."""
+    return {name: texts} if any(texts) else {}
+
+
+def show(
+    prefix: Annotated[
+        str,
+        typer.Argument(metavar="HASH", autocompletion=complete.ids, help="The beginning of an id, as `sierra ls` shows them."),
+    ],
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead.")] = False,
+) -> None:
+    """Show all about a batch, an experiment, a run or an execution.
+
+    \b
+    Example:
+      sierra show 3f9a1c
+    """
+    from sierra.cli.open_project import project
+    from sierra.cli.output import print_json
+    from sierra.cli.render_environment import print_environment, print_image, print_isolation, print_programs
+
+    shown = project().show(prefix)
+    if as_json:
+        print_json(shown)
+        return
+    failures, used, around = shown.pop("failures", []), shown.pop("programs", []), shown.pop("environment", None)
+    image, reach, isolations = _contained(shown)
+    _print(shown)
+    if image:
+        print_image(image, reach)
+        for one in isolations:
+            print_isolation(one)
+        if not isolations and shown["kind"] == "execution":
+            print("\nisolation: none; it was executed on the host itself")
+    if used:
+        print_programs(used)
+    if around:
+        print_environment(around)
+    _print_failures(failures)
+    if shown["kind"] in ("run", "execution"):
+        print(f"\nsierra files {shown[shown['kind']][:10]} PATH writes a file out again, and --to FOLDER all of them")
+
+
+def _contained(shown: dict[str, Any]) -> tuple[dict[str, Any] | None, list[str], list[dict[str, Any]]]:
+    """The image, what runs reach beyond it, and how they were contained, taken out of a batch or an execution."""
+    if shown["kind"] == "batch":
+        recipe, isolations = shown["recipe"], shown.pop("isolations")
+        del recipe["image"]
+        return shown.pop("image"), recipe.pop("reach") or [], isolations
+    if shown["kind"] == "execution":
+        isolation = shown.pop("isolation", None)
+        return shown.pop("image"), shown.pop("reach"), [isolation] if isolation else []
+    return None, [], []
+
+
+def _print_failures(failures: Sequence[Mapping[str, Any]]) -> None:
+    """Why runs failed, a line for each reason."""
+    from sierra.cli.output import cell, readable
+
+    if failures:
+        print("\nfailures:")
+    for failure in failures[:SHOWN_REASONS]:
+        values = "".join(f"{name}={cell(value)}, " for name, value in failure["values"].items())
+        runs = "1 run" if failure["runs"] == 1 else f"{failure['runs']} runs"
+        example = f"run {failure['run'][:10]} ({values}number {failure['number']})"
+        print(f"  {runs}: {readable(failure['reason'])}, e.g. {example}")
+    if len(failures) > SHOWN_REASONS:
+        runs = sum(failure["runs"] for failure in failures[SHOWN_REASONS:])
+        print(f"  and {len(failures) - SHOWN_REASONS} more reasons, of {runs} runs (--json has them all)")
+
+
+def _state(row: dict[str, Any]) -> str:
+    from sierra.cli import detach
+
+    parts = [f"{row[name]} {name}" for name in ("failed", "missing") if row[name]] or ["complete"]
+    parts += [f"on {one['runner']} now ({detach.named(one['jobs'])})" for one in row["clusters"]]
+    if row["nondeterministic"]:
+        parts.append(f"{row['nondeterministic']} not deterministic")
+    return ", ".join(parts)
+
+
+def _print(shown: dict[str, Any]) -> None:
+    """Plain values first, then tables and logs."""
+    from sierra.cli.output import fields, fitting, short_id, table
+    from sierra.util.text import few
+
+    plain = {name: value for name, value in shown.items() if not isinstance(value, dict | list) and name != "log"}
+    fields(plain)
+    for name, value in shown.items():
+        if isinstance(value, dict):
+            print(f"\n{name}:")
+            fields(value, "  ")
+        elif isinstance(value, list) and value:
+            print(f"\n{name}:")
+            if isinstance(value[0], dict):
+                columns = list(dict.fromkeys(key for row in value for key in row if key != "log"))
+                most = AT_MOST.get(name, len(value))
+                rows = [[short_id(row.get(column)) for column in columns] for row in value[:most]]
+                wide = fitting(columns, rows)
+                table(columns[:wide], [row[:wide] for row in rows])
+                if wide < len(columns):
+                    print(f"(and {few(columns[wide:], MORE)}, in --json)")
+                if len(value) > most:
+                    print(f"and {len(value) - most} more (--json has them all)")
+            else:
+                print("  " + ", ".join(map(str, value)))
+    if shown.get("log"):
+        print("\nlog:\n" + shown["log"])

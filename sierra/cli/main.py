@@ -1,0 +1,88 @@
+"""The command line: each command parses, calls one function, prints."""
+
+from __future__ import annotations
+
+import os
+import sys
+from typing import Any, NoReturn
+
+from sierra.cli.app import app
+from sierra.cli.output import guarded
+from sierra.errors import SierraError
+from sierra.util import signals
+
+
+def main() -> NoReturn:
+    """The program `sierra`. Ends with the exit codes of `sierra.errors`; no traceback reaches a user."""
+    signals.heed()
+    with guarded():
+        code = _ended()
+    sys.exit(code if isinstance(code, int) else 0)
+
+
+def _ended() -> object:
+    """Do what was asked; the exit code."""
+    code: object
+    try:
+        code = app(standalone_mode=False, prog_name="sierra")
+    except SierraError as error:
+        code = _say(str(error), error.exit_code)
+    except KeyboardInterrupt:
+        code = _say("interrupted", 130)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        code = 0
+    except Exception as error:
+        code = _other(error)
+    return code
+
+
+def _other(error: Exception) -> int:
+    """What typer raises of its own, and what nobody foresaw."""
+    if hasattr(error, "format_message") and hasattr(error, "exit_code"):
+        return _usage(error)
+    if type(error).__name__ == "Abort":
+        return _say("interrupted", 130)
+    if isinstance(error, OSError):
+        where = f"{error.filename}: " if error.filename else ""
+        return _say(f"{where}{error.strerror or error}", 3)
+    return _unforeseen(error)
+
+
+def _usage(error: Any) -> int:
+    """What typer says of arguments, in one line; all help where no command was named."""
+    if type(error).__name__ == "NoArgsIsHelpError":
+        error.show()
+        return int(error.exit_code)
+    command = error.ctx.command_path if getattr(error, "ctx", None) else "sierra"
+    message = error.format_message().rstrip(".").replace("Value error, ", "").replace("Input should", "should")
+    return _say(f"{message[:1].lower()}{message[1:]}; see {command} --help", error.exit_code)
+
+
+def _unforeseen(error: Exception) -> int:
+    if os.environ.get("SIERRA_DEBUG"):
+        raise error
+    message = f"a fault in SIERRA itself: {type(error).__name__}: {error}"
+    try:
+        return _say(f"{message}; please report it with {_report(error)}", 1)
+    except OSError:
+        return _say(f"{message}; please report it (SIERRA_DEBUG=1 shows where)", 1)
+
+
+def _report(error: Exception) -> str:
+    """Write what is known of a fault to a file; its path. Raises OSError."""
+    import tempfile
+    import traceback
+
+    from sierra.store.layout import user_state
+
+    folder = user_state()
+    folder.mkdir(parents=True, exist_ok=True)
+    with tempfile.NamedTemporaryFile("w", prefix="fault-", suffix=".txt", dir=folder, delete=False) as file:
+        traceback.print_exception(error, file=file)
+    return file.name
+
+
+def _say(message: str, code: int) -> int:
+    print("sierra: " + " ".join(message.split("\n")), file=sys.stderr)
+    return code

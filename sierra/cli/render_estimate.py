@@ -1,0 +1,43 @@
+"""How it is told what a cluster would be asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from sierra.runners.cluster.estimate import Proposal
+
+
+def show(proposal: Proposal, *, explain: bool, script: bool) -> None:
+    """Print a proposal; with `explain` why it is what it is, with `script` what would be submitted."""
+    from sierra.cli.output import table
+
+    for line in _lines(proposal):
+        print(line)
+    if explain:
+        table(
+            ("setting", "value", "why"),
+            [(one.name, "" if one.value is None else one.value, one.why) for one in proposal.settings],
+        )
+    if script and proposal.script is not None:
+        print(f"the script of {proposal.runner}:")
+        print("".join(f"    {line}\n" for line in proposal.script.splitlines()), end="")
+
+
+def _lines(proposal: Proposal) -> Iterator[str]:
+    from sierra.cli.maintenance import size
+    from sierra.cli.progress import duration
+    from sierra.util.text import counted
+
+    elements, runs = counted(proposal.elements, "element"), counted(proposal.longest, "run")
+    cores = counted(proposal.cpus, "core")
+    wall = "the site's time" if proposal.wall_s is None else duration(proposal.wall_s)
+    yield f"on {proposal.runner} ({proposal.scheduler}): {elements} of up to {runs}, each {cores} for {wall}"
+    most = "" if proposal.most_core_hours is None else f", at most {proposal.most_core_hours:.3g} (all that is asked for)"
+    if proposal.core_hours is None:
+        yield f"core-hours: nobody knows yet how long runs take{most}"
+    else:
+        yield f"core-hours: about {proposal.core_hours:.3g}{most}"
+    wrote = "nobody knows yet how many bytes" if proposal.bytes is None else f"about {size(proposal.bytes)}"
+    yield f"on the shared file system: about {proposal.files} files, {wrote}"

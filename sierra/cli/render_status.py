@@ -1,0 +1,80 @@
+"""How it is told what is on clusters now, and how it stands there."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from sierra.execution.status import Standing
+
+COLUMNS = ("batch", "query", "session", "on", "jobs", "runs", "done", "failed", "state", "followed by", "since")
+LONGEST = 40
+"""Letters of a query in a list of many."""
+SESSION = 8
+"""Digits of a session's id that are shown: its jobs are called by these too."""
+
+
+def show(found: Sequence[Standing]) -> None:
+    """Print a line for each, and below what needs more words."""
+    from sierra.cli.output import readable, table
+    from sierra.util.hashing import short
+
+    rows = [dict(zip(COLUMNS, _row(one), strict=True)) for one in found]
+    columns = [name for name in COLUMNS if any(row[name] != "" for row in rows)]
+    table(columns, [[row[name] for name in columns] for row in rows], right=("runs", "done", "failed"))
+    for one in found:
+        if one.stuck:
+            print(f"{short(one.batch)} ({one.session[:SESSION]}) never begins: {readable(one.stuck)}")
+
+
+def lines(found: Sequence[Standing]) -> list[str]:
+    """What is on clusters of a batch, a line each."""
+    from sierra.cli.detach import named
+    from sierra.cli.output import readable
+
+    told = []
+    for one in found:
+        follower = f", followed by {one.attended}" if one.attended else ""
+        stuck = f": {readable(one.stuck)}" if one.stuck else ""
+        how = "no longer there; sierra status records what has finished" if one.is_gone else state(one)
+        told.append(f"on {one.runner} now, {named(one.jobs)} (session {one.session[:SESSION]}): {how}{follower}{stuck}")
+    return told
+
+
+def state(one: Standing) -> str:
+    """How its elements stand, in a few words."""
+    from sierra.cli.output import readable
+
+    if one.ended:
+        return "ended"
+    words = ["cancelled"] if one.cancelled else []
+    if one.queued is None:
+        words.append("unreachable")
+    elif one.queued or one.running:
+        queued = f"{one.queued} queued" + (f" ({readable(one.waits)})" if one.waits else "")
+        words += [text for count, text in ((one.queued, queued), (one.running, f"{one.running} running")) if count]
+    elif not one.stuck:
+        words.append("gone: sierra attach goes on" if not one.attended else "gone")
+    return ", ".join([*words, *(["never begins"] if one.stuck else [])])
+
+
+def _row(one: Standing) -> Sequence[Any]:
+    from sierra.cli.output import readable
+    from sierra.util.hashing import short
+    from sierra.util.text import few
+
+    query = readable(one.query or "(a replay)")
+    return (
+        short(one.batch),
+        query if len(query) <= LONGEST else f"{query[: LONGEST - 1]}…",
+        one.session[:SESSION],
+        one.runner,
+        few(one.jobs, 3) or "not known",
+        one.runs,
+        one.done,
+        one.failed,
+        state(one),
+        one.attended or "",
+        one.since,
+    )

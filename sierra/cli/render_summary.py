@@ -1,0 +1,107 @@
+"""How it is told what came of an asking: of `sierra run`, and of what was followed on a cluster."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from sierra.errors import Missing
+
+if TYPE_CHECKING:
+    from sierra.execution.execute import Summary
+    from sierra.execution.status import Standing
+    from sierra.project import Project
+
+COUNTED = ("runs", "good", "failed")
+
+
+def tell(project: Project, summary: Summary, more: Mapping[str, Any] | None, *, detached: bool = False) -> None:
+    """Print a summary, as JSON with `more` where that is something; ends with the exit code that it deserves."""
+    from sierra.cli.output import note, print_json
+
+    left = project.left(summary)
+    for text in summary.notes:
+        note(text)
+    if more is None:
+        _print(summary, left)
+    else:
+        print_json({**_answer(summary), "left": [_left(one) for one in left], **more})
+    if summary.interrupted:
+        raise typer.Exit(130)
+    if summary.failed or (summary.missing and not detached):
+        raise typer.Exit(1)
+    if summary.undrawn:
+        raise Missing(summary.undrawn)
+
+
+def _left(one: Standing) -> dict[str, Any]:
+    names = ("session", "runner", "scheduler", "jobs", "elements", "runs", "since")
+    return {name: getattr(one, name) for name in names}
+
+
+def _answer(summary: Summary) -> dict[str, Any]:
+    names = (
+        "batch",
+        "query",
+        "experiments",
+        "runs",
+        "executed",
+        "again",
+        "reused",
+        "awaited",
+        "judged",
+        "failed",
+        "missing",
+        "interrupted",
+    )
+    answer: dict[str, Any] = {name: getattr(summary, name) for name in names}
+    answer["figures"] = list(summary.figures)
+    answer["counts"] = [{**counted.values, **{name: getattr(counted, name) for name in COUNTED}} for counted in summary.counts]
+    answer["failures"] = [asdict(failure) for failure in summary.failures]
+    answer["notes"] = list(summary.notes)
+    answer["undrawn"] = summary.undrawn
+    return answer
+
+
+def _print(summary: Summary, left: Sequence[Standing]) -> None:
+    from sierra.cli import detach
+    from sierra.cli.figures import from_here
+    from sierra.cli.output import table
+    from sierra.util.hashing import short
+
+    print(f"batch {short(summary.batch)}: {summary.query}")
+    axes = list(summary.counts[0].values)
+    rows = [[*counted.values.values(), counted.runs, counted.good, counted.failed] for counted in summary.counts]
+    table([*axes, *COUNTED], rows, right=COUNTED)
+    failed = f", {summary.failed} failed" if summary.failed else ""
+    missing = f", {summary.missing} {'to come' if left else 'not executed'}" if summary.missing else ""
+    awaited = f" ({summary.awaited} executed meanwhile by another asking)" if summary.awaited else ""
+    judged = f" ({summary.judged} judged anew by the changed [outputs] or [success])" if summary.judged else ""
+    print(f"{summary.runs} runs: {summary.executed} executed, {summary.reused} reused{awaited}{failed}{missing}{judged}")
+    _print_failures(summary)
+    if left:
+        print("\n".join(detach.lines(left, summary.batch)))
+    elif summary.interrupted:
+        print("interrupted: what had finished is recorded; ask the same again to go on")
+    if summary.figures:
+        print("figures:")
+        for path in summary.figures:
+            if path.endswith(".png"):
+                print(f"  {from_here(path)} (and .pdf, .svg)")
+
+
+def _print_failures(summary: Summary) -> None:
+    from sierra.util.hashing import short
+
+    for failure in summary.failures:
+        values = ", ".join(f"{name}={value}" for name, value in failure.experiment.items())
+        several = f"{failure.count} runs failed, as" if failure.count > 1 else "failed:"
+        print(f"{several} {short(failure.run)} ({values}, run {failure.number}): {failure.reason}")
+        for line in (failure.log or "").splitlines()[-5:]:
+            print(f"    {line}")
+    more = summary.failed - sum(failure.count for failure in summary.failures)
+    if more > 0:
+        print(f"and {more} more, for other reasons: sierra show {short(summary.batch)}")

@@ -1,0 +1,1 @@
+"""Containers: images, and the engines that run them."""

@@ -1,0 +1,120 @@
+"""The engine `apptainer` (singularity-ce is the same): one container a process, of the squashfs of an image.
+
+Its client becomes the parent of the container's first process, which ends with it, and the kernel ends all of a container with
+its first process: no container outlives its client, so that `stop` has nothing to do. What the client is asked to end, it hands
+on. All of its own errors end it with status 255, as programs may end too, so that the last line that was said decides.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import signal
+from collections.abc import Iterator, Sequence
+from collections.abc import Set as AbstractSet
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+from sierra.containers import images
+from sierra.containers.engines import apptainer_start, sandboxes
+from sierra.containers.engines.apptainer_start import Way
+from sierra.containers.engines.base import Abilities, Box, Mount, Process
+from sierra.containers.engines.clients import killed, last_line, mounted, signalled
+from sierra.containers.images import Image
+from sierra.errors import Missing
+from sierra.model import Client, Result
+from sierra.store.layout import StorePaths
+
+SCRIPT = Path(__file__).with_name("environment.sh")
+SOURCED = "/.singularity.d/env/99-zz-sierra.sh"
+"""Where a container has the script that makes its environment: there, they are sourced in the order of their names."""
+NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
+PREFIX = "SIERRA__"
+MARK = "SIERRA_CONTAINERS_OF"
+"""What a client has its session as: in its environment first, then in the configuration (JSON) that it is the parent with."""
+FAILED = 255
+FATAL = re.compile(r"FATAL: +(.*)")
+COMMAND = re.compile(
+    r'".*": executable file not found|stat .*: (no such file|not a directory|permission denied)'
+    r"|^(permission denied|is a directory)$|exec .* failed|fork/exec|exec format error"
+)
+IMAGE = re.compile(r"could not open image|image format not recognized|failed to retrieve path|mount.*(rootfs|squashfs)")
+
+
+class Apptainer:
+    """The engine `apptainer`."""
+
+    name = "apptainer"
+
+    def probe(self) -> Abilities:
+        return apptainer_start.apptainer()
+
+    def prepare(self, image: Image, root: Path, store: StorePaths) -> str:
+        images.verify(root, image)
+        squashfs = images.rootfs(root, store, image)
+        if apptainer_start.way().squashfs:
+            return str(squashfs)
+        return str(sandboxes.ready(squashfs, image.id, store.image(image.folder).sandbox(os.geteuid())))
+
+    def client(self, box: Box, process: Process) -> Client:
+        way = apptainer_start.way()
+        argv = (*way.words(network=box.network, files=box.files), *_options(box, process), box.reference, *process.argv)
+        return Client(argv, {**apptainer_start.environment(), **dict(_given(way, box, process))})
+
+    def sweep(self, sessions: Sequence[str]) -> None:
+        mark = re.compile(f'{MARK}(=|":")({"|".join(map(re.escape, sessions))})(\0|")'.encode())
+        for folder in Path("/proc").glob("[0-9]*"):
+            with contextlib.suppress(OSError):
+                if sessions and mark.search((folder / "environ").read_bytes()):
+                    os.kill(int(folder.name), signal.SIGKILL)
+
+    def classify(self, result: Result, said: str, enforced: AbstractSet[str]) -> Result:
+        last = last_line(said)
+        if result.exit_code == FAILED and (match := FATAL.fullmatch(last)):
+            return replace(result, exit_code=None, error=_explained(match[1]))
+        if result.signal is not None and result.stopped is None:
+            if result.signal == signal.SIGKILL and "memory" in enforced:
+                return replace(result, stopped="memory")
+            return killed("apptainer", result)
+        return signalled(result, enforced)
+
+
+def _explained(complaint: str) -> str:
+    if COMMAND.search(complaint):
+        return f"the command cannot be started in the container: {complaint}"
+    if IMAGE.search(complaint):
+        return f"apptainer: the image can't be opened: {complaint}"
+    return f"apptainer: {complaint}"
+
+
+@cache
+def _script(files: str) -> str:
+    return apptainer_start.kept(Path(files), SCRIPT.read_text(), "sh") if files else str(SCRIPT)
+
+
+def _options(box: Box, process: Process) -> Iterator[str]:
+    yield from map(mounted, (Mount(_script(box.files), SOURCED), *box.mounts, *process.mounts))
+    yield from (mounted(Mount(device, device, writable=True)) for device in box.devices)
+    if box.gpu:
+        yield "--nv"
+    able = apptainer_start.enforced()
+    if box.cpus is not None and "cpus" in able:
+        yield f"--cpus={box.cpus}"
+    if box.pids is not None and "pids" in able:
+        yield f"--pids-limit={box.pids}"
+    yield f"--pwd={process.folder}"
+
+
+def _given(way: Way, box: Box, process: Process) -> Iterator[tuple[str, str]]:
+    """The environment of a process, under names that have a meaning for nobody else."""
+    yield f"{way.prefix}{MARK}", box.session
+    for name, value in process.environment.items():
+        if not NAME.fullmatch(name):
+            raise Missing(f"{name!r} can't be a variable in apptainer; use letters, digits and _")
+        if box.gpu and name == "LD_LIBRARY_PATH":
+            value += ":/.singularity.d/libs"
+        yield f"{way.prefix}{PREFIX}{name}", value
+    if box.gpu and "LD_LIBRARY_PATH" not in process.environment:
+        yield f"{way.prefix}{PREFIX}LD_LIBRARY_PATH", "/.singularity.d/libs"

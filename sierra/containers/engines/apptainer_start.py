@@ -1,0 +1,207 @@
+"""How apptainer, or singularity-ce, is started here: found out once, and remembered (`sierra.containers.engines.capabilities`).
+
+What they allow depends on how they are installed. As root they mount squashfs files by the kernel; a user's namespace needs
+`squashfuse` and a `/dev/fuse` that can be opened, or the files in a folder. A user is root in a namespace of their own where
+the kernel allows it (`unshare`), as in podman, so that programs see the same user. Their administrator's configuration is
+taken, but for what would tell runs about the host: its users, its name servers, its time zone, its file systems, its graphics
+libraries; only an installation with setuid insists on its own.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+from sierra.containers.engines import capabilities
+from sierra.containers.engines.base import HOSTNAME, Abilities, Mount
+from sierra.containers.engines.capabilities import CPUS, PIDS, Found, Told
+from sierra.containers.engines.clients import mounted
+from sierra.store.layout import user_apptainer
+from sierra.util.fs import write_whole
+from sierra.util.hashing import sha256
+
+NAMES = ("apptainer", "singularity")
+LEAST = {"apptainer": (1, 1), "singularity-ce": (3, 10)}
+MAPPED, CONFIGURED, SQUASHFS = "mapped", "configured", "squashfs"
+ISOLATED = ("--containall", "--no-home", "--cleanenv", "--no-eval", "--no-privs", "--no-umask", "--no-mount=bind-paths,hostfs")
+ALONE = ("--net", "--network=none")
+LIMITS = (f"--cpus={CPUS}", f"--pids-limit={PIDS}")
+SETTLED = re.compile(
+    r"\s*(bind path|config (passwd|group|resolv_conf)|mount hostfs|always use (nv|rocm)|systemd cgroups)\s*=", re.IGNORECASE
+)
+"""What of the administrator's configuration is not taken."""
+HANDED_ON = re.compile(
+    r"PATH|HOME|USER|LOGNAME|LANG|LC_\w+|TMPDIR|XDG_\w+|DBUS_SESSION_BUS_ADDRESS|(APPTAINER|SINGULARITY)_(TMPDIR|CACHEDIR|CONFIGDIR)"
+)
+"""What they need of the caller's environment; other variables of theirs would mount or bind what nobody has recorded."""
+
+
+@dataclass(frozen=True, slots=True)
+class Way:
+    """How to start a container so that it works here."""
+
+    program: str
+    configuration: str
+    """The administrator's; empty where no other one is allowed."""
+    mapped: bool
+    squashfs: bool
+    """Whether the files of an image may be in a squashfs, or have to be in a folder."""
+
+    def words(self, *, network: bool = False, files: str = "") -> Iterator[str]:
+        """The command, up to the options that differ between containers. `files`: see `Box.files`."""
+        if self.mapped:
+            yield from ("unshare", "--map-root-user", "--")
+        yield from (self.program, "--silent")
+        if self.configuration:
+            yield f"--config={_configured(Path(files or user_apptainer()), self.configuration, network)}"
+        yield from ("exec", *ISOLATED, f"--hostname={HOSTNAME}", *(() if network else ALONE))
+
+    @property
+    def prefix(self) -> str:
+        """What the names of the variables begin with that it hands to containers."""
+        return f"{Path(self.program).name.upper()}ENV_"
+
+
+def apptainer() -> Abilities:
+    """What apptainer, or singularity-ce, can do here."""
+    return capabilities.known("apptainer", _ask, _around()).abilities
+
+
+def enforced() -> frozenset[str]:
+    """The limits that hold."""
+    return capabilities.settled("apptainer", _ask, _around).abilities.enforced
+
+
+def way() -> Way:
+    """How it is started here; the plainest way where it can't be."""
+    found = capabilities.settled("apptainer", _ask, _around)
+    if not found.options:
+        return Way(NAMES[0], "", mapped=False, squashfs=True)
+    program, configuration, *flags = found.options
+    return Way(program, configuration, MAPPED in flags, SQUASHFS in flags)
+
+
+def environment() -> dict[str, str]:
+    """What it is started with."""
+    return {name: value for name, value in os.environ.items() if HANDED_ON.fullmatch(name)}
+
+
+def _around() -> Sequence[str]:
+    """What is to be the same for all to be as it was found."""
+    programs = [*NAMES, "unshare", "squashfuse", "squashfuse_ll", "fusermount", "fusermount3", "mksquashfs"]
+    configuration = [f"{top}/{name}/{name}.conf" for top in ("/etc", "/usr/local/etc") for name in NAMES]
+    return [*map(capabilities.found_at, programs), *configuration, "/dev/fuse", "/etc/subuid"]
+
+
+def _ask() -> Found:
+    program = next((name for name in NAMES if shutil.which(name)), None)
+    if program is None:
+        return Found(Abilities("apptainer", trouble="neither apptainer nor singularity-ce is installed; see the README"))
+    version = capabilities.run((program, "--version")).stdout.strip().replace(" version ", " ")
+    name, _, number = version.partition(" ")
+    found = tuple(int(part) for part in re.findall(r"\d+", number)[:2])
+    if found < LEAST.get(name, (99,)):
+        least = " or ".join(f"{name} {'.'.join(map(str, number))}" for name, number in LEAST.items())
+        return Found(Abilities(version, trouble=f"{version or program} is too old: {least} or newer is needed"))
+    return _first_that_works(program, version)
+
+
+def _first_that_works(program: str, version: str) -> Found:
+    complaint = ""
+    for one in _ways(program):
+        told, enforced = _start(one, LIMITS), ""
+        if told.trouble:
+            told, enforced = _start(one, ()), told.trouble
+        if not told.trouble:
+            squashfs = _starts_squashfs(one)
+            parts = [version, *_helpers(one, squashfs=squashfs)]
+            flags = [flag for flag, there in ((MAPPED, one.mapped), (SQUASHFS, squashfs)) if there]
+            limits = frozenset() if enforced else told.enforced
+            able = Abilities(", ".join(parts), told.rootless, limits, told.isolated, told.user)
+            return Found(able, (one.program, one.configuration, *flags))
+        complaint = complaint or told.trouble
+    return Found(Abilities(version, trouble=capabilities.remedy(program, complaint)))
+
+
+def _ways(program: str) -> Iterator[Way]:
+    """From the one that isolates best."""
+    said = capabilities.run((program, "buildcfg")).stdout
+    match = re.search(r"^(?:APPTAINER|SINGULARITY)_CONF_FILE=(.+)$", said, re.MULTILINE)
+    configuration = match[1] if match and _can_be_changed(match[1]) else ""
+    if os.geteuid() != 0 and shutil.which("unshare"):
+        yield Way(program, configuration, mapped=True, squashfs=True)
+    if configuration:
+        yield Way(program, configuration, mapped=False, squashfs=True)
+    yield Way(program, "", mapped=False, squashfs=True)
+
+
+def _can_be_changed(configuration: str) -> bool:
+    """Whether it can be read, and another one be written."""
+    try:
+        return bool(_configured(user_apptainer(), configuration, False))
+    except OSError:
+        return False
+
+
+def _start(one: Way, limits: Sequence[str], squashfs: Path | None = None) -> Told:
+    def words(root: Path, mounts: Mapping[str, str]) -> tuple[str, ...]:
+        given = (mounted(Mount(source, target)) for target, source in mounts.items())
+        groups = mounted(Mount("/sys/fs/cgroup", "/sys/fs/cgroup"))
+        return (*one.words(), *limits, *given, groups, "--pwd=/", str(squashfs or root))
+
+    return capabilities.start(words, environment())
+
+
+def _starts_squashfs(one: Way) -> bool:
+    """Whether a squashfs can be started as it is; where none can be made here, root can, and users not."""
+    if shutil.which("mksquashfs") is None:
+        return os.geteuid() == 0
+    with tempfile.TemporaryDirectory(prefix="sierra-probe-") as made:
+        root, file = Path(made, "root"), Path(made, "root.sqfs")
+        root.mkdir()
+        capabilities.furnish(root)
+        capabilities.run(("mksquashfs", str(root), str(file), "-quiet", "-no-progress", "-processors", "1"))
+        return not _start(one, (), file).trouble
+
+
+def _helpers(one: Way, *, squashfs: bool) -> Iterator[str]:
+    """What it uses, beside its own."""
+    if not squashfs:
+        yield "images in folders"
+    elif os.geteuid() != 0:
+        said = capabilities.run(("squashfuse_ll", "--help"))
+        match = re.search(r"squashfuse ([\d.]+)", said.stdout + said.stderr)
+        yield f"squashfuse {match[1]}" if match else "squashfuse"
+    if one.mapped:
+        yield "root in a namespace"
+
+
+@cache
+def _configured(folder: Path, configuration: str, network: bool) -> str:
+    """The file of the administrator's configuration with our changes."""
+    theirs = Path(configuration).read_text(errors="surrogateescape").splitlines()
+    systemd = Path("/run/systemd/system").exists()
+    ours = {
+        **dict.fromkeys(("config passwd", "config group", "mount hostfs", "always use nv", "always use rocm"), False),
+        "config resolv_conf": network,
+        "systemd cgroups": systemd,
+    }
+    lines = [line for line in theirs if not SETTLED.match(line)]
+    text = "\n".join([*lines, *(f"{name} = {'yes' if value else 'no'}" for name, value in ours.items()), ""])
+    return kept(folder, text, "conf")
+
+
+def kept(folder: Path, text: str, kind: str) -> str:
+    """A file that has this text, named by it."""
+    data = text.encode(errors="surrogateescape")
+    file = folder / f"{sha256(data)[:16]}.{kind}"
+    if not file.is_file() or file.read_bytes() != data:
+        file.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        write_whole(file, data)
+    return str(file)

@@ -1,0 +1,128 @@
+"""The engine `podman`: one container a process, of OCI images, with or without root.
+
+podman's containers outlive their client: `conmon` holds them. So each has its id in the run's folder and its session as a
+label, and is removed by these. Its first process is podman's own init, which passes signals on and waits for orphans.
+What a container is called, and what podman itself prints, is nothing of the run's.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+import resource
+import subprocess
+from collections.abc import Iterator, Sequence
+from collections.abc import Set as AbstractSet
+from dataclasses import replace
+from pathlib import Path
+
+from sierra.containers.engines import capabilities
+from sierra.containers.engines.base import HOSTNAME, Abilities, Box, Process
+from sierra.containers.engines.clients import killed, last_line, mounted, signalled
+from sierra.containers.images import Image, Kind, podman_storage, short
+from sierra.errors import Missing
+from sierra.model import Client, Result
+from sierra.store.layout import StorePaths
+
+LABEL = "org.sierra.session"
+CID = "\0/.cid"
+HANDED_ON = re.compile(
+    r"PATH|HOME|USER|LOGNAME|LANG|LC_\w+|TMPDIR|XDG_\w+|DBUS_SESSION_BUS_ADDRESS|CONTAINERS_\w+|STORAGE_\w+|BUILDAH_\w+|SSL_CERT_\w+"
+)
+"""What podman itself needs of the caller's environment."""
+MOST_FILES = 16384
+"""Open files, and processes, that a container may have: podman's own default is more than some hosts allow."""
+FAILED, NOT_EXECUTABLE, NOT_FOUND = 125, 126, 127
+INIT = re.compile(r"ERROR \(catatonit:\d+\): failed to exec pid1: (.*)")
+ERROR = re.compile(r"Error: (.*)")
+
+
+class Podman:
+    """The engine `podman`."""
+
+    name = "podman"
+
+    def probe(self) -> Abilities:
+        return capabilities.podman()
+
+    def prepare(self, image: Image, root: Path, store: StorePaths) -> str:
+        if image.kind != Kind.OCI:
+            raise Missing(f"podman can't run {image.name}, which is a file system alone: --engine apptainer does")
+        if not podman_storage.present(image.id):
+            if not image.file:
+                raise Missing(
+                    f"the image {image.name} ({short(image.id)}) is not in podman's storage; sierra image import brings it"
+                )
+            podman_storage.load(root / image.file, image.id)
+        return image.id
+
+    def client(self, box: Box, process: Process) -> Client:
+        options = _options(box, process, capabilities.podman_enforced())
+        argv = ("podman", *capabilities.podman_options(), "run", *options, box.reference, *process.argv)
+        return Client(argv, environment(box.session), ("podman", "rm", "--force", "--time=0", "--ignore", f"--cidfile={CID}"))
+
+    def sweep(self, sessions: Sequence[str]) -> None:
+        for session in sessions:
+            listed = _podman("ps", "--all", "--quiet", "--no-trunc", f"--filter=label={LABEL}={session}", session=session)
+            if found := listed.split():
+                _podman("rm", "--force", "--time=0", "--ignore", *found, session=session)
+
+    def classify(self, result: Result, said: str, enforced: AbstractSet[str]) -> Result:
+        last = last_line(said)
+        if match := INIT.search(last):
+            return replace(result, exit_code=None, error=f"the command cannot be started in the container: {match[1]}")
+        if result.exit_code in (FAILED, NOT_EXECUTABLE, NOT_FOUND) and (match := ERROR.match(last)):
+            return replace(result, exit_code=None, error=f"podman: {match[1]}")
+        if result.signal is not None and result.stopped is None:
+            return killed("podman", result)
+        return signalled(result, enforced)
+
+
+def environment(session: str) -> dict[str, str]:
+    """What podman is started with."""
+    return {**{name: value for name, value in os.environ.items() if HANDED_ON.fullmatch(name)}, "SIERRA_SESSION": session}
+
+
+def _options(box: Box, process: Process, enforced: AbstractSet[str]) -> Iterator[str]:
+    yield from ("--rm", "--init", "--pull=never", "--log-driver=none", f"--cidfile={CID}", f"--label={LABEL}={box.session}")
+    yield from ("--read-only", "--read-only-tmpfs=false", "--tmpfs=/run:rw,nosuid,nodev,mode=755", "--no-hosts")
+    yield from ("--image-volume=ignore", "--no-healthcheck")  # else an image has writable folders, and programs beside the run
+    yield from ("--cap-drop=all", "--security-opt=no-new-privileges", "--user=0:0", f"--hostname={HOSTNAME}", "--tz=UTC")
+    yield from ("--pid=private", "--ipc=private", "--umask=0022")  # whatever containers.conf says
+    yield from (f"--ulimit={name}={_allowed(kind)}" for name, kind in (("nofile", "NOFILE"), ("nproc", "NPROC")))
+    yield "--network=host" if box.network else "--network=none"
+    if process.interactive:
+        yield "--interactive"
+    if not any(mount.target == "/tmp" for mount in process.mounts):  # noqa: S108 - the container's own
+        yield "--tmpfs=/tmp:rw,nosuid,nodev,mode=1777"
+    yield from map(mounted, (*box.mounts, *process.mounts))
+    yield from (f"--device={device}" for device in box.devices)
+    if box.gpu:
+        yield "--device=nvidia.com/gpu=all"
+    if box.memory is not None and "memory" in enforced:
+        yield from capabilities.podman_memory(box.memory)
+    if box.cpus is not None and "cpus" in enforced:
+        yield f"--cpus={box.cpus}"
+    if box.pids is not None and "pids" in enforced:
+        yield f"--pids-limit={box.pids}"
+    if box.wall is not None:
+        yield f"--timeout={math.ceil(box.wall)}"
+    yield "--unsetenv-all"
+    yield from (f"--env={name}={value}" for name, value in process.environment.items())
+    yield from ("--entrypoint=", f"--workdir={process.folder}", "--")
+
+
+def _allowed(kind: str) -> str:
+    _, hard = resource.getrlimit(getattr(resource, f"RLIMIT_{kind}"))
+    most = MOST_FILES if hard == resource.RLIM_INFINITY else min(hard, MOST_FILES)
+    return f"{most}:{most}"
+
+
+def _podman(*words: str, session: str) -> str:
+    """What podman says; empty where it is not there, or fails."""
+    try:
+        told = subprocess.run(("podman", *words), capture_output=True, text=True, env=environment(session), check=False)
+    except OSError:
+        return ""
+    return told.stdout

@@ -1,0 +1,101 @@
+"""The files of an image in a folder, for apptainer where it can't mount a squashfs.
+
+A folder can be changed by whoever owns it, so that each file's state (which no program can set: `sierra.provenance.hash_cache`)
+is remembered as it was just after unpacking. A folder that is not in that state any more, or of which nobody remembers one,
+is unpacked anew. Each user has one of their own beside the squashfs: nobody can vouch for another's.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import hashlib
+import os
+import shutil
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+from sierra.containers.images.sif import is_sif
+from sierra.containers.images.sif import read as read_sif
+from sierra.errors import Missing
+from sierra.store.layout import user_engines
+from sierra.util.cache import Remembered
+
+MOST = 64
+
+
+def ready(squashfs: Path, identity: str, folder: Path) -> Path:
+    """The files of a squashfs (or of the one in a SIF) in `folder`, unpacked if need be. Raises Missing where that fails."""
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    with _alone(folder):
+        remembered = Remembered(user_engines(), MOST)
+        key = f"sandbox {folder.resolve()} {identity}"
+        if remembered.get(key) == (state(folder) or "gone"):
+            return folder
+        _unpack(squashfs, folder)
+        remembered.put(key, state(folder))
+        remembered.save()
+    return folder
+
+
+def state(folder: Path) -> str:
+    """A hash of what the kernel says of each file below a folder; empty where there is none."""
+    if not folder.is_dir():
+        return ""
+    digest = hashlib.sha256()
+    for line in sorted(_lines(str(folder))):
+        digest.update(line)
+    return digest.hexdigest()
+
+
+def _lines(top: str) -> Iterator[bytes]:
+    pending = [top]
+    while pending:
+        folder = pending.pop()
+        with contextlib.suppress(PermissionError), os.scandir(folder) as entries:
+            for entry in entries:
+                status = entry.stat(follow_symlinks=False)
+                if entry.is_dir(follow_symlinks=False):
+                    pending.append(entry.path)
+                said = (status.st_mode, status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns)
+                yield os.fsencode(entry.path) + repr(said).encode() + b"\0"
+
+
+def _unpack(squashfs: Path, folder: Path) -> None:
+    unfinished = folder.with_name(f".{folder.name}.{os.getpid()}")
+    offset = ("-offset", str(read_sif(squashfs).offset)) if is_sif(squashfs) else ()
+    command = ("unsquashfs", "-no-progress", "-no-xattrs", "-quiet", *offset, "-dest", str(unfinished), str(squashfs))
+    try:
+        said = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, text=True, errors="replace", check=False)
+    except OSError as error:
+        raise Missing("unsquashfs is not installed; it comes with squashfs-tools (apt-get install squashfs-tools)") from error
+    try:
+        if said.returncode:
+            lines = (said.stderr + said.stdout).strip().splitlines() or ["it said nothing"]
+            raise Missing(f"{squashfs} cannot be unpacked: {lines[0]}")
+        _remove(folder)
+        unfinished.rename(folder)
+    finally:
+        _remove(unfinished)
+
+
+def _remove(folder: Path) -> None:
+    """Remove a folder, also where an image has made parts of it read-only."""
+    if folder.is_symlink() or not folder.is_dir():
+        return
+    for root, _, _ in os.walk(folder):
+        with contextlib.suppress(OSError):
+            Path(root).chmod(0o700)
+    shutil.rmtree(folder, ignore_errors=True)
+
+
+@contextlib.contextmanager
+def _alone(folder: Path) -> Iterator[None]:
+    """One process of this user at a time."""
+    descriptor = os.open(folder.with_name(f".{folder.name}.lock"), os.O_CREAT | os.O_RDWR | os.O_CLOEXEC, 0o600)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(descriptor)

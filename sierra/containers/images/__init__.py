@@ -1,0 +1,35 @@
+"""Images: the files that runs see in containers. What they are called, what they are, what is in them, and how they are made.
+
+`image` has the noun, and says what identifies one. `named` finds what a name stands for, `take` writes that down in
+`sierra.lock`, `pinned` is what runs are made of, `verify` sees before they execute that it still is that. `contents` is what
+is in an image, `rootfs` what apptainer runs of it. Formats are `archive`, `sif` and `squashfs`; podman is called in `storage`.
+"""
+
+from __future__ import annotations
+
+from sierra.containers.images.image import Image, Kind, machine, short
+from sierra.containers.images.inspect import Contents, contents, examine, from_row, outdated, rootfs
+from sierra.containers.images.pin import take
+from sierra.containers.images.pins import pin, pinned, pins
+from sierra.containers.images.resolve import named, verify
+from sierra.store.layout import LOCK
+
+__all__ = [
+    "LOCK",
+    "Contents",
+    "Image",
+    "Kind",
+    "contents",
+    "examine",
+    "from_row",
+    "machine",
+    "named",
+    "outdated",
+    "pin",
+    "pinned",
+    "pins",
+    "rootfs",
+    "short",
+    "take",
+    "verify",
+]

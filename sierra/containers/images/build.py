@@ -1,0 +1,103 @@
+"""Building an image from a recipe, so that two builds give one id.
+
+An executable `rootfs` in the recipe is run first, in a copy of the folder, with the path of the tar that it must write: the
+files of a base image, made from a distribution's packages, because there is no registry to take one from. What else it puts
+into the folder, as wheels, is there for the Containerfile too. Then podman builds, without network, without a cache, and with
+one time for all files: that of SOURCE_DATE_EPOCH, else EPOCH. Nor do rights depend on the umask of whoever builds.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import stat
+import subprocess
+import tarfile
+import tempfile
+from pathlib import Path
+
+from sierra.containers.images import containerfile, podman_storage
+from sierra.containers.images.containerfile import CONTAINERFILE, ROOTFS, is_recipe
+from sierra.containers.images.image import Image
+from sierra.containers.images.resolve import named, tag
+from sierra.errors import ConfigError, Missing
+
+TAR = "rootfs.tar"
+EPOCH = 1700000000
+ERROR = re.compile(r"(E: |ERROR|error|dpkg: error|.*:\d+: (fatal )?error: )")
+"""How a line begins that says what went wrong: to apt, pip, dpkg, a compiler."""
+
+
+def build(root: Path, name: str, *, network: bool = False) -> Image:
+    """Build a recipe of the project, and tag it; what the name stands for then. Nothing is left of what fails.
+
+    `network` lets the Containerfile's commands use the network; `rootfs` always may. Raises Missing, ConfigError.
+    """
+    folder = (root / name).resolve()
+    if not is_recipe(folder):
+        raise ConfigError(f"{name} is no recipe: there is no {CONTAINERFILE} in {folder}")
+    called = tag(root, name) or name
+    podman_storage.program()
+    epoch = _epoch()
+    try:
+        with tempfile.TemporaryDirectory(prefix="sierra-image-") as made:
+            context = Path(made) / "context"
+            shutil.copytree(folder, context, symlinks=True)
+            if (context / ROOTFS).is_file():
+                _run_rootfs(name, context, epoch)
+            _settle(context, epoch)
+            labels = {containerfile.LABEL: containerfile.identity(folder)}
+            podman_storage.build(context, called, epoch=epoch, labels=labels, network=network)
+    except (OSError, shutil.Error) as error:
+        raise Missing(f"{name} cannot be built: {getattr(error, 'strerror', None) or error}") from error
+    return named(root, name)
+
+
+def _run_rootfs(name: str, context: Path, epoch: int) -> None:
+    """Let the recipe make the tar of its base. Raises Missing with what it said of why, where it fails."""
+    if not os.access(context / ROOTFS, os.X_OK):
+        raise ConfigError(f"{name}/{ROOTFS} is no program, so nothing makes the base's files; run: chmod +x {name}/{ROOTFS}")
+    target = context / TAR
+    done = podman_storage.run(
+        [str(context / ROOTFS), str(target)],
+        cwd=context,
+        env={**os.environ, "SOURCE_DATE_EPOCH": str(epoch), "LC_ALL": "C.UTF-8", "TZ": "UTC"},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        umask=0o022,
+    )
+    if done.returncode:
+        raise Missing(f"{name}/{ROOTFS} failed ({_how(done.returncode)}): {_why(done.stdout)}")
+    if not target.is_file() or not tarfile.is_tarfile(target):
+        raise Missing(f"{name}/{ROOTFS} ended well, but has not written a tar to the path that it was given, $1")
+
+
+def _how(status: int) -> str:
+    return f"signal {-status}" if status < 0 else f"exit status {status}"
+
+
+def _why(said: str) -> str:
+    """The line that tells why: one about room on the disk before all others, else the first of an error.
+
+    What comes after it only says what could not be done therefore: mmdebstrap ends with "mmdebstrap failed to run".
+    """
+    lines = [line.strip() for line in said.splitlines() if line.strip()]
+    full = next((line for line in lines if "No space left on device" in line), "")
+    first = next((number for number, line in enumerate(lines) if ERROR.match(line)), len(lines) - 1)
+    return full or " ".join(lines[first : first + (2 if lines[first].endswith(":") else 1)]) if lines else "it said nothing"
+
+
+def _settle(context: Path, epoch: int) -> None:
+    """One time for all files, and the rights that git knows: podman's build takes both over from the context."""
+    for path in (context, *context.rglob("*")):
+        if not path.is_symlink():
+            path.chmod(0o755 if path.is_dir() or path.stat().st_mode & stat.S_IXUSR else 0o644)
+        os.utime(path, (epoch, epoch), follow_symlinks=False)
+
+
+def _epoch() -> int:
+    said = os.environ.get("SOURCE_DATE_EPOCH", "")
+    if said and not said.isdecimal():
+        raise ConfigError(f"SOURCE_DATE_EPOCH is {said!r}; it should be seconds since 1970, as {EPOCH}")
+    return int(said or EPOCH)

@@ -1,0 +1,95 @@
+"""What differs between two images, by what is in them: packages by name, and files by path."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from sierra.provenance.program import by_likelihood
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """A package or a file that only one of two images has, or that is another in them."""
+
+    name: str
+    was: str | None
+    """A package's version; of a file, what makes it another: SHA-256, link or mode. None where it was not there."""
+    now: str | None
+    text: str
+    """In a few words."""
+
+
+def packages(
+    was: Mapping[str, Sequence[str]], now: Mapping[str, Sequence[str]], words: frozenset[str] = frozenset()
+) -> dict[str, list[Change]]:
+    """The packages that differ, by who manages them; lists as `sierra.containers.images.packages` has them. What `words` name is first."""
+    found = {manager: list(_packages(was.get(manager, ()), now.get(manager, ()), words)) for manager in sorted({*was, *now})}
+    return {manager: changes for manager, changes in found.items() if changes}
+
+
+def _packages(was: Sequence[str], now: Sequence[str], words: frozenset[str]) -> Iterator[Change]:
+    old, new = _versions(was), _versions(now)
+    for name in by_likelihood(old.keys() | new.keys(), words):
+        before, after = old.get(name), new.get(name)
+        if before != after:
+            text = (
+                f"{name} {before} gone" if after is None else f"{name} {before} → {after}" if before else f"{name} {after} new"
+            )
+            yield Change(name, before, after, text)
+
+
+def _versions(lines: Sequence[str]) -> dict[str, str]:
+    """Versions by name; of what is installed more than once, all of them."""
+    found: dict[str, list[str]] = {}
+    for line in lines:
+        name, _, version = line.partition("==")
+        found.setdefault(name, []).append(version)
+    return {name: ", ".join(sorted(versions)) for name, versions in found.items()}
+
+
+def files(was: bytes, now: bytes) -> list[Change]:
+    """The files that differ in two listings of images, programs and libraries first; of folders, those of another mode."""
+    before, after = set(was.splitlines()), set(now.splitlines())
+    old, new = _entries(before - after), _entries(after - before)
+    pairs = [(path, old.get(path), new.get(path)) for path in old.keys() | new.keys()]
+    return [_file(*pair) for pair in sorted(filter(_counts, pairs), key=_likely)]
+
+
+Pair = tuple[str, Mapping[str, Any] | None, Mapping[str, Any] | None]
+"""A path, and what each of two images has there."""
+
+
+def _entries(lines: set[bytes]) -> dict[str, dict[str, Any]]:
+    return {entry["path"]: entry for entry in map(json.loads, lines)}
+
+
+def _counts(pair: Pair) -> bool:
+    """Folders that come and go, with what is in them, do not."""
+    _, was, now = pair
+    return (was is not None and now is not None) or (was or now or {})["type"] != "folder"
+
+
+def _likely(pair: Pair) -> tuple[bool, str]:
+    path, *entries = pair
+    executed = any(entry["type"] == "file" and entry.get("mode", 0) & 0o111 for entry in entries if entry)
+    return not (executed or ".so" in path), path
+
+
+def _file(path: str, was: Mapping[str, Any] | None, now: Mapping[str, Any] | None) -> Change:
+    if was is None or now is None:
+        one = was or now or {}
+        return Change(path, _what(one) if was else None, _what(one) if now else None, f"{path} {'gone' if was else 'new'}")
+    if was["type"] != now["type"]:
+        how = f" ({was['type']} → {now['type']})"
+    elif was.get("mode") != now.get("mode"):
+        how = f" (mode {was.get('mode', 0):o} → {now.get('mode', 0):o})"
+    else:
+        how = f" (→ {now['target']})" if now["type"] == "link" else ""
+    return Change(path, _what(was), _what(now), f"{path}{how}")
+
+
+def _what(entry: Mapping[str, Any]) -> str:
+    return str(entry.get("sha256") or entry.get("target") or f"{entry['type']}, mode {entry.get('mode', 0):o}")

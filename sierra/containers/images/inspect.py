@@ -1,0 +1,395 @@
+"""What is in an image, found out once: its files with their hashes, its packages, labels, and how it was made.
+
+It is kept in `.sierra/images/<id>/` beside the squashfs that apptainer runs, and all of it can be made again from the image.
+Everything is written beside its place and renamed, so that processes that find out the same at once do not meet.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import re
+import shutil
+import tempfile
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, replace
+from datetime import UTC, datetime
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from sierra.containers.images import containerfile as recipe
+from sierra.containers.images import oci, packages, podman_storage, sif, squashfs
+from sierra.containers.images import sif_env as variables
+from sierra.containers.images.image import Image, Kind, short
+from sierra.containers.images.layers import Entry, Rootfs, merge, resolve
+from sierra.containers.images.oci import Archive
+from sierra.errors import Damaged, Missing
+from sierra.provenance.hash_cache import Digests
+from sierra.store.layout import ImagePaths, StorePaths
+from sierra.util.fs import write_whole
+from sierra.util.hashing import sha256
+
+FORMAT = 1
+UNFINISHED = re.compile(r"\.(saved\.\w+|image\.json|files\.jsonl|rootfs\.(sqfs|\d+))\.\d+")
+FOLDER = re.compile(r"[a-z0-9]+-[0-9a-f]{64}")
+DEFAULT_PATH = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin"
+"""Where engines look for programs of an image that does not say."""
+EXECUTABLE = 0o111
+
+
+@dataclass(frozen=True)
+class Contents:
+    """What is in an image."""
+
+    image: Image
+    form: str
+    """How it was read: docker-archive, oci-archive, oci, sif or squashfs."""
+    manifests: Mapping[str, str]
+    """Digests of its manifests, by the form in which they were seen; they differ from form to form."""
+    config: Mapping[str, Any]
+    labels: Mapping[str, str]
+    packages: Mapping[str, tuple[str, ...]]
+    recipe: str
+    """The recipe that it was built by, the definition file of a SIF, or what its history says of how it was made."""
+    created: str
+    size: int
+    """Bytes of its files."""
+    listing: bytes
+    """Its files, a JSON object a line, by path."""
+    squashfs: str = ""
+    """SHA-256 of the squashfs that was made of it; empty where there is none."""
+
+    @classmethod
+    def of_row(cls, row: Mapping[str, Any], listing: bytes) -> Contents:
+        """What a row of the table `images` has, with the listing that it names."""
+        variables, layers = json.loads(row["variables"]), tuple(row["layers"] or ())
+        image = Image(row["name"], row["image"], Kind(row["kind"]), row["architecture"] or "", layers, variables)
+        return cls(
+            image=image,
+            form="",
+            manifests=json.loads(row["manifests"]),
+            config={},
+            labels=json.loads(row["labels"]),
+            packages={manager: tuple(lines) for manager, lines in json.loads(row["packages"]).items()},
+            recipe=row["recipe"] or "",
+            created=row["created"].isoformat() if row["created"] else "",
+            size=row["size"],
+            listing=listing,
+            squashfs=row["squashfs"] or "",
+        )
+
+    @property
+    def user(self) -> str:
+        """The user that the image names for its programs, unless that is root; engines are told another one."""
+        said = str((self.config.get("config") or {}).get("User") or "")
+        return "" if said.partition(":")[0] in ("", "0", "root") else said
+
+    @cached_property
+    def files(self) -> dict[str, Entry]:
+        """Every path of it, without a slash before it."""
+        entries = (Entry(**json.loads(line)) for line in self.listing.splitlines())
+        return {entry.path: entry for entry in entries}
+
+    def program(self, word: str, path: str | None = None) -> str | None:
+        """The path of the program that a command's first word calls in the image; None where there is none.
+
+        Looked for on `path`, else on the image's own PATH. It is the name that it is called by (`/bin/sh`), which may be a
+        link: `sha256` follows it.
+        """
+        if "/" in word:
+            return word if self._executable(word) else None
+        folders = (path or self.image.variables.get("PATH") or DEFAULT_PATH).split(":")
+        found = (f"{folder.rstrip('/')}/{word}" for folder in folders if folder.startswith("/"))
+        return next((candidate for candidate in found if self._executable(candidate)), None)
+
+    def real(self, path: str) -> str | None:
+        """The path that is meant where links are followed within the image; None where there is nothing."""
+        found = resolve(path, self.files.get)
+        return None if found is None else f"/{found}"
+
+    def sha256(self, path: str) -> str | None:
+        """The SHA-256 of a file of the image, links followed; None where there is no file."""
+        entry = self._file(path)
+        return None if entry is None else entry.sha256
+
+    def _file(self, path: str) -> Entry | None:
+        found = resolve(path, self.files.get)
+        entry = self.files.get(found) if found else None
+        return entry if entry is not None and entry.type == "file" else None
+
+    def _executable(self, path: str) -> bool:
+        entry = self._file(path)
+        return entry is not None and bool(entry.mode & EXECUTABLE)
+
+    def row(self) -> dict[str, Any]:
+        """Its row of the table `images`; the listing that `files` names belongs to the objects."""
+        image = self.image
+        return {
+            "image": image.id,
+            "kind": str(image.kind),
+            "architecture": image.architecture or None,
+            "layers": list(image.layers),
+            "name": image.name,
+            "file": image.file or None,
+            "sha256": image.sha256 or None,
+            "squashfs": self.squashfs or None,
+            "manifests": json.dumps(dict(self.manifests), sort_keys=True),
+            "created": _time(self.created),
+            "labels": json.dumps(dict(self.labels), sort_keys=True),
+            "variables": json.dumps(dict(image.variables), sort_keys=True),
+            "packages": json.dumps({name: list(lines) for name, lines in self.packages.items()}, sort_keys=True),
+            "recipe": self.recipe or None,
+            "files": sha256(self.listing),
+            "size": self.size,
+        }
+
+
+def from_row(row: Mapping[str, Any]) -> Image:
+    """An image as the table `images` has it."""
+    return Image(
+        name=row["name"],
+        id=row["image"],
+        kind=Kind(row["kind"]),
+        architecture=row["architecture"] or "",
+        layers=tuple(row["layers"] or ()),
+        variables=json.loads(row["variables"] or "{}"),
+        file=row["file"] or "",
+        sha256=row["sha256"] or "",
+    )
+
+
+def contents(store: StorePaths, image: Image) -> Contents | None:
+    """What is known of an image in this store; None where nothing is, or what is there is not whole."""
+    paths = store.image(image.folder)
+    with contextlib.suppress(OSError, ValueError, KeyError, TypeError, AttributeError):
+        said, listing = json.loads(paths.description.read_text("utf-8")), paths.files.read_bytes()
+        if said["format"] == FORMAT and said["image"]["id"] == image.id and sha256(listing) == said["files"]:
+            return _read(said, listing, image)
+    return None
+
+
+def _read(said: Mapping[str, Any], listing: bytes, image: Image) -> Contents:
+    was = said["image"]
+    known = replace(
+        image, architecture=image.architecture or was["architecture"], variables=image.variables or dict(was["variables"])
+    )
+    packaged = {manager: tuple(lines) for manager, lines in said["packages"].items()}
+    plain = ("form", "manifests", "config", "labels", "recipe", "created", "size", "squashfs")
+    return Contents(known, packages=packaged, listing=listing, **{name: said[name] for name in plain})
+
+
+def unfinished(store: StorePaths) -> Iterator[Path]:
+    """What is not in its place yet, or was saved to be read; each name ends with the id of the process whose it is."""
+    if store.images.is_symlink():  # whose it is, nobody knows
+        return
+    for path in (*store.images.glob(".*"), *store.images.glob("*/.*")):
+        placed = path.parent == store.images or (FOLDER.fullmatch(path.parent.name) and not path.parent.is_symlink())
+        if placed and UNFINISHED.fullmatch(path.name):
+            yield path
+
+
+def outdated(root: Path, store: StorePaths, image: Image) -> bool:
+    """Whether an image's name is the folder of its recipe, and that is another than the image was built by."""
+    folder = root / image.name
+    if image.file or not recipe.is_recipe(folder):
+        return False
+    found = contents(store, image)
+    return found is not None and found.labels.get(recipe.LABEL) != recipe.identity(folder)
+
+
+def known(store: StorePaths) -> Iterator[Contents]:
+    """All images that are described in this store; their names are those by which they were first seen."""
+    for folder in sorted(store.images.glob("*-*")) if store.images.is_dir() else ():
+        with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
+            was = json.loads((folder / store.image(folder.name).description.name).read_text("utf-8"))["image"]
+            image = Image(**(was | {"kind": Kind(was["kind"]), "layers": tuple(was["layers"])}))
+            if (found := contents(store, image)) is not None:
+                yield found
+
+
+def made_from(store: StorePaths, digest: str) -> Image | None:
+    """The image of which the squashfs with that SHA-256 was made here."""
+    return next((one.image for one in known(store) if one.squashfs == digest), None)
+
+
+def examine(root: Path, store: StorePaths, image: Image) -> Contents:
+    """What is in an image: as known, else by reading all of it. Raises Missing, Damaged."""
+    found = contents(store, image)
+    if found is not None:
+        return found
+    with _disk(store.images):
+        store.images.mkdir(parents=True, exist_ok=True)
+        if image.file and squashfs_file(root / image.file):
+            return _keep(store, _of_squashfs(root / image.file, image))
+        with opened(root, store, image) as read:
+            return _keep(store, _with_recipe(root, of_archive(read, image)))
+
+
+def examine_again(root: Path, store: StorePaths, image: Image, *, foreign: bool = False) -> Contents:
+    """As `examine`, but all of the image is read and checked, also where it is known; what was made of it stays.
+
+    `foreign`: see `sierra.containers.images.layers.merge`.
+    """
+    known = contents(store, image)
+    with _disk(store.images), opened(root, store, image) as read:
+        found = _with_recipe(root, of_archive(read, image, foreign=foreign))
+        return _keep(store, replace(found, squashfs=known.squashfs if known else ""))
+
+
+def rootfs(root: Path, store: StorePaths, image: Image) -> Path:
+    """The squashfs that apptainer runs: the image's own file, or one made of its layers, here and now where it is not there.
+
+    What was made is hashed before it is used (and that is remembered); what is damaged is made again.
+    """
+    if image.file and squashfs_file(root / image.file):
+        return root / image.file
+    paths, known = store.image(image.folder), contents(store, image)
+    if known is not None and known.squashfs and _is(paths.rootfs, known.squashfs):
+        return paths.rootfs
+    with _disk(store.images):
+        store.images.mkdir(parents=True, exist_ok=True)
+        with opened(root, store, image) as read:
+            _make(store, image, merge(read, wanted))
+    return paths.rootfs
+
+
+def squashfs_file(path: Path) -> bool:
+    """Whether a file is one that apptainer runs as it is."""
+    try:
+        return not path.is_dir() and (sif.is_sif(path) or squashfs.is_squashfs(path))
+    except OSError as error:
+        raise Missing(f"{path} cannot be read: {error.strerror or error}") from error
+
+
+@contextlib.contextmanager
+def opened(root: Path, store: StorePaths, image: Image) -> Iterator[Archive]:
+    """An OCI image as an archive: its own file, or what podman saves of it. Raises Damaged where that is another image."""
+    with contextlib.ExitStack() as stack:
+        path = root / image.file
+        if not image.file:
+            podman_storage.require(image)
+            store.images.mkdir(parents=True, exist_ok=True)
+            folder = stack.enter_context(
+                tempfile.TemporaryDirectory(prefix=".saved.", suffix=f".{os.getpid()}", dir=store.images)
+            )
+            path = Path(folder) / "image.tar"
+            podman_storage.save(image.id.removeprefix("sha256:"), path)
+        read = oci.read(path)
+        if read.id != image.id:
+            raise Damaged(f"{path} is the image {short(read.id)}, not {short(image.id)}")
+        yield read
+
+
+def wanted(path: str) -> int:
+    return packages.wanted(path) or variables.wanted(path)
+
+
+def of_archive(read: Archive, image: Image, *, foreign: bool = False) -> Contents:
+    """What is in an archive's image; all of it is read, and checked."""
+    return _of_rootfs(merge(read, wanted, foreign=foreign), image)
+
+
+def _with_recipe(root: Path, found: Contents) -> Contents:
+    """With the text of the recipe that it was built by, where the project has that still."""
+    said = recipe.text(root / found.image.name, found.labels.get(recipe.LABEL, ""))
+    return replace(found, recipe=said) if said else found
+
+
+def _of_rootfs(merged: Rootfs, image: Image) -> Contents:
+    read = merged.archive
+    config = read.config
+    return Contents(
+        image=image,
+        form=read.form,
+        manifests={read.form: read.manifest} if read.manifest else {},
+        config=config,
+        labels=oci.labels(config),
+        packages=packages.packages(merged.kept),
+        recipe=_history(config),
+        created=str(config.get("created") or ""),
+        size=sum(entry.size for entry in merged.entries),
+        listing=_listing(merged.entries),
+    )
+
+
+def _of_squashfs(path: Path, image: Image) -> Contents:
+    read = sif.read(path) if sif.is_sif(path) else None
+    entries, kept = squashfs.listing(path, read.offset if read else 0, wanted)
+    own = image.kind is Kind.SQUASHFS  # else it was made of an OCI image, and does not say what that sets
+    found = variables.of(kept) if own else image.variables
+    return Contents(
+        image=replace(image, variables=found),
+        form="sif" if read else "squashfs",
+        manifests={},
+        config={"config": {"Env": [f"{name}={value}" for name, value in found.items()]}} if own else {},
+        labels=variables.labels(kept) or (read.labels if read else {}),
+        packages=packages.packages(kept),
+        recipe=read.recipe if read else "",
+        created="",
+        size=sum(entry.size for entry in entries),
+        listing=_listing(entries),
+    )
+
+
+def _listing(entries: tuple[Entry, ...]) -> bytes:
+    lines = ({name: value for name, value in asdict(entry).items() if value not in ("", 0)} for entry in entries)
+    return "".join(json.dumps({"mode": 0, **line}) + "\n" for line in lines).encode()
+
+
+def _history(config: Mapping[str, Any]) -> str:
+    steps = config.get("history")
+    said = [str(step.get("created_by") or "") for step in steps if isinstance(step, dict)] if isinstance(steps, list) else []
+    return "\n".join(line for line in said if line)
+
+
+def _keep(store: StorePaths, found: Contents) -> Contents:
+    paths = store.image(found.image.folder)
+    paths.root.mkdir(parents=True, exist_ok=True)
+    write_whole(paths.files, found.listing)
+    described = {
+        "format": FORMAT,
+        "image": asdict(found.image),
+        **{name: getattr(found, name) for name in ("form", "manifests", "config", "labels", "recipe", "created", "size")},
+        "packages": found.packages,
+        "squashfs": found.squashfs,
+        "files": sha256(found.listing),
+    }
+    write_whole(paths.description, json.dumps(described, indent=2, sort_keys=True).encode())
+    return found
+
+
+def _make(store: StorePaths, image: Image, merged: Rootfs) -> None:
+    paths = store.image(image.folder)
+    paths.root.mkdir(parents=True, exist_ok=True)
+    digest = squashfs.make(merged.write, paths.rootfs)
+    _keep(store, replace(contents(store, image) or _of_rootfs(merged, image), squashfs=digest))
+
+
+def _is(path: Path, digest: str) -> bool:
+    if not path.is_file():
+        return False
+    digests = Digests()
+    found = digests.of(str(path))
+    digests.save()
+    return found == digest
+
+
+def forget(paths: ImagePaths) -> None:
+    """Remove what is known of an image."""
+    shutil.rmtree(paths.root, ignore_errors=True)
+
+
+@contextlib.contextmanager
+def _disk(folder: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise Missing(f"what is in the image cannot be kept in {folder}: {error.strerror or error}") from error
+
+
+def _time(text: str) -> datetime | None:
+    with contextlib.suppress(ValueError):
+        return datetime.fromisoformat(text).astimezone(UTC) if text else None
+    return None

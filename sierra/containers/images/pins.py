@@ -1,0 +1,95 @@
+"""`sierra.lock`: what each image's name stands for in this project, written down once and committed with it.
+
+A name moves: a tag is built anew, a file replaced. A run needs to be the same run whatever moved, so it is made of what was
+pinned, and whoever wants the new image says so: `sierra image pin`.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from sierra.containers.images.image import ID, Image, Kind
+from sierra.containers.images.resolve import named
+from sierra.errors import ConfigError, Missing, SierraError
+from sierra.store.layout import ProjectPaths
+from sierra.util.fs import write_whole
+
+FORMAT = 1
+
+
+def pinned(root: Path, name: str) -> Image:
+    """What a name is pinned to. Raises Missing where it is not, ConfigError for a broken `sierra.lock`."""
+    known = pins(root)
+    if name not in known:
+        raise Missing(f"the image {name!r} is not pinned, {_why(root, name)} run: sierra image pin {name}")
+    return known[name]
+
+
+def _why(root: Path, name: str) -> str:
+    """Say what that means, or, where there is nothing yet that could be pinned, what comes before."""
+    try:
+        named(root, name)
+    except SierraError as error:
+        return f"and cannot be yet: {error}; then"
+    return "so nothing runs in it;"
+
+
+def pins(root: Path) -> dict[str, Image]:
+    """All pinned images, by name. Raises ConfigError for a broken `sierra.lock`."""
+    path = ProjectPaths(root).lock
+    try:
+        said = json.loads(path.read_text("utf-8"))
+        if not isinstance(said, dict) or said.get("format") != FORMAT:
+            raise ConfigError(f"{path} is not of format {FORMAT}; another version of SIERRA wrote it, or it was edited")
+        return {name: _image(name, fields) for name, fields in said["images"].items()}
+    except FileNotFoundError:
+        return {}
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        reason = str(error) if isinstance(error, _Broken) else "not what sierra image pin writes"
+        raise ConfigError(f"{path} is broken ({reason}); restore it, or remove it and run: sierra image pin") from error
+    except OSError as error:
+        raise Missing(f"{path} cannot be read: {error.strerror}") from error
+
+
+def pin(root: Path, image: Image) -> None:
+    """Write down what a name stands for, in the place of what it stood for."""
+    known = pins(root) | {image.name: image}
+    fields = {name: {key: value for key, value in asdict(one).items() if key != "name"} for name, one in known.items()}
+    text = json.dumps({"format": FORMAT, "images": fields}, indent=2, sort_keys=True, ensure_ascii=False)
+    path = ProjectPaths(root).lock
+    try:
+        write_whole(path, text.encode() + b"\n")
+    except OSError as error:
+        raise Missing(f"{path} cannot be written: {error.strerror}") from error
+
+
+class _Broken(ValueError):
+    """A field that is not as it should be."""
+
+
+def _image(name: str, fields: Mapping[str, Any]) -> Image:
+    image = Image(
+        name,
+        _text(name, fields, "id"),
+        Kind(fields["kind"]),
+        _text(name, fields, "architecture"),
+        tuple(fields["layers"]),
+        dict(fields["variables"]),
+        _text(name, fields, "file"),
+        _text(name, fields, "sha256"),
+    )
+    texts = (*image.layers, *image.variables, *image.variables.values())
+    if not ID.fullmatch(image.id) or not all(isinstance(one, str) for one in texts):
+        raise _Broken(f"{name!r} has the id {image.id!r}")
+    return image
+
+
+def _text(name: str, fields: Mapping[str, Any], key: str) -> str:
+    value = fields[key]
+    if not isinstance(value, str):
+        raise _Broken(f"{key} of {name!r} is no text")
+    return value

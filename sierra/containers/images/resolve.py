@@ -1,0 +1,154 @@
+"""What people call an image, and what that is now: a tag in podman's storage, a file, or a folder with a recipe."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+from dataclasses import replace
+from pathlib import Path
+
+from sierra.containers.images import inspect, oci, podman_storage, sif, squashfs
+from sierra.containers.images.containerfile import CONTAINERFILE, is_recipe
+from sierra.containers.images.image import Image, Kind, machine, short
+from sierra.errors import ConfigError, Damaged, Missing
+from sierra.provenance.hash_cache import Digests
+from sierra.store.layout import ProjectPaths, StorePaths
+
+TAG = "localhost/sierra/"
+FOLDER = re.compile(r"[a-z0-9]+(?:[._-]+[a-z0-9]+)*")
+SUFFIXES = (".tar", ".sif", ".sqfs", ".squashfs", ".img", ".gz", ".tgz", ".zst")
+
+
+def place(root: Path, name: str) -> Path | None:
+    """The file or folder that a name means, which need not be there; None for a tag.
+
+    A name that is there as a file is that file. Any other is a tag, unless it looks like a path.
+    """
+    path = root / name
+    if path.exists():
+        return path
+    return path if name.startswith(("/", "./", "../")) or name.endswith(SUFFIXES) else None
+
+
+def spelled(root: Path, name: str, known: str = "") -> str:
+    """Return a name as a project writes it down: `known`, if that is the same file; a path in the project from its root.
+
+    `./sim/` and `/home/me/project/sim` both are `sim`, which is the same on every machine.
+    """
+    path = Path(os.path.normpath(root / name))
+    if not path.exists() or (known and path == Path(os.path.normpath(root / known))):
+        return known if known and path.exists() else name
+    return str(path.relative_to(root)) if path.is_relative_to(root) and path != root else name
+
+
+def tag(root: Path, name: str) -> str | None:
+    """The tag in podman's storage that a name means; None for a file."""
+    path = place(root, name)
+    if path is None:
+        return name
+    if not is_recipe(path):
+        return None
+    folder = path.resolve().name.lower()
+    if not FOLDER.fullmatch(folder):
+        raise ConfigError(f"the recipe {name} cannot be a tag: call its folder by letters, digits, and . _ - between them")
+    return TAG + folder
+
+
+def named(root: Path, name: str) -> Image:
+    """What a name stands for now. A file is read as far as its identity needs: see `examine` for all that is in it.
+
+    Raises Missing where there is nothing of that name, Damaged for a file that is no image.
+    """
+    called = tag(root, name)
+    if called is not None:
+        return _tagged(root, name, called)
+    path = place(root, name)
+    assert path is not None  # noqa: S101 - what is no tag is a path
+    try:
+        return _file(root, path, name)
+    except OSError as error:
+        raise Missing(f"the image {name} cannot be read: {error.strerror or error}") from error
+
+
+def verify(root: Path, image: Image) -> None:
+    """See that a pinned image is still what its name stands for, and can run here; remembered, so it costs next to nothing.
+
+    Raises Missing, which names both, where a file was changed or a tag moved; and for another machine's architecture.
+    """
+    if image.architecture and image.architecture != machine():
+        raise Missing(f"the image {image.name} is for {image.architecture}, and this machine is {machine()}; build it here")
+    if image.file:
+        _verify_file(root, image)
+    elif podman_storage.installed():
+        _verify_tag(root, image)
+
+
+def _verify_file(root: Path, image: Image) -> None:
+    path = root / image.file
+    if path.is_dir():
+        found, was = oci.read(path).id, image.id
+    else:
+        digests = Digests()
+        found, was = digests.of(str(path)), image.sha256
+        digests.save()
+    if found != was:
+        raise Missing(
+            f"the image {image.name} is not the pinned one: {path} has SHA-256 {found[:19]}…, pinned is {was[:19]}…; "
+            f"restore it, or run: sierra image pin {image.name}"
+        )
+
+
+def _verify_tag(root: Path, image: Image) -> None:
+    called, found = tag(root, image.name), None
+    with contextlib.suppress(Missing):  # podman does not work here, which is no harm where nothing needs it
+        found = None if called is None else podman_storage.identify(called)
+    if found is not None and found != image.id:
+        raise Missing(
+            f"the image {image.name} has moved: it is {short(found)} now, pinned is {short(image.id)}; "
+            f"tag the pinned one again, or run: sierra image pin {image.name}"
+        )
+
+
+def _tagged(root: Path, name: str, called: str) -> Image:
+    found = podman_storage.look(called)
+    if found is None:
+        again = f"run: sierra image build {name}" if called != name else "build, import or pull it; or name it as a file"
+        raise Missing(f"there is no image {called!r} in podman's storage; {again}")
+    return Image(name, found.id, found.kind, found.architecture, found.layers, found.variables)
+
+
+def _file(root: Path, path: Path, name: str) -> Image:
+    if not path.exists():
+        raise Missing(f"there is no image file {path}")
+    if path.is_dir():
+        if not oci.is_archive(path):
+            raise Missing(f"{path} is no image: there is neither a {CONTAINERFILE} nor an OCI layout in it")
+        return oci.read(path).image(name, file=_file_name(root, path))
+    digests = Digests()
+    digest = digests.of(str(path))
+    digests.save()
+    file = _file_name(root, path)
+    if sif.is_sif(path):
+        read = sif.read(path)
+        squashfs.size(path, read.offset)
+        return _of_squashfs(root, name, file, digest, read.digest(), read.architecture)
+    if squashfs.is_squashfs(path):
+        squashfs.size(path)
+        return _of_squashfs(root, name, file, digest, digest, "")
+    if oci.is_archive(path):
+        return oci.read(path).image(name, file=file, sha256=digest)
+    raise Damaged(f"{path} is no image: neither an archive of one (docker-archive, oci-archive), a SIF, nor a squashfs")
+
+
+def _of_squashfs(root: Path, name: str, file: str, digest: str, system: str, architecture: str) -> Image:
+    """A file system with the SHA-256 `system`: itself, or the OCI image that it was made of here."""
+    made = inspect.made_from(StorePaths(ProjectPaths(root).store), system)
+    if made is not None:
+        return replace(made, name=name, file=file, sha256=digest)
+    return Image(name, f"squashfs:{system}", Kind.SQUASHFS, architecture, (), {}, file, digest)
+
+
+def _file_name(root: Path, path: Path) -> str:
+    """A file's path as it is written down: from the project's root where it lies in there."""
+    return str(path.relative_to(root)) if path.is_relative_to(root) else str(path)

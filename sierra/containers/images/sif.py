@@ -1,0 +1,152 @@
+"""The Singularity Image Format, as apptainer and singularity-ce write it: a header, descriptors, and data.
+
+Layout (https://github.com/sylabs/sif, pkg/sif/sif.go), all little-endian and without padding: 32 bytes that start the file as
+a script, the magic `SIF_MAGIC\\0`, a version (3 bytes), an architecture (3), a UUID (16), then eight 64-bit numbers: created,
+modified, descriptors that are free, all descriptors, where they begin, their size, where data begin, their size. A descriptor
+has 585 bytes: type (32 bits), whether it is used (8), its id, its group, what it is linked to (32 each), the data's offset,
+size and size with padding (64 each), two times, user and group (64 each), a name (128 bytes), and what belongs to its type
+(384): of a partition its file system, its role (32 each) and its architecture (3 bytes).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+
+from sierra.containers.images.streams import PIECE
+from sierra.errors import Damaged, Missing
+
+LAUNCH, MAGIC = 32, b"SIF_MAGIC\0"
+HEADER = struct.Struct("<32s10s3s3s16s8q")
+DESCRIPTOR = struct.Struct("<i?IIIqqqqqqq128s384s")
+MOST = 4096
+"""Descriptors; apptainer makes room for 48."""
+DEFFILE, LABELS, PARTITION, SIGNATURE, JSON = 0x4001, 0x4003, 0x4004, 0x4005, 0x4006
+SQUASHFS, PRIMARY, OVERLAY = 1, 2, 4
+FILE_SYSTEMS = {1: "squashfs", 2: "ext3", 3: "an archive", 4: "raw", 5: "an encrypted squashfs"}
+ARCHITECTURES = {
+    b"01": "386",
+    b"02": "amd64",
+    b"03": "arm",
+    b"04": "arm64",
+    b"05": "ppc64",
+    b"06": "ppc64le",
+    b"07": "mips",
+    b"08": "mipsle",
+    b"09": "mips64",
+    b"10": "mips64le",
+    b"11": "s390x",
+    b"12": "riscv64",
+}
+TEXT = 4 << 20
+
+
+@dataclass(frozen=True, slots=True)
+class Sif:
+    """What is in a SIF: where its file system is, and what is said about it."""
+
+    path: Path
+    architecture: str
+    offset: int
+    size: int
+    signed: bool
+    recipe: str
+    """The definition file that it was built by."""
+    labels: dict[str, str]
+
+    def digest(self) -> str:
+        """The SHA-256 of the file system, whatever is said about it elsewhere in the file."""
+        digest, left = hashlib.sha256(), self.size
+        with self.path.open("rb") as file:
+            file.seek(self.offset)
+            while left and (piece := file.read(min(left, PIECE))):
+                digest.update(piece)
+                left -= len(piece)
+        return digest.hexdigest()
+
+
+def is_sif(path: Path) -> bool:
+    with path.open("rb") as file:
+        file.seek(LAUNCH)
+        return file.read(len(MAGIC)) == MAGIC
+
+
+def read(path: Path) -> Sif:
+    """What a SIF's header and descriptors say. Raises Damaged for what is none, is cut short, or cannot be run here."""
+    try:
+        with path.open("rb") as file:
+            return _read(path, file, path.stat().st_size)
+    except OSError as error:
+        raise Missing(f"{path} cannot be read: {error.strerror or error}") from error
+
+
+@dataclass(frozen=True, slots=True)
+class _Object:
+    type: int
+    offset: int
+    size: int
+    extra: bytes
+
+    @property
+    def role(self) -> int | None:
+        """What a partition is for; None where it is none."""
+        return struct.unpack_from("<ii", self.extra)[1] if self.type == PARTITION else None
+
+
+def _read(path: Path, file: BinaryIO, length: int) -> Sif:
+    objects = list(_objects(path, file, length))
+    systems = [one for one in objects if one.role == PRIMARY]
+    if len(systems) != 1:
+        raise Damaged(f"{path} has {len(systems)} primary file systems; a SIF that can be run has one")
+    if any(one.role == OVERLAY for one in objects):
+        raise Damaged(
+            f"{path} has an overlay, whose files a run would see and its id not tell of; apptainer sif del takes it out"
+        )
+    [system] = systems
+    kind = struct.unpack_from("<i", system.extra)[0]
+    if kind != SQUASHFS:
+        raise Damaged(f"{path}: its file system is {FILE_SYSTEMS.get(kind, 'unknown')}; only squashfs is run")
+    architecture = ARCHITECTURES.get(system.extra[8:10], "")
+    recipe = next((_text(file, one) for one in objects if one.type == DEFFILE), "")
+    signed = any(one.type == SIGNATURE for one in objects)
+    return Sif(path, architecture, system.offset, system.size, signed, recipe, _labels(file, objects))
+
+
+def _objects(path: Path, file: BinaryIO, length: int) -> Iterator[_Object]:
+    header = file.read(HEADER.size)
+    if len(header) < HEADER.size or header[LAUNCH : LAUNCH + len(MAGIC)] != MAGIC:
+        raise Damaged(f"{path} is no SIF")
+    total, offset = HEADER.unpack(header)[8:10]
+    if not 0 <= total <= MOST or not 0 <= offset <= length - total * DESCRIPTOR.size:
+        raise Damaged(f"{path}: its header says that {total} descriptors begin at byte {offset}, which cannot be")
+    file.seek(offset)
+    table = file.read(total * DESCRIPTOR.size)
+    for fields in DESCRIPTOR.iter_unpack(table):
+        kind, used, start, size, extra = fields[0], fields[1], fields[5], fields[6], fields[13]
+        if not used:
+            continue
+        if start < 0 or size < 0 or start + size > length:
+            raise Damaged(f"{path} is cut short: {size} bytes from byte {start} on are in it by its header, and are not there")
+        yield _Object(kind, start, size, extra)
+
+
+def _text(file: BinaryIO, one: _Object) -> str:
+    file.seek(one.offset)
+    return file.read(min(one.size, TEXT)).decode("utf-8", "replace")
+
+
+def _labels(file: BinaryIO, objects: list[_Object]) -> dict[str, str]:
+    """What labels say, where they are an object of the SIF, and JSON."""
+    for one in objects:
+        if one.type == LABELS:
+            try:
+                said = json.loads(_text(file, one))
+            except (ValueError, RecursionError):
+                return {}
+            return {str(name): str(value) for name, value in said.items()} if isinstance(said, dict) else {}
+    return {}

@@ -1,0 +1,197 @@
+"""Squashfs images: made from an image's files by `mksquashfs`, and listed by `unsquashfs` (both of squashfs-tools).
+
+The same files give the same bytes: no times, no owners, no order of their own. Other versions of squashfs-tools may give
+others, so the SHA-256 of what was made is remembered, and is nobody's identity. (`sqfstar` of 4.5 would do as well, but for
+its refusing any level of compression; zstd at its default level takes five times as long.)
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+import re
+import shutil
+import struct
+import subprocess
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import IO, BinaryIO, cast
+
+from sierra.containers.images.layers import Entry, Type, Wanted
+from sierra.containers.images.streams import PIECE
+from sierra.errors import Damaged, Missing, SierraError
+from sierra.util.hashing import sha256_file
+
+MAGIC = b"hsqs"
+MAKE = (
+    *("-tar", "-noappend", "-all-root", "-all-time", "0", "-mkfs-time", "0", "-reproducible", "-no-xattrs"),
+    *("-comp", "zstd", "-Xcompression-level", "6", "-quiet", "-no-progress"),
+)
+LONGEST_LINE = 1 << 16
+LINE = re.compile(rb"((?:[^\\ ]|\\.)+) (\w) (.*)", re.DOTALL)
+TYPES: dict[bytes, Type] = {b"D": "folder", b"S": "link", b"R": "file", b"L": "file"}
+DATA = b"# START OF DATA - DO NOT MODIFY\n"
+
+
+def make(write: Callable[[BinaryIO], None], target: Path) -> str:
+    """Make a squashfs of the tar that `write` writes; its SHA-256. It appears whole, or not at all.
+
+    Raises Missing without squashfs-tools, and where there is no room on the disk.
+    """
+    program = _program("mksquashfs")
+    unfinished = target.with_name(f".{target.name}.{os.getpid()}")
+    try:
+        _run([program, "-", str(unfinished), *MAKE], write)
+        with unfinished.open("rb") as file:
+            os.fsync(file.fileno())
+        digest = sha256_file(unfinished)
+        unfinished.replace(target)
+        return digest
+    except OSError as error:
+        raise Missing(f"{target} cannot be written: {error.strerror or error}") from error
+    finally:
+        unfinished.unlink(missing_ok=True)
+
+
+def _run(command: list[str], write: Callable[[BinaryIO], None]) -> None:
+    environment = {name: value for name, value in os.environ.items() if name != "SOURCE_DATE_EPOCH"}
+    with tempfile.TemporaryFile() as said:
+        process = subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=said, stderr=subprocess.STDOUT, env=environment | {"LC_ALL": "C.UTF-8"}
+        )
+        try:
+            assert process.stdin is not None  # noqa: S101 - it was asked for
+            with contextlib.suppress(BrokenPipeError), process.stdin as pipe:
+                write(cast("BinaryIO", pipe))
+            status = process.wait()
+        finally:
+            process.kill()
+            process.wait()
+        if status:
+            raise Missing(f"{command[2]}: mksquashfs failed: {_last(said)}")
+
+
+def _last(said: IO[bytes]) -> str:
+    """What a program complained of: the first line that says why, else its last one."""
+    said.seek(0)
+    lines = [line.strip() for line in said.read(1 << 16).decode("utf-8", "replace").splitlines() if line.strip()]
+    why = [line for line in lines if "because" in line or "FATAL" in line or "error" in line.lower()]
+    return (why or lines[-1:] or ["it said nothing"])[0]
+
+
+def is_squashfs(path: Path) -> bool:
+    with path.open("rb") as file:
+        return file.read(4) == MAGIC
+
+
+def size(path: Path, offset: int = 0) -> int:
+    """Bytes of a file system, as its superblock says. Raises Damaged for none, and for one that is cut short."""
+    with path.open("rb") as file:
+        file.seek(offset)
+        block = file.read(48)
+        if len(block) < 48 or not block.startswith(MAGIC):
+            raise Damaged(f"{path} holds no squashfs")
+        used: int = struct.unpack_from("<Q", block, 40)[0]
+    if used > path.stat().st_size - offset:
+        raise Damaged(f"{path} is cut short: its file system has {used} bytes, {path.stat().st_size - offset} are there")
+    return used
+
+
+def listing(path: Path, offset: int = 0, wanted: Wanted = lambda path: 0) -> tuple[tuple[Entry, ...], dict[str, bytes]]:
+    """What is in a squashfs that begins at `offset`, by path; and the beginnings of files that were wanted.
+
+    Nothing is unpacked: `unsquashfs` streams a "pseudo file", a line for each path and then the bytes of all files.
+    """
+    command = [_program("unsquashfs"), "-no-progress", "-quiet", "-offset", str(offset), "-pf", "/dev/stdout", str(path)]
+    with tempfile.TemporaryFile() as complaints:
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=complaints)
+        try:
+            assert process.stdout is not None  # noqa: S101 - it was asked for
+            with process.stdout as stream:
+                found = _listed(path, stream, wanted)
+                while stream.read(PIECE):
+                    pass
+            status = process.wait()
+        except SierraError:
+            process.kill()
+            raise Damaged(f"{path} cannot be listed: {_why(process, complaints)}") from None
+        finally:
+            process.kill()
+            process.wait()
+        if status:
+            raise Damaged(f"{path} cannot be read: {_last(complaints)}")
+    return found
+
+
+def _why(process: subprocess.Popen[bytes], complaints: IO[bytes]) -> str:
+    process.wait()
+    said = _last(complaints)
+    return "its list of files is not one" if said == "it said nothing" else said
+
+
+def _listed(path: Path, stream: IO[bytes], wanted: Wanted) -> tuple[tuple[Entry, ...], dict[str, bytes]]:
+    entries: dict[str, Entry] = {}
+    order: list[str] = []
+    same: dict[str, str] = {}
+    for name, kind, rest in _lines(path, stream):
+        if kind not in TYPES or not name:
+            continue
+        if kind == b"L":
+            same[name] = _plain(rest)
+            continue
+        fields = rest.split(b" ", 4)
+        mode, tail = int(fields[1], 8), fields[4] if len(fields) > 4 else b""
+        if kind == b"R":
+            entries[name] = Entry(name, "file", mode, int(tail.split(b" ")[0]))
+            order.append(name)
+        else:
+            entries[name] = Entry(name, TYPES[kind], mode, target=os.fsdecode(tail))
+    kept = dict(_hash(path, stream, entries, order, wanted))
+    for name, target in same.items():
+        if target in entries:
+            one = entries[target]
+            entries[name] = Entry(name, one.type, one.mode, one.size, one.sha256, one.target)
+    return tuple(entries[name] for name in sorted(entries)), kept
+
+
+def _lines(path: Path, stream: IO[bytes]) -> Iterator[tuple[str, bytes, bytes]]:
+    """Name, type and the rest of each line. Raises Damaged for one that is none (as a line feed in a name makes it)."""
+    while (line := stream.readline(LONGEST_LINE)) and line != DATA:
+        if line.startswith(b"#"):
+            continue
+        read = LINE.fullmatch(line.rstrip(b"\n"))
+        if read is None or (read[2] in b"DRS" and len(read[3].split(b" ", 4)) < 4):
+            raise Damaged(f"{path} has a name in it that cannot be listed: {line[:80]!r}")
+        yield _plain(read[1]).removeprefix("/"), read[2], read[3]
+    stream.readline()
+
+
+def _hash(
+    path: Path, stream: IO[bytes], entries: dict[str, Entry], order: list[str], wanted: Wanted
+) -> Iterator[tuple[str, bytes]]:
+    """Give each file its SHA-256, in the order of their bytes; yields what is kept of those that are wanted."""
+    for name in order:
+        one, digest, kept, left = entries[name], hashlib.sha256(), bytearray(), entries[name].size
+        most = wanted(name)
+        while left and (piece := stream.read(min(left, PIECE))):
+            digest.update(piece)
+            kept += piece[: max(0, most - len(kept))]
+            left -= len(piece)
+        if left:
+            raise Damaged(f"{path} is cut short in {name!r}")
+        entries[name] = Entry(name, "file", one.mode, one.size, digest.hexdigest())
+        if most:
+            yield name, bytes(kept)
+
+
+def _plain(name: bytes) -> str:
+    return os.fsdecode(re.sub(rb"\\(.)", rb"\1", name, flags=re.DOTALL))
+
+
+def _program(name: str) -> str:
+    found = shutil.which(name)
+    if found is None:
+        raise Missing(f"{name} is not installed; it comes with squashfs-tools (apt-get install squashfs-tools)")
+    return found

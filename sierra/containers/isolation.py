@@ -1,0 +1,283 @@
+"""The containers of one session: made ready before anything executes, and what is recorded of how they isolate."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from sierra.config.project_file import Container
+from sierra.containers import images
+from sierra.containers.engines.base import PROJECT, PYTHON, Abilities, Box, Engine, Mount, Process
+from sierra.containers.images import Contents, Image, oci
+from sierra.errors import ConfigError, Missing
+from sierra.model import Limits, Needed, Recipe
+from sierra.provenance.change_guard import Seen, alone
+from sierra.provenance.hash_cache import Digests
+from sierra.provenance.program import Kind, Program, Programs
+from sierra.store.layout import StorePaths
+from sierra.util.hashing import digest, sha256
+
+NETWORK, GPU, DEVICE, MOUNT = "network", "gpu", "device ", "mount "
+MOUNTS = "{mount}"
+"""What the name of a file begins with that is mounted."""
+WATCHED = frozenset(("memory",))
+"""Limits that the worker watches over where the engine does not enforce them."""
+NVIDIA = Path("/proc/driver/nvidia")
+MOUNTED = Path("/proc/self/mountinfo")
+ESCAPED = re.compile(rb"\\([0-7]{3})")
+SPARE_S = 60.0
+"""Beyond a run's time limit, until its container ends by itself: whoever watched over it must be gone."""
+
+
+def reach(container: Container | None) -> tuple[str, ...]:
+    """What runs reach beyond their image and their own folder, as their identity holds it."""
+    if container is None:
+        return ()
+    flags = [name for name, given in ((NETWORK, container.network), (GPU, container.gpu)) if given]
+    listed = [f"{DEVICE}{path}" for path in container.devices] + [f"{MOUNT}{path}" for path in container.mounts]
+    return tuple(sorted({*flags, *listed}))
+
+
+def other_reach(was: Sequence[str], now: Sequence[str]) -> list[str]:
+    """What runs reach now that they did not, and the other way round, in words."""
+    return [*(f"{one} is new" for one in now if one not in was), *(f"{one} is gone" for one in was if one not in now)]
+
+
+def limits(row: Mapping[str, Any]) -> dict[str, dict[str, float]]:
+    """The limits in a row of `isolations`: those asked for, and of these the enforced, the watched, and the ignored."""
+    asked, enforced = (json.loads(row[name]) for name in ("limits_asked", "limits_enforced"))
+    left = {name: limit for name, limit in asked.items() if name not in enforced}
+    return {
+        "limits_asked": asked,
+        "limits_enforced": enforced,
+        "limits_watched": {name: limit for name, limit in left.items() if name in WATCHED},
+        "limits_ignored": {name: limit for name, limit in left.items() if name not in WATCHED},
+    }
+
+
+def data(named: Programs, container: Container, project: Path) -> Programs:
+    """The files that count beside image and source: those of the project that a template names, and all that is mounted.
+
+    What a template names elsewhere is the image's. What is mounted counts by its whole path (`{mount}/data/map`), as two files
+    may have one name; and a link by where it leads, which is another place in a container.
+    """
+    digests = Digests()
+    mounted = []
+    for target, source in container.mounts.items():
+        root = _there(project, target, source)
+        for path in sorted(root.rglob("*")) if root.is_dir() else [root]:
+            if path.is_symlink() and path != root:
+                found, kind = sha256(os.fsencode(path.readlink())), Kind.LINK
+            elif path.is_file():
+                found, kind = digests.of(str(path)), Kind.FILE
+            else:
+                continue
+            mounted.append(Program(f"{MOUNTS}{Path(target, path.relative_to(root))}", str(path), found, kind))
+    digests.save()
+    own = (one for one in named.all if one.name.startswith("{project}/"))
+    return Programs((*own, *mounted), named.notes)
+
+
+@dataclass(frozen=True, slots=True)
+class Containment:
+    """What contains the runs of a session: nothing, or containers that are alike."""
+
+    engine: Engine
+    abilities: Abilities
+    box: Box | None = None
+    notes: tuple[str, ...] = ()
+    seen: Seen | None = None
+    """The image, as it was when it was found to be the pinned one, where it is a file of the user's own, who may replace it."""
+
+    @property
+    def row(self) -> dict[str, Any] | None:
+        """The row of `isolations`, whose id is the hash of all else in it; None where nothing contains the runs."""
+        fields = self._fields()
+        return {"isolation": digest("isolation", fields), **fields} if fields else None
+
+    @property
+    def context(self) -> dict[str, Any]:
+        """What recording needs to know of it."""
+        if self.box is None:
+            return {"engine": self.engine.name}
+        enforced = tuple(sorted(self.enforced))
+        return {"engine": self.engine.name, "isolation": self.row, "shared": self.box.shared, "enforced": enforced}
+
+    @property
+    def needed(self) -> tuple[Needed, ...]:
+        """What must be wherever runs execute: devices, and the image where it is a file."""
+        if self.box is None:
+            return ()
+        devices = tuple(Needed("[container] devices", path) for path in self.box.devices)
+        driver = (Needed("[container] gpu", str(NVIDIA)),) if self.box.gpu else ()
+        reference = self.box.reference
+        if not Path(reference).is_absolute() or not Path(reference).is_file():
+            return (*devices, *driver)
+        if self.seen:  # whatever lies there by now
+            return (*devices, *driver, Needed("the image", reference, self.box.image.sha256))
+        digests = Digests()
+        found = digests.of(reference)
+        digests.save()
+        return (*devices, *driver, Needed("the image", reference, found))
+
+    def doubt(self) -> str | None:
+        """Why what has been executed since cannot be ascribed to the image: its file is another than then, or was."""
+        if self.box is None or self.seen is None or self.seen.doubt() is None:
+            return None
+        return f"the image {self.box.image.name} has changed since the runs began: {self.box.reference} was replaced"
+
+    def close(self) -> None:
+        """Remove all containers that are left."""
+        if self.box is not None:
+            self.engine.sweep([self.box.session])
+
+    @property
+    def enforced(self) -> frozenset[str]:
+        """The limits that the engine enforces."""
+        return frozenset(self.box.limits) & self.abilities.enforced if self.box else frozenset()
+
+    def _fields(self) -> dict[str, Any]:
+        box, able = self.box, self.abilities
+        if box is None:
+            return {}
+        # a replay's code lies in a folder of its own
+        mounts = tuple(replace(one, source="{project}") if one.target == PROJECT else one for one in box.mounts)
+        said = self.engine.client(replace(box, session="", mounts=mounts, files=""), Process((), {}, (), "/"))
+        return {
+            "engine": self.engine.name,
+            "version": able.version,
+            "rootless": able.rootless,
+            "mode": "worker" if box.shared else "run",
+            "image": box.image.id,
+            "user": able.user,
+            "network": "host" if box.network else "none" if able.isolated else "not isolated",
+            "devices": [*box.devices, *(["gpu"] if box.gpu else [])],
+            "mounts": json.dumps({mount.target: mount.source for mount in mounts}, sort_keys=True),
+            "limits_asked": json.dumps(box.limits, sort_keys=True),
+            "limits_enforced": json.dumps({name: box.limits[name] for name in sorted(self.enforced)}),
+            "argv": [word.replace("\0", "{run}") for word in said.argv],
+        }
+
+
+def contain(
+    engine: Engine,
+    image: Image | None,
+    recipe: Recipe,
+    container: Container | None,
+    bounds: Limits,
+    *,
+    code: Path,
+    project: Path,
+    store: StorePaths,
+    session: str,
+    elsewhere: bool = False,
+) -> Containment:
+    """Make all ready that containers of runs need; `code` is the folder of it, `container` what the project says now.
+
+    Runs that execute `elsewhere` use the devices of those hosts, which look for them (`Containment.needed`).
+    Raises Missing where the image or the engine can't be had, or a mount is not there.
+    """
+    if image is None or engine.name == "none":
+        return Containment(engine, Abilities(""))
+    able = engine.probe()
+    if able.trouble:
+        raise Missing(able.trouble)
+    inside = images.examine(project, store, image)
+    _check_variables(image, inside)
+    program(recipe.command, recipe.environment.get("PATH"), inside)
+    reference = engine.prepare(image, project, store)
+    theirs = image.file and reference == str(project / image.file)
+    given = container or Container(image=image.name)
+    shared, notes = given.isolation == "worker", []
+    if shared and not inside.program(PYTHON):
+        shared = False
+        notes.append(f'isolation = "worker" needs {PYTHON} in the image, which it lacks: each run has a container of its own')
+    if inside.user:
+        notes.append(f"the image's USER {inside.user!r} is ignored: outside of the container, processes are {able.user}")
+    if not elsewhere:
+        _check_devices(recipe)
+    box = Box(
+        image=image,
+        reference=reference,
+        session=session,
+        mounts=tuple(_with_below((Mount(str(code), PROJECT), *_mounts(recipe, given, project)))),
+        network=NETWORK in recipe.reach,
+        devices=tuple(one.removeprefix(DEVICE) for one in recipe.reach if one.startswith(DEVICE)),
+        gpu=GPU in recipe.reach,
+        # in a container that is shared, the worker would starve with the run: it looks itself
+        memory=None if shared else bounds.memory_bytes,
+        cpus=given.cpus,
+        pids=given.pids,
+        wall=None if shared or bounds.wall_s is None else bounds.wall_s + bounds.grace_s + SPARE_S,
+        shared=shared,
+        files=str(store.session(session).engine) if elsewhere else "",
+    )
+    return Containment(engine, able, box, (*notes, *_ignored(engine, able, box)), alone(Path(reference)) if theirs else None)
+
+
+def _mounts(recipe: Recipe, given: Container, project: Path) -> Iterator[Mount]:
+    """The further mounts that a recipe names, with what the project has there."""
+    for target in (one.removeprefix(MOUNT) for one in recipe.reach if one.startswith(MOUNT)):
+        if target not in given.mounts:
+            raise ConfigError(f"runs need a mount at {target}; name what is to be there in [container] mounts")
+        yield Mount(str(_there(project, target, given.mounts[target])), target)
+
+
+def _with_below(mounts: Iterable[Mount]) -> Iterator[Mount]:
+    """The same, and what the host has mounted below their sources: what is said of a mount does not hold for these."""
+    try:
+        lines = MOUNTED.read_bytes().splitlines()
+    except OSError:
+        lines = []
+    points = sorted({os.fsdecode(ESCAPED.sub(lambda match: bytes([int(match[1], 8)]), line.split()[4])) for line in lines})
+    for mount in mounts:
+        yield mount
+        top = os.path.realpath(mount.source)
+        for point in points:
+            if point.startswith(f"{top}/") and os.access(point, os.F_OK):
+                yield replace(mount, source=point, target=mount.target + point.removeprefix(top))
+
+
+def _there(project: Path, target: str, source: str) -> Path:
+    """What is mounted. Raises Missing."""
+    path = project / source
+    if not path.exists():
+        raise Missing(f"[container] mounts: {path} is not there, which runs are to have at {target}")
+    return path
+
+
+def _check_devices(recipe: Recipe) -> None:
+    """That what runs are to use of this machine is there. Raises Missing."""
+    for path in (one.removeprefix(DEVICE) for one in recipe.reach if one.startswith(DEVICE)):
+        if not Path(path).exists():
+            raise Missing(f"[container] devices: there is no {path} on this machine")
+    if GPU in recipe.reach and not NVIDIA.exists():
+        raise Missing("[container] gpu: there is no driver of NVIDIA's on this machine")
+
+
+def _check_variables(image: Image, inside: Contents) -> None:
+    """That the pinned variables are the image's: runs get them, and only its id counts. Raises Missing."""
+    if inside.config and dict(image.variables) != oci.variables(inside.config):
+        raise Missing(f"the variables of {image.name} in sierra.lock are not the image's; run: sierra image pin {image.name}")
+
+
+def program(command: Sequence[str], path: str | None, inside: Contents) -> str:
+    """The program that runs begin with: its path in the image, or the word that names a file of the project. Raises Missing."""
+    word = PYTHON if command[0] == "{python}" else command[0]
+    found = word if "{" in word else inside.program(word, path)
+    if found is None:
+        raise Missing(f"the program {word!r} is not in the image {inside.image.name}; sierra image show lists what is")
+    return found
+
+
+def _ignored(engine: Engine, able: Abilities, box: Box) -> Iterator[str]:
+    """The limits that are asked for, and that nobody enforces: over memory, the worker watches."""
+    for name in sorted(box.limits.keys() - able.enforced - WATCHED):
+        yield f"LIMIT IGNORED: {engine.name} does not enforce {name} here ({able.version})"
+    if not box.network and not able.isolated:
+        yield f"NOT ISOLATED: {engine.name} gives containers the network here ({able.version})"

@@ -1,0 +1,125 @@
+"""Figures for a two-column paper, drawn from aggregates: the same data give the same bytes.
+
+A `Drawing` is all that a figure shows; `draw` writes it as PNG, PDF and SVG. No file holds a date, and each holds the
+batch's id and the SQL that its numbers come from:
+
+    PNG     text chunks `sierra:batch`, `sierra:sql`
+    PDF     Keywords (the batch), Subject (the SQL)
+    SVG     dc:identifier (the batch), dc:source (the SQL)
+
+matplotlib is loaded by the first `draw`, through its object interface; the user's own settings of it count for nothing.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+from sierra.config.project_file import Figure
+from sierra.errors import Missing, SierraError, UsageError
+from sierra.model import Axis, Value
+from sierra.util.fs import write_whole
+
+Format = Literal["png", "pdf", "svg"]
+
+LARGEST = 1e300
+"""Numbers from which on the distances that axes need are no numbers any more."""
+
+
+@dataclass(frozen=True, slots=True)
+class Drawing:
+    """All that one figure shows.
+
+    `tables` and `runs` are pyarrow tables as `sierra.stats.aggregate.compute` makes them. `units` are those of columns and,
+    under the name of the time column, of time.
+    """
+
+    name: str
+    """The files' name, without ending."""
+    figure: Figure
+    axes: tuple[Axis, ...]
+    cells: Mapping[int, Mapping[str, Value]]
+    """By ordinal of the experiment: the value of each axis."""
+    tables: Mapping[str, Any]
+    runs: Any = None
+    note: str = ""
+    """What a reader must know, in small print: n, the kind of interval, what is missing."""
+    sql: str = ""
+    batch: str = ""
+    time: str = "time"
+    units: Mapping[str, str] = field(default_factory=dict)
+    formats: tuple[Format, ...] = ("png", "pdf", "svg")
+
+
+def draw(drawing: Drawing, folder: Path) -> tuple[Path, ...]:
+    """Writes `<name>.png`, `.pdf` and `.svg` into `folder`; each appears whole or not at all.
+
+    Raises SierraError where there is nothing to draw, UsageError where the data do not suit the kind of figure.
+    """
+    if drawing.name.startswith(".") or not drawing.name or Path(drawing.name).name != drawing.name:
+        raise UsageError(f"{drawing.name!r} cannot be the name of a figure's files")
+    if not any(table.num_rows and table.column("n").to_numpy().any() for table in drawing.tables.values()):
+        raise SierraError("there is no value to draw")
+    _check_size(drawing)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        return tuple(write_whole(folder / f"{drawing.name}.{ending}", data) for ending, data in rendered(drawing))
+    except OSError as error:
+        raise Missing(f"{folder}: cannot write figure {drawing.name}: {error.strerror}") from error
+
+
+def _check_size(drawing: Drawing) -> None:
+    """Raise SierraError for a number that is so large that no axis can be divided."""
+    import numpy as np
+
+    tables = [*drawing.tables.values(), *([drawing.runs] if drawing.runs is not None else [])]
+    columns = [column.to_numpy() for table in tables for column in table.columns]
+    numbers = [np.abs(column[np.isfinite(column)]) for column in columns if column.dtype.kind == "f"]
+    largest = max((float(column.max(initial=0.0)) for column in numbers), default=0.0)
+    if largest > LARGEST:
+        raise SierraError(f"{largest:.3g} is too large to be drawn; let runs write it in a larger unit")
+
+
+def rendered(drawing: Drawing) -> list[tuple[Format, bytes]]:
+    """The content of the files, by format."""
+    from sierra.deliverables.figures import axis_limits, heatmap, style, summary, timeseries
+
+    painters = {
+        "timeseries": timeseries.timeseries,
+        "stacked": timeseries.stacked,
+        "summary": summary.summary,
+        "box": summary.box,
+        "violin": summary.violin,
+        "heatmap": heatmap.heatmap,
+    }
+    drawing = axis_limits.said(drawing)
+    with style.applied():
+        figure = painters[drawing.figure.kind](drawing)
+        style.settle(figure, drawing)
+        return [(ending, _bytes(figure, ending, drawing)) for ending in drawing.formats]
+
+
+def _bytes(figure: Any, ending: Format, drawing: Drawing) -> bytes:
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format=ending, metadata=_metadata(ending, drawing))
+    return buffer.getvalue()
+
+
+def _metadata(ending: Format, drawing: Drawing) -> dict[str, str | None]:
+    title = _plain(drawing.figure.title or drawing.name)
+    sql, batch, note = _plain(drawing.sql), _plain(drawing.batch), _plain(drawing.note)
+    match ending:
+        case "png":
+            return {"Title": title, "Description": note, "sierra:batch": batch, "sierra:sql": sql}
+        case "pdf":
+            return {"Title": title, "Subject": sql, "Keywords": f"sierra batch {batch}", "CreationDate": None}
+        case "svg":
+            return {"Title": title, "Description": note, "Identifier": batch, "Source": sql, "Date": None}
+
+
+def _plain(text: str) -> str:
+    """Without the characters that XML, and so SVG, cannot hold."""
+    return "".join(c if c.isprintable() or c == "\n" else " " for c in text)

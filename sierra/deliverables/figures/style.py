@@ -1,0 +1,458 @@
+"""How figures look: one column of a paper wide, 8 pt, colours that colour-blind readers tell apart, text as it is.
+
+No text is read as TeX, so `$` and `_` are themselves. The legend stands above the data, never on them; where there are
+more than eight lines to tell apart, a colour bar stands in for it.
+"""
+
+from __future__ import annotations
+
+import textwrap
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import BoundaryNorm, LinearSegmentedColormap, ListedColormap, LogNorm, Normalize
+from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
+from matplotlib.legend import Legend
+from matplotlib.lines import Line2D
+from matplotlib.ticker import AutoLocator, FixedLocator, FuncFormatter, LogLocator, NullLocator
+
+from sierra.errors import UsageError
+from sierra.model import Axis, Value
+
+if TYPE_CHECKING:
+    from sierra.deliverables.figures.base import Drawing
+
+COLUMN = 3.5
+PAGE = 7.16
+HEIGHT = 2.4
+GAP = 0.05
+"""Inches around what stands above and below the plots."""
+LETTER = 0.06
+"""Inches that a letter of a legend takes."""
+FEW = 8
+"""Up to here, each line has an entry in a legend."""
+INK = "#333333"
+FAINT = "#777777"
+NAMED = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000", "#8C8C8C")
+"""Okabe and Ito's palette without its yellow, which is too light for lines on white."""
+MARKERS = "osD^vPX*"
+DASHES: tuple[Any, ...] = ("-", "--", ":", "-.", (0, (5, 1, 1, 1, 1, 1)), (0, (8, 2)), (0, (1, 3)), (0, (3, 1, 1, 1)))
+"""Styles of lines, so that no line is told from another by its colour alone."""
+NAMES = 24
+"""Up to here, each name has an entry in a legend; more are a scale of colours."""
+
+SETTINGS: dict[str, Any] = {
+    "font.family": "DejaVu Sans",
+    "font.size": 8,
+    "axes.titlesize": 8,
+    "axes.labelsize": 8,
+    "figure.titlesize": 9,
+    "xtick.labelsize": 7,
+    "ytick.labelsize": 7,
+    "legend.fontsize": 7,
+    "legend.title_fontsize": 7,
+    "legend.frameon": False,
+    "legend.handlelength": 1.5,
+    "legend.handletextpad": 0.5,
+    "legend.columnspacing": 1.2,
+    "legend.labelspacing": 0.3,
+    "legend.borderpad": 0.1,
+    "legend.borderaxespad": 0.2,
+    "axes.linewidth": 0.6,
+    "axes.edgecolor": INK,
+    "axes.labelcolor": INK,
+    "text.color": INK,
+    "xtick.color": INK,
+    "ytick.color": INK,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.xmargin": 0.02,
+    "grid.color": "#E4E4E4",
+    "grid.linewidth": 0.5,
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "xtick.major.size": 2.5,
+    "ytick.major.size": 2.5,
+    "lines.linewidth": 1.2,
+    "lines.markersize": 3.5,
+    "lines.solid_joinstyle": "round",
+    "figure.dpi": 300,
+    "savefig.dpi": 300,
+    "figure.facecolor": "white",
+    "text.parse_math": False,
+    "pdf.fonttype": 42,
+    "svg.fonttype": "none",
+    "svg.hashsalt": "sierra",
+    "figure.constrained_layout.use": False,
+}
+
+
+@contextmanager
+def applied() -> Iterator[None]:
+    """matplotlib's own defaults and these, whatever the user's settings are; put back afterwards."""
+    with mpl.rc_context(), warnings.catch_warnings():
+        settings: Any = mpl.rcParams
+        settings.update(_defaults())
+        # A character that the font has not is drawn as a box; that is no reason to have no figure.
+        warnings.filterwarnings("ignore", message="Glyph .* missing from")
+        yield
+
+
+def blank(width: float = COLUMN, height: float = HEIGHT) -> Figure:
+    """A figure without anything on it, in inches."""
+    figure = Figure(figsize=(width, height))
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def panels(count: int) -> tuple[Figure, list[Any]]:
+    """A figure of `count` panels that share their axes, row by row."""
+    if count == 1:
+        figure = blank()
+        return figure, [figure.add_subplot()]
+    columns = 2 if count in (2, 4) else min(6, max(3, int(np.ceil(np.sqrt(count)))))
+    rows = -(-count // columns)
+    figure = blank(COLUMN if columns == 2 else PAGE, 1.0 + rows * (1.3 if columns == 2 else 1.5))
+    every = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).ravel().tolist()
+    for unused in every[count:]:
+        unused.remove()
+    for above in every[count - columns : count]:
+        above.xaxis.set_tick_params(labelbottom=True)
+    return figure, every[:count]
+
+
+def outer_labels(plots: Sequence[Any], xlabel: str, ylabel: str) -> None:
+    """Labels where a row or a column of panels ends, once each."""
+    last: dict[int, Any] = {}
+    for plot in plots:
+        place = plot.get_subplotspec()
+        last[place.colspan.start] = plot
+        if place.is_first_col():
+            plot.set_ylabel(shortened(ylabel, _letters(plot, 48, down=True)))
+    for plot in last.values():
+        plot.set_xlabel(shortened(xlabel, _letters(plot, 60)))
+
+
+def _letters(plot: Any, most: int, *, down: bool = False) -> int:
+    """Return how long a label may be beside one of several panels."""
+    grid = plot.get_gridspec()
+    if grid.ncols * grid.nrows == 1:
+        return most
+    inches = plot.figure.get_figheight() / grid.nrows if down else plot.figure.get_figwidth() / grid.ncols
+    return min(most, max(12, int(inches / (LETTER * 1.15))))
+
+
+def title(plot: Any, text: str) -> None:
+    """Write the title of a panel, in at most three lines that are no wider than the panel."""
+    wide = plot.figure.get_figwidth() / plot.get_gridspec().ncols - 0.4
+    lines = textwrap.wrap(text, max(10, int(wide / LETTER)), max_lines=3, placeholder=" …")
+    plot.set_title("\n".join(lines), fontsize=7)
+
+
+def settle(figure: Figure, drawing: Drawing) -> None:
+    """Title, legend and small print around the plots; then the layout, computed once for all formats."""
+    width = figure.get_figwidth()
+    small: dict[str, Any] = {"fontsize": 6, "color": FAINT}
+    above: list[Any] = [*figure.legends]
+    if drawing.figure.title:
+        above.insert(0, figure.text(0.02, 1, wrapped(drawing.figure.title, width, 8.5), va="top", fontsize=8.5))
+    below = [figure.text(0.99, 0, wrapped(drawing.note, width, 6), va="bottom", ha="right", **small)] if drawing.note else []
+    room = {item: item.get_window_extent().height / figure.dpi + GAP for item in [*above, *below]}
+    height = figure.get_figheight() + sum(room[item] for item in above) + GAP
+    figure.set_figheight(height)
+    top = 1 - GAP / 2 / height
+    for item in above:
+        _hang(figure, item, top)
+        top -= room[item] / height
+    for item in below:
+        item.set_y(GAP / 2 / height)
+    bottom = sum(room[item] for item in below) / height
+    # An engine that belonged to the figure would lay it out again, and draw it twice, for each format.
+    rect = (0, bottom, 1, top - bottom)
+    ConstrainedLayoutEngine(w_pad=0.03, h_pad=0.03, hspace=0.02, wspace=0.02, rect=rect).execute(figure)
+
+
+def _hang(figure: Figure, item: Any, top: float) -> None:
+    """Puts the upper edge of a legend or a text at a height of the figure."""
+    if isinstance(item, Legend):
+        item.set_bbox_to_anchor((0.5, top), figure.transFigure)
+    else:
+        item.set_y(top)
+
+
+# What is written
+
+
+def label(name: str, unit: str = "", *, given: str = "") -> str:
+    """A label with its unit in brackets: what was given, or the name with blanks for underscores."""
+    text = given or name.replace("_", " ")
+    return f"{text} [{unit}]" if unit else text
+
+
+def axis_label(axis: Axis) -> str:
+    return label(axis.name, axis.unit, given=axis.label)
+
+
+def point(drawing: Drawing, axes: Sequence[Axis], ordinal: int) -> str:
+    """Where an experiment lies on some axes, as the title of a panel."""
+    names = (f"{axis.label or axis.name.replace('_', ' ')} = {named(drawing.cells[ordinal][axis.name], 16)}" for axis in axes)
+    units = (f" {axis.unit}" if axis.unit else "" for axis in axes)
+    return shortened(", ".join(name + unit for name, unit in zip(names, units, strict=True)), 90)
+
+
+def value_label(drawing: Drawing) -> str:
+    """What the values are that a figure of one column shows."""
+    column = next(iter(drawing.tables))
+    if drawing.figure.ylabel:
+        return drawing.figure.ylabel
+    if drawing.figure.kind == "timeseries":
+        return label(column, drawing.units.get(column, ""))
+    match drawing.figure.measure:
+        case "time_to":
+            threshold = number(drawing.figure.threshold or 0.0)
+            return label(f"{drawing.time} until {column} ≥ {threshold}", drawing.units.get(drawing.time, ""))
+        case measure:
+            return label(f"{measure} {column}", drawing.units.get(column, ""))
+
+
+def time_label(drawing: Drawing) -> str:
+    return drawing.figure.xlabel or label(drawing.time, drawing.units.get(drawing.time, ""))
+
+
+def number(value: float, digits: int = 6) -> str:
+    """A number as short as so many digits allow."""
+    return f"{value:.{digits}g}".replace("e+0", "e").replace("e+", "e").replace("e-0", "e-").replace("-", "−")
+
+
+def named(value: Value, limit: int = 28) -> str:
+    """A value of an axis, as a tick or an entry in a legend."""
+    return shortened(value, limit) if isinstance(value, str) else number(value)
+
+
+def shortened(text: str, limit: int) -> str:
+    """One line of at most `limit` characters; what is in the middle goes."""
+    line = " ".join("".join(c if c.isprintable() else " " for c in text).split())
+    half = (limit - 1) // 2
+    return line if len(line) <= limit else f"{line[:half]}…{line[-half:]}"
+
+
+def wrapped(text: str, width: float, size: float) -> str:
+    """In at most four lines that fit a figure of `width` inches in letters of `size` points."""
+    line = shortened(text, 400)
+    return "\n".join(textwrap.wrap(line, max(20, int(width * 72 / (0.56 * size))), max_lines=4, placeholder=" …"))
+
+
+# Colours
+
+
+def colours(axis: Axis) -> list[Any]:
+    """A colour for each value: along a scale for numbers, which have an order, apart from each other for names."""
+    count = len(axis.values)
+    if count <= FEW and not axis.numeric:
+        return list(NAMED[:count])
+    if count == 1:
+        return [NAMED[0]]
+    norm = _norm(axis) if axis.numeric else float
+    return list(sequential()([norm(v) if count > FEW and axis.numeric else k / (count - 1) for k, v in _enumerated(axis)]))
+
+
+def looks(axis: Axis) -> list[dict[str, Any]]:
+    """Return what a line looks like for each value: no two have the same colour and style, as far as each has an entry."""
+    count = len(axis.values)
+    if count == 1:
+        return [{"color": NAMED[0]}]
+    if count > (FEW if axis.numeric else NAMES):
+        return [{"color": colour} for colour in colours(axis)]
+    several = NAMED if count > FEW else colours(axis)
+    styles = [(k + k // FEW) % FEW for k in range(count)]
+    return [{"color": several[k % FEW], "linestyle": DASHES[style], "marker": MARKERS[style]} for k, style in enumerate(styles)]
+
+
+def sequential() -> LinearSegmentedColormap:
+    """viridis without its yellow end, which is too light on white."""
+    return LinearSegmentedColormap.from_list("sierra", mpl.colormaps["viridis"](np.linspace(0, 0.85, 128)))
+
+
+def legend(figure: Figure, plots: Sequence[Any], axis: Axis, entries: Sequence[str], looks: Sequence[dict[str, Any]]) -> None:
+    """Says which line is which: above the data where they are few, else by a colour bar."""
+    if len(entries) <= 1:
+        return
+    if len(entries) > (FEW if axis.numeric else NAMES):
+        colour_bar(figure, plots, axis, entries)
+        return
+    place_legend(figure, [Line2D([], [], **look) for look in looks], entries, shortened(axis_label(axis), 60))
+
+
+def place_legend(figure: Figure, handles: Sequence[Any], entries: Sequence[str], title: str = "") -> None:
+    """A legend in as few rows as fit, with its title before the first entry where that fits too."""
+    room = figure.get_figwidth() * 0.98
+    wide = max(len(entry) for entry in entries) * LETTER + 0.38
+    columns = max(1, min(len(entries), int(room / wide)))
+    if title and len(title) * LETTER + 0.1 + wide * len(entries) < room:
+        handles, entries, title = [Line2D([], [], linestyle="none"), *handles], [title, *entries], ""
+        columns = len(entries)
+    rows = -(-len(entries) // columns)
+    legend = figure.legend(handles, entries, loc="upper center", ncols=-(-len(entries) // rows), title=title or None)
+    legend.set_in_layout(False)
+
+
+def colour_bar(figure: Figure, plots: Sequence[Any], axis: Axis, entries: Sequence[str]) -> None:
+    """The values of an axis as a scale of colours."""
+    if axis.numeric:
+        source = ScalarMappable(_norm(axis), sequential())
+        values: list[float] = [float(value) for value in axis.values]
+    else:
+        source = ScalarMappable(BoundaryNorm(np.arange(len(entries) + 1) - 0.5, len(entries)), ListedColormap(colours(axis)))
+        values = [float(k) for k in range(len(entries))]
+    bar = figure.colorbar(source, ax=list(plots), pad=0.02, aspect=28, fraction=0.05, use_gridspec=False)
+    bar.outline.set_linewidth(0.4)
+    shown = thinned(len(values), 10 if axis.numeric else 24)
+    bar.ax.yaxis.set_major_locator(FixedLocator([values[k] for k in shown]))
+    bar.ax.yaxis.set_major_formatter(_table({values[k]: entries[k] for k in shown}))
+    bar.ax.yaxis.set_minor_locator(NullLocator())
+    bar.ax.tick_params(labelsize=6 if axis.numeric or len(values) <= 12 else 5, length=0 if not axis.numeric else 2)
+    bar.set_label(shortened(axis_label(axis), 48))
+
+
+def thinned(count: int, most: int) -> list[int]:
+    """At most about `most` of `count` indices, at equal distances."""
+    return list(range(0, count, -(-count // most)))
+
+
+# Scales
+
+
+def geometric(values: Sequence[Value]) -> bool:
+    """Whether numbers grow by a constant factor, as those of a Log scale do."""
+    if len(values) < 3 or any(isinstance(v, str) or v <= 0 for v in values):
+        return False
+    numbers = np.array(values, dtype=float)
+    ratios = numbers[1:] / numbers[:-1]
+    return bool(ratios[0] > 1 and np.allclose(ratios, ratios[0], rtol=1e-9))
+
+
+def scale_values(plot: Any, axis: Axis, *, log: bool, margin: float = 0.04) -> None:
+    """The x axis of an independent variable: numbers where they lie, names side by side."""
+    if not axis.numeric:
+        side_by_side(plot, axis)
+        return
+    values = [float(value) for value in axis.values]
+    if log and min(values) <= 0:
+        raise UsageError(f"log_x needs values above 0, {axis.name} has {number(min(values))}")
+    if log or geometric(axis.values):
+        plot.set_xscale("log", base=2)
+    low, high = min(values), max(values)
+    if low == high:
+        plot.set_xlim(low - 1, low + 1)
+    elif plot.get_xscale() == "log":
+        plot.set_xlim(low * (low / high) ** margin, high * (high / low) ** margin)
+    else:
+        plot.set_xlim(low - (high - low) * margin, high + (high - low) * margin)
+    if log or geometric(axis.values) or len(values) <= 6:
+        ticks = [values[k] for k in thinned(len(values), 11)]
+        plot.xaxis.set_major_locator(FixedLocator(ticks))
+        plot.xaxis.set_major_formatter(_table({tick: number(tick) for tick in ticks}))
+        plot.xaxis.set_minor_locator(NullLocator())
+
+
+def side_by_side(plot: Any, axis: Axis, *, most: int = 20) -> None:
+    """One place for each value, at 0, 1, 2, …; long names are turned."""
+    names = [named(value, 22) for value in axis.values]
+    shown = thinned(len(names), most)
+    plot.set_xlim(-0.6, len(names) - 0.4)
+    turned = sum(len(names[k]) + 2 for k in shown) > 44
+    plot.set_xticks(
+        shown,
+        [names[k] for k in shown],
+        rotation=(90 if len(shown) > 12 else 35) if turned else 0,
+        ha=("center" if len(shown) > 12 else "right") if turned else "center",
+        rotation_mode="anchor" if turned and len(shown) <= 12 else "default",
+    )
+    plot.grid(visible=False, axis="x")
+    if turned:
+        _heighten(plot.figure, 0.045 * min(22, max(len(names[k]) for k in shown)) * (1 if len(shown) > 12 else 0.6))
+
+
+def scale_y(plot: Any, drawing: Drawing, lowest: float, highest: float) -> None:
+    """A logarithmic y axis where one is asked for; what is not above 0 has no place on it."""
+    if not drawing.figure.log_y:
+        return
+    if not highest > 0:
+        raise UsageError("log_y needs values above 0, and there is none")
+    plot.set_yscale("log", nonpositive="clip")
+    log_ticks(plot, lowest, highest)
+
+
+def log_ticks(plot: Any, lowest: float, highest: float) -> None:
+    """Ticks of a logarithmic y axis: powers of 10, where there are enough of them."""
+    wide = lowest <= 0 or highest / lowest >= 10
+    plot.yaxis.set_major_locator(LogLocator(numticks=8) if wide else AutoLocator())
+    plot.yaxis.set_major_formatter(FuncFormatter(lambda value, _: _power(value)))
+    plot.yaxis.set_minor_locator(NullLocator())
+
+
+def scale_time(plot: Any, drawing: Drawing, earliest: float) -> None:
+    """A logarithmic time axis where one is asked for."""
+    if drawing.figure.log_x:
+        plot.set_xscale("log", nonpositive="mask" if earliest > 0 else "clip")
+        plot.xaxis.set_major_formatter(FuncFormatter(lambda value, _: _power(value)))
+        plot.xaxis.set_minor_locator(NullLocator())
+
+
+def drawable(values: Any, drawing: Drawing) -> Any:
+    """Values as floats; NaN where there is none, or none that the scale has a place for."""
+    numbers = np.asarray(values, dtype=float)
+    bad = ~np.isfinite(numbers)
+    if drawing.figure.log_y:
+        bad |= numbers <= 0
+    return np.where(bad, np.nan, numbers) if bad.any() else numbers
+
+
+def column(table: Any, name: str) -> Any:
+    """A column of a pyarrow table as numpy floats; NULL becomes NaN."""
+    return table.column(name).to_numpy().astype(float, copy=False)
+
+
+_kept: dict[str, Any] = {}
+"""The settings of all figures, put together once."""
+
+
+def _defaults() -> dict[str, Any]:
+    if not _kept:
+        skipped = {"backend", "backend_fallback", "interactive", "toolbar", "timezone", "webagg.port"}
+        _kept.update({k: v for k, v in mpl.rcParamsDefault.items() if k not in skipped} | SETTINGS)
+    return _kept
+
+
+def _enumerated(axis: Axis) -> list[tuple[int, Any]]:
+    return list(enumerate(axis.values))
+
+
+def _norm(axis: Axis) -> Normalize:
+    values = [float(value) for value in axis.values]
+    kind = LogNorm if geometric(axis.values) else Normalize
+    return kind(min(values), max(values))
+
+
+def _table(names: dict[float, str]) -> FuncFormatter:
+    return FuncFormatter(lambda value, _: names.get(value) or names[min(names, key=lambda known: abs(known - value))])
+
+
+def _power(value: float) -> str:
+    exponent = np.log10(value) if value > 0 else 0.0
+    if value <= 0 or -2.5 <= exponent < 3 or abs(exponent - round(exponent)) > 1e-9:
+        return number(value)
+    return "10" + str(round(exponent)).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
+
+
+def _heighten(figure: Figure, inches: float) -> None:
+    figure.set_figheight(figure.get_figheight() + inches)

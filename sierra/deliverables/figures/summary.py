@@ -1,0 +1,233 @@
+"""Figures over the independent variable: points with intervals, boxes, violins."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.cbook import violin_stats
+from matplotlib.colors import to_rgba
+from matplotlib.figure import Figure
+from matplotlib.transforms import ScaledTranslation
+
+from sierra.deliverables.figures import axis_limits, style
+from sierra.deliverables.figures.axis_limits import CENTERS
+from sierra.deliverables.figures.timeseries import first_axis, others, rest_of, value_of, with_n
+from sierra.model import Axis, Value
+
+if TYPE_CHECKING:
+    from sierra.deliverables.figures.base import Drawing
+
+GOLDEN = 0.6180339887498949
+APART = 1.6
+"""Points between the intervals of two groups at the same number; less where there are many groups."""
+WIDEST = 40
+"""Points over which the intervals at one number are spread."""
+CAP = 4
+"""Points that a mark or the end of an interval reaches to each side, at most."""
+WIDTH = 0.7 * 72 * style.COLUMN
+"""How wide a plot is, about, in points."""
+DENSE = 5
+"""From how many runs on a density says more than the runs themselves."""
+
+
+def summary(drawing: Drawing) -> Figure:
+    """A measure over the first axis, with intervals; a line for each combination of the others."""
+    (table,) = drawing.tables.values()
+    figure = style.blank()
+    plot = figure.add_subplot()
+    first, groups = first_axis(drawing), _groups(drawing)
+    names = CENTERS[drawing.figure.center]
+    center = style.drawable(style.column(table, names[0]), drawing)
+    low, high = (style.column(table, name) for name in names[1:])
+    ordinals = table.column("experiment").to_pylist()
+    looks = _looks(groups)
+    shifts = _shifts(first, len(groups.values))
+    for (place, _), look in zip(enumerate(groups.values), looks, strict=True):
+        rows = [k for k, o in enumerate(ordinals) if others(drawing).index(rest_of(drawing, o)) == place]
+        x = _places(drawing, first, [ordinals[k] for k in rows], place, len(groups.values))
+        censored = style.column(table, "never")[rows] > 0
+        made = _interval(plot, x, center[rows], low[rows], high[rows], look, joined=first.numeric)
+        hollow = {**look, "linestyle": "none", "markerfacecolor": "white", "zorder": 3}
+        made += plot.plot(np.asarray(x)[censored], center[rows][censored], **hollow)
+        made += _never(plot, np.asarray(x)[censored & (style.column(table, "n")[rows] == 0)], look["color"])
+        if first.numeric:
+            _shift(made, shifts[place])
+    aside = max(map(abs, shifts)) + CAP
+    style.scale_values(plot, first, log=drawing.figure.log_x, margin=max(0.04, aside / (WIDTH - 2 * aside)))
+    _frame(figure, plot, drawing, first, groups, looks, table, float(np.nanmin(center)), float(np.nanmax(center)))
+    return figure
+
+
+def box(drawing: Drawing) -> Figure:
+    """Median, quartiles and whiskers for each experiment, and the runs beyond the whiskers."""
+    return _side_by_side(drawing, _box)
+
+
+def violin(drawing: Drawing) -> Figure:
+    """The density of the runs for each experiment, each run a dot; median and quartiles."""
+    return _side_by_side(drawing, _violin)
+
+
+def _side_by_side(drawing: Drawing, paint: Callable[..., None]) -> Figure:
+    (table,) = drawing.tables.values()
+    figure = style.blank()
+    plot = figure.add_subplot()
+    first, groups = first_axis(drawing), _groups(drawing)
+    count = len(groups.values)
+    colours = style.colours(groups) if count > 1 else [style.NAMED[0]]
+    style.side_by_side(plot, first)
+    runs = _runs(drawing)
+    for row in table.to_pylist():
+        place = others(drawing).index(rest_of(drawing, row["experiment"]))
+        x = first.values.index(value_of(drawing, row["experiment"])) + _dodge(place, count)
+        if not row["n"]:
+            _never(plot, [x] if row["never"] else [], colours[place])
+            continue
+        shown = style.drawable(runs[row["experiment"]], drawing)
+        paint(plot, x, 0.7 / count, row, shown[np.isfinite(shown)], colours[place])
+    looks = [{"color": colour, "linewidth": 4} for colour in colours]
+    values = np.concatenate(list(runs.values()))
+    plot.set_xlim(-0.6, len(first.values) - 0.4)
+    _frame(figure, plot, drawing, first, groups, looks, table, float(values.min()), float(values.max()))
+    return figure
+
+
+def _box(plot: Any, x: float, width: float, row: dict[str, Any], runs: Any, colour: Any) -> None:
+    beyond = runs[(runs < row["whisker_low"]) | (runs > row["whisker_high"])]
+    stats = {
+        "med": row["median"],
+        "q1": row["q1"],
+        "q3": row["q3"],
+        "whislo": row["whisker_low"],
+        "whishi": row["whisker_high"],
+        "fliers": beyond,
+    }
+    thin = {"color": colour, "linewidth": 0.8}
+    plot.bxp(
+        [stats],
+        positions=[x],
+        widths=[width],
+        manage_ticks=False,
+        patch_artist=True,
+        boxprops={"facecolor": to_rgba(colour, 0.25), "edgecolor": colour, "linewidth": 0.8},
+        medianprops={"color": colour, "linewidth": 1.6, "solid_capstyle": "butt"},
+        whiskerprops=thin,
+        capprops=thin,
+        flierprops={
+            "marker": "o",
+            "markersize": 2.2,
+            "markerfacecolor": "none",
+            "markeredgecolor": colour,
+            "markeredgewidth": 0.6,
+        },
+    )
+
+
+def _violin(plot: Any, x: float, width: float, row: dict[str, Any], runs: Any, colour: Any) -> None:
+    spread = np.full(len(runs), 0.25)
+    if len(runs) >= DENSE and runs.min() < runs.max():
+        (stats,) = violin_stats(runs, points=80)
+        shape = stats["vals"] / stats["vals"].max() * width / 2
+        plot.fill_betweenx(stats["coords"], x - shape, x + shape, facecolor=colour, alpha=0.25, linewidth=0)
+        spread = np.interp(runs, stats["coords"], shape) / width
+    offsets = ((np.arange(len(runs)) + 1) * GOLDEN % 1 - 0.5) * 1.4 * spread * width
+    plot.plot(x + offsets, runs, "o", color=colour, markersize=1.6, markeredgewidth=0, alpha=0.7)
+    plot.plot([x, x], [row["q1"], row["q3"]], color=colour, linewidth=2.2, solid_capstyle="butt")
+    plot.plot(
+        [x],
+        [row["median"]],
+        "o",
+        color="white",
+        markeredgecolor=colour,
+        markersize=min(3.0, 20 * width),
+        markeredgewidth=0.8,
+    )
+
+
+def _interval(plot: Any, x: Any, center: Any, low: Any, high: Any, look: dict[str, Any], *, joined: bool) -> list[Any]:
+    x, made = np.asarray(x, dtype=float), []
+    if joined:
+        known = np.isfinite(center)
+        made += plot.plot(x[known], center[known], **{**look, "marker": "none"})
+    some = np.isfinite(center) & np.isfinite(low) & np.isfinite(high)
+    if some.any():
+        reach = [(center - low)[some], (high - center)[some]]
+        thin = {"ecolor": look["color"], "elinewidth": 0.9, "capsize": 2, "capthick": 0.9}
+        _, caps, bars = plot.errorbar(x[some], center[some], reach, fmt="none", **thin)
+        made += [*caps, *bars]
+    return [*made, *plot.plot(x, center, **{**look, "linestyle": "none"})]
+
+
+def _never(plot: Any, x: Any, colour: Any) -> list[Any]:
+    """Triangles at the upper edge, for experiments of which no run reached the threshold."""
+    marks = {"marker": "^", "markersize": 4, "markerfacecolor": "white", "linestyle": "none", "color": colour}
+    if not len(x):
+        return []
+    made: list[Any] = plot.plot(x, np.ones(len(x)), transform=plot.get_xaxis_transform(), clip_on=False, zorder=4, **marks)
+    return made
+
+
+def _places(drawing: Drawing, first: Axis, ordinals: list[int], place: int, count: int) -> list[float]:
+    values = [value_of(drawing, ordinal) for ordinal in ordinals]
+    if first.numeric:
+        return [float(value) for value in values]
+    return [first.values.index(value) + _dodge(place, count) for value in values]
+
+
+def _shifts(first: Axis, count: int) -> list[float]:
+    """How many points each group is moved aside: to both sides of a number, but never below 0."""
+    apart = min(APART, WIDEST / count)
+    return [(place - (0 if 0 in first.values else (count - 1) / 2)) * apart for place in range(count)]
+
+
+def _shift(made: list[Any], points: float) -> None:
+    """Moves what is drawn aside by so many points, so that the intervals of several groups at one number are all seen."""
+    for artist in made:
+        artist.set_transform(artist.get_transform() + ScaledTranslation(points / 72, 0, artist.figure.dpi_scale_trans))
+
+
+def _dodge(place: int, count: int) -> float:
+    return (place - (count - 1) / 2) * 0.8 / count
+
+
+def _groups(drawing: Drawing) -> Axis:
+    """The axes after the first as one: what is told apart by colour."""
+    if len(drawing.axes) == 2:
+        return drawing.axes[1]
+    label = ", ".join(style.axis_label(axis) for axis in drawing.axes[1:])
+    names: list[Value] = [", ".join(style.named(value, 12) for value in values) for values in others(drawing)]
+    return Axis(label, tuple(names), label=label)
+
+
+def _looks(groups: Axis) -> list[dict[str, Any]]:
+    return [{"marker": "o", **look} for look in style.looks(groups)]
+
+
+def _runs(drawing: Drawing) -> dict[int, Any]:
+    ordinals = drawing.runs.column("experiment").to_numpy()
+    values = style.column(drawing.runs, "value")
+    return {int(ordinal): values[ordinals == ordinal] for ordinal in np.unique(ordinals)}
+
+
+def _frame(
+    figure: Figure,
+    plot: Any,
+    drawing: Drawing,
+    first: Axis,
+    groups: Axis,
+    looks: list[dict[str, Any]],
+    table: Any,
+    lowest: float,
+    highest: float,
+) -> None:
+    style.scale_y(plot, drawing, lowest, highest)
+    axis_limits.apply(plot, drawing)
+    style.outer_labels([plot], drawing.figure.xlabel or style.axis_label(first), style.value_label(drawing))
+    counts = [0] * len(groups.values)
+    for ordinal, n in zip(table.column("experiment").to_pylist(), table.column("n").to_pylist(), strict=True):
+        place = others(drawing).index(rest_of(drawing, ordinal))
+        counts[place] = max(counts[place], n)
+    entries = with_n([style.named(value) for value in groups.values], counts)
+    style.legend(figure, [plot], groups, entries, looks)

@@ -1,0 +1,210 @@
+"""Figures over time: a line with its band for each experiment, and stacked areas."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.collections import FillBetweenPolyCollection
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+
+from sierra.deliverables.figures import axis_limits, style
+from sierra.deliverables.figures.axis_limits import CENTERS
+from sierra.errors import UsageError
+from sierra.model import Axis, Value
+
+if TYPE_CHECKING:
+    from sierra.deliverables.figures.base import Drawing
+
+TICKS = 2000
+"""More times than this cannot be told apart on paper: every k-th is drawn, and the last."""
+PANELS = 36
+
+
+def timeseries(drawing: Drawing) -> Figure:
+    """A line and its band for each value of the first axis; a panel for each value of the others."""
+    (table,) = drawing.tables.values()
+    first, rest = first_axis(drawing), others(drawing)
+    slices = by_experiment(table)
+    figure, plots = style.panels(_panel_count(drawing, rest))
+    looks = [{name: one[name] for name in one if name != "marker"} for one in style.looks(first)]
+    look = dict(zip(first.values, looks, strict=True))
+    highest = [0] * len(first.values)
+    for ordinal, rows in slices.items():
+        value = value_of(drawing, ordinal)
+        plot = plots[rest.index(rest_of(drawing, ordinal))]
+        _line(plot, drawing, table.slice(rows.start, rows.stop - rows.start), look[value])
+        place = first.values.index(value)
+        highest[place] = max(highest[place], int(np.max(table.column("n").to_numpy()[rows])))
+    center = style.column(table, CENTERS[drawing.figure.center][0])
+    for plot, values in zip(plots, rest, strict=True):
+        style.scale_y(plot, drawing, float(np.nanmin(center)), float(np.nanmax(center)))
+        axis_limits.apply(plot, drawing)
+        style.scale_time(plot, drawing, float(style.column(table, "t")[0]))
+        if len(plots) > 1:
+            style.title(plot, _others_of(drawing, values))
+    style.outer_labels(plots, style.time_label(drawing), style.value_label(drawing))
+    entries = with_n([style.named(value) for value in first.values], highest)
+    style.legend(figure, plots, first, entries, looks)
+    return figure
+
+
+def stacked(drawing: Drawing) -> Figure:
+    """The columns on top of each other: over time in a panel for each experiment, or over the first axis."""
+    center = CENTERS[drawing.figure.center][0]
+    if any(np.nanmin(style.column(table, center)) < 0 for table in drawing.tables.values()):
+        raise UsageError("stacked areas need values of at least 0; draw lines instead")
+    units = {name: drawing.units.get(name, "") for name in drawing.tables}
+    if len(set(units.values())) > 1:
+        told = ", ".join(f"{name} [{unit}]" if unit else f"{name} (no unit)" for name, unit in units.items())
+        raise UsageError(f"only columns of one unit can be stacked, not {told}; see units in [outputs]")
+    if "t" in next(iter(drawing.tables.values())).column_names:
+        return _stacked_over_time(drawing, center)
+    return _stacked_over_axis(drawing, center)
+
+
+def by_experiment(table: Any) -> dict[int, slice]:
+    """Where the rows of each experiment are in a table that is sorted by experiment."""
+    ordinals, starts = np.unique(table.column("experiment").to_numpy(), return_index=True)
+    stops = [*starts[1:], table.num_rows]
+    return {int(o): slice(int(a), int(b)) for o, a, b in zip(ordinals, starts, stops, strict=True)}
+
+
+def first_axis(drawing: Drawing) -> Axis:
+    """The independent variable, or, in a batch without any, one that says nothing."""
+    return drawing.axes[0] if drawing.axes else Axis("", ("",))
+
+
+def value_of(drawing: Drawing, ordinal: int) -> Value:
+    """The value of the first axis in an experiment."""
+    return drawing.cells[ordinal][drawing.axes[0].name] if drawing.axes else ""
+
+
+def rest_of(drawing: Drawing, ordinal: int) -> tuple[Value, ...]:
+    """The values of the other axes in an experiment."""
+    return tuple(drawing.cells[ordinal][axis.name] for axis in drawing.axes[1:])
+
+
+def others(drawing: Drawing) -> list[tuple[Value, ...]]:
+    """All combinations of the other axes' values, in the order of the experiments."""
+    return list(dict.fromkeys(rest_of(drawing, ordinal) for ordinal in sorted(drawing.cells))) or [()]
+
+
+def with_n(entries: list[str], counts: list[int]) -> list[str]:
+    """Entries of a legend, with n where it is not the same for all."""
+    if len(set(counts)) <= 1:
+        return entries
+    return [f"{entry} (n = {count})" for entry, count in zip(entries, counts, strict=True)]
+
+
+def _panel_count(drawing: Drawing, combinations: list[Any]) -> int:
+    if len(combinations) > PANELS:
+        raise UsageError(f"{len(combinations)} panels are more than {PANELS}; draw a summary or a heatmap")
+    return len(combinations)
+
+
+def _others_of(drawing: Drawing, values: tuple[Value, ...]) -> str:
+    """The title of the panel for one combination of the other axes' values."""
+    ordinal = next(o for o in drawing.cells if rest_of(drawing, o) == values)
+    return style.point(drawing, drawing.axes[1:], ordinal)
+
+
+def _line(plot: Any, drawing: Drawing, table: Any, look: dict[str, Any]) -> None:
+    colour = look["color"]
+    shown = _shown(table.num_rows)
+    t = style.column(table, "t")[shown]
+    center, low, high = (style.column(table, name)[shown] for name in CENTERS[drawing.figure.center])
+    center = style.drawable(center, drawing)
+    known = np.isfinite(center)
+    beside = np.concatenate(([False], known, [False]))
+    alone = known & ~beside[:-2] & ~beside[2:]
+    plot.plot(t, center, **look)
+    plot.plot(t[alone], center[alone], "o", color=colour, markersize=3.5 if len(t) == 1 else 1.2)
+    some = np.isfinite(low) & np.isfinite(high)
+    if len(t) == 1 and some.any():
+        plot.errorbar(t, center, [center - low, high - center], color=colour, capsize=2)
+    elif some.any():
+        band = FillBetweenPolyCollection("x", t, low, high, where=some, facecolor=colour, alpha=0.2, linewidth=0)
+        plot.add_collection(band)
+        plot.autoscale_view()
+
+
+def _shown(count: int) -> Any:
+    if count <= TICKS:
+        return slice(None)
+    return np.unique(np.append(np.arange(0, count, -(-count // TICKS)), count - 1))
+
+
+def _stacked_over_time(drawing: Drawing, center: str) -> Figure:
+    slices = {name: by_experiment(table) for name, table in drawing.tables.items()}
+    ordinals = sorted(set.intersection(*(set(found) for found in slices.values())))
+    figure, plots = style.panels(_panel_count(drawing, ordinals))
+    for plot, ordinal in zip(plots, ordinals, strict=True):
+        rows = [
+            table.slice(s.start, s.stop - s.start) for table, s in ((drawing.tables[n], slices[n][ordinal]) for n in slices)
+        ]
+        shown = _shown(rows[0].num_rows)
+        _areas(plot, drawing, style.column(rows[0], "t")[shown], [style.column(row, center)[shown] for row in rows])
+        if len(plots) > 1:
+            style.title(plot, style.point(drawing, drawing.axes, ordinal))
+    plots[0].set_ylim(bottom=0)
+    style.outer_labels(plots, style.time_label(drawing), _stack_label(drawing))
+    _stack_legend(figure, drawing)
+    return figure
+
+
+def _stacked_over_axis(drawing: Drawing, center: str) -> Figure:
+    first, rest = first_axis(drawing), others(drawing)
+    figure, plots = style.panels(_panel_count(drawing, rest))
+    ordinals = next(iter(drawing.tables.values())).column("experiment").to_pylist()
+    for plot, combination in zip(plots, rest, strict=True):
+        rows = [k for k, ordinal in enumerate(ordinals) if rest_of(drawing, ordinal) == combination]
+        values = [value_of(drawing, ordinals[k]) for k in rows]
+        places: Any = [float(v) if first.numeric else first.values.index(v) for v in values]
+        heights = [style.column(table, center)[rows] for table in drawing.tables.values()]
+        if first.numeric:
+            _areas(plot, drawing, places, heights)
+        else:
+            _bars(plot, places, heights)
+        style.scale_values(plot, first, log=drawing.figure.log_x, margin=0)
+        if len(plots) > 1:
+            style.title(plot, _others_of(drawing, combination))
+    plots[0].set_ylim(bottom=0)
+    style.outer_labels(plots, drawing.figure.xlabel or style.axis_label(first), _stack_label(drawing))
+    _stack_legend(figure, drawing)
+    return figure
+
+
+def _areas(plot: Any, drawing: Drawing, places: Any, heights: list[Any]) -> None:
+    plot.stackplot(
+        places,
+        [np.nan_to_num(h) for h in heights],
+        colors=_stack_colours(len(heights)),
+        linewidth=0.4,
+        edgecolor="white",
+    )
+    plot.margins(x=0)
+
+
+def _bars(plot: Any, places: Any, heights: list[Any]) -> None:
+    base = np.zeros(len(places))
+    for height, colour in zip(heights, _stack_colours(len(heights)), strict=True):
+        plot.bar(places, np.nan_to_num(height), 0.7, base, color=colour, edgecolor="white", linewidth=0.4)
+        base = base + np.nan_to_num(height)
+
+
+def _stack_colours(count: int) -> list[Any]:
+    return style.colours(Axis("column", tuple(f"{k:03}" for k in range(count))))
+
+
+def _stack_label(drawing: Drawing) -> str:
+    if drawing.figure.ylabel:
+        return drawing.figure.ylabel
+    return style.label("sum", drawing.units.get(next(iter(drawing.tables)), ""))
+
+
+def _stack_legend(figure: Figure, drawing: Drawing) -> None:
+    names = [style.named(name.replace("_", " ")) for name in drawing.tables]
+    handles = [Patch(color=colour) for colour in _stack_colours(len(names))]
+    style.place_legend(figure, handles, names)

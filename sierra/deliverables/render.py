@@ -1,0 +1,317 @@
+"""From the store to figures: what is asked for in `sierra.toml`, or else one of each kind that fits.
+
+Figures are drawn from aggregates that SQL computes; the project adds labels and units. A figure that cannot be
+drawn (no such column in this batch, nothing finite in it) is said, and does not keep the others from being drawn.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from importlib.metadata import version
+from math import isfinite
+from pathlib import Path
+from typing import Any
+
+from sierra import stats
+from sierra.config.project_file import Figure, LoadedProject
+from sierra.deliverables.figures.base import Drawing, draw
+from sierra.errors import Missing, NotFound, SierraError, UsageError
+from sierra.model import Axis
+from sierra.store.columns import TEXT
+from sierra.store.layout import ProjectPaths
+from sierra.store.names import column_names
+from sierra.store.samples import MIXED, Column, Frame, OutputTable
+from sierra.store.segments import disk_errors
+from sierra.store.store import Store
+from sierra.util.fs import write_whole
+from sierra.util.hashing import sha256, short
+from sierra.version import __version__
+
+TIMES = ("clock", "time", "tick", "t", "step", "iteration", "generation", "seconds")
+"""Names under which a first column is taken for the time axis, where the project does not say."""
+MEASURES = ("final", "mean", "time_to")
+ONE_FILE = "[outputs.{}] file may name one of them"
+AT_MOST = 16
+"""Default figures of one batch; further columns are said, and drawn when they are asked for."""
+
+
+def figures(
+    project: LoadedProject, store: Store, batch: str, name: str | None = None, *, again: bool = True
+) -> tuple[list[Path], list[str]]:
+    """Draw a batch's figures, or the one of that name: the files, and what could not be drawn and why.
+
+    Without `again`, what was drawn from the same data in the same way is left as it is. Raises NotFound for a name
+    that no figure has, SierraError where the one asked for cannot be drawn.
+    """
+    with Frame(store, batch) as frame:
+        gallery = _Gallery(project, frame)
+        wanted, notes = gallery.wanted(name)
+        drawer = _Drawer(ProjectPaths(project.root).drawn(short(batch)), again=again)
+        drawn: list[Path] = []
+        for figure_name, figure in wanted.items():
+            try:
+                drawn += drawer.draw(gallery.drawing(figure_name, figure))
+            except Missing:
+                raise
+            except SierraError as error:
+                if name is not None:
+                    raise
+                notes.append(f"figure {figure_name}: {error}")
+        drawer.note()
+        notes += gallery.taken
+    return drawn, notes
+
+
+def statistics(
+    project: LoadedProject,
+    store: Store,
+    batch: str,
+    output: str,
+    column: str,
+    measure: str | None,
+    threshold: float | None = None,
+    times: str | None = None,
+) -> Any:
+    """All statistics of one column, as `sierra.project.Project.statistics` says, with the values of the axes.
+
+    Column `experiment`, one for each axis, and those of `analysis`; where an axis is called like one of these, that one
+    gets a `_` behind its name, as outputs' columns do in SQL. The schema's metadata hold the statement (`sierra:sql`)
+    and what a reader must know (`sierra:note`). Raises NotFound, UsageError.
+    """
+    _check_reduction(measure, threshold, times)
+    with Frame(store, batch) as frame:
+        gallery = _Gallery(project, frame)
+        samples, seen, whole = gallery.column(Figure(table=output, column=(column,)))
+        if measure is None:
+            table, text, notes = stats.at_times(samples, times or "own", stats.STATISTICS, seen, whole=whole)
+        else:
+            table, text = stats.by_experiment(samples, measure, stats.STATISTICS, seen, threshold, whole=whole)
+            notes = []
+        if stats.is_rate(table):
+            notes.append(f"{column} is 0 or 1 everywhere: low and high are Wilson's 95 % interval of a rate")
+        notes = [*gallery.taken, *stats.left_out([table], seen, gallery.planned, threshold), *notes]
+        told = {"sierra:batch": batch, "sierra:sql": text, "sierra:note": "; ".join(notes)}
+        return _with_axes(table, frame).replace_schema_metadata(told)
+
+
+def _check_reduction(measure: str | None, threshold: float | None, times: str | None) -> None:
+    if measure is not None and measure not in MEASURES:
+        raise UsageError(f"unknown measure {measure!r}; known are {', '.join(MEASURES)}, or None for each time")
+    if (measure == "time_to") != (threshold is not None):
+        raise UsageError("measure 'time_to' needs a threshold, as in threshold = 0.9; no other measure has one")
+    if threshold is not None and not isfinite(threshold):
+        raise UsageError(f"a threshold is a finite number, not {threshold}")
+    if measure is not None and times is not None:
+        raise UsageError(f"times {times!r} needs statistics for each time; a measure ({measure!r}) gives one for all")
+
+
+def _with_axes(table: Any, frame: Frame) -> Any:
+    """Statistics with the values of the axes after `experiment`."""
+    import pyarrow as pa
+
+    axes, cells = frame.axes(), frame.cells()
+    table = table.rename_columns(column_names(table.column_names, taken=[axis.name for axis in axes]))
+    ordinals = table.column(0).to_pylist()
+    for place, axis in enumerate(axes):
+        values = [cells[ordinal][axis.name] for ordinal in ordinals]
+        table = table.add_column(1 + place, axis.name, pa.array(values))
+    return table
+
+
+class _Drawer:
+    """Draws; without `again` a figure whose data and look are as they were, and whose files are there, is left alone."""
+
+    def __init__(self, memory: Path, *, again: bool) -> None:
+        self._memory = memory
+        self._again = again
+        try:
+            self._drawn: dict[str, str] = dict(json.loads(memory.read_bytes()))
+        except (OSError, ValueError, TypeError, RecursionError):
+            self._drawn = {}
+        self._before = dict(self._drawn)
+
+    def draw(self, drawing: Drawing) -> tuple[Path, ...]:
+        """The figure's files, drawn now or before."""
+        files = tuple(self._memory.parent / f"{drawing.name}.{ending}" for ending in drawing.formats)
+        now = fingerprint(drawing)
+        if not self._memory.exists():
+            with disk_errors(self._memory.parent):
+                self._memory.parent.mkdir(parents=True, exist_ok=True)
+                write_whole(self._memory, b"{}")
+        if self._again or self._drawn.get(drawing.name) != now or not all(file.is_file() for file in files):
+            files = draw(drawing, self._memory.parent)
+            self._drawn[drawing.name] = now
+        return files
+
+    def note(self) -> None:
+        """Remember what was drawn."""
+        if self._drawn != self._before:
+            write_whole(self._memory, json.dumps(self._drawn, indent=0, sort_keys=True).encode())
+
+
+def fingerprint(drawing: Drawing) -> str:
+    """The hash of all that a figure's bytes depend on: what it shows, and the programs that draw it."""
+    tables = {name: table for name, table in drawing.tables.items() if table is not None}
+    numbers = [repr(table.to_pydict()) for table in (*tables.values(), *([] if drawing.runs is None else [drawing.runs]))]
+    shown = [drawing.figure.model_dump_json(), drawing.axes, dict(drawing.cells), list(tables), numbers]
+    rest = [drawing.name, drawing.note, drawing.sql, drawing.batch, drawing.time, dict(drawing.units), drawing.formats]
+    return sha256(repr((shown, rest, __version__, version("matplotlib"))).encode())
+
+
+class _Gallery:
+    """All that the figures of one batch have in common."""
+
+    def __init__(self, project: LoadedProject, frame: Frame) -> None:
+        self._config = project.config
+        self._frame = frame
+        self._outputs = {output.name: output for output in frame.outputs()}
+        self._axes = tuple(map(self._labelled, frame.axes()))
+        self._cells = frame.cells()
+        self.planned = {ordinal: runs for ordinal, (_, runs) in frame.counts().items()}
+        self._seen: dict[str, stats.Coverage] = {}
+        self._times: dict[str, str] = {}
+        self.taken: list[str] = []
+        """Which columns were taken for times by how they behave alone, and where none was, a sentence each."""
+
+    def wanted(self, name: str | None) -> tuple[Mapping[str, Figure], list[str]]:
+        """The figures to draw, by name, and what is to be said about them."""
+        declared = self._config.figures
+        found, notes = (dict(declared), []) if declared else self._default()
+        if name is not None:
+            everything = {**self._default()[0], **declared}
+            if name not in everything:
+                raise NotFound(f"no figure {name!r} of this batch; there is {', '.join(everything) or 'none'}")
+            return {name: everything[name]}, []
+        if not declared and len(found) > AT_MOST:
+            left = list(found)[AT_MOST:]
+            kept = {name: found[name] for name in list(found)[:AT_MOST]}
+            return kept, [*notes, f"{len(left)} more figures can be drawn, as in: sierra figures HASH {left[0]}"]
+        return found, notes
+
+    def _default(self) -> tuple[dict[str, Figure], list[str]]:
+        """A figure of each kind that fits, for each output; and which outputs have none, and why."""
+        found: dict[str, Figure] = {}
+        notes = [] if self._outputs else ["no run wrote a table, so there is no figure; look at: sierra sql 'FROM artifacts'"]
+        for output in self._outputs.values():
+            time = self.time(output)
+            columns = [column for column in output.columns if column != time]
+            notes += [f"no figure of column {one!r} of output {output.name!r}: it {MIXED}" for one in output.mixed]
+            try:
+                self._coverage(output)
+            except SierraError as error:
+                notes.append(f"no figure of output {output.name!r}: {error}")
+                continue
+            proposed = stats.default_figures(output.name, columns, self._axes, series=output.rows > 1)
+            found |= {_file_name(name, found): figure for name, figure in proposed.items()}
+        return found, notes
+
+    def column(self, figure: Figure) -> tuple[Column, stats.Coverage, bool]:
+        """Return the one column that a figure names, as statistics see it, and whether it holds whole numbers alone."""
+        output = self._output(figure)
+        (column,) = figure.columns
+        self._check(output, figure.columns)
+        return Column(self._frame, output.name, column, self.time(output)), self._coverage(output), column in output.whole
+
+    def _check(self, output: OutputTable, columns: Sequence[str]) -> None:
+        for column in columns:
+            if column in output.mixed:
+                told = f"{MIXED}; see {column + TEXT!r} in sierra sql"
+                raise UsageError(f"column {column!r} of output {output.name!r} {told}")
+            if column not in output.columns:
+                raise NotFound(f"output {output.name!r} has no numeric column {column!r}; it has {', '.join(output.columns)}")
+
+    def drawing(self, name: str, figure: Figure) -> Drawing:
+        """What a figure shows, computed."""
+        output = self._output(figure)
+        time = self.time(output)
+        columns = figure.columns or tuple(column for column in output.columns if column != time)[:1]
+        self._check(output, columns)
+        frames = {column: Column(self._frame, output.name, column, time) for column in columns}
+        computed = stats.compute(
+            figure, self._axes, frames, planned=self.planned, known=self._coverage(output), whole=output.whole
+        )
+        declared = self._config.outputs.get(output.name)
+        return Drawing(
+            name=name,
+            figure=replace_columns(figure, columns),
+            axes=self._axes,
+            cells=self._cells,
+            tables=computed.tables,
+            runs=computed.runs,
+            note=computed.note,
+            sql=computed.sql,
+            batch=self._frame.batch,
+            time=time or "row",
+            units=dict(declared.units) if declared else {},
+        )
+
+    def time(self, output: OutputTable) -> str:
+        """Return the time column: the declared one, the first if it is called like one, or one that behaves so; else none."""
+        if output.name not in self._times:
+            self._times[output.name] = self._time(output)
+        return self._times[output.name]
+
+    def _time(self, output: OutputTable) -> str:
+        declared = self._config.outputs.get(output.name)
+        if declared and declared.time:
+            return declared.time
+        first = output.all_columns[0] if output.all_columns else ""
+        if first.lower().rstrip("_") in TIMES and first in output.columns:
+            return first
+        found = self._frame.shared_axis(output.name, output.columns) if output.rows > 1 else None
+        if found is None:
+            if declared is None and output.rows > 1:
+                told = f"output {output.name!r} has no time: its rows are counted instead"
+                self.taken.append(
+                    f'{told}, as no column increases alike in all runs (time = "COLUMN" in [outputs.{output.name}] names one)'
+                )
+            return ""
+        told = f"{found!r} is taken for the time of output {output.name!r}, as it increases alike in all runs"
+        self.taken.append(f'{told} (time = "COLUMN" in [outputs.{output.name}] names another)')
+        return found
+
+    def _coverage(self, output: OutputTable) -> stats.Coverage:
+        if output.name not in self._seen:
+            if not output.columns:
+                raise NotFound("it has no numeric column")
+            time = self.time(output)
+            column = next((c for c in output.columns if c != time), output.columns[0])
+            try:
+                self._seen[output.name] = stats.coverage(Column(self._frame, output.name, column, time))
+            except UsageError as error:
+                if output.files < 2:
+                    raise
+                raise UsageError(f"{error}. A run has {output.files} files of it: {ONE_FILE.format(output.name)}") from error
+        return self._seen[output.name]
+
+    def _output(self, figure: Figure) -> OutputTable:
+        if figure.table:
+            if figure.table not in self._outputs:
+                raise NotFound(f"no output {figure.table!r} in this batch; it has {', '.join(self._outputs) or 'none'}")
+            return self._outputs[figure.table]
+        having = [o for o in self._outputs.values() if all(column in o.columns for column in figure.columns)]
+        if self._outputs and not having:
+            raise NotFound(
+                f"no output has {' and '.join(map(repr, figure.columns))} as numeric columns (sierra sql 'SHOW TABLES')"
+            )
+        if len(having) != 1:
+            raise NotFound(f"say which output it is of: table = one of {', '.join(self._outputs) or '(none was written)'}")
+        return having[0]
+
+    def _labelled(self, axis: Axis) -> Axis:
+        variable = self._config.variables.get(axis.name)
+        return replace(axis, label=variable.label, unit=variable.unit) if variable else axis
+
+
+def _file_name(name: str, taken: Mapping[str, Figure]) -> str:
+    """A figure's name as its files can be called anywhere; another one where it is taken."""
+    plain = re.sub(r"[^\w.-]+", "_", name).strip("_.") or "figure"
+    return next(free for free in (plain, *(f"{plain}_{n}" for n in range(2, len(taken) + 3))) if free not in taken)
+
+
+def replace_columns(figure: Figure, columns: tuple[str, ...]) -> Figure:
+    """The same figure, with its columns said."""
+    return figure if figure.columns == columns else figure.model_copy(update={"columns": columns})

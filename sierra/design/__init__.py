@@ -1,0 +1,1 @@
+"""From a query to experiments and runs: axes, seeds, input files."""

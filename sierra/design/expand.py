@@ -1,0 +1,103 @@
+"""From a design to a batch with ids, and to the input files of its runs.
+
+The expansion of a design is a pure function: it gives the same bytes, and so the same ids, each time. So ids
+are made first, for all runs, and input files again, lazily, only for the runs that execute.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+
+from sierra.design import seeds
+from sierra.design.experiments import Heed, deaf
+from sierra.errors import QueryError
+from sierra.model import Batch, Cell, Design, Experiment, Recipe, Run, Value
+from sierra.platforms.base import Platform
+from sierra.templates.base import Renderer, Template
+from sierra.util.hashing import canonical, canonical_plain, digest, merkle, sha256
+
+STREAM = 1 << 16
+STREAMS = (1 << 15) - 1
+"""Run numbers that one stream of seeds has; a `montecarlo` experiment takes a stream of its own."""
+
+Files = tuple[tuple[str, bytes], ...]
+
+
+class Expansion:
+    """A design with all that its runs are made from."""
+
+    def __init__(self, design: Design, template: Template, platform: Platform, recipe: Recipe) -> None:
+        self._design = design
+        self._template = template
+        self._platform = platform
+        self._recipe = recipe
+        self.recipe_id = digest("recipe", recipe.preimage())
+        self._numbers = tuple(range(design.query.runs))
+        self._names: dict[tuple[str, ...], tuple[str, ...]] = {}
+        if any(cell.stream for cell in design.cells):
+            _check_streams(max(cell.stream for cell in design.cells), design.query.runs)
+
+    def batch(self, heed: Heed = deaf) -> Batch:
+        """The batch, with all ids. Raises TemplateError for a change that does not fit the template."""
+        count = len(self._design.cells)
+        experiments: list[Experiment] = []
+        for cell in self._design.cells:
+            heed(len(experiments), count, count * self._design.query.runs)
+            experiments.append(self._experiment(cell))
+        identity = merkle("batch", (experiment.id for experiment in experiments))
+        return Batch(identity, self._design.axes, tuple(experiments), self._recipe, self.recipe_id)
+
+    def files(self, batch: Batch, wanted: Callable[[Run], bool]) -> Iterator[tuple[Run, Files]]:
+        """The input files of the runs that are wanted, in the batch's order, each made when it is asked for."""
+        for cell, experiment in zip(self._design.cells, batch.experiments, strict=True):
+            runs = [run for run in experiment.runs if wanted(run)]
+            if runs:
+                render = self._renderer(cell)
+                for run in runs:
+                    yield run, self._files(cell, render, run.number, run.seed)
+
+    def _experiment(self, cell: Cell) -> Experiment:
+        render = self._renderer(cell)
+        runs = tuple(self._run(cell, render, number) for number in self._numbers)
+        values = {axis.name: cell.values[axis.name] for axis in self._design.axes}
+        shown = {name: exact(value) for name, value in values.items()}
+        return Experiment(merkle("experiment", (run.id for run in runs), {"values": shown}), cell.ordinal, values, runs)
+
+    def _run(self, cell: Cell, render: Renderer, number: int) -> Run:
+        seed = self._seed(cell, number)
+        inputs = [(name, sha256(content)) for name, content in self._files(cell, render, number, seed)]
+        names = tuple(name for name, _ in inputs)
+        digests = bytes.fromhex("".join(digest for _, digest in inputs))
+        identity = run_id(self.recipe_id, inputs, seed)
+        return Run(identity, cell.ordinal, number, seed, self._names.setdefault(names, names), digests)
+
+    def _renderer(self, cell: Cell) -> Renderer:
+        return self._template.changed(cell.changes, cell.values).per_run(self._design.per_run)
+
+    def _files(self, cell: Cell, render: Renderer, number: int, seed: int) -> Files:
+        lists = {name: values[number % len(values)] for name, values in self._design.lists.items()}
+        return self._platform.files(render({**cell.values, **lists, "seed": seed, "run": number}))
+
+    def _seed(self, cell: Cell, number: int) -> int:
+        stream = ""
+        if self._design.independent_seeds:
+            stream = canonical({axis.name: exact(cell.values[axis.name]) for axis in self._design.axes}).decode()
+        return seeds.seed(self._design.query.base_seed, cell.stream * STREAM + number, stream)
+
+
+def _check_streams(last: int, runs: int) -> None:
+    if runs > STREAM:
+        raise QueryError(f"montecarlo takes at most {STREAM} runs an experiment; this asks for {runs}")
+    if last >= STREAMS:
+        raise QueryError(f"montecarlo takes at most {STREAMS} experiments; this asks for {last + 1}")
+
+
+def run_id(recipe: str, inputs: Iterable[tuple[str, str]], seed: int) -> str:
+    """A run's id: of what it has in common with its batch, its input files, and its seed."""
+    preimage = {"sierra": "run", "format": 1, "recipe": recipe, "inputs": [list(item) for item in inputs], "seed": seed}
+    return sha256(canonical_plain(preimage))
+
+
+def exact(value: Value) -> Value:
+    """A value as a pre-image holds it: numbers that JSON cannot hold exactly as text."""
+    return str(value) if isinstance(value, int) and abs(value) >= 2**53 else value

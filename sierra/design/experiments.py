@@ -1,0 +1,341 @@
+"""From a query to a design: the axes, and what each experiment and each run changes in the template.
+
+Changes are made in this order, later ones over earlier ones: the platform's, the project's own, the
+controller's, the scenario's, the criteria's (in their order, the platform's own last), `--set`; then, in each run,
+the seed and the project's `run_changes`.
+
+A platform's own criterion may depend on what the template has become: a density needs the arena. So it is asked
+with all other changes made, once for each combination of the other axes' values, and must span the same axis for all.
+
+What an axis or a `--set` has set must last to the input of each run: see `sierra.design.overwritten`.
+"""
+
+from __future__ import annotations
+
+import difflib
+import itertools
+import math
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+from sierra.config.project_file import ChangeTable, Group, Project
+from sierra.design import overwritten
+from sierra.design.overwritten import Layer, Template
+from sierra.errors import ConfigError, QueryError
+from sierra.model import (
+    Add,
+    Axis,
+    Cell,
+    Change,
+    Criterion,
+    Design,
+    Listed,
+    MonteCarlo,
+    Point,
+    Query,
+    Remove,
+    Rename,
+    Set,
+    Value,
+)
+from sierra.platforms.base import Platform, Reader
+from sierra.query import ranges
+
+GROUPED = ("controller", "scenario")
+AT_MOST = 1_000_000
+"""Runs that a batch may have."""
+
+
+Spanned = tuple[Axis, tuple[Point, ...]]
+Placed = tuple[Axis, Point]
+
+
+@dataclass(frozen=True)
+class Changed:
+    """A template as changes leave it. They are made when it is first asked."""
+
+    template: Template
+    changes: tuple[Change, ...]
+    values: Mapping[str, Value]
+
+    def find(self, path: str) -> tuple[str, ...]:
+        return self._read.find(path)
+
+    @cached_property
+    def _read(self) -> Template:
+        rendered = self.template.changed(self.changes, self.values).render()
+        return type(self.template)(rendered, "the changed template")
+
+
+Heed = Callable[[int, int, int], None]
+"""Hears how many experiments of how many are planned so far, and how many runs there are in all; it may raise."""
+
+
+def deaf(done: int, experiments: int, runs: int) -> None:
+    """Hear nothing."""
+
+
+def design(query: Query, project: Project, platform: Platform, template: Template, heed: Heed = deaf) -> Design:
+    """What `query` asks for. Raises QueryError, ConfigError for names that are not there; TemplateError; what `heed` raises."""
+    chosen = _chosen(query, project)
+    common = (
+        *platform.changes(template),
+        *changes(project.changes, "sierra.toml: changes"),
+        *(change for kind, name in chosen.items() for change in _group(project, kind, name)),
+    )
+    before = Changed(template, common, chosen)
+    spans = _spans(query, project, platform, before, heed)
+    placed = tuple(_cells(query, spans, before))
+    cells = tuple(cell for cell, _ in placed)
+    per_run = _seed_changes(project, platform), changes(project.run_changes, "sierra.toml: run_changes")
+    _check_lists(project, spans.axes)
+    _check_effect(project, cells, (*per_run[0], *per_run[1]))
+    designed = Design(
+        query=query,
+        axes=spans.axes,
+        cells=cells,
+        per_run=(*per_run[0], *per_run[1]),
+        lists=dict(project.per_run),
+        independent_seeds=project.seed.independent,
+    )
+    sure: set[tuple[tuple[Change, ...], ...]] = set()
+    runs = overwritten.different_runs(designed)[: None if project.run_changes else 1]
+    for cell, where in placed:
+        heed(0, len(cells), len(cells) * query.runs)
+        layers = (Layer("", common), *_layers(where, query.sets, *per_run))
+        alike = tuple(layer.changes for layer in layers)
+        if alike not in sure and not overwritten.check(template, designed, cell, layers):
+            sure.add(alike)
+        for of_run in runs:
+            platform.check(Changed(template, (*cell.changes, *designed.per_run), {**cell.values, **of_run}), template)
+    return designed
+
+
+def changes(tables: tuple[ChangeTable, ...], why: str, value: str | None = None) -> tuple[Change, ...]:
+    """Changes as they are written in `sierra.toml`; `value` is what a `set` without one gives."""
+    return tuple(_change(table, why, value) for table in tables)
+
+
+def _change(table: ChangeTable, why: str, value: str | None) -> Change:
+    if table.set is not None:
+        given = table.value if table.value is not None else value
+        if given is None:
+            raise ConfigError(f'{why}: the "set" of {table.set!r} needs a "value"')
+        return Set(table.set, given, table.attribute, table.expect, why)
+    if table.add is not None:
+        return Add(table.add, table.xml or "", table.at, table.expect, why)
+    if table.remove is not None:
+        return Remove(table.remove, table.expect, why)
+    return Rename(table.rename or "", table.to or "", table.expect, why)
+
+
+@dataclass(frozen=True, slots=True)
+class Spans:
+    """All axes with their points. Those of the platform's own axes depend on where one is on the others."""
+
+    axes: tuple[Axis, ...]
+    own: tuple[bool, ...]
+    """Which axes are the platform's own."""
+    points: Mapping[tuple[int, ...], tuple[tuple[Point, ...], ...]]
+    """Of each axis, by the places on the others; where no axis is the platform's own, by ()."""
+
+    def at(self, places: tuple[int, ...]) -> list[Placed]:
+        """One point of each axis, as their changes are made: the platform's own last."""
+        others = tuple(place for place, own in zip(places, self.own, strict=True) if not own)
+        points = self.points[others if any(self.own) else ()]
+        placed = [(axis, all_of[place]) for axis, all_of, place in zip(self.axes, points, places, strict=True)]
+        theirs = itertools.compress(placed, self.own)
+        return [pair for pair, own in zip(placed, self.own, strict=True) if not own] + list(theirs)
+
+
+def _spans(query: Query, project: Project, platform: Platform, common: Changed, heed: Heed) -> Spans:
+    """What the criteria mean. Raises QueryError where one of the platform's own spans several axes."""
+    known = [_span(criterion, project) for criterion in query.criteria]
+    own = tuple(span is None for span in known)
+    others = [span for span in known if span is not None]
+    _check_count(query, [axis for axis, _ in others], heed)
+    others = others if any(own) else []
+    names = [criterion.name for criterion, theirs in zip(query.criteria, own, strict=True) if theirs]
+    found: dict[tuple[int, ...], tuple[Spanned, ...]] = {}
+    for places in itertools.product(*(range(len(axis.values)) for axis, _ in others)):
+        chosen = [(axis, points[place]) for (axis, points), place in zip(others, places, strict=True)]
+        here = _without(common, chosen, query.sets, names)
+        found[places] = tuple(
+            span or _asked(criterion, project, platform, here) for criterion, span in zip(query.criteria, known, strict=True)
+        )
+        _check_same(next(iter(found.values())), found[places], chosen)
+    first = next(iter(found.values()))
+    axes = tuple(axis for axis, _ in first)
+    _check_independent(first)
+    _check_count(query, axes, heed)
+    return Spans(axes, own, {places: tuple(points for _, points in spanned) for places, spanned in found.items()})
+
+
+def _without(common: Changed, chosen: Sequence[Placed], sets: Sequence[Set], names: Sequence[str]) -> Changed:
+    """What an input is without the criteria of these names, and without what uses a value of theirs."""
+    made = (*common.changes, *(change for _, point in chosen for change in point.changes), *sets)
+    apart = tuple(change for change in made if not any(mentions(change, name) for name in names))
+    return Changed(common.template, apart, {**common.values, **{axis.name: point.value for axis, point in chosen}})
+
+
+def _asked(criterion: Criterion, project: Project, platform: Platform, template: Reader) -> Spanned:
+    found = platform.criterion(criterion, template)
+    if found is None:
+        raise QueryError(_unknown(criterion.name, project, platform))
+    return found
+
+
+def _check_same(first: Sequence[Spanned], here: Sequence[Spanned], chosen: Sequence[Placed]) -> None:
+    """An axis has one meaning in a batch; `first` is what the axes are at the first value of each."""
+    for (one, _), (other, _) in zip(first, here, strict=True):
+        if one != other:
+            starts = {axis.name: axis.values[0] for axis, _ in chosen}
+            differ = [(axis.name, point.value) for axis, point in chosen if point.value != starts[axis.name]]
+            there = ", ".join(f"{name}={starts[name]}" for name, _ in differ)
+            where = ", ".join(f"{name}={value}" for name, value in differ)
+            raise QueryError(
+                f"{one.name} is {_few(one)} with {there}, but {_few(other)} with {where}; ask for one of these at a time"
+            )
+
+
+def _few(axis: Axis) -> str:
+    return ", ".join(map(str, axis.values[:4])) + (", …" if len(axis.values) > 4 else "")
+
+
+def _span(criterion: Criterion, project: Project) -> Spanned | None:
+    """The axis of one criterion, and what each of its values changes; None where only the platform may know it."""
+    if isinstance(criterion.scale, MonteCarlo):
+        values = ranges.values(criterion.scale)
+        return Axis(criterion.name, values), tuple(Point(v, (), stream) for stream, v in enumerate(values))
+    if criterion.name in GROUPED:
+        return _grouped(criterion, project)
+    if criterion.name not in project.variables:
+        return None
+    variable = project.variables[criterion.name]
+    why = f"variable {criterion.name!r}"
+    own = "{" + criterion.name + "}"
+    first = (Set(variable.set, own, why=why),) if variable.set else ()
+    made = (*first, *changes(variable.changes, why, own))
+    values = ranges.values(criterion.scale)
+    axis = Axis(criterion.name, values, variable.label, variable.unit)
+    return axis, tuple(Point(value, made) for value in values)
+
+
+def _check_independent(spanned: Sequence[Spanned]) -> None:
+    """Two axes that set the same thing would make each other's values untrue."""
+    setters: dict[tuple[str, str | None], str] = {}
+    for axis, points in spanned:
+        for change in {change for point in points for change in point.changes if isinstance(change, Set)}:
+            place = (change.path, change.attribute)
+            other = setters.setdefault(place, axis.name)
+            if other != axis.name:
+                raise QueryError(f"{other!r} and {axis.name!r} both set {change.path!r}; ask for one of them")
+
+
+def _check_count(query: Query, axes: Sequence[Axis], heed: Heed) -> None:
+    experiments = math.prod(len(axis.values) for axis in axes)
+    if experiments * query.runs > AT_MOST:
+        raise QueryError(
+            f"{experiments} experiments of {query.runs} runs are {experiments * query.runs} runs; a batch has at most {AT_MOST}"
+        )
+    heed(0, experiments, experiments * query.runs)
+
+
+def _check_lists(project: Project, axes: Sequence[Axis]) -> None:
+    """A list may not be called as what expressions know already."""
+    for name in project.per_run:
+        if name in {"seed", "run", *GROUPED, *(axis.name for axis in axes)}:
+            raise ConfigError(f"[per_run] {name}: expressions know another {name!r} already; take another name")
+
+
+def _check_effect(project: Project, cells: Sequence[Cell], per_run: tuple[Change, ...]) -> None:
+    """A controller or scenario that is no group, and that nothing in the template takes the name of, is a mistake."""
+    for kind in GROUPED:
+        for cell in cells:
+            name = cell.values.get(kind)
+            if name is None or name in _groups(project, kind):
+                continue
+            if not any(mentions(change, kind) for change in (*cell.changes, *per_run)):
+                raise QueryError(f"{kind} {name!r} changes nothing; sierra.toml declares none ([{kind}s.{name}])")
+
+
+def mentions(change: Change, name: str) -> bool:
+    """Whether an expression in a change uses a name."""
+    match change:
+        case Set(value=text) | Add(xml=text) | Rename(to=text):
+            return re.search(rf"\{{[^}}]*\b{name}\b", text) is not None
+        case Remove():
+            return False
+
+
+def _unknown(name: str, project: Project, platform: Platform) -> str:
+    known = [*project.variables, *platform.criteria(), *(kind for kind in GROUPED if _groups(project, kind)), "montecarlo"]
+    close = difflib.get_close_matches(name, known, 1, cutoff=0.5)
+    hint = f"did you mean {close[0]!r}?" if close else f"known are {', '.join(known)}"
+    return f"unknown variable {name!r}; {hint} (sierra.toml: [variables] declares them)"
+
+
+def _grouped(criterion: Criterion, project: Project) -> tuple[Axis, tuple[Point, ...]]:
+    if not isinstance(criterion.scale, Listed):
+        raise QueryError(f"{criterion.name!r} takes names, as in {criterion.name}=one,two")
+    values = criterion.scale.values
+    points = tuple(Point(value, _group(project, criterion.name, str(value))) for value in values)
+    return Axis(criterion.name, tuple(map(str, values)), criterion.name.capitalize()), points
+
+
+def _groups(project: Project, kind: str) -> Mapping[str, Group]:
+    return project.controllers if kind == "controller" else project.scenarios
+
+
+def _group(project: Project, kind: str, name: str) -> tuple[Change, ...]:
+    groups = _groups(project, kind)
+    if name not in groups:
+        if groups:
+            raise QueryError(f"unknown {kind} {name!r}; known are {', '.join(groups)}")
+        return ()
+    return changes(groups[name].changes, f"{kind} {name!r}")
+
+
+def _chosen(query: Query, project: Project) -> dict[str, str]:
+    """Controller and scenario where they are no axes: asked for, or the project's own."""
+    chosen: dict[str, str] = {}
+    spanned = {criterion.name for criterion in query.criteria}
+    for kind in GROUPED:
+        asked = getattr(query, kind)
+        if kind in spanned:
+            if asked:
+                raise QueryError(f"{kind} is an axis of this query; leave out --{kind} {asked}")
+        elif name := asked or getattr(project, kind):
+            chosen[kind] = name
+    return chosen
+
+
+def _cells(query: Query, spans: Spans, common: Changed) -> Iterator[tuple[Cell, list[Placed]]]:
+    """The experiments, each with its place on the axes."""
+    every = itertools.product(*(range(len(axis.values)) for axis in spans.axes))
+    for ordinal, places in enumerate(every):
+        placed = spans.at(places)
+        values = {axis.name: axis.values[place] for axis, place in zip(spans.axes, places, strict=True)}
+        own = (change for _, point in placed for change in point.changes)
+        stream = max((point.stream for _, point in placed), default=0)
+        yield Cell(ordinal, {**common.values, **values}, (*common.changes, *own, *query.sets), stream), placed
+
+
+def _layers(
+    placed: Sequence[Placed], sets: Sequence[Set], seed: tuple[Change, ...], run_changes: tuple[Change, ...]
+) -> Iterator[Layer]:
+    """All that changes an input after what is common to a batch, in order."""
+    for axis, point in placed:
+        yield Layer(f"{axis.name}={point.value}", point.changes, axis=True)
+    for asked in sets:
+        yield Layer(f"--set {asked.path}", (asked,))
+    yield Layer("the seed", seed, each_run=True)
+    yield Layer("run_changes", run_changes, each_run=True)
+
+
+def _seed_changes(project: Project, platform: Platform) -> tuple[Change, ...]:
+    if project.seed.set is not None:
+        return (Set(project.seed.set, "{seed}", why="seed"),)
+    return platform.seed_changes()

@@ -1,0 +1,1 @@
+"""Execution: from a query to recorded results."""

@@ -1,0 +1,238 @@
+"""From a run to a job: the command and the environment of one execution, with placeholders filled in.
+
+Placeholders of a command: `{input}` the first input file, `{output}` the folder to write to (also the working
+directory), `{run}` the run's own folder, `{seed}`, `{project}` the project's root, `{python}` the Python that
+runs SIERRA; `{{name}}` stands for `{name}` itself. A word that names a file, as seen from the project's root,
+stands for `{project}/word`: runs have folders of their own.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import sys
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import cast
+
+from sierra.config.project_file import Project
+from sierra.containers.engines.base import INSIDE, PROJECT, PYTHON, WRITABLE, Box, Engine, Mount, Process
+from sierra.containers.images import Image
+from sierra.errors import ConfigError
+from sierra.model import Client, Job, Limits, Recipe, Run
+from sierra.platforms.base import Platform
+from sierra.store.layout import RUN_HOME, RUN_OUTPUT, RUN_TMP
+from sierra.util.hashing import digest_plain
+from sierra.worker import worker
+
+PLACEHOLDER = re.compile(r"\{\{([a-z_]+)\}\}|\{([a-z_]+)\}")
+ABOVE = re.compile(r"(?<!\{)\{project\}((?:/\.\.)+)(?=/|$)")
+KNOWN = ("input", "output", "run", "seed", "project", "python")
+FIXED = {
+    "PYTHONHASHSEED": "0",
+    "PYTHONDONTWRITEBYTECODE": "1",
+    "TZ": "UTC",
+    "LC_ALL": "C.UTF-8",
+    "LANG": "C.UTF-8",
+    "OMP_NUM_THREADS": "1",
+    "OPENBLAS_NUM_THREADS": "1",
+    "MKL_NUM_THREADS": "1",
+    "VECLIB_MAXIMUM_THREADS": "1",
+    "NUMEXPR_NUM_THREADS": "1",
+}
+"""What every run sees, whoever asks; part of its identity."""
+OWN = ("HOME", "TMPDIR")
+HERE = "\0"
+"""The run's folder, which only the worker knows."""
+_IN_RUN = f"{INSIDE}/run"
+SEARCHED = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin"
+"""The PATH of an image that has none of its own."""
+
+
+def command(platform: Platform, root: Path, *, contained: bool = False) -> tuple[str, ...]:
+    """The command as a run's identity holds it. Raises ConfigError for an unknown placeholder, or for a path that
+    a container lacks.
+    """
+    words = tuple(_in_project(word, root) for word in platform.command())
+    for word in words:
+        if contained and ABOVE.search(word):
+            raise ConfigError(
+                f"command: {word!r} leaves the project, and a container has no more; name it in [container] mounts"
+            )
+        for _, name in PLACEHOLDER.findall(word):
+            if name and name not in KNOWN:
+                known = ", ".join("{" + known + "}" for known in KNOWN)
+                told = f"known are {known}; {{{{{name}}}}} stands for {{{name}}} itself"
+                raise ConfigError(f"command: unknown placeholder {{{name}}} in {word!r}; {told}")
+    return words
+
+
+def environment(platform: Platform, project: Project) -> dict[str, str]:
+    """The declared variables of a run: SIERRA's fixed ones, the platform's, the project's.
+
+    Raises ConfigError for one that each run has of its own.
+    """
+    boxed = project.container.variables if project.container else ()
+    for table, names in (
+        ("[environment]", (*project.environment.pass_, *project.environment.set)),
+        ("[container] variables:", boxed),
+    ):
+        if own := [name for name in names if name in OWN or name.startswith("SIERRA_")]:
+            raise ConfigError(f"{table} {own[0]}: each run has its own; take another name")
+    passed = {name: os.environ[name] for name in project.environment.pass_ if name in os.environ}
+    return {**FIXED, **platform.environment(), **passed, **project.environment.set}
+
+
+def declared(
+    variables: Mapping[str, str], root: Path, project: Path | None = None, *, image: Image | None = None
+) -> dict[str, str]:
+    """The declared variables with the paths of this machine, and the PATH of runs; with those that an image sets."""
+    filled = within(image, {name: fill((value,), root, project=project)[0] for name, value in variables.items()})
+    return {**filled, "PATH": search_path(filled)}
+
+
+def within(image: Image | None, variables: Mapping[str, str]) -> dict[str, str]:
+    """The variables of runs with those that their image sets; its PATH is that which engines give where it has none."""
+    return {"PATH": SEARCHED, **image.variables, **variables} if image else dict(variables)
+
+
+def on_host(recipe: Recipe, image: Image, root: Path) -> tuple[tuple[str, ...], dict[str, str]]:
+    """A command that was recorded in an image, and its variables, for this machine."""
+    return fill(recipe.command, root, {"python": PYTHON}), declared(recipe.environment, root, image=image)
+
+
+def search_path(variables: Mapping[str, str]) -> str:
+    """The PATH of runs: the declared one, or the caller's."""
+    return variables.get("PATH", os.environ.get("PATH", os.defpath))
+
+
+def fill(
+    words: Iterable[str], root: Path, values: Mapping[str, str] | None = None, *, project: Path | None = None
+) -> tuple[str, ...]:
+    """The placeholders of the machine filled in; those of a run too, where `values` are given.
+
+    The code lies in `root`; what is outside of it (`{project}/../build`) is where the user has the `project`.
+    """
+    known = {"project": str(root), "python": sys.executable, **(values or {})}
+
+    def filled(match: re.Match[str]) -> str:
+        return f"{{{match[1]}}}" if match[1] else known.get(match[2], match[0])
+
+    def above(match: re.Match[str]) -> str:
+        return os.path.normpath(f"{(project or root).resolve()}{match[1]}")
+
+    return tuple(PLACEHOLDER.sub(filled, ABOVE.sub(above, word)) for word in words)
+
+
+def limits(project: Project) -> Limits:
+    """The limits of each execution."""
+    table = project.limits
+    return Limits(table.wall, table.cpu, table.memory, table.output, table.grace)
+
+
+class Maker:
+    """Makes the jobs of one session."""
+
+    def __init__(
+        self,
+        recipe: Recipe,
+        root: Path,
+        engine: Engine,
+        bounds: Limits,
+        session: str,
+        project: Path | None = None,
+        *,
+        image: Image | None = None,
+        box: Box | None = None,
+        script: Path | None = None,
+    ) -> None:
+        """`root` is where the code is, `project` where the user has it; `box` is what contains the runs, if anything does.
+
+        `script` is the worker where runs execute, if that is on a cluster: runs have the devices that are allotted then.
+
+        With an `image` and without a box, runs have the image's variables on this machine.
+        """
+        self._recipe = recipe
+        self._root = root
+        self._engine = engine
+        self._bounds = bounds
+        self._box = box
+        self._script = script or Path(worker.__file__)
+        self._here = _IN_RUN if box and not box.shared else HERE
+        self._placed = {"project": PROJECT if box else str(root)}
+        self._placed["python"] = PYTHON if image else sys.executable
+        self._project = Path(self._placed["project"]) if box else project
+        self._environment = {
+            **within(image, {name: self._fill((value,))[0] for name, value in recipe.environment.items()}),
+            "HOME": f"{self._here}/{RUN_HOME}",
+            "TMPDIR": "/tmp" if self._here != HERE else f"{HERE}/{RUN_TMP}",  # noqa: S108 - the container's own
+            "SIERRA_RUN_DIR": self._here,
+            "SIERRA_SESSION": session,
+        }
+        if not box:
+            self._environment["PATH"] = search_path(self._environment)
+        if script and (box is None or box.gpu):
+            wanted = (name for name in worker.DEVICES if name not in self._environment)
+            self._environment |= {name: worker.ALLOTTED + name for name in wanted}
+        self._search = self._environment["PATH"] if script and not box else None
+        self._shared = self._container() if box and box.shared else None
+        self._same: dict[str, tuple[str, ...]] = {}
+
+    def job(self, run: Run, files: tuple[tuple[str, bytes], ...]) -> Job:
+        """The job that executes a run in this session."""
+        execution = digest_plain("execution", {"session": self._environment["SIERRA_SESSION"], "run": run.id})
+        seed = str(run.seed)
+        own = {"SIERRA_RUN_ID": run.id, "SIERRA_SEED": seed, "SIERRA_EXECUTION": execution}
+        argv = self._argv(files[0][0], seed)
+        variables = {**self._environment, **own}
+        client = self._shared or self._contained(argv, variables)
+        return Job(run.id, execution, argv, variables, files, self._bounds, client, shared=self._shared is not None)
+
+    def _argv(self, file: str, seed: str) -> tuple[str, ...]:
+        """The command of a run; what does not depend on its seed is made once."""
+        if (same := self._same.get(file)) is not None:
+            return same
+        here = self._here
+        values = {"input": f"{here}/{file}", "output": f"{here}/{RUN_OUTPUT}", "run": here, "seed": seed}
+        argv = self._fill(self._recipe.command, values)
+        if self._search is not None:  # a node may find another program of that name
+            argv = (shutil.which(argv[0], path=self._search) or argv[0], *argv[1:])
+        if not any("{seed}" in word for word in self._recipe.command):
+            self._same[file] = argv
+        return argv
+
+    def _fill(self, words: Iterable[str], values: Mapping[str, str] | None = None) -> tuple[str, ...]:
+        return fill(words, self._root, {**self._placed, **(values or {})}, project=self._project)
+
+    def _contained(self, argv: tuple[str, ...], variables: Mapping[str, str]) -> Client | None:
+        """What starts the container of one run."""
+        if self._box is None:
+            return None
+        own = (
+            Mount(HERE, _IN_RUN),
+            *(Mount(f"{HERE}/{name}", f"{_IN_RUN}/{name}", writable=True) for name in (RUN_OUTPUT, RUN_HOME)),
+            Mount(f"{HERE}/{RUN_TMP}", "/tmp", writable=True),  # noqa: S108
+        )
+        process = Process(argv, variables, own, f"{_IN_RUN}/{RUN_OUTPUT}")
+        return self._engine.client(self._box, process)
+
+    def _container(self) -> Client:
+        """What starts a container for the runs of a slot, with the worker in it."""
+        runs, script = f"{INSIDE}/runs", f"{INSIDE}/worker.py"
+        own = (Mount(f"{HERE}/{worker.RUNS}", runs, writable=True), Mount(str(self._script), script))
+        variables = {name: self._environment[name] for name in ("PATH", "SIERRA_SESSION")} | {"HOME": runs, "TMPDIR": "/tmp"}  # noqa: S108
+        argv = (PYTHON, "-I", "-S", script, runs, "1", "-", *WRITABLE, INSIDE, runs)
+        process = Process(argv, variables, own, runs, interactive=True)
+        return self._engine.client(cast(Box, self._box), process)
+
+
+def _in_project(word: str, root: Path) -> str:
+    """`sim.py` is `{project}/sim.py` where there is such a file, and `../build/sim` likewise."""
+    if "{" in word or not word or word.startswith(("/", "-")):
+        return word
+    try:
+        there = (root / word).is_file()
+    except (OSError, ValueError):
+        return word
+    return "{project}/" + word.removeprefix("./") if there else word

@@ -1,0 +1,217 @@
+"""The order of things: query → design → inputs → execute → record → analyse → deliver.
+
+`sierra.execution.plans` goes from a query to inputs; `run` goes on from there, and reads as that list. Each step turns values
+into values and knows nothing of the others; what they left behind is in the store. Everything is idempotent: asking
+again executes only what has no good execution.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from collections.abc import Set as AbstractSet
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from functools import partial
+from typing import Any
+
+from sierra import runners
+from sierra.execution import records, recover
+from sierra.execution.executor import Asking, How
+from sierra.execution.plans import Plan, context, out_of_reach, versioned
+from sierra.execution.reuse import FAILED, is_answered, states
+from sierra.execution.sessions import Session
+from sierra.ingest.consistency import find_odd
+from sierra.model import Batch
+from sierra.store.store import Store
+
+SHOWN_REASONS = 10
+
+
+@dataclass(frozen=True, slots=True)
+class Failure:
+    """Runs without a good execution for one reason; and of the first of them, which it is and the end of its log."""
+
+    count: int
+    status: str
+    reason: str
+    run: str
+    experiment: Mapping[str, Any]
+    number: int
+    log: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class Counted:
+    """One experiment of the batch: its values, its runs, how many are good, and how many were tried without success."""
+
+    values: Mapping[str, Any]
+    runs: int
+    good: int
+    failed: int
+
+
+@dataclass(frozen=True, slots=True)
+class Summary:
+    """The answer to a query, as far as it went. `failed` and `missing` are runs without a good execution."""
+
+    batch: str
+    query: str
+    experiments: int
+    runs: int
+    executed: int
+    again: int
+    """Of these, runs that had been executed before."""
+    reused: int
+    failed: int
+    missing: int
+    interrupted: bool
+    awaited: int = 0
+    """Of those reused, runs that another asking has executed meanwhile."""
+    judged: int = 0
+    """Of those that were not executed, runs that were judged anew, because [outputs] or [success] have changed."""
+    left: tuple[str, ...] = ()
+    """Sessions on a cluster that go on without this process."""
+    counts: tuple[Counted, ...] = ()
+    """By experiment, in the batch's order."""
+    failures: tuple[Failure, ...] = ()
+    """By reason, that of the most runs first; at most `SHOWN_REASONS`."""
+    notes: tuple[str, ...] = ()
+    figures: tuple[str, ...] = ()
+    undrawn: str | None = None
+    """Why no figure could be written at all (a full disk, a file in the way); the answer itself is recorded."""
+
+
+def run(plan: Plan, store: Store, how: How) -> Summary:
+    """Execute what has no good execution yet, record it, and say how it went.
+
+    When interrupted, ends what runs, or leaves it to itself where it lives on elsewhere; what has finished is kept.
+    """
+    recover.finish_dead(store)
+    began = datetime.now(UTC)
+    if is_answered(plan, store):
+        return _summary(plan, store, len({run.id for run in plan.batch.runs}))
+    plan = versioned(plan)
+    make = partial(runners.find(how.runner, plan.project.config.runners), how.slots)
+    session = Session(store.paths, None if make().stays else plan.project.config.store.place())
+    try:
+        session.take_number()
+        if not records.is_kept(plan, store):
+            records.keep(plan, store, session)
+        stays = make().stays
+        if stays:
+            records.prepare(plan, store, session, started=began, runner=how.runner)
+        odd = find_odd(store, session.paths, context(plan, session.id, session.number))
+        asking = Asking(plan, store, session, make, how)
+        if asking.rules_changed:
+            asking.failed |= odd
+        asking.answer()
+        summary = _sum_up(asking)
+        if session.paths not in asking.left:
+            slots = None if stays else how.slots
+            records.close(plan, store, session, asdict(summary), started=began, runner=how.runner, slots=slots)
+        return summary
+    finally:
+        session.close()
+
+
+def _sum_up(asking: Asking) -> Summary:
+    """Count by what the store says now."""
+    plan, store = asking.plan, asking.store
+    now = states(plan, store)
+    runs = len(now)
+    for run in [run for run, state in now.items() if state.good]:
+        del now[run]
+    bad = now.keys()
+    failed = bad & (asking.attempted | asking.failed)
+    return _summary(
+        plan,
+        store,
+        runs,
+        executed=asking.attempted,
+        again=asking.again,
+        awaited=asking.awaited - asking.attempted - bad,
+        judged=asking.judged - asking.attempted,
+        failed=failed,
+        missing=bad - failed if failed else bad,
+        tried={run for run, state in now.items() if state.worth == FAILED} | failed,
+        interrupted=asking.interrupted,
+        left=tuple(paths.root.name for paths in asking.left),
+        notes=asking.notes,
+    )
+
+
+def _summary(
+    plan: Plan,
+    store: Store,
+    runs: int,
+    *,
+    executed: AbstractSet[str] = frozenset(),
+    again: AbstractSet[str] = frozenset(),
+    awaited: AbstractSet[str] = frozenset(),
+    judged: AbstractSet[str] = frozenset(),
+    failed: AbstractSet[str] = frozenset(),
+    missing: AbstractSet[str] = frozenset(),
+    tried: AbstractSet[str] = frozenset(),
+    interrupted: bool = False,
+    left: tuple[str, ...] = (),
+    notes: tuple[str, ...] = (),
+) -> Summary:
+    """What is told of an asking that executed some runs; what is neither `failed` nor `missing` (nor both) is good.
+
+    What is `missing` was not `executed`.
+    `tried` are those of them that have failed, now or earlier.
+    """
+    failures = tuple(_failures(plan, store, failed)) if failed else ()
+    if failures:
+        none_good = len(failed | missing) == runs
+        notes += tuple(out_of_reach(plan, None if none_good else [failure.log or "" for failure in failures]))
+    return Summary(
+        batch=plan.batch.id,
+        query=plan.text,
+        experiments=len(plan.batch.experiments),
+        runs=runs,
+        executed=len(executed),
+        again=len(again),
+        reused=runs - len(executed | failed) - len(missing),
+        awaited=len(awaited),
+        judged=len(judged),
+        failed=len(failed),
+        missing=len(missing),
+        interrupted=interrupted,
+        left=left,
+        counts=tuple(_counts(plan.batch, failed | missing if failed else missing, tried)),
+        failures=failures,
+        notes=(*plan.notes, *dict.fromkeys(notes)),
+    )
+
+
+def _counts(batch: Batch, bad: AbstractSet[str], tried: AbstractSet[str]) -> Iterator[Counted]:
+    for experiment in batch.experiments:
+        runs = {run.id for run in experiment.runs}
+        yield Counted(experiment.values, len(runs), len(runs - bad), len(runs & tried))
+
+
+REASONS = """
+WITH last AS (
+    SELECT run, arg_max(status, lamport) AS status, coalesce(arg_max(reason, lamport), '') AS reason,
+           nullif(arg_max(coalesce(log, ''), lamport), '') AS log
+    FROM executions JOIN failed USING (run) GROUP BY run
+)
+SELECT count(*), arg_min(status, place), reason, arg_min(run, place), arg_min(log, place)
+FROM last JOIN failed USING (run) GROUP BY reason ORDER BY count(*) DESC, min(place) LIMIT $most
+"""
+
+
+def _failures(plan: Plan, store: Store, failed: AbstractSet[str]) -> Iterator[Failure]:
+    """The failed runs of a batch by reason."""
+    import pyarrow as pa
+
+    ordered = [run for run in plan.batch.runs if run.id in failed]
+    places = {run.id: run for run in reversed(ordered)}
+    with store.ask() as question:
+        question.register("failed", pa.table({"run": list(places), "place": range(len(places), 0, -1)}))
+        question.views.make(("executions",))
+        for count, status, reason, run, log in question.run(REASONS, {"most": SHOWN_REASONS}):
+            first = places[run]
+            values = plan.batch.experiments[first.experiment].values
+            yield Failure(count, status, reason, run, values, first.number, log)

@@ -1,0 +1,351 @@
+"""Answering a plan: executing what is missing, while other sessions may be doing the same."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from collections.abc import Set as AbstractSet
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from sierra.containers.isolation import Containment, contain
+from sierra.errors import Missing
+from sierra.execution import commands, recover, sessions, timing
+from sierra.execution.attach import attach
+from sierra.execution.follow import Ears, Following
+from sierra.execution.plans import Plan, context
+from sierra.execution.reuse import rules_changed, states
+from sierra.execution.sessions import Session
+from sierra.ingest.consistency import find_odd
+from sierra.ingest.recorder import Recorder
+from sierra.ingest.rejudge import judge_anew
+from sierra.model import Job, Status
+from sierra.provenance import environment
+from sierra.provenance.program import Programs
+from sierra.runners.base import Runner, Work, needed
+from sierra.store.layout import SessionPaths
+from sierra.store.store import Store
+from sierra.util.signals import noted
+from sierra.util.text import counted, few
+
+JOIN_S = 0.2
+NOTED = 4
+"""Reasons why runs are not judged anew that are told."""
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """How far an asking has come."""
+
+    total: int
+    reused: int
+    done: int
+    failed: int
+    running: int
+    elsewhere: int = 0
+    queued: int = 0
+    """Elements of a cluster's jobs that wait for a node."""
+    waits: str = ""
+    """Why they wait, in the scheduler's words."""
+
+
+Watch = Callable[[Progress], None]
+
+
+@dataclass(frozen=True, slots=True)
+class How:
+    """How to answer: where, and who hears of it."""
+
+    slots: int
+    runner: str = "local"
+    fail_fast: bool = False
+    only: AbstractSet[str] | None = None
+    """No other runs than these."""
+    watch: Watch = lambda progress: None
+    say: Callable[[str], None] = lambda text: None
+    """Hears what the user should know at once."""
+    leave: Callable[[], bool] = lambda: True
+    """Whether what lives on without this process is left to itself, asked when the user wants to end; else it is ended too."""
+    detach: bool = False
+    """Whether it is left to itself at once."""
+
+
+class Asking:
+    """One asking while it is answered: what is done, what failed, what others do."""
+
+    def __init__(self, plan: Plan, store: Store, session: Session, runner: Callable[[], Runner], how: How) -> None:
+        self.plan = plan
+        self.store = store
+        self.session = session
+        self.interrupted = False
+        self._before: dict[str, int] | None = None
+        self._claimed: AbstractSet[str] = frozenset()
+        self._open: set[str] = set()
+        self.failed: set[str] = set()
+        self.notes: tuple[str, ...] = ()
+        self._doubted: str | None = None
+        self._runner = runner
+        self._how = how
+        self.reused = 0
+        self._total = len({run.id for run in plan.batch.runs})
+        self._context = context(plan, session.id, session.number)
+        self.containment: Containment | None = None
+        self.left: list[SessionPaths] = []
+        """The sessions that were left to themselves."""
+        self.awaited: set[str] = set()
+        """Runs that other sessions were executing, or had submitted."""
+        self.judged: set[str] = set()
+        """Runs of which a recorded execution was judged anew, by other rules than before."""
+        self._looked_at: set[str] = set()
+        self.rules_changed = rules_changed(plan, store)
+        """Whether the batch was last asked for by other rules."""
+
+    @property
+    def attempted(self) -> AbstractSet[str]:
+        """The runs that this asking has executed to their end."""
+        return self._claimed - self._open
+
+    @property
+    def again(self) -> AbstractSet[str]:
+        """Those of them that had been executed before."""
+        return self.attempted & (self._before or {}).keys()
+
+    def answer(self) -> None:
+        """Execute what is missing; wait for what other sessions execute, and take over what they leave."""
+        while not (self.interrupted or self.left):
+            recorded = len(self.store.segments())
+            wanted = self._wanted()
+            if not wanted or self._is_enough():
+                return
+            mine = self.session.claim(wanted)
+            if len(self.store.segments()) != recorded:
+                continue  # what is claimed now may have been executed since the store was asked
+            self.awaited |= wanted - mine
+            if not mine:
+                if self._wait(wanted):
+                    continue
+                return
+            rest = self._judge(mine)
+            if len(rest) < len(mine):
+                continue
+            odd = self._execute(rest)
+            if self.left:
+                return
+            if rest <= self._open and not self.interrupted:
+                raise Missing(f"{self.session.paths.root}: the worker has ended, and said of no run how it went")
+            if len(rest) == len(wanted) and not self._open and not odd:
+                return
+
+    def _wanted(self) -> set[str]:
+        """The runs that have no good execution, and that nobody has tried since this asking began."""
+        now = states(self.plan, self.store)
+        wanted = {run for run, state in now.items() if not state.good}
+        if self._before is None:
+            self._before = {run: now[run].executions for run in wanted if now[run].executions}
+            self.reused = self._total - len(wanted)
+        self.failed |= {run for run in wanted if now[run].executions > self._before.get(run, 0)}
+        if self._how.only is not None:
+            wanted &= self._how.only
+        wanted -= self.failed
+        wanted -= self.attempted
+        return wanted
+
+    def _judge(self, wanted: set[str]) -> set[str]:
+        """Judge anew what is recorded of these runs, once each, where rules have changed; return those that must execute."""
+        fresh = wanted & (self._before or {}).keys() - self._looked_at
+        self._looked_at |= fresh
+        if not fresh:
+            return wanted
+        self._context.save(self.session.paths.context)
+        anew = judge_anew(self.store, self.session.paths, self._context, fresh, mismatched=self.rules_changed)
+        for lack, count in Counter(anew.unread.values()).most_common(NOTED):
+            self._how.say(f"executing {counted(count, 'run')} again, which cannot be judged by the changed rules: {lack}")
+        if anew.judged:
+            find_odd(self.store, self.session.paths, self._context)
+        self.judged |= anew.judged
+        self.reused += len(anew.judged)
+        self.notes += tuple(anew.notes)
+        return wanted - anew.judged
+
+    def _execute(self, wanted: AbstractSet[str]) -> set[str]:
+        """Execute these runs; those of which executions, now or earlier, were found to be unlike their siblings."""
+        runner, plan = self._runner(), self.plan
+        root, programs = self._snapshot() if runner.stays else (self._code(), self.plan.programs)
+        contained = self._contain(root, elsewhere=runner.stays)
+        self._context = replace(self._context, **contained.context)
+        self._context.save(self.session.paths.context)
+        self._claimed = self._claimed | wanted if self._claimed else wanted  # of 100,000 runs, a set takes 4 MB
+        self._open |= wanted
+        # what a cluster executes is a snapshot, and its nodes check the programs
+        doubt = self._doubt if not runner.stays else lambda: None
+        recorder = Recorder(self.store, self.session.paths, self._context, doubt=doubt)
+        with noted(self._how.detach) as signals:
+            ears = Ears(self._took, self._tell, self._how.say)
+            following = Following(runner, recorder, self.store, self.session, ears, leave=self._how.leave)
+            work = Work(
+                self._jobs(wanted, root, contained, self.session.paths.worker if runner.stays else None),
+                len(wanted),
+                self.plan.batch.id,
+                (*needed(programs, self._search(root)), *contained.needed),
+                timing.expected(plan, self.store, wanted) if runner.stays else None,
+                not self._how.detach,
+                environment.recorded(self.plan.project.config.environment.record),
+                self.plan.environment,
+            )
+            try:
+                following.execute(work, signals, enough=self._is_enough)
+            finally:
+                if not runner.stays:
+                    contained.close()
+            odd = find_odd(self.store, self.session.paths, self._context)
+            self.notes += tuple(recorder.notes())
+        self.left += [self.session.paths] if following.left else []
+        cancelled = self.session.paths.cancelled.exists() and not self._is_enough()
+        self.interrupted = cancelled or (bool(signals) and not self._how.detach)
+        return odd
+
+    def _doubt(self) -> str | None:
+        """Why what has been executed cannot be ascribed to what was planned: files are others than then, or were."""
+        contained = self.containment
+        self._doubted = self._doubted or self.plan.seen.doubt() or (contained.doubt() if contained else None)
+        return self._doubted
+
+    def _is_enough(self) -> bool:
+        return self._doubted is not None or (self._how.fail_fast and bool(self.failed))
+
+    def _took(self, run: str, status: Status) -> None:
+        self._open.discard(run)
+        if status is not Status.OK:
+            self.failed.add(run)
+
+    def _contain(self, root: Path, *, elsewhere: bool) -> Containment:
+        """What contains the runs, ready."""
+        if self.containment is None:
+            plan = self.plan
+            self.containment = contain(
+                plan.engine,
+                plan.image,
+                plan.batch.recipe,
+                plan.project.config.container,
+                plan.limits,
+                code=root,
+                project=plan.project.root,
+                store=self.store.paths,
+                session=self.session.id,
+                elsewhere=elsewhere,
+            )
+            self.notes += self.containment.notes
+        return self.containment
+
+    def _jobs(self, wanted: AbstractSet[str], root: Path, contained: Containment, script: Path | None) -> Iterator[Job]:
+        plan = self.plan
+        maker = commands.Maker(
+            plan.batch.recipe,
+            root,
+            plan.engine,
+            plan.limits,
+            self.session.id,
+            plan.project.root,
+            image=plan.image,
+            box=contained.box,
+            script=script,
+        )
+        unique = len(plan.batch.runs) == self._total
+        sent: set[str] = set()
+        for run, files in plan.inputs.files(plan.batch, lambda run: run.id in wanted):
+            if unique or run.id not in sent:
+                sent.update(() if unique else (run.id,))
+                yield maker.job(run, files)
+
+    def _search(self, root: Path) -> str:
+        """The PATH of runs whose code lies in `root`."""
+        plan = self.plan
+        return commands.declared(plan.batch.recipe.environment, root, plan.project.root, image=plan.image)["PATH"]
+
+    def _code(self) -> Path:
+        """The folder of the code that is executed."""
+        if self.plan.checkout is None:
+            return self.plan.project.root
+        root = self.session.paths.source
+        if not root.exists():
+            self.plan.checkout.make(root)
+        return root
+
+    def _snapshot(self) -> tuple[Path, Programs]:
+        """A folder with the code as it is now, which may be changed while runs wait for a node; and the programs there."""
+        plan = self.plan
+        checkout = plan.checkout or plan.snapshot(self.store.blob)
+        root = self.session.paths.source
+        made = not root.exists()
+        if made:
+            checkout.make(root)
+        programs = checkout.programs_in(root)
+        meanwhile = "while they were being copied for the cluster"
+        if plan.checkout is None and (doubt := plan.seen.doubt(meanwhile)):
+            raise Missing(f"{doubt}; ask again")
+        if programs.id != plan.programs.id:
+            raise Missing(f"programs have changed {meanwhile}: {few(plan.programs.unlike(programs), 3)}; ask again")
+        if made and (left_out := checkout.left_out()):  # said last: who listens may write it to a file of the project
+            what = "nodes have of these only what the command, a variable or the template names"
+            self._how.say(f"git ignores {left_out} in the project: {what}")
+        return root, programs
+
+    def _wait(self, wanted: AbstractSet[str]) -> bool:
+        """Other sessions execute what is wanted: until one of them ends, or has recorded something; whether to go on then.
+
+        What is on a cluster, and nobody follows (any more), is followed here.
+        """
+        session = self._adopted(wanted)
+        if session is None and self._how.detach:
+            self._how.say(f"{len(wanted)} runs are executed by other processes already; they are not waited for")
+            return False
+        session = session or self._until_free(wanted)
+        if session is not None:
+            self._join(session, wanted)
+        return True
+
+    def _until_free(self, wanted: AbstractSet[str]) -> Session | None:
+        """Wait; a session on a cluster whose follower has died meanwhile."""
+        known = len(self.store.segments())
+        with noted() as signals:
+            while not signals and sessions.others(self.session.store, self.session.id) & wanted:
+                self._tell(0, elsewhere=len(wanted))
+                time.sleep(JOIN_S)
+                recover.finish_dead(self.store)
+                if len(self.store.segments()) != known:
+                    break
+                if (session := self._adopted(wanted)) is not None:
+                    return session
+        self.interrupted = bool(signals)
+        return None
+
+    def _adopted(self, wanted: AbstractSet[str]) -> Session | None:
+        """A session on a cluster that has claimed some of these, and that nobody follows: taken over."""
+        for paths in sessions.submitted(self.session.store):
+            session = Session.adopted(self.session.store, paths) if sessions.claims(paths) & wanted else None
+            if session is not None:
+                return session
+        return None
+
+    def _join(self, session: Session, wanted: AbstractSet[str]) -> None:
+        """Follow what was submitted before."""
+        mine = sessions.claims(session.paths) & wanted
+        self._how.say(f"{len(mine)} runs have been submitted before ({session.id}); they are followed")
+        attached = attach(self.store, session, self._hearing(mine), self._how.leave, detach=self._how.detach)
+        self.notes += attached.notes
+        self.left += [session.paths] if attached.left else []
+        self.interrupted = attached.interrupted
+
+    def _hearing(self, runs: set[str]) -> Ears:
+        """Who hears of what is followed for these runs: that they become fewer."""
+        to_come = set(runs)
+
+        def tell(running: int, queued: int, waits: str) -> None:
+            self._tell(running, queued, waits, elsewhere=len(to_come))
+
+        return Ears(lambda run, status: to_come.discard(run), tell, self._how.say)
+
+    def _tell(self, running: int, queued: int = 0, waits: str = "", elsewhere: int = 0) -> None:
+        done = len(self._claimed) - len(self._open)
+        self._how.watch(Progress(self._total, self.reused, done, len(self.failed), running, elsewhere, queued, waits))

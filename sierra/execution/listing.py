@@ -1,0 +1,358 @@
+"""What is in the store, for people: lists of batches, and all about one thing by its id."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+from sierra.containers.isolation import limits
+from sierra.errors import Damaged
+from sierra.execution import sessions
+from sierra.execution.status import submitted
+from sierra.store.files import recorded, take
+from sierra.store.layout import STORE, WORK
+from sierra.store.store import Found, Question, Store
+from sierra.util.text import natural
+
+BATCHES = """
+WITH last AS (
+    SELECT batch, max(lamport) AS lamport, arg_max(ended, lamport) AS answered, arg_max(failed, lamport) AS failed,
+           arg_max(missing, lamport) AS missing, arg_max(query, lamport) AS query, sum(again) AS again
+    FROM sessions GROUP BY batch
+)
+SELECT b.batch, b.created, coalesce(l.query, b.query) AS query, b.controller, b.scenario, b.experiments, b.runs,
+       l.answered, l.failed, l.missing, b.batch IN (
+           SELECT m.batch FROM findings f JOIN judged e ON e.judgement = f.execution JOIN members m ON m.run = e.run
+       ) AS doubted, coalesce(l.again, 0) > 0 OR b.batch IN (SELECT batch FROM replays) AS repeated
+FROM batches b LEFT JOIN last l USING (batch)
+ORDER BY coalesce(l.lamport, b.lamport), b.batch
+"""
+
+COUNTS = """
+WITH members_of AS (SELECT DISTINCT batch, run FROM members WHERE list_contains($batches, batch)),
+tried AS (SELECT run, arg_max(status, lamport) AS last FROM executions WHERE purpose = 'run' GROUP BY run),
+good AS (SELECT DISTINCT batch, run, true AS good FROM counting WHERE list_contains($batches, batch))
+SELECT batch, count(good) AS good, count(*) FILTER (good IS NULL AND last <> 'ok') AS failed
+FROM members_of LEFT JOIN tried USING (run) LEFT JOIN good USING (batch, run) GROUP BY batch
+"""
+
+UNLIKE = """
+SELECT m.batch, count(DISTINCT m.run) AS runs FROM nondeterminism n JOIN members m USING (run)
+WHERE list_contains($batches, m.batch) AND (n.verdict IS NULL OR n.verdict = 'different') GROUP BY m.batch
+"""
+
+
+def batches(store: Store) -> list[dict[str, Any]]:
+    """All batches in the order in which they were last asked for.
+
+    `failed` and `missing` are runs without a good execution, tried or not; where the last asking ended well, both are 0 and
+    nothing is counted again, unless records were rewritten since: executions may have been removed. `nondeterministic` are
+    runs that gave other bytes when executed again, with the same programs, and beyond what the project declares to be
+    volatile or within tolerance. `sets` is what was set for all runs beside; `unlike` is what else differs from the batch
+    before it in the list that is called the same. `clusters` are the sessions that were submitted for a batch and are not
+    closed yet; what they stand like, `sierra.execution.status` asks the schedulers.
+    """
+    with store.ask() as question:
+        rewritten = any(segment.replaces for segment in question.segments)
+        rows: list[dict[str, Any]] = question.sql(BATCHES).to_pylist()
+        open_ones = [
+            row["batch"] for row in rows if row.pop("doubted") or rewritten or row["failed"] != 0 or row["missing"] != 0
+        ]
+        counted = {}
+        if open_ones:
+            counted = {row["batch"]: row for row in question.sql(COUNTS, batches=open_ones).to_pylist()}
+        repeated = [row["batch"] for row in rows if row.pop("repeated")]
+        found = question.sql(UNLIKE, batches=repeated).to_pylist() if repeated else []
+        unlike = {row["batch"]: row["runs"] for row in found}
+        _add_settings(question, rows)
+    there = _on_clusters(store)
+    for row in rows:
+        row["clusters"] = there.get(row["batch"], [])
+        row["nondeterministic"] = unlike.get(row["batch"], 0)
+        count = counted.get(row["batch"])
+        if count is not None:
+            row["failed"] = count["failed"]
+            row["missing"] = row["runs"] - count["good"] - count["failed"]
+    return rows
+
+
+SETTINGS = """
+SELECT batch, axes, sets, base_seed, template_sha256, source, image, command, variables, reach
+FROM batches JOIN recipes USING (recipe)
+"""
+DIFFERENCES = {
+    "runs": "runs",
+    "base_seed": "base seed",
+    "template_sha256": "template",
+    "source": "code",
+    "image": "image",
+    "command": "command",
+    "variables": "environment",
+    "reach": "reach",
+}
+"""What people call that in which batches of one query differ."""
+ELSE = "settings"
+"""What `sierra.toml` changes in the template."""
+
+
+def _add_settings(question: Question, rows: Sequence[dict[str, Any]]) -> None:
+    """Add what tells batches apart that have one query: what was set, and what differs from the one before."""
+    settings = {row["batch"]: row for row in question.sql(SETTINGS).to_pylist()}
+    before: dict[tuple[Any, ...], dict[str, Any]] = {}
+    for row in rows:
+        own = {"axes": [], "sets": [], **settings.get(row["batch"], {}), "runs": row["runs"]}
+        row.update(_named(row, own["axes"]), sets=own["sets"], unlike=[])
+        called = (row["query"], row["controller"], row["scenario"], *own["sets"])
+        if (last := before.get(called)) is not None:
+            differing = [text for name, text in DIFFERENCES.items() if last.get(name) != own.get(name)]
+            row["unlike"] = differing or [ELSE]
+        before[called] = own
+
+
+def _named(row: Mapping[str, Any], axes: Sequence[str]) -> dict[str, Any]:
+    """Return the controller and the scenario of a whole batch: the project's own is not that of one with an axis of them."""
+    return {name: None if name in axes else row[name] for name in ("controller", "scenario")}
+
+
+def _on_clusters(store: Store) -> dict[str, list[dict[str, Any]]]:
+    """By batch, what was submitted to clusters and is there still, as far as that is known here."""
+    found: dict[str, list[dict[str, Any]]] = {}
+    for paths in sessions.submitted(store.paths):
+        with contextlib.suppress(Damaged):  # another version's: it is that one's to go on with
+            if one := submitted(paths):
+                told = {name: getattr(one, name) for name in ("session", "runner", "jobs", "elements", "runs", "since")}
+                found.setdefault(one.batch, []).append(told)
+    return found
+
+
+def show(store: Store, prefix: str) -> dict[str, Any]:
+    """All that is recorded of what a beginning of an id names; `kind` says what it is. Of a batch, also what is on clusters."""
+    found = store.resolve(prefix)
+    with store.ask() as question:
+        shown = {"kind": found.kind, **SHOWN[found.kind](question, found)}
+    return shown | ({"clusters": _on_clusters(store).get(found.id, [])} if found.kind == "batch" else {})
+
+
+def _batch(question: Question, found: Found) -> dict[str, Any]:
+    row: dict[str, Any]
+    [row] = question.sql("SELECT * FROM batches WHERE batch = $b", b=found.id).to_pylist()
+    [recipe] = question.sql("SELECT * FROM recipes WHERE recipe = $r", r=row["recipe"]).to_pylist()
+    row |= {"recipe": recipe, **_named(row, row["axes"])}
+    row["image"] = _image(question, recipe["image"])
+    row["isolations"] = [_isolation(one) for one in question.sql(ISOLATIONS, b=found.id).to_pylist()]
+    row["source"] = _source(question, found.id, recipe["source"])
+    last = question.sql(LAST_AROUND, b=found.id).to_pylist()[0]
+    row["programs"] = _programs(question, last["programs"])
+    row["environment"] = _environment(question, last["environment"])
+    row["experiments"] = _experiments(question, found.id, row["axes"])
+    row["failures"] = _failures(question, found.id, row["experiments"], row["axes"])
+    row["nondeterminism"] = question.sql(NONDETERMINISM, b=found.id, r=None).to_pylist()
+    row["replays"] = question.sql(REPLAYS, b=found.id).to_pylist()
+    row["attempts"] = question.sql(ATTEMPTS_OF_BATCH, b=found.id).to_pylist()
+    row["sessions"] = question.sql("SELECT * FROM sessions WHERE batch = $b ORDER BY lamport", b=found.id).to_pylist()
+    return row
+
+
+LAST_AROUND = """
+SELECT arg_max(programs, lamport) AS programs, arg_max(environment, lamport) AS environment
+FROM (SELECT programs, environment, lamport FROM sessions WHERE batch = $b UNION ALL
+      SELECT programs, environment, lamport FROM executions WHERE batch = $b AND purpose = 'run')
+"""
+"""What was around the last execution or asking of a batch."""
+NONDETERMINISM = """
+SELECT run, executions, results, verdict, programs FROM nondeterminism
+WHERE run = $r OR run IN (SELECT run FROM members WHERE batch = $b) ORDER BY run
+"""
+TOLD = "a.element, a.job, a.node, a.started, a.ended, a.runs, a.cut, a.state, a.trouble"
+ATTEMPTS_OF_BATCH = f"""
+SELECT session, {TOLD} FROM attempts a WHERE batch = $b ORDER BY state = 'finished', element, started
+"""  # noqa: S608 - of our own parts
+"""On clusters, each time that an element of a batch was executed: those that were cut off first."""
+ATTEMPTS_OF_RUN = f"""
+WITH mine AS (SELECT attempt FROM executions WHERE run = $r AND (execution = $e OR $e IS NULL))
+SELECT session, {TOLD}, attempt IN (SELECT attempt FROM mine) AS executed
+FROM attempts a SEMI JOIN (SELECT session, element FROM attempts SEMI JOIN mine USING (attempt)) USING (session, element)
+ORDER BY started
+"""  # noqa: S608 - of our own parts
+"""The same of the elements that a run was executed in, and in which of these attempts it was."""
+REPLAYS = "SELECT replay, started, kind, target, runs, verdict FROM replays WHERE batch = $b ORDER BY lamport"
+
+
+def _source(question: Question, batch: str, tree: str | None) -> dict[str, Any] | None:
+    rows: list[dict[str, Any]] = question.sql(
+        "SELECT s.* FROM sources s LEFT JOIN sessions n ON n.source = s.source AND n.batch = $b "
+        "WHERE s.tree = $t ORDER BY n.lamport NULLS LAST LIMIT 1",
+        b=batch,
+        t=tree,
+    ).to_pylist()
+    return rows[0] if rows else None
+
+
+def _experiments(question: Question, batch: str, axes: Sequence[str]) -> list[dict[str, Any]]:
+    """The experiments of a batch; its axes stand in the order of its query, and those of other batches do not stand here."""
+    rows: list[dict[str, Any]] = question.sql(
+        "WITH tried AS (SELECT run, arg_max(status, lamport) AS last FROM executions WHERE purpose = 'run' GROUP BY run), "
+        "good AS (SELECT ordinal, run, true AS good FROM counting WHERE batch = $b), "
+        "counted AS (SELECT ordinal, count(*) AS runs, count(good) AS good, "
+        "count(*) FILTER (good IS NULL AND last <> 'ok') AS failed "
+        "FROM (SELECT DISTINCT ordinal, run FROM members WHERE batch = $b) "
+        "LEFT JOIN tried USING (run) LEFT JOIN good USING (ordinal, run) GROUP BY ordinal) "
+        "SELECT ordinal, runs, good, failed FROM counted ORDER BY ordinal",
+        b=batch,
+    ).to_pylist()
+    cells = question.cells(batch)
+    columns = ("ordinal", "experiment", *axes, "runs", "good", "failed")
+    return [{name: {**cells[row["ordinal"]], **row}[name] for name in columns} for row in rows if row["ordinal"] in cells]
+
+
+FAILURES = """
+WITH tried AS (
+    SELECT run, arg_max({'status': status, 'reason': reason}, lamport) AS last
+    FROM executions WHERE purpose = 'run' GROUP BY run
+),
+failed AS (
+    SELECT m.ordinal, m.number, m.run, coalesce(t.last.reason, t.last.status) AS reason
+    FROM (SELECT DISTINCT ordinal, number, run FROM members WHERE batch = $b) m JOIN tried t USING (run)
+    ANTI JOIN (SELECT ordinal, run FROM counting WHERE batch = $b) c ON c.ordinal = m.ordinal AND c.run = m.run
+    WHERE t.last.status <> 'ok'
+)
+SELECT reason, count(*) AS runs, arg_min({'run': run, 'ordinal': ordinal, 'number': number}, (ordinal, number)) AS example
+FROM failed GROUP BY reason ORDER BY runs DESC, reason
+"""
+
+
+def _failures(
+    question: Question, batch: str, experiments: Sequence[Mapping[str, Any]], axes: Sequence[str]
+) -> list[dict[str, Any]]:
+    """Why runs of a batch failed: for each reason, the most frequent first, how many runs, and the first of them."""
+    values = {row["ordinal"]: {name: row[name] for name in axes} for row in experiments}
+    return [
+        {
+            "reason": row["reason"],
+            "runs": row["runs"],
+            "run": row["example"]["run"],
+            "number": row["example"]["number"],
+            "values": values[row["example"]["ordinal"]],
+        }
+        for row in question.sql(FAILURES, b=batch).to_pylist()
+    ]
+
+
+def _experiment(question: Question, found: Found) -> dict[str, Any]:
+    [row, *_] = [row for row in question.cells(str(found.batch)).values() if row["experiment"] == found.id]
+    [axes] = question.sql("SELECT axes FROM batches WHERE batch = $b", b=found.batch).column("axes").to_pylist()
+    row = {name: row[name] for name in ("experiment", "batch", "ordinal", *axes)}
+    row["runs"] = question.sql(
+        "SELECT m.number, m.run, m.seed, count(e.execution) AS executions, "
+        "CASE WHEN any_value(c.execution) IS NOT NULL THEN 'ok' "
+        "WHEN arg_max(e.status, e.lamport) = 'ok' THEN 'stale' "
+        "ELSE coalesce(arg_max(e.status, e.lamport), 'missing') END AS status, "
+        "arg_max(e.reason, e.lamport) AS reason "
+        "FROM (SELECT DISTINCT number, run, seed FROM members WHERE batch = $b AND ordinal = $o) m "
+        "LEFT JOIN executions e USING (run) LEFT JOIN counting c ON c.run = m.run AND c.batch = $b AND c.ordinal = $o "
+        "GROUP BY ALL ORDER BY m.number",
+        b=found.batch,
+        o=row["ordinal"],
+    ).to_pylist()
+    return row
+
+
+def _run(question: Question, found: Found) -> dict[str, Any]:
+    [row] = question.sql("SELECT * FROM runs WHERE run = $r", r=found.id).to_pylist()
+    row = _without_nulls(row)
+    [row["recipe"]] = question.sql("SELECT * FROM recipes WHERE recipe = $r", r=row["recipe"]).to_pylist()
+    row["batches"] = [
+        row[0] for row in question.run("SELECT DISTINCT batch FROM members WHERE run = $r ORDER BY 1", {"r": found.id})
+    ]
+    row["executions"] = question.sql(
+        "SELECT * EXCLUDE (run) FROM executions WHERE run = $r ORDER BY lamport", r=found.id
+    ).to_pylist()
+    row["attempts"] = question.sql(ATTEMPTS_OF_RUN, r=found.id, e=None).to_pylist()
+    row["nondeterminism"] = question.sql(NONDETERMINISM, b=None, r=found.id).to_pylist()
+    row["verdicts"] = question.sql(VERDICTS, r=found.id).to_pylist()
+    files = recorded(question, take(question, found))
+    row["files"] = [{"path": file.path, "kind": file.kind, "bytes": file.bytes, "sha256": file.sha256} for file in files]
+    return row
+
+
+VERDICTS = """
+SELECT v.replay, r.started, v.path, v.verdict, v.why FROM verdicts v JOIN replays r USING (replay)
+WHERE v.run = $r ORDER BY r.lamport, v.path
+"""
+
+
+def _execution(question: Question, found: Found) -> dict[str, Any]:
+    [row] = question.sql("SELECT * FROM executions WHERE execution = $e", e=found.id).to_pylist()
+    row = _without_nulls(row)
+    row["attempts"] = question.sql(ATTEMPTS_OF_RUN, r=row["run"], e=found.id).to_pylist()
+    artifacts = question.sql("SELECT * EXCLUDE (execution, run) FROM artifacts WHERE execution = $e", e=found.id).to_pylist()
+    row["artifacts"] = sorted(artifacts, key=lambda artifact: natural(artifact["path"]))
+    [recipe] = question.sql(RECIPE, r=row["run"]).to_pylist()
+    row["image"] = _image(question, recipe["image"])
+    row["reach"] = recipe["reach"] or []
+    if (isolation := row.get("isolation")) is not None:
+        rows = question.sql("SELECT * FROM isolations WHERE isolation = $i", i=isolation).to_pylist()
+        row["isolation"] = _isolation(rows[0]) if rows else {"isolation": isolation}
+    row["programs"] = _programs(question, row.get("programs"))
+    row["environment"] = _environment(question, row.get("environment"))
+    return row
+
+
+RECIPE = "SELECT r.image, r.reach FROM members m JOIN recipes r USING (recipe) WHERE m.run = $r LIMIT 1"
+ISOLATIONS = """
+SELECT i.*, count(*) AS executions
+FROM executions e SEMI JOIN (SELECT run FROM members WHERE batch = $b) USING (run) JOIN isolations i USING (isolation)
+WHERE e.purpose = 'run' GROUP BY ALL ORDER BY max(e.lamport) DESC
+"""
+"""How executions of a batch's runs were contained, the last way first."""
+
+
+def _image(question: Question, identity: str | None) -> dict[str, Any] | None:
+    """What is recorded of an image, with its texts of several facts taken apart."""
+    rows = question.sql("SELECT * FROM images WHERE image = $i", i=identity).to_pylist()
+    if not rows:
+        return {"image": identity} if identity else None
+    image: dict[str, Any] = rows[0]
+    return image | {name: json.loads(image[name]) for name in ("manifests", "labels", "variables", "packages")}
+
+
+def _isolation(row: dict[str, Any]) -> dict[str, Any]:
+    """How executions were contained, likewise; with the limits that were asked for and not enforced."""
+    return row | {"mounts": json.loads(row["mounts"])} | limits(row)
+
+
+def _programs(question: Question, identity: str | None) -> list[dict[str, Any]]:
+    """What was used together: programs first, then files, installed distributions and libraries.
+
+    What was only a replay's copy of the project's, and is gone, is left out where the project's is recorded too.
+    """
+    rows: list[dict[str, Any]] = question.sql(
+        "SELECT name, kind, version, path, sha256 FROM programs WHERE programs = $p "
+        "ORDER BY list_position(['program', 'file', 'distributions', 'library'], kind), name, path",
+        p=identity,
+    ).to_pylist()
+    lasting = [row for row in rows if f"/{STORE}/{WORK}/" not in row["path"]]
+    known = {row["name"] for row in lasting}
+    return [row for row in rows if row in lasting or row["name"] not in known]
+
+
+def _environment(question: Question, identity: str | None) -> dict[str, Any] | None:
+    """What was around, with its texts of several facts taken apart."""
+    rows = question.sql("SELECT * FROM environments WHERE environment = $e", e=identity).to_pylist()
+    if not rows:
+        return None
+    around: dict[str, Any] = rows[0]
+    for name in ("limits", "variables"):
+        around[name] = json.loads(around[name] or "{}")
+    around["distributions"] = (around["distributions"] or "").splitlines()
+    return around
+
+
+def _without_nulls(row: dict[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in row.items() if value is not None}
+
+
+Shower = Callable[[Question, Found], dict[str, Any]]
+SHOWN: Mapping[str, Shower] = {"batch": _batch, "experiment": _experiment, "run": _run, "execution": _execution}

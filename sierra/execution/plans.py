@@ -1,0 +1,372 @@
+"""A query with all that its answer depends on, and nothing executed yet: query → design → inputs."""
+
+from __future__ import annotations
+
+import difflib
+import os
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Protocol
+
+from sierra import platforms
+from sierra import templates as inputs
+from sierra.config.project_file import LoadedProject, Output, Project, Success
+from sierra.containers import engines, images, isolation
+from sierra.containers.engines.base import PROJECT, Engine
+from sierra.containers.images import Image
+from sierra.design.expand import Expansion, Files
+from sierra.design.experiments import Heed, deaf, design, mentions
+from sierra.errors import ConfigError, Missing, QueryError, UsageError
+from sierra.execution import commands
+from sierra.execution.checkout import Checkout, programs_in
+from sierra.ingest.context import Context
+from sierra.model import Batch, Design, Experiment, Limits, Query, Recipe, Run, Set
+from sierra.provenance import environment, source, versions
+from sierra.provenance import referenced_files as named
+from sierra.provenance.change_guard import Seen, seen
+from sierra.provenance.program import Programs
+from sierra.query import grammar as query
+from sierra.store.layout import CONFIG, DRAWN, FIGURES, LOCK, PYPROJECT, STORE, ProjectPaths, StorePaths
+from sierra.store.schema import RESERVED, check_name
+from sierra.util.text import few
+from sierra.version import __version__
+
+BARE = re.compile(r"[^\W\d]\w*")
+"""A word that is no criterion: it has no range."""
+
+
+class Inputs(Protocol):
+    """What knows the input files of runs."""
+
+    def files(self, batch: Batch, wanted: Callable[[Run], bool]) -> Iterator[tuple[Run, Files]]:
+        """The input files of the runs that are wanted, a run at a time; of a run that is in the batch twice, perhaps twice."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """A query with all that its answer depends on, and nothing executed yet."""
+
+    project: LoadedProject
+    query: Query
+    text: str
+    batch: Batch
+    inputs: Inputs
+    source: source.Source | None
+    """None where the code is that of a recorded batch."""
+    source_id: str | None
+    checkout: Checkout | None
+    """Where other files are executed than the project has now."""
+    programs: Programs
+    environment: Mapping[str, Any]
+    engine: Engine
+    image: Image | None
+    """What runs execute in."""
+    limits: Limits
+    template_sha256: str
+    outputs: Mapping[str, Output]
+    success: Success
+    seen: Seen
+    """What executes, as it was when it was taken for that."""
+    notes: tuple[str, ...] = ()
+
+    def snapshot(self, content: Callable[[str], bytes | None]) -> Checkout:
+        """What makes a copy of the code as it is; `content` is that of a file which git does not have, by git's hash."""
+        manifest = self.source.manifest if self.source else b""
+        used = tuple((program.name, program.kind) for program in self.programs.all)
+        mounted = Programs(tuple(program for program in self.programs.all if program.name.startswith(isolation.MOUNTS)))
+        return Checkout(self.project.root, self.batch.recipe, manifest, used, content, mounted)
+
+
+def ask(
+    project: LoadedProject,
+    words: Sequence[str],
+    *,
+    runs: int | None = None,
+    controller: str | None = None,
+    scenario: str | None = None,
+    sets: Sequence[tuple[str, str]] = (),
+) -> Query:
+    """The query that these words are: criteria, and the name of a query in `sierra.toml`, which stands for its criteria.
+
+    `sets` are pairs of an XPath and a value. Raises QueryError, UsageError.
+    """
+    project.check_written()
+    if runs is not None and runs < 1:
+        raise UsageError(f"{runs} runs per experiment; ask for 1 or more")
+    config = project.config
+    names = [word for word in words if word in config.queries]
+    if len(names) > 1:
+        raise QueryError(f"{names[0]!r} and {names[1]!r} are queries of their own; ask for one, with more criteria if need be")
+    for word in words:
+        if word == query.MONTE_CARLO:
+            raise QueryError(f"{word!r} needs a number of experiments, which differ in their seeds alone; use {word}.C20")
+        if word not in names and BARE.fullmatch(word):
+            close = difflib.get_close_matches(word, config.queries, 1, cutoff=0.5)
+            hint = f"; did you mean {close[0]!r}?" if close else f"; a criterion has a range, as in {word}.Log8 or {word}=1,2"
+            raise QueryError(f"{word!r} is no query of sierra.toml{hint}")
+    named = config.queries[names[0]] if names else None
+    spelled = [part for word in words for part in (named.criteria if named and word in names else (word,))]
+    return Query(
+        criteria=query.parse_all(spelled),
+        runs=runs or (named and named.runs) or config.runs,
+        controller=controller or (named and named.controller) or None,
+        scenario=scenario or (named and named.scenario) or None,
+        sets=tuple(Set(path, value, why=f"--set {path}") for path, value in sets),
+        base_seed=config.seed.base,
+    )
+
+
+def plan(project: LoadedProject, asked: Query, *, engine: str | None = None, heed: Heed = deaf) -> Plan:
+    """All that a query's answer depends on; `engine` instead of what the project says. `heed` hears how far planning has come.
+
+    Nothing is executed (but a Python is asked for its path, the loader for libraries, and an engine for its image) or written
+    (but the source's tree, by git).
+
+
+    Raises what is wrong with project, query, template, source or programs.
+    """
+    config, root = project.config, project.root
+    _check_names(project)
+    template = inputs.read(root / config.template)
+    platform = platforms.find(config.platform, config)
+    contained, image = _contained(project, engine)
+    box = config.container if image else None
+    command = commands.command(platform, root, contained=image is not None)
+    variables = {**commands.environment(platform, config), **(box.variables if box else {})}
+    own = (
+        STORE,
+        LOCK,
+        *_drawn(root),
+        CONFIG,
+        PYPROJECT if project.file.name == PYPROJECT else CONFIG,
+        *_inside(config.template),
+    )
+    code = _source(project, own)
+    held = source.paths(code.manifest)
+    data = named.data(root / config.template, _written(config), root, held, own)
+    if box:
+        data = isolation.data(data, box, root)
+    recipe = Recipe(config.platform, command, variables, code.tree, image.id if image else None, isolation.reach(box))
+    designed = design(asked, config, platform, template, heed)
+    expansion = Expansion(designed, template, platform, recipe)
+    batch = expansion.batch(heed)
+    used = programs_in(recipe, code.manifest, root, data)
+    checkout = _committed(root, recipe, code, used) if code.checkout else None
+    executed = checkout.programs() if checkout else used
+    uncounted = named.uncounted(_set_by(designed), root / config.template, root, held, used)
+    return Plan(
+        project=project,
+        query=asked,
+        text=" ".join(query.text(criterion) for criterion in asked.criteria),
+        batch=batch,
+        inputs=expansion,
+        source=code,
+        source_id=code.id,
+        checkout=checkout,
+        programs=executed,
+        environment=environment.capture(__version__, config.environment.record),
+        engine=contained,
+        image=image,
+        limits=commands.limits(config),
+        template_sha256=template.sha256,
+        outputs=config.outputs,
+        success=config.success,
+        seen=seen(root, b"" if checkout else code.manifest, executed),
+        notes=(
+            *code.notes,
+            *_doubts(designed, command),
+            *_outdated(root, image),
+            *_texts(designed, config, template),
+            *_same(batch),
+            *used.notes,
+            *(f"{file} is named by the query alone: a change of it would not be seen" for file in uncounted),
+        ),
+    )
+
+
+def _contained(project: LoadedProject, name: str | None) -> tuple[Engine, Image | None]:
+    """What contains the runs, and the image, which is still what was pinned. Raises ConfigError, Missing."""
+    container = project.config.container
+    engine = engines.find(name or (container.engine if container else "none"))
+    if engine.name == "none":
+        return engine, None
+    if container is None:
+        raise ConfigError(f'{engine.name} needs an image: [container] image = "…" in {project.file}')
+    image = images.pinned(project.root, container.image)
+    images.verify(project.root, image)
+    return engine, image
+
+
+def _outdated(root: Path, image: Image | None) -> Iterator[str]:
+    if image and images.outdated(root, StorePaths(ProjectPaths(root).store), image):
+        yield f"{image.name} has changed since its image was built: sierra image build {image.name}, then pin it"
+
+
+def _source(project: LoadedProject, own: Sequence[str]) -> source.Source:
+    wanted, store = project.config.source, StorePaths(ProjectPaths(project.root).store)
+    return source.capture(
+        project.root,
+        paths=wanted.paths,
+        without=own,
+        dirty=wanted.dirty,
+        large=wanted.large,
+        memory=store.files if store.format.is_file() else None,
+    )
+
+
+def _committed(root: Path, recipe: Recipe, code: source.Source, used: Programs) -> Checkout:
+    """The code of the commit, which executes instead of the files that are there."""
+    known = tuple((program.name, program.kind) for program in used.all)
+    return Checkout(root, recipe, code.manifest, known, lambda blob: None)
+
+
+def out_of_reach(plan: Plan, logs: Sequence[str] | None) -> Iterator[str]:
+    """Yield what to write where a template names files by relative paths, which lead nowhere from a run's folder.
+
+    `logs` are of runs that failed: only files that they mention are meant. Without, all are.
+    """
+    config, root = plan.project.config, plan.project.root
+    template = root / config.template
+    words = named.beside(template, _written(config), root)
+    made = set(plan.batch.runs[0].names)
+    meant = [word for word in words if word not in made and (logs is None or any(Path(word).name in log for log in logs))]
+    if meant:
+        first = os.path.normpath(os.path.relpath(template.parent / meant[0], root))
+        lies = "it lies" if len(meant) == 1 else "they lie"
+        yield (
+            f"the template names {few([repr(word) for word in meant], 3)} by a relative path: "
+            f"{lies} in the project, and runs execute elsewhere; {_reached(plan, first)}"
+        )
+
+
+def _reached(plan: Plan, path: str) -> str:
+    """Return how a template can name a file of the project, today."""
+    if plan.image is not None:
+        return f"write its path in the container, {PROJECT}/{path}"
+    link = path.split("/")[0]
+    linked = f"""command = "sh -c 'ln -s {{project}}/{link} {{run}}/ && exec …'", which links it beside the input"""
+    absolute = "write its absolute path (all ids are then those of this machine)"
+    return absolute if link == os.pardir else f"write {linked}, or {absolute.removeprefix('write ')}"
+
+
+def versioned(plan: Plan) -> Plan:
+    """The plan, with what its programs say of themselves: for that, they are executed."""
+    variables = commands.declared(plan.batch.recipe.environment, plan.project.root)
+    return replace(plan, programs=versions.asked(plan.programs, plan.project.config.programs, variables, plan.project.root))
+
+
+def context(plan: Plan, session: str = "", number: int | None = None) -> Context:
+    """What recording needs to know of a session that executes this."""
+    return Context(
+        session=session,
+        batch=plan.batch.id,
+        purpose="run",
+        environment=plan.environment["environment"],
+        programs=plan.programs.id,
+        outputs=plan.outputs,
+        success=plan.success,
+        number=number,
+        raw=plan.project.config.store.raw,
+    )
+
+
+def _drawn(root: Path) -> list[str]:
+    """The folders that figures were drawn to; what else is in `figures` is the project's."""
+    return [f"{FIGURES}/{memory.parent.name}" for memory in ProjectPaths(root).figures.glob(f"*/{DRAWN}")]
+
+
+def _inside(template: str) -> list[str]:
+    """The template, where it lies in the project: it is hashed by what is made from it."""
+    path = os.path.normpath(template)
+    return [] if path.startswith((os.pardir, os.sep)) else [path]
+
+
+WRITTEN = ("value", "xml", "per_run")
+"""Keys whose texts may stand in an input; those of the others are XPaths and names, and `/x` is no file there."""
+
+
+def _written(config: Project) -> Iterator[str]:
+    """Yield what the project may put into a template, whatever is asked: the texts of its changes."""
+    changes = config.model_dump(include={"variables", "changes", "run_changes", "per_run", "controllers", "scenarios"})
+    pending: list[tuple[bool, Any]] = [(False, changes)]
+    while pending:
+        match pending.pop():
+            case True, str() as text:
+                yield text
+            case stands, dict() as table:
+                pending.extend((stands or key in WRITTEN, value) for key, value in table.items())
+            case stands, list() | tuple() as items:
+                pending.extend((stands, item) for item in items)
+
+
+def _doubts(designed: Design, command: Sequence[str]) -> Iterator[str]:
+    """What is allowed, and yet hardly meant."""
+    mentioned = " ".join(command)
+    seeded = any(mentions(change, "seed") for change in designed.per_run)
+    if designed.query.runs > 1 and not seeded and "{seed}" not in mentioned:
+        yield 'the seed goes nowhere: say where with seed = "XPATH", or {seed} in the command (SIERRA_SEED has it too)'
+    for name, values in designed.lists.items():
+        if len(values) < designed.query.runs:
+            yield f"[per_run] {name} has {len(values)} items for {designed.query.runs} runs: run {len(values)} takes the first"
+    if "{input}" not in mentioned and "{run}" not in mentioned:
+        yield "the command does not name {input}: unless it finds the generated file itself, all experiments are the same"
+
+
+def _texts(designed: Design, config: Project, template: inputs.Template) -> Iterator[str]:
+    """Texts as values of a variable where the template has a number: a range that was mistyped, perhaps."""
+    for axis in designed.axes:
+        variable = config.variables.get(axis.name)
+        if variable is not None and variable.set is not None and not axis.numeric:
+            here = template.find(variable.set)
+            if here and all(re.fullmatch(r"\s*[+-]?\d+(\.\d*)?\s*", value) for value in here):
+                yield f"{axis.name} gets texts ({axis.values[0]!r}, …), and the template has {here[0].strip()} there"
+
+
+def _set_by(designed: Design) -> set[str]:
+    """The texts that a query puts into the template: what its values that are texts are set as."""
+    names = [axis.name for axis in designed.axes if not axis.numeric]
+    found = {change.value for change in designed.query.sets}
+    for cell in designed.cells if names else ():
+        for change in cell.changes:
+            if isinstance(change, Set):
+                filled = change.value
+                for name in names:
+                    filled = filled.replace(f"{{{name}}}", str(cell.values[name]))
+                found.add(filled)
+    return found
+
+
+def _same(batch: Batch) -> Iterator[str]:
+    """Experiments that are the same: values that make no difference. The first two, and how many more there are."""
+    first: dict[tuple[str, ...], Experiment] = {}
+    again = [(one, other) for other in batch.experiments if (one := first.setdefault(_key(other), other)) is not other]
+    for one, other in again[:1]:
+        more = f" (as in {len(again) - 1} other cases)" if again[1:] else ""
+        yield f"{_called(one)} and {_called(other)} are the same runs: nothing in the input differs{more}"
+
+
+def _key(experiment: Experiment) -> tuple[str, ...]:
+    return tuple(run.id for run in experiment.runs)
+
+
+def _called(experiment: Experiment) -> str:
+    return " ".join(f"{name}={value}" for name, value in experiment.values.items())
+
+
+def _check_names(project: LoadedProject) -> None:
+    """What becomes a table or a column of the store may not be called like one of the store's own, or be named in vain."""
+    for name, output in project.config.outputs.items():
+        if not check_name(name):
+            raise ConfigError(f"{project.file}: [outputs.{name}]: the store has a table {name!r} of its own; take another name")
+        if output.columns and output.header:
+            told = "columns are the names of a CSV without header; write header = false too, or leave columns out"
+            raise ConfigError(f"{project.file}: [outputs.{name}]: {told}")
+    for name in project.config.variables:
+        if name.lower() in RESERVED:
+            raise ConfigError(f"{project.file}: variable {name!r}: the store has a column of that name; take another name")
+    root = ProjectPaths(project.root)
+    if root.store.exists() and not root.store.is_dir():
+        raise Missing(f"{root.store} is a file; the store is to be a folder there")

@@ -1,0 +1,230 @@
+"""What is recorded of an asking itself: the batch and its inputs before anything executes, the session at its end."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from datetime import UTC, datetime
+from typing import Any
+
+from sierra.containers import images
+from sierra.execution import sessions
+from sierra.execution.plans import Plan, context
+from sierra.execution.sessions import Session
+from sierra.model import Batch
+from sierra.provenance import source
+from sierra.runners.cluster.submission import Submission
+from sierra.store.layout import SessionPaths
+from sierra.store.objects import Objects
+from sierra.store.order import stamp
+from sierra.store.schema import arrow_schema
+from sierra.store.segments import Writer, disk_errors
+from sierra.store.store import Question, Store
+from sierra.util.fs import read_record, write_whole
+from sierra.util.hashing import sha256
+
+AT_A_TIME = 4_096
+"""Members that are in memory as rows."""
+THERE = "SELECT blob FROM blobs SEMI JOIN objects USING (sha256)"
+"""Files of sources that the store has: both what stands for them, and their content, which a repair may have taken."""
+COUNTS = ("executed", "again", "reused", "failed", "missing", "interrupted")
+
+
+def keep(plan: Plan, store: Store, session: Session) -> None:
+    """Record what is asked, before anything executes: the batch, its runs, and their input files.
+
+    What the store has already is not recorded again, also where another asking was quicker.
+    """
+    batch, code = plan.batch, plan.source
+    if code is None:  # a recorded batch, by its id
+        return
+    writer = store.writer(session.paths.segment, batch.id)
+    with store.ask() as question:
+        known = _known_inputs(plan, question)
+        blobs = set(question.sql(THERE).column(0).to_pylist()) if code.vcs == "none" else set()
+    objects = Objects(writer.path("objects"))
+    for _, files in plan.inputs.files(batch, lambda run: run.id not in known):
+        for _, content in files:
+            objects.add(content)
+    listing = objects.add(code.manifest)
+    if code.vcs == "none":  # git keeps its own
+        files_of_source = source.contents(code, plan.project.root, blobs)
+        writer.rows("blobs", ({"blob": blob, "sha256": objects.add(content)} for blob, content in files_of_source))
+    if plan.image is not None:
+        inside = images.examine(plan.project.root, store.paths, plan.image)
+        objects.add(inside.listing)
+        writer.rows("images", [inside.row()])
+    objects.close()
+    recipe = batch.recipe
+    first = batch.experiments[0].runs[0]
+    writer.rows("batches", [{**batch_row(plan), "lamport": stamp(session.number, session.id)}])
+    writer.rows(
+        "recipes",
+        [
+            {
+                "recipe": batch.recipe_id,
+                "platform": recipe.platform,
+                "command": list(recipe.command),
+                "variables": json.dumps(dict(recipe.environment), sort_keys=True),
+                "source": recipe.source,
+                "image": recipe.image,
+                "reach": list(recipe.reach),
+                "files": [name for name, _ in first.inputs],
+            }
+        ],
+    )
+    writer.rows("sources", [code.row(listing)])
+    writer.rows("environments", [plan.environment])
+    writer.rows("programs", plan.programs.rows())
+    writer.table("experiments", _experiments(batch))
+    writer.tables("members", _members(batch))
+    with sessions.exclusively(store.paths):
+        if not is_kept(plan, store):
+            store.publish(writer)
+
+
+def close(
+    plan: Plan, store: Store, session: Session, counts: Mapping[str, Any], *, started: datetime, runner: str, slots: int | None
+) -> None:
+    """Record how an asking went, with what was around it. `slots` is None where others than this process execute."""
+    record = _row(plan, session, started, runner, slots or _allotted(session.paths))
+    writer = store.writer(session.paths.segment, plan.batch.id)
+    writer.rows("sessions", [record | {"ended": datetime.now(UTC)} | {name: counts[name] for name in COUNTS}])
+    _write_around(plan, writer, executed=bool(counts["executed"]))
+    store.publish(writer)
+
+
+def prepare(plan: Plan, store: Store, session: Session, *, started: datetime, runner: str) -> None:
+    """The same for an asking whose process may be gone when it is answered: all but how it went, which `finish` records."""
+    writer = store.writer(session.paths.segment, plan.batch.id)
+    _write_around(plan, writer, executed=True)
+    store.publish(writer)
+    record = {"runs": len({run.id for run in plan.batch.runs}), **_row(plan, session, started, runner, None)}
+    with disk_errors(session.paths.root):
+        write_whole(session.paths.asking, json.dumps(record, default=datetime.isoformat).encode())
+
+
+def finish(store: Store, session: Session, *, interrupted: bool) -> None:
+    """Record how an asking went that another process had prepared; nothing where none had."""
+    if not session.paths.asking.exists():
+        return
+    record = read_record(session.paths.asking)
+    runs, claimed = record.pop("runs"), len(sessions.claims(session.paths))
+    [went] = store.rows(WENT, s=session.id)
+    counts = {**went, "reused": runs - claimed, "missing": claimed - went["executed"], "interrupted": interrupted}
+    record |= {"started": datetime.fromisoformat(record["started"]), "ended": datetime.now(UTC)}
+    record["slots"] = _allotted(session.paths)
+    writer = store.writer(session.paths.segment, record["batch"])
+    writer.rows("sessions", [record | counts])
+    store.publish(writer)
+
+
+WENT = """
+WITH mine AS (SELECT run, bool_or(status = 'ok') AS good, min(lamport) AS began FROM executions WHERE session = $s GROUP BY run)
+SELECT count(*) AS executed, count(*) FILTER (NOT good) AS failed, count(*) FILTER (
+    EXISTS (SELECT 1 FROM executions e WHERE e.run = mine.run AND e.session <> $s AND e.lamport < mine.began)
+) AS again FROM mine
+"""
+
+
+def _allotted(session: SessionPaths) -> int | None:
+    """How many runs execute at a time of what a session has submitted, once all its elements do; None where it has nothing."""
+    try:
+        made = Submission.load(session)
+    except FileNotFoundError:
+        return None
+    return len(made.counts) * made.cluster.cpus
+
+
+def _row(plan: Plan, session: Session, started: datetime, runner: str, slots: int | None) -> dict[str, Any]:
+    """What is known of an asking before it is answered."""
+    now = context(plan)
+    return {
+        "session": session.id,
+        "batch": plan.batch.id,
+        "query": plan.text,
+        "started": started,
+        "runner": runner,
+        "engine": plan.engine.name,
+        "slots": slots,
+        "sierra": plan.environment["sierra"],
+        "environment": plan.environment["environment"],
+        "source": plan.source_id,
+        "lamport": stamp(session.number, session.id),
+        **{name: getattr(now, name) for name in ("programs", "reading", "rules")},
+    }
+
+
+def _write_around(plan: Plan, writer: Writer, *, executed: bool) -> None:
+    """Record what was around an asking."""
+    if plan.source:
+        writer.rows("sources", [plan.source.row(sha256(plan.source.manifest))])
+    if executed:
+        writer.rows("environments", [plan.environment])
+        writer.rows("programs", plan.programs.rows())
+
+
+def is_kept(plan: Plan, store: Store) -> bool:
+    """Whether the store knows what is asked."""
+    return bool(store.rows("SELECT 1 FROM batches WHERE batch = $b LIMIT 1", b=plan.batch.id))
+
+
+def _known_inputs(plan: Plan, question: Question) -> set[str]:
+    """Runs of the batch whose input files the store has: those that belong to an earlier batch."""
+    import pyarrow as pa
+
+    recipe = {"recipe": plan.batch.recipe_id}
+    question.views.make(("members",))
+    if not question.run("SELECT 1 FROM members WHERE recipe = $recipe LIMIT 1", recipe):
+        return set()
+    question.register("asked", pa.table({"run": [run.id for run in plan.batch.runs]}))
+    return {row[0] for row in question.run("SELECT DISTINCT run FROM members SEMI JOIN asked USING (run)")}
+
+
+def batch_row(plan: Plan) -> dict[str, Any]:
+    """What `batches` says of a plan."""
+    return {
+        "batch": plan.batch.id,
+        "created": datetime.now(UTC),
+        "query": plan.text,
+        "axes": (axes := [axis.name for axis in plan.batch.axes]),
+        "controller": None if "controller" in axes else plan.query.controller or plan.project.config.controller,
+        "scenario": None if "scenario" in axes else plan.query.scenario or plan.project.config.scenario,
+        "sets": [f"{change.path}={change.value}" for change in plan.query.sets],
+        "platform": plan.batch.recipe.platform,
+        "experiments": len(plan.batch.experiments),
+        "runs": len({run.id for run in plan.batch.runs}),
+        "base_seed": plan.query.base_seed,
+        "recipe": plan.batch.recipe_id,
+        "template": plan.project.config.template,
+        "template_sha256": plan.template_sha256,
+    }
+
+
+def _experiments(batch: Batch) -> Any:
+    import pyarrow as pa
+
+    columns: dict[str, Any] = {
+        "experiment": [experiment.id for experiment in batch.experiments],
+        "batch": [batch.id] * len(batch.experiments),
+        "ordinal": [experiment.ordinal for experiment in batch.experiments],
+    }
+    for axis in batch.axes:
+        values = [experiment.values[axis.name] for experiment in batch.experiments]
+        kind = pa.string() if not axis.numeric else pa.int64() if all(isinstance(v, int) for v in values) else pa.float64()
+        columns[axis.name] = pa.array(values, kind)
+    return pa.table(columns)
+
+
+def _members(batch: Batch) -> Iterator[Any]:
+    import pyarrow as pa
+
+    schema = arrow_schema("members")
+    for at in range(0, len(batch.runs), AT_A_TIME):
+        rows = (
+            (batch.id, run.experiment, run.number, run.id, run.seed, first, others, batch.recipe_id)
+            for run in batch.runs[at : at + AT_A_TIME]
+            for first, *others in ([digest for _, digest in run.inputs],)
+        )
+        columns = zip(zip(*rows, strict=True), schema, strict=True)
+        yield pa.table([pa.array(column, field.type) for column, field in columns], schema)

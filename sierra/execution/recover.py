@@ -1,0 +1,72 @@
+"""Finishing what died: a session whose process is gone, with runs still going or not yet recorded."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from dataclasses import replace
+from pathlib import Path
+
+from sierra.containers import engines
+from sierra.errors import Damaged, SierraError
+from sierra.execution import sessions
+from sierra.ingest.consistency import find_odd
+from sierra.ingest.context import Context
+from sierra.ingest.recorder import Recorder
+from sierra.model import Result, Status
+from sierra.runners import orphans
+from sierra.runners.journal import Journal
+from sierra.store.layout import RUN_OUTPUT, SessionPaths
+from sierra.store.store import Store
+from sierra.util.fs import inside
+
+
+def finish_dead(store: Store) -> int:
+    """End what dead sessions left running, and record what had finished there; how many executions that were."""
+    recovered = 0
+    with sessions.dead(store.paths) as found:
+        if found:
+            orphans.end(found)
+        for paths in found:
+            _sweep(paths)
+            recovered += recover(store, paths)
+    return recovered
+
+
+def _sweep(paths: SessionPaths) -> None:
+    """Remove the containers that a session has left."""
+    with contextlib.suppress(OSError, ValueError, KeyError, TypeError, SierraError):  # it died before anything was started
+        context = Context.load(paths.context)
+        engines.find(context.engine).sweep([paths.root.name])
+
+
+def recover(store: Store, paths: SessionPaths) -> int:
+    """Record what a session's journal says has finished, and the store does not have yet."""
+    events = [event for event in Journal(paths.journal).read() if isinstance(event, Result)]
+    results = [result for result in (_own(paths, event) for event in events) if result is not None]
+    if not results:
+        return 0
+    context = Context.load(paths.context)
+    rows = store.rows("SELECT execution FROM executions WHERE session = $s", s=context.session)
+    recorded = {row["execution"] for row in rows}
+    recorder = Recorder(store, paths, context)
+    missing = [result for result in results if result.execution not in recorded]
+    added = [recorder.add(result) for result in missing]
+    recorder.flush()
+    find_odd(store, paths, context)
+    return sum(status is not Status.INTERRUPTED for status in added)
+
+
+def _own(paths: SessionPaths, result: Result) -> Result | None:
+    """Return a result with its folder as it is in this session, wherever the journal says; None where that has not its files.
+
+    The journal may be a stranger's, or the project may have been moved: no other folder is ever read or removed.
+    """
+    name = Path(result.directory).name
+    folder = paths.runs / name if name.isdigit() else paths.runs
+    try:
+        files = [inside(folder, f"{RUN_OUTPUT}/{file.path}") for file in result.outputs]
+        inside(paths.runs, f"{name}/{RUN_OUTPUT}")
+    except Damaged:
+        return None
+    return replace(result, directory=str(folder)) if all(os.path.lexists(file) for file in files) else None

@@ -1,0 +1,146 @@
+"""What the store has of each run of a plan: a good execution, or why there must be one."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+from sierra.execution.plans import Plan, context
+from sierra.ingest.rejudge import foresee
+from sierra.store.store import Question, Store
+
+FAILED, OTHER_RULES, OTHER_PROGRAMS, GOOD = range(4)
+"""What an execution is worth to an asking, the better the greater."""
+MANY = 4
+"""Times as many executions as runs, beyond which the store is asked for these runs alone; it is quick, and takes memory."""
+
+
+@dataclass(frozen=True, slots=True)
+class State:
+    """What the store has of a run: the worth of its best execution, or None without any."""
+
+    worth: int | None = None
+    reason: str | None = None
+    """Why the last one failed, where all did."""
+    failed: int = 0
+    """The place of that one in the order of executions."""
+    executions: int = 0
+    """How many executions there are, and judgements made anew."""
+    anew: bool = False
+    """Whether it would be judged anew; so `lack`. Only `foreseen` says."""
+    lack: str | None = None
+    """Why it cannot be, where the rules have changed."""
+
+    @property
+    def good(self) -> bool:
+        return self.worth == GOOD
+
+    @property
+    def why(self) -> str:
+        """Why the run is to be executed, or not."""
+        match self.worth:
+            case _ if self.anew:
+                return "[outputs] or [success] have changed: judged anew from the record, not executed"
+            case None:
+                return "new"
+            case 0:
+                return f"failed: {self.reason}"
+            case 1:
+                return "[outputs] or [success] have changed" + (f", and {self.lack}" if self.lack else "")
+            case 2:
+                return "executed with other programs"
+            case _:
+                return "reused"
+
+    def after(self, worth: int, reason: str | None, failed: int, judgements: int) -> State:
+        """Return this with one execution more, which was judged so often."""
+        count = self.executions + judgements
+        if self.worth is None or worth > self.worth or (worth == FAILED == self.worth and failed > self.failed):
+            return State(worth, reason, failed, count)
+        return State(self.worth, self.reason, self.failed, count)
+
+
+def is_answered(plan: Plan, store: Store) -> bool:
+    """Whether the last asking of all was this one, by the same programs and rules, and every run is good: nothing is to do."""
+    now = context(plan)
+    with store.ask() as question:
+        question.views.make(("sessions",))
+        question.views.make(("batches",))
+        last = question.run("SELECT arg_max(batch, lamport), arg_max(programs, lamport), arg_max(rules, lamport) FROM sessions")
+        if not question.run("SELECT 1 FROM batches WHERE batch = $b LIMIT 1", {"b": plan.batch.id}):
+            return False  # what was recorded of it is lost
+        same = last == [(plan.batch.id, now.programs, now.rules)]
+        return same and all(state.good for state in states(plan, question).values())
+
+
+def states(plan: Plan, asked: Store | Question | None) -> dict[str, State]:
+    """What the store has of each run of the batch."""
+    new = State()
+    runs = dict.fromkeys((run.id for run in plan.batch.runs), new)
+    if asked is None:
+        return runs
+    same: dict[State, State] = {}
+    with asked.ask() if isinstance(asked, Store) else contextlib.nullcontext(asked) as question:
+        question.run("SET threads = 1")  # of 100,000 runs, each thread would hold its own
+        for run, worth, reason, failed, judgements in question.each(*_statement(plan, question, list(runs))):
+            if run in runs:
+                state = runs[run].after(worth, reason, failed, judgements)
+                runs[run] = same.setdefault(state, state)
+    return runs
+
+
+def foreseen(plan: Plan, store: Store | None, found: Mapping[str, State]) -> dict[str, State]:
+    """Return these states, with what judging anew would do."""
+    bad = [run for run, state in found.items() if state.worth in (FAILED, OTHER_RULES)]
+    if store is None or not bad:
+        return dict(found)
+    now = context(plan)
+    told = dict(found)
+    for there in foresee(store, now, bad, mismatched=rules_changed(plan, store)):
+        told |= {run: replace(found[run], anew=True) for run in there.possible}
+        told |= {run: replace(found[run], lack=lack) for run, lack in there.lacking.items()}
+    return told
+
+
+def rules_changed(plan: Plan, store: Store) -> bool:
+    """Check whether the batch was last asked for by other rules, those of what may differ between siblings included."""
+    [row] = store.rows("SELECT arg_max(rules, lamport) AS rules FROM sessions WHERE batch = $b", b=plan.batch.id)
+    return row["rules"] not in (None, context(plan).rules)
+
+
+# The runs of one recipe were executed for batches of that recipe, and for no others; some of these may have been removed.
+THOSE = (
+    "FROM {judged} WHERE purpose = 'run' AND (batch IN (SELECT batch FROM batches WHERE recipe = $recipe) "
+    "OR batch NOT IN (SELECT batch FROM batches))"
+)
+EACH = f"""
+SELECT run, CASE WHEN status <> 'ok' THEN {FAILED} WHEN reading <> $reading THEN {OTHER_RULES}
+    WHEN programs <> $programs THEN {OTHER_PROGRAMS} ELSE {GOOD} END AS worth,
+    CASE WHEN worth = {FAILED} THEN reason END, CASE WHEN worth = {FAILED} THEN lamport ELSE 0 END, {{count}}
+{THOSE}
+"""
+ANEW = """(
+SELECT run, batch, purpose, programs, lamport, judgements, j.status AS status, j.reason AS reason, j.reading AS reading
+FROM (
+    SELECT execution, any_value(run) AS run, any_value(batch) AS batch, any_value(purpose) AS purpose,
+           any_value(programs) AS programs, any_value(lamport) AS lamport, count(*) AS judgements,
+           arg_max({'status': status, 'reason': reason, 'reading': reading}, (reading = $reading, place, judgement)) AS j
+    FROM judged GROUP BY execution
+))"""
+"""Executions as the rules that are asked for judge them; where these have not, as they were judged last."""
+
+
+def _statement(plan: Plan, question: Question, runs: list[str]) -> tuple[str, dict[str, str]]:
+    """The executions that may be of these runs."""
+    recipe = {"recipe": plan.batch.recipe_id}
+    question.views.make(("judged", "batches"))
+    [(count,)] = question.run(f"SELECT count(*) {THOSE.format(judged='judged')}", recipe)
+    anew = any("judgements" in segment.files for segment in question.segments)
+    statement = EACH.format(judged=ANEW, count="judgements") if anew else EACH.format(judged="judged", count="1")
+    if count > MANY * len(runs):
+        import pyarrow as pa
+
+        question.register("asked", pa.table({"run": runs}))
+        statement += " AND run IN (SELECT run FROM asked)"
+    return statement, {**recipe, "programs": plan.programs.id, "reading": context(plan).reading}

@@ -1,0 +1,333 @@
+"""Who executes what now: each asking has a session, a folder whose lock is held as long as its process lives.
+
+Claims only save work, never guard truth: two processes that execute the same run (because a file system has no
+locks) record two executions of it, and neither is lost. A session whose lock nobody holds has died; whoever
+finds it ends what it left running, records what had finished, and removes it. Until then its claims hold, so
+that nobody executes again what only waits to be recorded.
+
+What was submitted to a cluster lives on without a process. Such a session (it has `submission.json`) does not die with its
+process: it is unattended then, until somebody takes it over, and whoever asks for its runs does.
+
+Where a file system has no locks, claims are not heeded, but for those on a cluster, and a session has died once its owner's
+process is gone, as far as its own host can tell: `owner.0` names the process that made it, `owner.1` the one that finishes it
+because that has died, and so on. Each is created by one process alone. An owner of what is on a cluster may be on another
+host: it touches its file now and then, and has died when it has not for a while.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import fcntl
+import json
+import os
+import secrets
+import socket
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from sierra.errors import Missing
+from sierra.store import marks, session_numbers
+from sierra.store.layout import SessionPaths, StorePaths
+from sierra.store.segments import disk_errors
+from sierra.worker import worker
+
+BEAT_S, SILENT_S = 20.0, 120.0
+"""Between two signs of life of an owner on a file system without locks, and after how long without one it has died."""
+
+
+class Session:
+    """One asking, alive."""
+
+    def __init__(self, store: StorePaths, elsewhere: Path | None = None) -> None:
+        """Begin a session; its runs execute in a folder below `elsewhere`, if that is given. Raises Missing."""
+        self.id = secrets.token_hex(8)
+        self.paths: SessionPaths = store.session(self.id)
+        self.store = store
+        self.number: int | None = None
+        """Its Lamport number, once it has taken one."""
+        self.recorded = True
+        """Whether all that has finished here is recorded; otherwise the session is left to whoever asks next."""
+        self._generation, self._beaten = 0, time.monotonic()
+        with exclusively(store), disk_errors(self.paths.root):
+            self.paths.root.mkdir(parents=True)
+            _own(self.paths, 0)
+            self._lock = _locked(self.paths.lock)
+        _sign(self._lock)
+        if elsewhere is not None:
+            self._execute_below(elsewhere)
+
+    @classmethod
+    def adopted(cls, store: StorePaths, paths: SessionPaths) -> Session | None:
+        """A session that was submitted to a cluster, taken over; None where somebody else has it, or it is gone."""
+        made = cls.__new__(cls)
+        made.id, made.paths, made.store, made.recorded = paths.root.name, paths, store, True
+        made.number = _number(paths)
+        made._generation, made._beaten = 0, time.monotonic()
+        with exclusively(store):
+            if not paths.submission.exists() or not marks.is_session(paths.root):
+                return None
+            try:
+                made._lock = _locked(paths.lock, wait=False)
+            except (BlockingIOError, PermissionError):  # another user's: their jobs are nobody else's to find, or to end
+                return None
+            generation = _take_over(paths) if made._lock is None else 0
+            if generation is None:
+                return None
+            made._generation = generation
+        _sign(made._lock)
+        return made
+
+    def _execute_below(self, folder: Path) -> None:
+        try:
+            with disk_errors(folder):
+                self.paths = marks.make_elsewhere(self.store, self.paths, folder)
+        except Missing as error:
+            self.close()
+            raise Missing(f"[store] work: {error}") from error
+
+    def take_number(self) -> None:
+        """Take a Lamport number, before anything is recorded (see `sierra.store.order`)."""
+        with exclusively(self.store), disk_errors(self.paths.root):
+            living = [_number(paths) or 0 for paths in all_of(self.store)]
+            self.number = session_numbers.following(self.store, living)
+            self.paths.number.write_text(str(self.number))
+
+    def beat(self) -> None:
+        """Show that the session's owner lives, where no lock does."""
+        if self._lock is None and time.monotonic() - self._beaten > BEAT_S:
+            self._beaten = time.monotonic()
+            with contextlib.suppress(OSError):
+                os.utime(self.paths.owner(self._generation))
+
+    def leave(self) -> None:
+        """Let it go on without a process."""
+        self.recorded = False
+        if self._lock is None:
+            with contextlib.suppress(OSError):
+                self.paths.left(self._generation).touch()
+
+    def claim(self, runs: set[str]) -> set[str]:
+        """Claim those of `runs` that no other session has claimed; the ones that were free (the same set, where all are)."""
+        with exclusively(self.store) as alone:
+            claimed = _claimed(self.store, self.id, submitted=not alone)
+            free = runs - claimed if claimed else runs
+            with disk_errors(self.paths.root), self.paths.claims.open("w") as file:
+                json.dump(sorted(free), file)
+        return free
+
+    def close(self) -> None:
+        """Give all claims back, and remove what is recorded."""
+        if self.recorded:
+            _remove(self.store, self.paths)
+        if self._lock is not None:
+            os.close(self._lock)
+            self._lock = None
+
+
+def others(store: StorePaths, own: str) -> set[str]:
+    """The runs that other sessions have claimed. Those of one that has died are its own until it is finished."""
+    with exclusively(store) as alone:
+        return _claimed(store, own, submitted=not alone)
+
+
+@contextlib.contextmanager
+def dead(store: StorePaths) -> Iterator[list[SessionPaths]]:
+    """The sessions that have died, and that nobody else finishes now; they are removed at the end."""
+    held: list[int] = []
+    found: list[SessionPaths] = []
+    with exclusively(store):
+        for paths in all_of(store):
+            if paths.submission.exists():
+                continue
+            try:
+                lock = _locked(paths.lock, wait=False)
+            except BlockingIOError:
+                continue
+            if lock is not None:
+                held.append(lock)
+            if lock is not None or _take_over(paths) is not None:
+                found.append(paths)
+    try:
+        yield found
+        for paths in found:
+            _remove(store, paths)
+    finally:
+        for lock in held:
+            os.close(lock)
+
+
+def alive(store: StorePaths) -> list[SessionPaths]:
+    """The sessions whose lock is held, or that are on a cluster. To be called within `exclusively`, where it says that there
+    are locks.
+    """
+    found = []
+    for paths in all_of(store):
+        if paths.submission.exists():
+            found.append(paths)
+            continue
+        try:
+            lock = _locked(paths.lock, wait=False)
+        except BlockingIOError:
+            found.append(paths)
+        else:
+            if lock is not None:
+                os.close(lock)
+    return found
+
+
+@contextlib.contextmanager
+def exclusively(store: StorePaths) -> Iterator[bool]:
+    """Alone among this store's sessions, for the moment that a claim takes; False where the file system has no locks."""
+    with disk_errors(store.work):
+        marks.mark_work(store)
+        lock = _locked(store.work_lock)
+    try:
+        yield lock is not None
+    finally:
+        if lock is not None:
+            os.close(lock)
+
+
+def all_of(store: StorePaths) -> list[SessionPaths]:
+    """All sessions that are there, alive or not."""
+    return list(marks.sessions(store))
+
+
+def submitted(store: StorePaths) -> list[SessionPaths]:
+    """The sessions that were submitted to a cluster, attended or not."""
+    return sorted((paths for paths in all_of(store) if paths.submission.exists()), key=lambda paths: paths.root.name)
+
+
+def _number(paths: SessionPaths) -> int | None:
+    """Return the number that a session has taken; None where it has none."""
+    try:
+        return int(paths.number.read_text())
+    except (OSError, ValueError):
+        return None
+
+
+def claims(paths: SessionPaths) -> set[str]:
+    """The runs that a session has claimed."""
+    try:
+        return set(json.loads(paths.claims.read_bytes()))
+    except (OSError, ValueError, TypeError, RecursionError):
+        return set()
+
+
+def holder(paths: SessionPaths) -> str:
+    """Who has a session, in words; its lock says so, or its last owner."""
+    owners = sorted(paths.root.glob(paths.owner(0).with_suffix(".*").name), key=lambda file: int(file.suffix[1:]))
+    for file in (paths.lock, *reversed(owners)):
+        with contextlib.suppress(OSError, ValueError, LookupError, TypeError, RecursionError):
+            found = json.loads(file.read_bytes())
+            return f"process {found['pid']} on {found['where'][0]}"
+    return "another process"
+
+
+def _claimed(store: StorePaths, own: str, *, submitted: bool) -> set[str]:
+    """What other sessions have claimed; or only those that are on a cluster."""
+    claimed: set[str] = set()
+    for paths in all_of(store):
+        if paths.root.name != own and (not submitted or paths.submission.exists()):
+            claimed |= claims(paths)
+    return claimed
+
+
+def _remove(store: StorePaths, paths: SessionPaths) -> None:
+    """Remove a session's folders; its lock goes last, and at once with the folder, so that nobody finds half of it."""
+    if not marks.is_session(paths.root):
+        return
+    if paths.elsewhere is not None:
+        worker.remove(str(paths.elsewhere))
+    with contextlib.suppress(OSError):
+        paths.submission.unlink(missing_ok=True)  # first: half of what was submitted is not to be gone on with
+        for entry in paths.root.iterdir():
+            if worker.is_folder(str(entry)):
+                worker.remove(str(entry))
+            elif entry not in (paths.lock, paths.owner(0)):  # without these, nobody knows what it is
+                entry.unlink()
+    with exclusively(store):
+        worker.remove(str(paths.root))
+
+
+def _locked(path: Path, *, wait: bool = True) -> int | None:
+    """A descriptor that holds the lock; None where the file system has no locks. BlockingIOError: somebody else has it."""
+    descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o644)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+    except OSError as error:
+        os.close(descriptor)
+        if error.errno not in (errno.ENOLCK, errno.ENOTSUP, errno.EINVAL, errno.ENOSYS):
+            raise
+        return None
+    return descriptor
+
+
+def _sign(lock: int | None) -> None:
+    """Write into a lock who holds it, for people."""
+    if lock is not None:
+        with contextlib.suppress(OSError):
+            os.ftruncate(lock, 0)
+            os.pwrite(lock, json.dumps(_process(os.getpid())).encode(), 0)
+
+
+def _own(paths: SessionPaths, generation: int) -> bool:
+    """Become a session's owner of that generation; False where another process has."""
+    try:
+        with paths.owner(generation).open("x") as file:
+            json.dump(_process(os.getpid()), file)
+    except FileExistsError:
+        return False
+    return True
+
+
+def _take_over(paths: SessionPaths) -> int | None:
+    """Become the owner of a session whose last owner is gone: a process of this host, or one that left or fell silent.
+
+    The generation of it; None where it can't be taken over.
+    """
+    generation = 0
+    while paths.owner(generation + 1).exists():
+        generation += 1
+    file = paths.owner(generation)
+    try:
+        owner = json.loads(file.read_bytes())
+    except ValueError:  # it is being written, or who began to has died
+        owner = None
+    except OSError:
+        return None
+    gone = owner and owner.get("born") is not None and owner["where"] == _where() and owner != _process(owner["pid"])
+    beats = owner is None or paths.submission.exists()
+    if gone or paths.left(generation).exists() or (beats and _is_silent(file)):
+        return generation + 1 if _own(paths, generation + 1) else None
+    return None
+
+
+def _is_silent(owner: Path) -> bool:
+    """Whether a file has not been touched for long, by the clock of the file system."""
+    try:
+        with tempfile.NamedTemporaryFile(dir=owner.parent) as now:
+            return os.fstat(now.fileno()).st_mtime - owner.stat().st_mtime > SILENT_S
+    except OSError:
+        return False
+
+
+def _process(pid: int) -> dict[str, Any]:
+    """What names one process for ever; `born` is None where there is none, or where that can't be told."""
+    try:
+        boot = Path("/proc/sys/kernel/random/boot_id").read_text().strip()
+    except OSError:
+        boot = None
+    return {"pid": pid, "born": boot and worker.birth(pid), "boot": boot, "where": _where()}
+
+
+def _where() -> list[str]:
+    """Who can tell whether a process lives: this host, in this namespace of process ids (a container has its own)."""
+    try:
+        return [socket.gethostname(), str(Path("/proc/self/ns/pid").readlink())]
+    except OSError:
+        return [socket.gethostname()]

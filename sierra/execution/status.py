@@ -1,0 +1,212 @@
+"""What the project has on clusters: each session that was submitted and is not closed yet, and how it stands.
+
+`standing` records first what has finished of those that nobody follows; `seen` writes nothing. A scheduler is asked once for
+each session, and once more while all of it waits for the small task that tries nodes out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from collections.abc import Set as AbstractSet
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from functools import partial
+
+from sierra.errors import NotFound, SierraError
+from sierra.execution import sessions
+from sierra.execution.attach import attach
+from sierra.execution.follow import Ears
+from sierra.execution.sessions import Session
+from sierra.runners import schedulers
+from sierra.runners.cluster import submission
+from sierra.runners.cluster.submission import Submission
+from sierra.runners.schedulers.base import State, Task
+from sierra.store.layout import SessionPaths
+from sierra.store.store import PREFIX, Store
+from sierra.util.fs import read_record
+
+AT_ONCE = 8
+"""Questions to schedulers at a time: one that is out of reach takes its time to say so."""
+PROBED = "nodes are tried out first"
+ON_CLUSTER = "on a cluster now: followed, not executed again"
+"""What asking again does to a run that was submitted before."""
+DEAF = Ears(lambda run, status: None, lambda running, queued, waits: None)
+
+
+@dataclass(frozen=True, slots=True)
+class Standing:
+    """One submission: what was asked for, how far it has come, who follows it."""
+
+    session: str
+    batch: str
+    query: str | None
+    """As it was asked; None of a replay."""
+    runner: str
+    scheduler: str
+    """With its version."""
+    jobs: tuple[str, ...]
+    """Their ids, as far as they are known."""
+    elements: int
+    runs: int
+    since: datetime
+    done: int = 0
+    """Runs that are recorded, well or not."""
+    failed: int = 0
+    """Of these, those that failed."""
+    queued: int | None = None
+    """Elements that wait for a node, by the scheduler's word; None where it can't be reached. So `running`."""
+    running: int | None = None
+    waits: str = ""
+    """Why they wait, in the scheduler's words; empty where it does not say."""
+    stuck: str | None = None
+    """Why elements will never begin, in the scheduler's words."""
+    attended: str | None = None
+    """The process that follows it; None where none does."""
+    cancelled: bool = False
+    ended: bool = False
+    """Whether all that there is of it has been recorded now, and nothing of it lives any more."""
+
+    @property
+    def is_gone(self) -> bool:
+        """Whether the scheduler has nothing of it any more, although it has not ended."""
+        return self.queued == 0 and self.running == 0 and not (self.stuck or self.ended)
+
+
+def standing(store: Store, prefix: str | None = None, say: Callable[[str], None] = lambda text: None) -> list[Standing]:
+    """All that is on clusters, or what is of the batch (or the session) whose id begins so; the oldest first.
+
+    `say` hears what the user should know. Raises NotFound.
+    """
+    found = [row for paths in named(store, prefix) if (row := submitted(paths))]
+    rows = [_recorded(store, row, say) for row in found]
+    with ThreadPoolExecutor(AT_ONCE) as pool:
+        rows = list(pool.map(partial(_asked, store), rows))
+    rows = [_recorded(store, row, say) if row.is_gone else row for row in rows]  # what ended between the two
+    counts = counted(store, [row.session for row in rows])
+    rows = [replace(row, done=counts[row.session][0], failed=counts[row.session][1]) for row in rows]
+    return sorted(rows, key=lambda row: (row.since, row.session))
+
+
+def seen(store: Store, runs: AbstractSet[str]) -> list[Standing]:
+    """The same of all that was submitted with some of these runs, as it is now; nothing is recorded, `done` counts what is."""
+    those = (paths for paths in sessions.submitted(store.paths) if not runs.isdisjoint(sessions.claims(paths)))
+    found = [row for paths in those if (row := submitted(paths))]
+    with ThreadPoolExecutor(AT_ONCE) as pool:
+        rows = list(pool.map(partial(_asked, store), found))
+    counts = counted(store, [row.session for row in rows])
+    return [replace(row, done=counts[row.session][0], failed=counts[row.session][1]) for row in rows]
+
+
+def claimed(store: Store) -> dict[str, str]:
+    """The runs that were submitted to clusters, and the session of each; what is recorded of them counts all the same."""
+    return {run: paths.root.name for paths in sessions.submitted(store.paths) for run in sessions.claims(paths)}
+
+
+def named(store: Store, prefix: str | None) -> list[SessionPaths]:
+    """The sessions on clusters; those of the batch, or that one, whose id begins so. Raises NotFound for what is no id."""
+    found = sessions.submitted(store.paths)
+    if prefix is None:
+        return found
+    try:
+        batch = store.resolve(prefix)
+        if batch.kind != "batch":
+            raise NotFound(f"{prefix!r} is a {batch.kind}; only a batch, or a session, is on a cluster")
+    except NotFound:
+        begin = prefix.lower()
+        mine = [paths for paths in found if PREFIX.fullmatch(begin) and paths.root.name.startswith(begin)]
+        if not mine:
+            raise
+        return mine
+    return [paths for paths in found if (row := submitted(paths)) and row.batch == batch.id]
+
+
+def submitted(paths: SessionPaths) -> Standing | None:
+    """What a session's folder says of it; None where it has been closed meanwhile."""
+    try:
+        made = Submission.load(paths)
+        sent = submission.sent(paths)
+        since = sent[0].when if sent else paths.submission.stat().st_mtime
+    except FileNotFoundError:
+        return None
+    return Standing(
+        session=paths.root.name,
+        batch=made.batch,
+        query=_query(paths),
+        runner=made.runner,
+        scheduler=made.version,
+        jobs=tuple(one.job for one in sent if one.job is not None),
+        elements=len(made.counts),
+        runs=made.runs,
+        since=datetime.fromtimestamp(since, UTC),
+        cancelled=paths.cancelled.exists(),
+    )
+
+
+def counted(store: Store, those: list[str]) -> dict[str, tuple[int, int]]:
+    """How many runs each session has executed, and how many of these failed."""
+    counts = dict.fromkeys(those, (0, 0))
+    return counts | {row["session"]: (row["executed"], row["failed"]) for row in store.rows(COUNTS, s=those)}
+
+
+COUNTS = """
+WITH mine AS (
+    SELECT session, run, bool_or(status = 'ok') AS good FROM executions WHERE list_contains($s, session) GROUP BY ALL
+)
+SELECT session, count(*) AS executed, count(*) FILTER (NOT good) AS failed FROM mine GROUP BY session
+"""
+
+
+def _query(paths: SessionPaths) -> str | None:
+    try:
+        query: str = read_record(paths.asking)["query"]
+    except (FileNotFoundError, KeyError):
+        return None
+    return query
+
+
+def _recorded(store: Store, row: Standing, say: Callable[[str], None]) -> Standing:
+    """The same, once what has finished is recorded, by us or by whoever follows it; and once what is cancelled has ended."""
+    paths = store.paths.session(row.session)
+    session = Session.adopted(store.paths, paths)
+    if session is None:
+        return replace(row, attended=sessions.holder(paths)) if paths.submission.exists() else replace(row, ended=True)
+    try:
+        attached = attach(store, session, replace(DEAF, say=say), lambda: not paths.cancelled.exists(), detach=True)
+    except SierraError as error:
+        say(f"session {row.session}: {error}")
+        return replace(row, ended=not paths.submission.exists())
+    return replace(row, ended=not attached.left)
+
+
+def _asked(store: Store, row: Standing) -> Standing:
+    """The same, with the scheduler's word of its elements."""
+    if row.ended:
+        return replace(row, queued=0, running=0)
+    paths = store.paths.session(row.session)
+    try:
+        made = Submission.load(paths)
+        scheduler = schedulers.find(made.scheduler)(made.cluster)
+        tasks = scheduler.look(submission.name_of(paths))
+        if tasks is None:
+            return row
+        by = {state: [task for task in tasks if task.state is state] for state in State}
+        before = made.probed and by[State.QUEUED] and not by[State.RUNNING]
+        probing = (before and scheduler.look(submission.name_of(paths, "probe"))) or ()
+    except FileNotFoundError:
+        return replace(row, queued=0, running=0, ended=True)
+    except SierraError:
+        return row
+    queued, running = (len(submission.elements(paths, by[state])) for state in (State.QUEUED, State.RUNNING))
+    stuck = [task for task in (*tasks, *probing) if task.state is State.STUCK]
+    never = "; ".join(dict.fromkeys(scheduler.explain(task.reason or "it does not say why") for task in stuck)) or None
+    return replace(row, queued=queued, running=running, waits=_waits(tasks, probing), stuck=never)
+
+
+def _waits(tasks: tuple[Task, ...], probing: tuple[Task, ...]) -> str:
+    """Why elements wait: for the probe, as long as that lives, which may wait itself."""
+    if any(task.state is State.RUNNING for task in probing):
+        return PROBED
+    if any(task.state is State.QUEUED for task in probing):
+        return ": ".join(filter(None, (PROBED, submission.waits(probing))))
+    return submission.waits(tasks)

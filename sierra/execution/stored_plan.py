@@ -1,0 +1,245 @@
+"""What a batch was made from, recalled from the store: code, inputs, programs and rules, without the query that made them.
+
+A replay executes from it, and so does an asking for a batch by its id: what is missing of it is executed with the code of
+then, whatever the project's files are now.
+"""
+
+from __future__ import annotations
+
+import itertools
+import json
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from sierra.config.project_file import LoadedProject, Output, Success
+from sierra.containers import engines, images, isolation
+from sierra.containers.engines.base import Engine
+from sierra.containers.images import Contents, Image
+from sierra.design.expand import Files
+from sierra.errors import Damaged, Missing, NotFound, UsageError
+from sierra.execution import commands
+from sierra.execution.checkout import Checkout
+from sierra.execution.plans import Plan
+from sierra.ingest.context import rules_of
+from sierra.model import Axis, Batch, Experiment, Query, Recipe, Run
+from sierra.provenance import environment
+from sierra.provenance.change_guard import seen
+from sierra.provenance.program import NOTHING
+from sierra.query import grammar
+from sierra.store.files import INPUT_FOLDER, Taken, contents, recorded
+from sierra.store.store import Question, Store
+from sierra.util.fs import inside
+from sierra.util.hashing import short
+from sierra.version import __version__
+
+AT_A_TIME = 512
+"""Runs whose input files are in memory."""
+LAST = """
+WITH asked AS (
+    SELECT programs, reading, source, query, lamport FROM sessions WHERE batch = $b
+    UNION ALL SELECT programs, reading, NULL, NULL, place FROM judged WHERE batch = $b AND purpose = 'run'
+)
+SELECT arg_max(programs, lamport) AS programs, arg_max(reading, lamport) AS reading, arg_max(source, lamport) AS source,
+       arg_max(query, lamport) AS query
+FROM asked
+"""
+
+
+LAST_DECLARED = """
+WITH used AS (SELECT reading, lamport FROM sessions UNION ALL SELECT reading, place FROM judged WHERE purpose = 'run')
+SELECT declared FROM readings WHERE reading = (SELECT arg_max(reading, lamport) FROM used) LIMIT 1
+"""
+
+
+def last_outputs(store: Store) -> Mapping[str, Output]:
+    """Return what was last declared of outputs."""
+    rows = store.rows(LAST_DECLARED)
+    return rules_of(json.loads(rows[0]["declared"]))[0] if rows else {}
+
+
+@dataclass(frozen=True, slots=True)
+class Recalled:
+    """All that runs of one batch have in common."""
+
+    batch: str
+    recipe: Recipe
+    manifest: bytes
+    """The files of the source."""
+    commit: str | None
+    programs: Sequence[Mapping[str, Any]]
+    """The rows of `programs`."""
+    fingerprint: str
+    outputs: Mapping[str, Output]
+    success: Success
+
+    def checkout(self, project: LoadedProject, store: Store) -> Checkout:
+        """What restores the code."""
+        used = tuple((row["name"], row["kind"]) for row in self.programs)
+        container = project.config.container if self.recipe.image else None
+        mounted = isolation.data(NOTHING, container, project.root) if container else NOTHING
+        return Checkout(project.root, self.recipe, self.manifest, used, store.blob, mounted, self.commit)
+
+
+def recall(store: Store, batch: str, programs: str, reading: str) -> Recalled:
+    """What a batch was made from, when it was executed with these programs and judged by these rules."""
+    with store.ask() as question:
+        made = _one(question, "SELECT r.* FROM recipes r JOIN batches b USING (recipe) WHERE b.batch = $b", b=batch)
+        rules = _one(question, "SELECT declared FROM readings WHERE reading = $r", r=reading)
+        used = question.sql("SELECT * FROM programs WHERE programs = $p", p=programs).to_pylist()
+        code = question.sql('SELECT files, "commit" FROM sources WHERE tree = $t LIMIT 1', t=made["source"]).to_pylist()
+    outputs, success = rules_of(json.loads(rules["declared"]))
+    recipe = Recipe(
+        made["platform"],
+        tuple(made["command"]),
+        json.loads(made["variables"]),
+        made["source"],
+        made["image"],
+        tuple(made["reach"] or ()),
+    )
+    manifest, commit = (store.object(code[0]["files"]), code[0]["commit"]) if code else (b"", None)
+    return Recalled(batch, recipe, manifest, commit, used, programs, outputs, success)
+
+
+def engine(store: Store, batch: str, recipe: Recipe, name: str | None, *, hosted: bool) -> Engine:
+    """What is to contain runs of a recipe: what is asked for, or else what contained those of this batch last."""
+    if recipe.image is None:
+        if name not in (None, "none"):
+            raise UsageError(f"--engine {name}: batch {short(batch)} was executed without an image; leave it out")
+        return engines.find("none")
+    if name == "none" and not hosted:
+        raise UsageError(
+            f"batch {short(batch)} was executed in an image, and so is what is missing of it; leave out --engine none"
+        )
+    if name is None:
+        [row] = store.rows(
+            "SELECT arg_max(engine, lamport) AS engine FROM sessions WHERE batch = $b AND engine <> 'none'", b=batch
+        )
+        name = row["engine"] or "podman"
+    return engines.find(name)
+
+
+def image(project: LoadedProject, store: Store, recipe: Recipe) -> Image | None:
+    """The image of a recipe: as it is pinned now, by whatever name, or as it was recorded. Raises Missing."""
+    if recipe.image is None:
+        return None
+    found = next((one for one in images.pins(project.root).values() if one.id == recipe.image), None)
+    return found or image_contents(store, recipe.image).image
+
+
+def image_contents(store: Store, identity: str) -> Contents:
+    """What is recorded of an image. Raises Missing."""
+    rows = store.rows("SELECT * FROM images WHERE image = $i LIMIT 1", i=identity)
+    if not rows:
+        raise Missing(f"the image {identity} is neither pinned nor recorded; sierra image import brings it, then pin it")
+    return Contents.of_row(rows[0], store.object(rows[0]["files"]))
+
+
+def inputs(store: Store, runs: Iterable[Taken]) -> Iterator[tuple[Taken, Files]]:
+    """Yield the recorded input files of these runs.
+
+    Raises Damaged where one is not in the store, or has a name that leads out of the folder of its run.
+    """
+    pending = iter(runs)
+    with store.ask() as question:
+        while some := list(itertools.islice(pending, AT_A_TIME)):
+            files: dict[str, list[Any]] = {one.run: [] for one in some}
+            listed = recorded(question, some, inputs=True)
+            for name in {file.path.removeprefix(INPUT_FOLDER) for file in listed}:
+                inside(store.paths.work, name)
+            for file in listed:
+                files[file.taken.run].append(file)
+            bytes_of = {one.file.sha256: b"".join(one.pieces) for one in contents(question, listed)}
+            for one in some:
+                if not files[one.run]:
+                    raise Damaged(f"the input of run {short(one.run)} is not in the store")
+                yield one, tuple((file.path.removeprefix(INPUT_FOLDER), bytes_of[file.sha256]) for file in files[one.run])
+
+
+@dataclass(frozen=True, slots=True)
+class Inputs:
+    """The recorded input files of a batch; see `sierra.execution.plans.Inputs`."""
+
+    store: Store
+
+    def files(self, batch: Batch, wanted: Callable[[Run], bool]) -> Iterator[tuple[Run, Files]]:
+        runs = {run.id: run for run in batch.runs if wanted(run)}
+        taken = (Taken("", run.experiment, run.number, run.id, None, None, "none") for run in runs.values())
+        for one, files in inputs(self.store, taken):
+            yield runs[one.run], files
+
+
+def plan(project: LoadedProject, store: Store, prefix: str, *, contained: str | None = None) -> Plan:
+    """A recorded batch, to be executed as it was recorded. Raises NotFound, Missing."""
+    found = store.resolve(prefix)
+    if found.kind != "batch":
+        of = f": sierra run {short(found.batch)}" if found.batch else ""
+        raise NotFound(f"{prefix!r} is a {found.kind}; what is missing is executed of a whole batch{of}")
+    with store.ask() as question:
+        row = _one(question, "SELECT * FROM batches WHERE batch = $b", b=found.id)
+        last = _one(question, LAST, b=found.id)
+    if last["reading"] is None:
+        raise Missing(f"batch {short(found.id)}: no asking for it has come to an end; ask by its query: {row['query']}")
+    recalled = recall(store, found.id, last["programs"], last["reading"])
+    checkout = recalled.checkout(project, store)
+    used = checkout.programs()
+    batch = _batch(store, row, recalled.recipe)
+    text = last["query"] or row["query"]
+    return Plan(
+        project=project,
+        query=Query(
+            grammar.parse_all(text.split()),
+            len(batch.experiments[0].runs),
+            row["controller"],
+            row["scenario"],
+            (),
+            row["base_seed"],
+        ),
+        text=text,
+        batch=batch,
+        inputs=Inputs(store),
+        source=None,
+        source_id=last["source"],
+        checkout=checkout,
+        programs=used,
+        environment=environment.capture(__version__, project.config.environment.record),
+        engine=engine(store, found.id, recalled.recipe, contained, hosted=False),
+        image=image(project, store, recalled.recipe),
+        limits=commands.limits(project.config),
+        template_sha256=row["template_sha256"],
+        outputs=recalled.outputs,
+        success=recalled.success,
+        seen=seen(project.root, b"", used),
+    )
+
+
+def _batch(store: Store, row: Mapping[str, Any], recipe: Recipe) -> Batch:
+    """A batch as its records have it."""
+    with store.ask(row["batch"]) as question:
+        names = tuple(_one(question, "SELECT files FROM recipes WHERE recipe = $r", r=row["recipe"])["files"])
+        cells = question.sql("SELECT * FROM experiments WHERE batch = $b ORDER BY ordinal", b=row["batch"]).to_pylist()
+        question.views.make(("members",))
+        runs: dict[int, list[Run]] = {}
+        for ordinal, number, run, seed, first, others in question.each(MEMBERS, {"b": row["batch"]}):
+            digests = bytes.fromhex("".join((first, *(others or ()))))
+            runs.setdefault(ordinal, []).append(Run(run, ordinal, number, seed, names, digests))
+    experiments = tuple(
+        Experiment(
+            cell["experiment"], cell["ordinal"], {axis: cell[axis] for axis in row["axes"]}, tuple(runs[cell["ordinal"]])
+        )
+        for cell in cells
+    )
+    axes = tuple(Axis(name, tuple(dict.fromkeys(one.values[name] for one in experiments))) for name in row["axes"])
+    return Batch(row["batch"], axes, experiments, recipe, row["recipe"])
+
+
+MEMBERS = "SELECT ordinal, number, run, seed, input, others FROM members WHERE batch = $b ORDER BY ordinal, number"
+
+
+def _one(question: Question, statement: str, **parameters: Any) -> dict[str, Any]:
+    """The one row that a statement gives. Raises Damaged where there is none."""
+    rows: list[dict[str, Any]] = question.sql(statement, **parameters).to_pylist()
+    if not rows:
+        table = statement.split(" FROM ")[1].split()[0]
+        raise Damaged(f"the store's {table} lack {', '.join(short(str(value)) for value in parameters.values())}")
+    return rows[0]

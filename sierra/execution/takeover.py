@@ -1,0 +1,172 @@
+"""Going on with, or ending, what is on a cluster without a process: by the id of its batch, or of its session."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+from sierra.errors import Missing, NotFound, SierraError
+from sierra.execution import listing, sessions
+from sierra.execution.attach import Attached, attach
+from sierra.execution.execute import SHOWN_REASONS, Counted, Failure, Summary
+from sierra.execution.executor import Progress, Watch
+from sierra.execution.follow import Ears
+from sierra.execution.sessions import Session
+from sierra.execution.status import DEAF, Standing, counted, named, submitted
+from sierra.model import Status
+from sierra.runners import schedulers
+from sierra.runners.cluster import submission
+from sierra.runners.cluster.submission import Submission
+from sierra.store.layout import SessionPaths
+from sierra.store.store import Store
+
+PATIENCE_S = 60.0
+"""How long a process that follows may take to end what another one has cancelled."""
+POLL_S = 0.2
+
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Cancelled:
+    """What became of a session that was cancelled."""
+
+    session: str
+    batch: str
+    kept: int
+    """Runs that had been executed, and are recorded; so `failed`."""
+    failed: int
+    missing: int
+    """Runs that were not executed."""
+    ending: str | None = None
+    """The process that still ends it; None where it has ended."""
+
+
+def follow(store: Store, prefix: str, watch: Watch, say: Say, leave: Callable[[], bool]) -> Summary:
+    """Follow what nobody follows of a batch, or one session, to its end; how the batch stands then.
+
+    Raises NotFound where there is nothing on a cluster, SierraError where other processes follow all of it.
+    """
+    rows = found(store, prefix)
+    told: list[Attached] = []
+    left: list[str] = []
+    busy: list[str] = []
+    for row in rows:
+        if told and told[-1].interrupted:
+            left.append(row.session)
+            continue
+        session = Session.adopted(store.paths, store.paths.session(row.session))
+        if session is None:
+            busy.append(_busy(store, row))
+            continue
+        if row.query is None:
+            say(f"session {row.session} is of a replay that nobody awaits any more: it is recorded, and nothing is compared")
+        told.append(attach(store, session, _ears(store, row, watch, say), leave))
+        left += [row.session] if told[-1].left else []
+    if not told:
+        raise SierraError("; ".join(busy))
+    return _summary(store, rows[0].batch, told, left, busy)
+
+
+def cancel(store: Store, prefix: str, say: Say) -> list[Cancelled]:
+    """Cancel what is on a cluster of a batch, or one session; what had finished is recorded.
+
+    Raises as `follow`, and Missing where a scheduler is out of reach: whoever looks next goes on, as they are marked so.
+    """
+    rows = found(store, prefix)
+    for row in rows:
+        with contextlib.suppress(FileNotFoundError):  # it has been closed meanwhile
+            store.paths.session(row.session).cancelled.touch()
+    return [_cancel(store, row, say) for row in rows]
+
+
+def found(store: Store, prefix: str) -> list[Standing]:
+    """What is on a cluster of that name, attended or not. Raises NotFound where nothing is."""
+    rows = [row for paths in named(store, prefix) if (row := submitted(paths))]
+    if not rows:
+        raise NotFound(f"nothing of {prefix!r} is on a cluster now; sierra status shows what is, sierra ls what is recorded")
+    return rows
+
+
+def _busy(store: Store, row: Standing) -> str:
+    return f"session {row.session} is followed by {sessions.holder(store.paths.session(row.session))}"
+
+
+def _ears(store: Store, row: Standing, watch: Watch, say: Say) -> Ears:
+    """Who hears of one session: progress counts its runs."""
+    before, failed = counted(store, [row.session])[row.session]
+    done: set[str] = set()
+    bad: set[str] = set()
+
+    def took(run: str, status: Status) -> None:
+        done.add(run)
+        if status is not Status.OK:
+            bad.add(run)
+
+    def tell(running: int, queued: int, waits: str) -> None:
+        watch(Progress(row.runs, before, len(done), failed + len(bad), running, queued=queued, waits=waits))
+
+    return Ears(took, tell, say)
+
+
+def _summary(store: Store, batch: str, told: list[Attached], left: list[str], busy: list[str]) -> Summary:
+    """How a batch stands, in the words of an asking for it."""
+    shown = listing.show(store, batch)
+    counts = tuple(
+        Counted({axis: row[axis] for axis in shown["axes"]}, row["runs"], row["good"], row["failed"])
+        for row in shown["experiments"]
+    )
+    good, failed = sum(one.good for one in counts), sum(one.failed for one in counts)
+    executed = sum(one.executed for one in told)
+    return Summary(
+        batch=batch,
+        query=shown["sessions"][-1]["query"] if shown["sessions"] else shown["query"],
+        experiments=len(shown["experiments"]),
+        runs=shown["runs"],
+        executed=executed,
+        again=0,
+        reused=max(0, good - executed + sum(one.failed for one in told)),
+        failed=failed,
+        missing=max(0, shown["runs"] - good - failed),
+        interrupted=told[-1].interrupted,
+        left=tuple(left),
+        counts=counts,
+        failures=tuple(_failure(store, row) for row in shown["failures"][:SHOWN_REASONS]),
+        notes=tuple(dict.fromkeys((*busy, *(note for one in told for note in one.notes)))),
+    )
+
+
+def _failure(store: Store, row: Mapping[str, Any]) -> Failure:
+    [last] = store.rows("SELECT status, log FROM executions WHERE run = $r ORDER BY lamport DESC LIMIT 1", r=row["run"])
+    return Failure(row["runs"], last["status"], row["reason"], row["run"], row["values"], row["number"], last["log"] or None)
+
+
+def _cancel(store: Store, row: Standing, say: Say) -> Cancelled:
+    """End one session: it is taken over, or whoever follows it does."""
+    paths = store.paths.session(row.session)
+    session, ending = Session.adopted(store.paths, paths), None
+    if session is None and paths.submission.exists():
+        session, ending = _asked_to_end(store, paths)
+    if session is not None:
+        attach(store, session, replace(DEAF, say=say), lambda: False, detach=True)
+    done, failed = counted(store, [row.session])[row.session]
+    return Cancelled(row.session, row.batch, done, failed, row.runs - done, ending)
+
+
+def _asked_to_end(store: Store, paths: SessionPaths) -> tuple[Session | None, str | None]:
+    """Have whoever follows a session end it: the session, where they have left it meanwhile; or who has not ended it yet."""
+    holder = sessions.holder(paths)
+    with contextlib.suppress(FileNotFoundError, Missing):
+        made = Submission.load(paths)
+        schedulers.find(made.scheduler)(made.cluster).cancel(submission.name_of(paths))
+    until = time.monotonic() + PATIENCE_S
+    while paths.submission.exists():
+        if (session := Session.adopted(store.paths, paths)) is not None:
+            return session, None
+        if time.monotonic() > until:
+            return None, holder
+        time.sleep(POLL_S)
+    return None, None

@@ -1,0 +1,1 @@
+"""Explanations: why runs were executed, and how two recorded things differ."""

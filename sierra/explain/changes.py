@@ -1,0 +1,222 @@
+"""Why runs are new: what differs between a plan and the batch most like it that is recorded."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+from collections.abc import Iterator
+from typing import Any
+
+from sierra.containers import images
+from sierra.containers.images import Contents
+from sierra.containers.images.diff import files, packages
+from sierra.containers.isolation import other_reach
+from sierra.errors import Damaged, Missing, NotFound, SierraError
+from sierra.execution import stored_plan
+from sierra.execution.plans import Plan
+from sierra.execution.records import batch_row, is_kept
+from sierra.model import Value
+from sierra.provenance import programs, source
+from sierra.provenance.program import mentioned
+from sierra.provenance.source import narrowing
+from sierra.provenance.source.manifest import changed
+from sierra.query import grammar, ranges
+from sierra.store.store import Store
+from sierra.util.hashing import short
+from sierra.util.text import few
+
+LIKE = """
+SELECT b.*, r.command, r.variables, r.source, r.image, r.reach
+FROM batches b JOIN recipes r USING (recipe) LEFT JOIN (SELECT batch, max(lamport) AS asked FROM sessions GROUP BY batch) s
+USING (batch)
+WHERE b.axes = $axes AND b.batch <> $batch
+ORDER BY coalesce(s.asked, b.lamport) DESC LIMIT 1
+"""
+KNOWN = """
+SELECT (SELECT count(*) FROM batches WHERE batch = $batch) AS kept,
+       (SELECT arg_max(programs, lamport) FROM sessions WHERE batch = $batch) AS programs
+"""
+SHOWN = 10
+ASKED = ("query", "runs", "controller", "scenario", "base_seed")
+CHANGES = "sierra.toml makes other changes to the template (variables, changes, controllers, scenarios, seed, platforms)"
+
+
+def why_new(plan: Plan, store: Store | None) -> list[str]:
+    """What makes the runs of a plan others than those of the last batch over the same axes, a line each."""
+    if store is None:
+        return ["nothing is recorded here yet"]
+    if is_kept(plan, store):
+        return ["this batch is recorded; an asking that was ended left these runs for later"]
+    rows = store.rows(LIKE, axes=[axis.name for axis in plan.batch.axes], batch=plan.batch.id)
+    if not rows:
+        return ["no batch over these variables is recorded"]
+    before = rows[0]
+    lines = [*_made_from(plan, store, before), *_asked(plan, before)]
+    return [f"compared with batch {short(before['batch'])} ({before['query']}):", *(lines or [CHANGES])]
+
+
+def why_other(plan: Plan, store: Store, batch: str) -> list[str]:
+    """What makes the runs of a plan others than those of a recorded batch, a line each."""
+    [before] = store.rows(
+        "SELECT b.*, r.* EXCLUDE (recipe) FROM batches b JOIN recipes r USING (recipe) WHERE b.batch = $b", b=batch
+    )
+    return [*_made_from(plan, store, before), *_asked(plan, before)] or [CHANGES]
+
+
+def why_again(plan: Plan, store: Store | None) -> list[str]:
+    """Why the runs of a plan execute again although the same was asked before; empty where it was not, or where they don't."""
+    if store is None:
+        return []
+    [known] = store.rows(KNOWN, batch=plan.batch.id)
+    if known["kept"]:
+        return other_programs(plan, store) if known["programs"] not in (None, plan.programs.id) else []
+    rows = store.rows(LIKE, axes=[axis.name for axis in plan.batch.axes], batch=plan.batch.id)
+    if not rows or _asked(plan, rows[0]):
+        return []
+    return list(_made_from(plan, store, rows[0])) or [CHANGES]
+
+
+SPELLED = """
+SELECT batch, query FROM batches
+WHERE axes = $axes AND recipe = $recipe AND template_sha256 = $template_sha256 AND base_seed = $base_seed AND sets = $sets
+    AND controller IS NOT DISTINCT FROM $controller AND scenario IS NOT DISTINCT FROM $scenario
+    AND NOT EXISTS (SELECT 1 FROM batches WHERE batch = $batch)
+ORDER BY lamport DESC, batch LIMIT $most
+"""
+SHARED = "SELECT 1 FROM members WHERE batch = $batch AND list_contains($runs, run) LIMIT 1"
+LOOKED_AT = 100
+
+
+def respelled(plan: Plan, store: Store) -> Iterator[str]:
+    """Yield a line where runs are new only because a number is written otherwise than in a recorded batch: 0.0 for 0.
+
+    Both are kept as they are written, since a simulator may tell them apart (roslaunch takes 1 for an int, 1.0 for a double).
+    """
+    if not any(isinstance(value, int | float) for axis in plan.batch.axes for value in axis.values):
+        return
+    row = batch_row(plan)
+    names = ("axes", "recipe", "template_sha256", "base_seed", "sets", "controller", "scenario", "batch")
+    for before in store.rows(SPELLED, most=LOOKED_AT, **{name: row[name] for name in names}):
+        found = _spelled_otherwise(plan, before["query"])
+        if found is None:
+            continue
+        name, now, then = found
+        runs = [one.runs[0].id for one in plan.batch.experiments if one.values[name] == now]
+        if not store.rows(SHARED, batch=before["batch"], runs=runs):
+            yield (
+                f"{name}={now} is written {then} in batch {short(before['batch'])} ({before['query']}), "
+                f"so that the input has other bytes and runs are new; write {name}={then} to reuse those"
+            )
+            return
+
+
+def _spelled_otherwise(plan: Plan, before: str) -> tuple[str, Value, Value] | None:
+    """Return the name of an axis and one of its values, now and in another query, that are one number in two spellings."""
+    with contextlib.suppress(SierraError):  # densities have values only with a template
+        asked = {one.name: ranges.values(one.scale) for one in grammar.parse_all(before.split())}
+        for axis in plan.batch.axes:
+            theirs = {value: value for value in asked[axis.name]}
+            for value in axis.values:
+                if str(then := theirs.get(value, value)) != str(value):
+                    return axis.name, value, then
+    return None
+
+
+def _made_from(plan: Plan, store: Store, before: dict[str, Any]) -> Iterator[str]:
+    """What runs are made from now that they were not then."""
+    yield from _recipe(plan, before)
+    yield from _image(plan, store, before)
+    if before["source"] != plan.batch.recipe.source:
+        yield from _source(plan, store, before["source"])
+    if before["template_sha256"] != plan.template_sha256:
+        yield f"the template {plan.project.config.template} has changed"
+
+
+PROGRAMS = """
+SELECT name, kind, version, sha256 FROM programs
+WHERE programs = (
+    SELECT arg_max(programs, lamport) FROM executions JOIN members USING (run)
+    WHERE members.batch = $batch AND purpose = 'run'
+)
+"""
+
+
+def other_programs(plan: Plan, store: Store) -> list[str]:
+    """Which programs are others than those that the batch was last executed with, a line each."""
+    words = mentioned(plan.batch.recipe.command, plan.project.root)
+    return list(programs.told(store.rows(PROGRAMS, batch=plan.batch.id), plan.programs, words))
+
+
+def _recipe(plan: Plan, before: dict[str, Any]) -> list[str]:
+    recipe = plan.batch.recipe
+    lines = []
+    if before["command"] != list(recipe.command):
+        lines.append(f"the command was {' '.join(before['command'])!r} and is {' '.join(recipe.command)!r}")
+    variables = json.loads(before["variables"])
+    for name in sorted(variables.keys() | recipe.environment.keys()):
+        if variables.get(name) != recipe.environment.get(name):
+            lines.append(f"the variable {name} was {variables.get(name)!r} and is {recipe.environment.get(name)!r}")
+    if before["platform"] != recipe.platform:
+        lines.append(f"the platform was {before['platform']} and is {recipe.platform}")
+    return lines
+
+
+def _image(plan: Plan, store: Store, before: dict[str, Any]) -> Iterator[str]:
+    """Another image, what is other in it, and what runs reach beyond it."""
+    recipe = plan.batch.recipe
+    if before["image"] != recipe.image:
+        was, now = _recorded(store, before["image"]), _known(plan, store)
+        called = [one.image.name if one else "" for one in (was, now)]
+        ids = [images.short(identity) if identity else "none" for identity in (before["image"], recipe.image)]
+        told = [f"{name} ({identity})" if name else identity for name, identity in zip(called, ids, strict=True)]
+        yield f"the image was {told[0]} and is {told[1]}"
+        if was and now:
+            yield _inside(was, now, mentioned(recipe.command, plan.project.root))
+    if reach := other_reach(before["reach"] or (), recipe.reach):
+        yield f"what runs reach beyond the image has changed: {', '.join(reach)}"
+
+
+def _recorded(store: Store, identity: str | None) -> Contents | None:
+    """What is recorded of an image; None where it can't be read, which is for fsck to say."""
+    with contextlib.suppress(Missing, NotFound, Damaged):
+        return stored_plan.image_contents(store, identity) if identity else None
+    return None
+
+
+def _known(plan: Plan, store: Store) -> Contents | None:
+    """What is known of a plan's image without reading all of it."""
+    if plan.image is None:
+        return None
+    return images.contents(store.paths, plan.image) or _recorded(store, plan.image.id)
+
+
+def _inside(was: Contents, now: Contents, words: frozenset[str]) -> str:
+    """The packages that differ, else the files."""
+    changes = [
+        f"{change.text} ({manager})"
+        for manager, those in packages(was.packages, now.packages, words).items()
+        for change in those
+    ]
+    if changes:
+        return f"other packages in it: {few(changes, SHOWN)}"
+    texts = [change.text for change in files(was.listing, now.listing)]
+    return f"other files in it: {few(texts, SHOWN)}" if texts else "it has the same packages and files"
+
+
+def _source(plan: Plan, store: Store, tree: str) -> list[str]:
+    rows = store.rows("SELECT files FROM sources WHERE tree = $t LIMIT 1", t=tree)
+    if not rows or plan.source is None:
+        return ["the source has changed"]
+    paths = changed(store.object(rows[0]["files"]), plan.source.manifest)
+    advice = narrowing.advice(map(os.fsencode, paths), source.paths(plan.source.manifest))
+    return [f"the source has changed: {few(paths, SHOWN)}", *([] if advice == narrowing.ONLY_SAID else [advice])]
+
+
+def _asked(plan: Plan, before: dict[str, Any]) -> list[str]:
+    """What is asked for now that was not then."""
+    now = batch_row(plan)
+    names = [name for name in ASKED if name not in now["axes"]]
+    lines = [f"{name} was {before[name]!r} and is {now[name]!r}" for name in names if before[name] != now[name]]
+    lines += [f"--set {change} is new" for change in now["sets"] if change not in before["sets"]]
+    return lines + [f"--set {change} is gone" for change in before["sets"] if change not in now["sets"]]

@@ -1,0 +1,110 @@
+"""The code that two things were made from: files first, then the commits between, then the patch."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from sierra.errors import Damaged, NotFound
+from sierra.explain.diff.model import ARROW, Difference
+from sierra.explain.diff.operands import Side
+from sierra.provenance import patch
+from sierra.provenance.patch import Commits, File, State
+from sierra.store.store import Store
+from sierra.util.text import few
+
+SHOWN = 8
+
+
+def source(store: Store, root: Path, before: Side, after: Side) -> Iterator[Difference]:
+    """What differs in the trees that count."""
+    was, now = before.recipe["source"], after.recipe["source"]
+    if was == now:
+        return
+    if was is None or now is None:
+        yield Difference("source", "tree", f"source: {'none counted' if was is None else 'none counts now'}", was, now)
+    else:
+        yield _tree(store, root, before, after)
+
+
+def _tree(store: Store, root: Path, before: Side, after: Side) -> Difference:
+    was, now = before.recipe["source"], after.recipe["source"]
+    try:
+        old, new = (State(side.recipe["source"], store.object(side.source["files"])) for side in (before, after))
+    except (KeyError, NotFound, Damaged) as error:
+        why = "the list of its files is not in the store" if isinstance(error, KeyError | NotFound) else error
+        return Difference("source", "tree", f"source: another tree; {why}", was, now)
+    found = patch.between(old, new, root, lambda blob: _blob(store, blob))
+    commits = _commits(root, before, after)
+    files = [_file(file, known=file.path not in found.unknown) for file in found.files]
+    count = "1 file differs" if len(files) == 1 else f"{len(files)} files differ"
+    line = f"source: {count}: {few(files, SHOWN)}{_how(commits, after)}"
+    unknown = [f"{path}: its content is neither in git nor in the store" for path in found.unknown]
+    more = files if len(files) > SHOWN else ()
+    return Difference("source", "tree", line, was, now, (*more, *_logs(commits), *unknown, *found.lines))
+
+
+def _file(file: File, *, known: bool) -> str:
+    match file.what:
+        case "renamed":
+            return f"{file.was} {ARROW} {file.now}"
+        case "submodule":
+            return f"submodule {file.path} ({file.was[:10]} {ARROW} {file.now[:10]})"
+        case "mode":
+            return f"{file.path} (mode {file.was} {ARROW} {file.now})"
+        case what:
+            counts = f"+{file.added} −{file.removed}" if file.added is not None else ""
+            told = ", ".join(filter(None, ("" if what == "changed" else what, counts)))
+            return f"{file.path} ({told or ('binary' if known else 'content gone')})"
+
+
+def _blob(store: Store, blob: str) -> bytes | None:
+    try:
+        return store.blob(blob)
+    except (NotFound, Damaged):
+        return None
+
+
+def _commits(root: Path, before: Side, after: Side) -> Commits:
+    was, now = (side.source.get("commit") for side in (before, after))
+    return patch.commits(root, was, now) if was and now and was != now else Commits()
+
+
+def _how(commits: Commits, after: Side) -> str:
+    """How the later commit lies to the earlier one, and whether there is more than is committed."""
+    told = []
+    if commits.on:
+        told.append(f"{commits.on} commit{'s' * (commits.on > 1)} on")
+    if commits.back:
+        told.append(f"{commits.back} commit{'s' * (commits.back > 1)} back")
+    if commits.missing:
+        told.append(f"commit {' and '.join(commit[:10] for commit in commits.missing)} not in git here")
+    if after.source.get("dirty"):
+        told.append("with changes that are not committed")
+    return f"; {', '.join(told)}" if told else ""
+
+
+def _logs(commits: Commits) -> Iterator[str]:
+    for sign, count, log in (("+", commits.on, commits.log_on), ("-", commits.back, commits.log_back)):
+        yield from (f"{sign} {line}" for line in log)
+        if count > len(log):
+            yield f"{sign} … {count - len(log)} more commits"
+
+
+def has_commits(before: Side, after: Side) -> bool:
+    """Whether it is recorded of both which commit was checked out, and their files are the same, so that it is told."""
+    return bool(before.source and after.source) and before.recipe["source"] == after.recipe["source"]
+
+
+def commit(root: Path, before: Side, after: Side) -> Iterator[Difference]:
+    """Another commit, whose files are the same in all that counts."""
+    was, now = (side.source.get("commit") for side in (before, after))
+    if was != now:
+        commits = _commits(root, before, after)
+        names = [f"{(side.source.get('commit') or 'none')[:10]}{_branch(side)}" for side in (before, after)]
+        line = f"commit: {names[0]} {ARROW} {names[1]}, the same files{_how(commits, after)}"
+        yield Difference("commit", "commit", line, was, now, tuple(_logs(commits)))
+
+
+def _branch(side: Side) -> str:
+    return f" ({side.source['branch']})" if side.source.get("branch") else ""

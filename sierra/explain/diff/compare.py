@@ -1,0 +1,130 @@
+"""What differs between two batches, experiments, runs or executions: what is likely to matter for results first.
+
+All is told from the record: what was asked, what runs were made from, what was around their executions, and, last, what came
+out. Where something that is recorded cannot be read any more, that is noted, and the rest told.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from functools import partial
+
+from sierra.config.project_file import LoadedProject
+from sierra.errors import Damaged, NotFound, SqlError
+from sierra.explain.diff import code, environment, images, inputs, query, results
+from sierra.explain.diff.model import KINDS, Difference, Note
+from sierra.explain.diff.operands import AFTER, BEFORE, check, gather, pair
+from sierra.store.store import Found, Store
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """The answer: what was compared, and what differs."""
+
+    before: Found
+    after: Found
+    differences: tuple[Difference, ...]
+    """By rank."""
+    same: tuple[str, ...]
+    """The kinds of things that were compared, all of them, and do not differ."""
+    notes: tuple[str, ...]
+    """What could not be compared, or not all of it; and what else is to be said."""
+
+
+def compare(project: LoadedProject, store: Store, before: str, after: str, *, results_too: bool = True) -> Comparison:
+    """What differs between what two beginnings of ids name; `results_too`: also in what came out.
+
+    Raises NotFound, and UsageError for two of kinds that have nothing to compare.
+    """
+    old, new = store.resolve(before), store.resolve(after)
+    check(old, new)
+    if old == new:
+        return Comparison(old, new, (), KINDS, (f"both are the same {old.kind}",))
+    found: list[Difference] = []
+    notes: list[Note] = []
+    compared: set[str] = set()
+    for kinds, differences in _parts(project, store, old, new, notes, results_too=results_too):
+        try:
+            found += differences
+            compared |= set(kinds)
+        except (Damaged, NotFound, SqlError) as error:
+            notes.append(Note(f"{kinds[0]} cannot be compared: {error}", kinds[0]))
+    compared -= {difference.kind for difference in found} | {note.kind for note in notes if note.kind}
+    return Comparison(
+        before=old,
+        after=new,
+        differences=tuple(sorted(found, key=lambda one: one.rank)),
+        same=tuple(kind for kind in KINDS if kind in compared),
+        notes=tuple(dict.fromkeys(note.text for note in notes)),
+    )
+
+
+MADE = frozenset(("query", "platform", "command", "image", "variables", "source", "template", "inputs", "seed"))
+"""The kinds of differences that make other runs."""
+FOLLOWING = ("as asked", "the seed")
+"""Differences in inputs that others tell already."""
+
+
+def made_other(project: LoadedProject, store: Store, before: str, after: str) -> list[str]:
+    """What makes the runs of a batch others than those of another, a line each; by the batches' ids."""
+    compared = compare(project, store, before, after, results_too=False)
+    return [one.line for one in compared.differences if one.kind in MADE and one.name not in FOLLOWING]
+
+
+Part = tuple[tuple[str, ...], Iterable[Difference]]
+"""The kinds that are compared, and their differences, still to be looked for."""
+
+
+AROUND = (
+    ("environment", "environment", environment.environments),
+    ("rules", "reading", environment.rules),
+)
+"""Kinds, the columns of `executions` that say which, and what compares them."""
+NOT_EXECUTED = "{kind}: not compared, since nothing was executed"
+
+
+def _parts(
+    project: LoadedProject, store: Store, old: Found, new: Found, notes: list[Note], *, results_too: bool
+) -> Iterator[Part]:
+    with store.ask() as question:
+        question.run("SET threads = 1")
+        before, after = gather(question, old, BEFORE), gather(question, new, AFTER)
+        pairs = pair(question, before, after)
+        yield ("query",), query.query(before, after, pairs)
+        yield ("platform", "command", "variables"), query.recipe(before, after)
+        yield ("image",), images.image(question, store, before, after, project.root)
+        yield ("source",), code.source(store, project.root, before, after)
+        if code.has_commits(before, after):
+            yield ("commit",), code.commit(project.root, before, after)
+        used = ("programs", "programs", partial(environment.programs, root=project.root))
+        for kind, what, compared in (used, *AROUND):
+            if all(environment.known(question, side, what) for side in (before, after)):
+                yield (kind,), compared(question, before, after)
+            else:
+                notes.append(Note(NOT_EXECUTED.format(kind=kind), kind))
+        if any(side.recipe["image"] for side in (before, after)):
+            if all(environment.executed(question, side) for side in (before, after)):
+                yield ("isolation",), environment.isolations(question, before, after)
+            else:
+                notes.append(Note(NOT_EXECUTED.format(kind="isolation"), "isolation"))
+        if pairs:
+            yield ("seed",), query.seeds(question, before, after)
+            yield ("inputs",), inputs.inputs(question, before, after, notes)
+        else:
+            notes.append(
+                Note("no experiment is in both, so that inputs and seeds are not compared, nor their results", "results")
+            )
+        if results_too and before.is_one:
+            yield ("status", "results"), results.of_one(question, store, project, before, after, notes)
+        elif results_too:
+            yield ("status",), results.good(question, before, after)
+            yield ("results",), results.of_shared(question, store, project, notes)
+            yield ("results",), results.of_places(question)
+            others = results.others(question, pairs)
+            rows = results.rows(question) if others else 0
+    if results_too and not before.is_one and others:
+        yield ("results",), results.means(store, project, before, after, others, rows, notes)
+
+
+__all__ = ["Comparison", "Difference", "compare", "made_other"]

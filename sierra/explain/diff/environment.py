@@ -1,0 +1,189 @@
+"""What was around executions: programs, machines, and the rules by which they were judged.
+
+Where a side's runs were executed with several of them, the values of all are compared. Rows are taken as the store has them,
+with whatever columns there are.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from sierra.containers import isolation
+from sierra.explain.diff.model import ARROW, Difference, changed, shown
+from sierra.explain.diff.operands import Side
+from sierra.provenance.program import INSTALLED, by_likelihood, called, mentioned, versions
+from sierra.store.store import Question
+from sierra.util.hashing import short
+
+Rows = Sequence[Mapping[str, Any]]
+USED = "SELECT DISTINCT e.{what} AS id FROM {table} t JOIN judged e ON e.judgement = t.execution"
+
+
+def programs(question: Question, before: Side, after: Side, root: Path) -> Iterator[Difference]:
+    """Programs by name; where they lie makes no difference. What the command and its scripts in `root` name stands first."""
+    words = mentioned((*before.recipe["command"], *after.recipe["command"]), root)
+    was, now = (_used(question, side, "programs") for side in (before, after))
+    yield from other_programs(question, was, now, words)
+
+
+def other_programs(
+    question: Question, before: Sequence[str], after: Sequence[str], words: frozenset[str] = frozenset()
+) -> Iterator[Difference]:
+    """The same of sets of programs, by their ids."""
+    old, new = (_programs(_rows(question, ids, "programs")) for ids in (before, after))
+    names = dict.fromkeys((*old, *new))
+    for name in sorted(names, key=lambda name: (name[1].endswith(INSTALLED), KINDS.get(name[0], len(KINDS)))):
+        was, now = old.get(name, []), new.get(name, [])
+        if {row["sha256"] for row in was} != {row["sha256"] for row in now}:
+            line = f"{name[1]}: {_which(was)} {ARROW} {_which(now)}"
+            yield Difference("programs", name[1], line, list(was), list(now), tuple(_versions(was, now, words)))
+
+
+KINDS = {None: 0, "program": 0, "file": 1, "distributions": 2, "library": 3}
+"""The order of kinds; what a Python has installed stands after all of them."""
+
+
+def _programs(rows: Rows) -> dict[tuple[str | None, str], list[Mapping[str, Any]]]:
+    """What is used by the name that it has wherever it lies."""
+    found: dict[tuple[str | None, str], list[Mapping[str, Any]]] = {}
+    for row in rows:
+        found.setdefault((row.get("kind"), called(row["name"])), []).append(row)
+    return found
+
+
+def _which(rows: Rows) -> str:
+    return " and ".join(dict.fromkeys(map(_one, rows))) or "not there"
+
+
+def _one(row: Mapping[str, Any]) -> str:
+    version = row.get("version") or ""
+    return f"{shown(version)} ({short(row['sha256'])})" if version and "\n" not in version else short(row["sha256"])
+
+
+def _versions(was: Rows, now: Rows, words: frozenset[str]) -> Iterator[str]:
+    """Of what lists several versions, distributions say, those that differ; and where programs lie, if elsewhere."""
+    if len(was) == len(now) == 1:
+        listed = [row[0].get("version") or "" for row in (was, now)]
+        if any("\n" in text for text in listed):
+            old, new = map(versions, listed)
+            for name in by_likelihood(old.keys() | new.keys(), words):
+                if old.get(name) != new.get(name):
+                    yield f"{name} {old.get(name) or 'not there'} {ARROW} {new.get(name) or 'not there'}"
+        if was[0]["path"] != now[0]["path"]:
+            yield f"{was[0]['path']} {ARROW} {now[0]['path']}"
+
+
+def environments(question: Question, before: Side, after: Side) -> Iterator[Difference]:
+    """Facts of the machines, column by column; and the runner, unless it is not known: of an asking that was killed."""
+    old, new = (
+        _facts(_rows(question, _used(question, side, "environment"), "environment"), _runners(question, side))
+        for side in (before, after)
+    )
+    for name in (name for name in old if name in new):
+        yield from changed("environment", name, old[name], new[name])
+
+
+def _facts(environments: Rows, runners: Rows) -> dict[str, Any]:
+    """The value of each column; a list of them where there are several."""
+    found: dict[str, Any] = {}
+    for rows in (environments, runners):
+        for name in (name for name in (rows[0] if rows else {}) if name != "environment"):
+            values = list(dict.fromkeys(_hashable(row[name]) for row in rows))
+            found[name] = values[0] if len(values) == 1 else sorted(values, key=str)
+    return found
+
+
+def _hashable(value: Any) -> Any:
+    return "\n".join(map(str, value)) if isinstance(value, list) else value
+
+
+def _runners(question: Question, side: Side) -> Rows:
+    statement = (
+        f"WITH used AS (SELECT DISTINCT e.session FROM {side.table} t JOIN judged e ON e.judgement = t.execution) "  # noqa: S608
+        "SELECT DISTINCT s.runner FROM sessions s JOIN used USING (session) UNION "
+        "SELECT DISTINCT r.runner FROM replays r JOIN used ON used.session = r.replay"
+    )
+    rows: list[dict[str, Any]] = question.sql(statement).to_pylist()
+    return rows
+
+
+ISOLATION = {
+    "engine": "engine",
+    "version": "engine's version",
+    "mode": "one container for each",
+    "rootless": "engine without root",
+    "user": "user outside of the container",
+    "network": "network of the container",
+    "limits_enforced": "limits enforced",
+    "limits_watched": "limits that SIERRA watched over",
+    "limits_ignored": "limits ignored",
+}
+"""What is compared of how executions were contained, and what it is called. Devices and mounts belong to what runs reach."""
+NOT_CONTAINED = "none, on the host itself"
+
+
+def isolations(question: Question, before: Side, after: Side) -> Iterator[Difference]:
+    """How executions were contained. An execution in no container is one of the engine `none`."""
+    old, new = (
+        _facts([_isolation(row) for row in _rows(question, _used(question, side, "isolation"), "isolation")], ())
+        for side in (before, after)
+    )
+    if bool(old) != bool(new):
+        was, now = (facts.get("version", NOT_CONTAINED) for facts in (old, new))
+        yield from changed("isolation", "engine", was, now, called="contained by")
+        return
+    for name, words in ISOLATION.items():
+        yield from changed("isolation", name, old.get(name), new.get(name), called=words)
+
+
+def _isolation(row: Mapping[str, Any]) -> dict[str, Any]:
+    facts = {**row, **{name: json.dumps(limits) for name, limits in isolation.limits(row).items()}}
+    return {name: facts[name] for name in ISOLATION}
+
+
+def executed(question: Question, side: Side) -> bool:
+    """Whether any of a side's runs was executed."""
+    return bool(question.run(f"SELECT 1 FROM {side.table} WHERE execution IS NOT NULL LIMIT 1"))  # noqa: S608 - our own names
+
+
+def rules(question: Question, before: Side, after: Side) -> Iterator[Difference]:
+    """What the project declared of outputs and success."""
+    yield from other_rules(question, *(_used(question, side, "reading") for side in (before, after)))
+
+
+def other_rules(question: Question, before: Sequence[str], after: Sequence[str]) -> Iterator[Difference]:
+    """The same of rules, by their ids."""
+    if set(before) == set(after):
+        return
+    declared = [_declared(question, ids) for ids in (before, after)]
+    if all(len(texts) == 1 for texts in declared):
+        yield from changed("rules", "declared", declared[0][0], declared[1][0], called="[outputs] and [success]")
+    else:
+        yield Difference("rules", "declared", "[outputs] and [success]: others than before", before, after)
+
+
+def _declared(question: Question, ids: Sequence[str]) -> list[str]:
+    rows = question.sql("SELECT declared FROM readings WHERE list_contains($i, reading)", i=list(ids)).to_pylist()
+    return [row["declared"] for row in rows]
+
+
+def known(question: Question, side: Side, what: str) -> bool:
+    """Whether it is recorded which of `what` a side's runs were executed with, or would have been."""
+    return bool(_used(question, side, what))
+
+
+def _used(question: Question, side: Side, what: str) -> list[str]:
+    """The ids of what a side's executions were executed with; of a batch without any, what the last asking would have used."""
+    found = [row[0] for row in question.run(USED.format(what=what, table=side.table)) if row[0]]
+    known = None if side.is_one else side.session.get(what)
+    return found or ([known] if known else [])
+
+
+def _rows(question: Question, ids: Sequence[str], what: str) -> list[dict[str, Any]]:
+    table = {"environment": "environments", "isolation": "isolations"}.get(what, what)
+    statement = f"SELECT * FROM {table} WHERE list_contains($i, {what})"  # noqa: S608 - our own names
+    rows: list[dict[str, Any]] = question.sql(statement, i=list(ids)).to_pylist()
+    return rows

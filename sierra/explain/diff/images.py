@@ -1,0 +1,75 @@
+"""Container images by what is in them, and what runs reach beyond them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from sierra.containers import images
+from sierra.containers.images.diff import Change, files, packages
+from sierra.containers.isolation import other_reach
+from sierra.errors import Damaged, NotFound
+from sierra.explain.diff.model import ARROW, Difference, changed
+from sierra.explain.diff.operands import Side
+from sierra.provenance.program import mentioned
+from sierra.store.store import Question, Store
+from sierra.util.text import few
+
+SHOWN = 8
+DETAILS = 1000
+"""Packages or files of which is told what became of them."""
+
+
+def image(question: Question, store: Store, before: Side, after: Side, root: Path) -> Iterator[Difference]:
+    """The image: which, its packages, its variables, its files; and what runs reach beyond it."""
+    was, now = (side.recipe["image"] for side in (before, after))
+    if was != now:
+        old, new = (_row(question, identity) for identity in (was, now))
+        yield Difference("image", "image", f"image: {_called(was, old)} {ARROW} {_called(now, new)}", was, now)
+        if old and new:
+            yield from _inside(store, old, new, mentioned(after.recipe["command"], root))
+    before_reach, reach = (side.recipe["reach"] or [] for side in (before, after))
+    if told := other_reach(before_reach, reach):
+        yield Difference("image", "reach", f"what runs reach beyond the image: {', '.join(told)}", before_reach, reach)
+
+
+def _row(question: Question, identity: str | None) -> Mapping[str, Any] | None:
+    rows: list[dict[str, Any]] = question.sql("SELECT * FROM images WHERE image = $i", i=identity).to_pylist()
+    return rows[0] if rows else None
+
+
+def _called(identity: str | None, row: Mapping[str, Any] | None) -> str:
+    if identity is None:
+        return "none"
+    return f"{row['name']} ({images.short(identity)})" if row else f"{images.short(identity)}, of which nothing is recorded"
+
+
+def _inside(store: Store, old: Mapping[str, Any], new: Mapping[str, Any], words: frozenset[str]) -> Iterator[Difference]:
+    """What is in two images, what is likely to matter first."""
+    yield from changed("image", "architecture", old["architecture"], new["architecture"])
+    was, now = (json.loads(row["packages"]) for row in (old, new))
+    for manager, changes in packages(was, now, words).items():
+        yield _told(manager, f"{manager} packages of the image", changes)
+    yield from changed("image", "variables", old["variables"], new["variables"], called="variables of the image")
+    yield _files(store, old, new)
+
+
+def _files(store: Store, old: Mapping[str, Any], new: Mapping[str, Any]) -> Difference:
+    called = "files of the image"
+    try:
+        changes = files(*(store.object(row["files"]) for row in (old, new)))
+    except (NotFound, Damaged):
+        return Difference("image", "files", f"{called}: the list of them is not in the store", old["files"], new["files"])
+    if not changes:
+        return Difference("image", "files", f"{called}: all the same", old["files"], new["files"])
+    return _told("files", called, changes)
+
+
+def _told(name: str, called: str, changes: Sequence[Change]) -> Difference:
+    texts = [change.text for change in changes]
+    count = "1 differs" if len(changes) == 1 else f"{len(changes)} differ"
+    details = (*texts[:DETAILS], *([f"and {len(texts) - DETAILS} more"] if len(texts) > DETAILS else []))
+    was, now = ({one.name: getattr(one, side) for one in changes[:DETAILS]} for side in ("was", "now"))
+    return Difference("image", name, f"{called}: {count}: {few(texts, SHOWN)}", was, now, details if len(texts) > SHOWN else ())

@@ -1,0 +1,206 @@
+"""The two things that are compared, each with all that the store has of it as a whole; runs stand in a temporary table.
+
+A run stands for its execution that counts (else its last one) in the batch that was last asked for; an experiment likewise.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from sierra.errors import UsageError
+from sierra.store.files import Place, Taken, where
+from sierra.store.store import Found, Question
+from sierra.store.views import COUNTS, LATEST, ORDER
+from sierra.util.hashing import short
+
+BEFORE, AFTER = "before", "after"
+ONE = ("run", "execution")
+"""What is one run."""
+
+
+@dataclass(frozen=True, slots=True)
+class Side:
+    """One of the two."""
+
+    found: Found
+    table: str
+    """Its runs: `ordinal`, `number`, `run`, `seed`, `input`; `own`, `result` and `status` of the execution that a run stands
+    for, `execution`, the judgement of it that is meant, and whether that `counts`. `input` and `result` are 128 bits that stand
+    for the digests, for memory's sake."""
+    runs: int
+    batch: Mapping[str, Any]
+    recipe: Mapping[str, Any]
+    session: Mapping[str, Any]
+    """The asking that it is seen from: of a batch or an experiment the last one; empty where that is not recorded."""
+    source: Mapping[str, Any]
+    """The state of the code, as far as that asking, or else any, says it; empty where no source counts."""
+    experiments: Mapping[int, str]
+    """The ids of the experiments, by their places in the batch."""
+    cells: Mapping[int, Mapping[str, Any]]
+    """The values of each experiment, by its place in the batch; a controller or scenario of the whole batch among them."""
+
+    @property
+    def is_one(self) -> bool:
+        return self.found.kind in ONE
+
+    @property
+    def called(self) -> str:
+        return f"{self.found.kind} {short(self.found.id)}"
+
+
+def check(before: Found, after: Found) -> None:
+    """Raises UsageError where two things are of kinds that have nothing to compare."""
+    if before.kind != after.kind and not (before.kind in ONE and after.kind in ONE):
+        raise UsageError(
+            f"{short(before.id)} is a {before.kind} and {short(after.id)} a {after.kind}; compare two of one kind, "
+            "or a run with an execution"
+        )
+
+
+RUNS = """
+CREATE TEMP TABLE {table} AS
+{latest},
+m AS (
+    SELECT ordinal, number, any_value(run) AS run, any_value(seed) AS seed,
+           md5_number(concat_ws(' ', any_value(input), array_to_string(any_value(others), ' '))) AS input
+    FROM members m WHERE batch = $b {only} GROUP BY ordinal, number
+),
+e AS (
+    SELECT e.run, e.judgement AS execution, e.execution AS own, md5_number(e.result) AS result, e.status, {order} AS place,
+           {counts} AS counts
+    FROM judged e LEFT JOIN latest l ON l.batch = $b WHERE {which}
+),
+one AS (
+    SELECT ordinal, number, any_value(m.run) AS run, any_value(seed) AS seed, any_value(input) AS input,
+           arg_max({{'execution': execution, 'own': own, 'result': result, 'status': status, 'counts': counts}},
+                   ({best}place)) AS e
+    FROM m LEFT JOIN e ON e.run = m.run GROUP BY ordinal, number
+)
+SELECT ordinal, number, run, seed, input, e.execution AS execution, e.own AS own, e.result AS result, e.status AS status,
+       coalesce(e.counts, false) AS counts
+FROM one
+"""
+
+
+def make_runs(question: Question, place: Place, table: str, *, good_first: bool = False, only: str = "") -> None:
+    """Make a table of the runs of one side; `good_first`: the last good one before the last one, where none counts."""
+    named = {} if place.execution is None else {"named": place.execution}
+    statement = RUNS.format(
+        table=table,
+        latest=LATEST,
+        only=place.only + only,
+        order=ORDER,
+        counts=f"coalesce({COUNTS}, false)",
+        which="e.execution = $named" if named else "e.purpose = 'run'",
+        best="counts, status = 'ok', " if good_first else "counts, ",
+    )
+    question.run(statement, {**place.parameters, **named})
+
+
+def gather(question: Question, found: Found, table: str) -> Side:
+    """All that the store has of one of the two."""
+    place = where(question, found)
+    batch_id = place.batch
+    question.views.make(("recipes", "sources", "replays"))
+    make_runs(question, place, table)
+    [batch] = _rows(question, "SELECT * FROM batches WHERE batch = $b", b=batch_id)
+    [recipe] = _rows(question, "SELECT * FROM recipes WHERE recipe = $r", r=batch["recipe"])
+    recipe["variables"] = json.loads(recipe["variables"])
+    experiments = _experiments(question, batch_id, table)
+    session = _session(question, found, batch_id)
+    return Side(
+        found=found,
+        table=table,
+        runs=question.run(f"SELECT count(*) FROM {table}")[0][0],  # noqa: S608
+        batch=batch,
+        recipe=recipe,
+        session=session,
+        source=_source(question, recipe["source"], session.get("source")),
+        experiments={row["ordinal"]: row["experiment"] for row in experiments},
+        cells=_cells(batch, experiments),
+    )
+
+
+def _rows(question: Question, text: str, **parameters: Any) -> list[dict[str, Any]]:
+    rows: list[dict[str, Any]] = question.sql(text, **parameters).to_pylist()
+    return rows
+
+
+def _session(question: Question, found: Found, batch: str) -> dict[str, Any]:
+    if found.kind == "execution":
+        of = "session = (SELECT session FROM executions WHERE execution = $i)"
+        identity = found.id
+    else:
+        of, identity = "batch = $i", batch
+    rows = _rows(question, f"SELECT * FROM sessions WHERE {of} ORDER BY lamport DESC LIMIT 1", i=identity)  # noqa: S608
+    return rows[0] if rows else {}
+
+
+def _source(question: Question, tree: str | None, known: str | None) -> dict[str, Any]:
+    rows = _rows(
+        question, "SELECT * FROM sources WHERE tree = $t ORDER BY source <> $s NULLS LAST LIMIT 1", t=tree, s=known or ""
+    )
+    return rows[0] if rows else {}
+
+
+def _experiments(question: Question, batch: str, table: str) -> list[dict[str, Any]]:
+    places = {row["ordinal"] for row in _rows(question, f"SELECT ordinal FROM {table}")}  # noqa: S608 - our own names
+    return [row for place, row in question.cells(batch).items() if place in places]
+
+
+def _cells(batch: Mapping[str, Any], experiments: Sequence[Mapping[str, Any]]) -> dict[int, dict[str, Any]]:
+    whole = {name: batch[name] for name in ("controller", "scenario") if batch[name] is not None}
+    return {row["ordinal"]: {**whole, **{name: row[name] for name in batch["axes"]}} for row in experiments}
+
+
+BOTH = """
+CREATE TEMP VIEW both_sides AS
+SELECT b.ordinal, b.number, a.ordinal AS now_ordinal, a.number AS now_number, b.run AS was, a.run AS now,
+       b.execution AS was_executed, a.execution AS now_executed, b.seed AS was_seed, a.seed AS now_seed,
+       b.input IS DISTINCT FROM a.input AS other_input,
+       b.result IS DISTINCT FROM a.result AS other_result
+FROM {before} b JOIN pairs p ON p.was = b.ordinal JOIN {after} a ON a.ordinal = p.now {same}
+"""
+
+
+def pair(question: Question, before: Side, after: Side) -> list[tuple[int, int]]:
+    """The experiments that both have, by their places, and their runs as the temporary view `both_sides`.
+
+    What is one experiment is paired with whatever it is compared with. An axis that only one batch has, with one value, and a
+    controller or a scenario that is no axis of either, keep no experiments apart.
+    """
+    import pyarrow as pa
+
+    if before.found.kind != "batch":
+        pairs = [(next(iter(before.cells)), next(iter(after.cells)))]
+    else:
+        names = list(_telling(before, after))
+        places = {tuple(cell.get(name) for name in names): ordinal for ordinal, cell in after.cells.items()}
+        keys = {ordinal: tuple(cell.get(name) for name in names) for ordinal, cell in before.cells.items()}
+        pairs = [(ordinal, places[key]) for ordinal, key in keys.items() if key in places]
+    columns = {name: pa.array([pair[at] for pair in pairs], pa.int64()) for at, name in enumerate(("was", "now"))}
+    question.register("pairs", pa.table(columns))
+    same = "" if before.is_one else "AND a.number = b.number"
+    question.run(BOTH.format(before=before.table, after=after.table, same=same))
+    return pairs
+
+
+def _telling(before: Side, after: Side) -> Iterator[str]:
+    """The axes by which experiments are told apart."""
+    for name in dict.fromkeys((*before.batch["axes"], *after.batch["axes"])):
+        values = [{cell.get(name) for cell in side.cells.values()} for side in (before, after)]
+        if {None} not in values or any(len(several) > 1 for several in values):
+            yield name
+
+
+def takens(question: Question, side: Side, places: Sequence[tuple[int, int]]) -> list[Taken]:
+    """Some of a side's runs, by the places of their experiments and their numbers, in that order."""
+    statement = f"SELECT run, own, status, execution FROM {side.table} WHERE ordinal = $o AND number = $n"  # noqa: S608
+    found = []
+    for ordinal, number in places:
+        [(run, execution, status, judgement)] = question.run(statement, {"o": ordinal, "n": number})
+        found.append(Taken(side.experiments[ordinal], ordinal, number, run, execution, status, "asked", judgement))
+    return found

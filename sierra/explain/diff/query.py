@@ -1,0 +1,105 @@
+"""What was asked for, and what runs are made from: query, recipe, template, seeds."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from sierra.explain.diff.model import ARROW, Difference, changed, shown
+from sierra.explain.diff.operands import Side
+from sierra.store.store import Question
+from sierra.util.text import few
+
+SHOWN = 8
+
+
+def query(before: Side, after: Side, pairs: Sequence[tuple[int, int]]) -> Iterator[Difference]:
+    """Axes, values, how many runs, controller, scenario, --set."""
+    if before.found.kind == "batch":
+        yield from changed("query", "axes", before.batch["axes"], after.batch["axes"])
+        yield from _values(before, after)
+        yield from _cells(before, after, pairs)
+    else:
+        old, new = (next(iter(side.cells.values())) for side in (before, after))
+        for name in dict.fromkeys((*old, *new)):
+            if name not in ("controller", "scenario"):
+                yield from changed("query", name, old.get(name), new.get(name))
+    for name in ("controller", "scenario"):
+        yield from changed("query", name, _whole(before, name), _whole(after, name))
+    if not before.is_one:
+        yield from changed("query", "runs", _runs(before), _runs(after), called="runs per experiment")
+    old_sets, new_sets = before.batch["sets"], after.batch["sets"]
+    for change in (*old_sets, *new_sets):
+        if (change in old_sets) != (change in new_sets):
+            what = "is gone" if change in old_sets else "is new"
+            was, now = (change if change in sets else None for sets in (old_sets, new_sets))
+            yield Difference("query", "set", f"--set {change} {what}", was, now)
+
+
+def _whole(side: Side, name: str) -> Any:
+    """A controller or a scenario, where all experiments have the same."""
+    values = {cell.get(name) for cell in side.cells.values()}
+    return values.pop() if len(values) == 1 else None
+
+
+def _runs(side: Side) -> int | float:
+    each = side.runs / max(1, len(side.cells))
+    return int(each) if each.is_integer() else each
+
+
+def _values(before: Side, after: Side) -> Iterator[Difference]:
+    """The values of the axes that both have."""
+    for axis in before.batch["axes"]:
+        if axis in after.batch["axes"]:
+            old, new = (list(dict.fromkeys(cell[axis] for cell in side.cells.values())) for side in (before, after))
+            for difference in changed("query", axis, old, new):
+                line = f"{axis}: {few([shown(v) for v in old], SHOWN)} {ARROW} {few([shown(v) for v in new], SHOWN)}"
+                yield Difference("query", axis, line, old, new, difference.details)
+
+
+def _cells(before: Side, after: Side, pairs: Sequence[tuple[int, int]]) -> Iterator[Difference]:
+    """Experiments that only one of them has."""
+    only = [
+        [_called(side, ordinal) for ordinal in side.cells if ordinal not in shared]
+        for side, shared in zip((before, after), map(set, zip(*pairs, strict=True)) if pairs else ((), ()), strict=True)
+    ]
+    if any(only) and (len(before.batch["axes"]) > 1 or before.batch["axes"] != after.batch["axes"]):
+        line = f"experiments: {len(before.cells)} {ARROW} {len(after.cells)}, {len(pairs)} of them in both"
+        details = (*(f"gone: {name}" for name in only[0]), *(f"new: {name}" for name in only[1])) if pairs else ()
+        yield Difference("query", "experiments", line, only[0], only[1], details)
+
+
+def _called(side: Side, ordinal: int) -> str:
+    return " ".join(f"{name}={shown(side.cells[ordinal][name])}" for name in side.batch["axes"])
+
+
+def recipe(before: Side, after: Side) -> Iterator[Difference]:
+    """What all runs of a side have in common, without source and image."""
+    old, new = before.recipe, after.recipe
+    yield from changed("platform", "platform", old["platform"], new["platform"])
+    yield from changed("command", "command", " ".join(old["command"]), " ".join(new["command"]))
+    for name in sorted(old["variables"].keys() | new["variables"].keys()):
+        yield from changed("variables", name, old["variables"].get(name), new["variables"].get(name))
+    if before.found.kind == "batch":
+        yield from changed("template", "template", before.batch["template"], after.batch["template"])
+        yield from _template(before, after)
+
+
+def _template(before: Side, after: Side) -> Iterator[Difference]:
+    was, now = (side.batch["template_sha256"] for side in (before, after))
+    if was != now:
+        yield Difference("template", "sha256", f"template: {after.batch['template']} has changed", was, now)
+
+
+def seeds(question: Question, before: Side, after: Side) -> Iterator[Difference]:
+    """Runs of one place that have other seeds."""
+    if not before.is_one:
+        yield from changed("seed", "base", before.batch["base_seed"], after.batch["base_seed"], called="base seed")
+    [(count, others, was, now)] = question.run(
+        "SELECT count(*), count(*) FILTER (was_seed <> now_seed), "
+        "arg_min(was_seed, (ordinal, number)) FILTER (was_seed <> now_seed), "
+        "arg_min(now_seed, (ordinal, number)) FILTER (was_seed <> now_seed) FROM both_sides"
+    )
+    if others:
+        where = "" if before.is_one else f" (in {others} of {count} runs; this is the first)"
+        yield Difference("seed", "seed", f"seed: {was} {ARROW} {now}{where}", was, now)

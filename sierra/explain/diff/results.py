@@ -1,0 +1,314 @@
+"""What came out: outputs of two executions place by place, results of runs that both have, means of runs that differ.
+
+Means are of the last value that each run wrote (the measure `final`), for each experiment that both have. The interval of
+their difference is Welch's (1947), of independent samples: degrees of freedom by Satterthwaite, rounded down. That of two rates
+is Newcombe's (1998, Statist. Med. 17: 873-890, method 10), from Wilson's intervals of both. Where runs share their seeds, as
+they do by default, both are rather too wide.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from math import hypot, isfinite, sqrt
+from typing import Any
+
+from sierra.config.project_file import LoadedProject, Output
+from sierra.deliverables import render
+from sierra.errors import SierraError
+from sierra.explain.diff.model import ARROW, Difference, Note, changed, shown
+from sierra.explain.diff.operands import Side
+from sierra.ingest.context import rules_of
+from sierra.replay import outputs
+from sierra.replay.compare import Agreement, Verdict, distance
+from sierra.stats import student_t
+from sierra.store.samples import Frame
+from sierra.store.store import Question, Store
+from sierra.util.hashing import short
+from sierra.util.text import few
+
+LOOKED_AT = 5
+"""Runs with other results than before, of which the outputs are compared."""
+COLUMNS = 4
+"""Columns whose means are compared."""
+ROWS = 2_000_000
+"""Rows of outputs beyond which no means are computed."""
+LEVEL = 0.95
+SHOWN = 8
+
+
+def of_one(
+    question: Question, store: Store, project: LoadedProject, before: Side, after: Side, notes: list[Note]
+) -> Iterator[Difference]:
+    """Two executions: how each ended, and output by output."""
+    was, now = (_execution(question, side) for side in (before, after))
+    if was is None or now is None:
+        called = (before if was is None else after).called
+        text = f"{called} was never executed, so that no results are compared"
+        notes += [Note(text, "results"), Note(text, "status")]
+        return
+    yield from changed("status", "status", _ended(was), _ended(now))
+    yield from _outputs(question, store, project, was, now, notes)
+
+
+def _execution(question: Question, side: Side) -> dict[str, Any] | None:
+    statement = f"SELECT e.* FROM judged e JOIN {side.table} t ON t.execution = e.judgement"  # noqa: S608 - our own names
+    rows: list[dict[str, Any]] = question.sql(statement).to_pylist()
+    return rows[0] if rows else None
+
+
+def good(question: Question, before: Side, after: Side) -> Iterator[Difference]:
+    """How many runs have an execution that counts."""
+    was, now = (
+        question.run(f"SELECT count(*) FILTER (counts) FROM {side.table}")[0][0]  # noqa: S608 - our own names
+        for side in (before, after)
+    )
+    if (was == before.runs) != (now == after.runs) or (before.runs == after.runs and was != now):
+        line = f"runs with an execution that counts: {was} of {before.runs} {ARROW} {now} of {after.runs}"
+        yield Difference("status", "good", line, was, now)
+
+
+def _ended(execution: Mapping[str, Any]) -> str:
+    status: str = execution["status"]
+    return status if status == "ok" else f"{status} ({execution['reason']})"
+
+
+def _outputs(
+    question: Question,
+    store: Store,
+    project: LoadedProject,
+    was: Mapping[str, Any],
+    now: Mapping[str, Any],
+    notes: list[Note],
+    run: str = "",
+) -> Iterator[Difference]:
+    """The outputs in which two executions differ; those of the same values in other bytes are only noted."""
+    try:
+        declared = _declared(question, now["reading"], project)
+        compared = outputs.compare(question, was["judgement"], now["judgement"], declared)
+    except SierraError as error:
+        notes.append(Note(f"{run}results cannot be compared: {error}", "results"))
+        return
+    if not compared:
+        notes.append(Note(f"{run}nothing was left but logs, which are not compared", "results"))
+    for path, agreement in compared.items():
+        if agreement.verdict is Verdict.EQUAL:
+            notes.append(Note(f"{run}{path}: {agreement.why}"))
+        elif agreement.verdict is not Verdict.IDENTICAL:
+            line = f"results: {run}{path}: {agreement.verdict}: {agreement.why}"
+            told = asdict(agreement)
+            yield Difference("results", str(path), line, told["recorded"], told["found"], tuple(_growth(agreement)))
+
+
+def _declared(question: Question, reading: str, project: LoadedProject) -> dict[str, Output]:
+    """What is volatile and which tolerances hold: as recorded, and as the project says now."""
+    rows = question.sql("SELECT declared FROM readings WHERE reading = $r", r=reading).to_pylist()
+    recorded = rules_of(json.loads(rows[0]["declared"]))[0] if rows else {}
+    return {**recorded, **project.config.outputs}
+
+
+def _growth(agreement: Agreement) -> Iterator[str]:
+    """How a difference grows over the rows."""
+    if agreement.growth:
+        yield ", ".join(f"{distance(far)} apart until {shown(until)}" for until, far in agreement.growth)
+
+
+SHARED = """
+WITH shared AS (
+    SELECT run, any_value(b.execution) AS was, any_value(a.execution) AS now, any_value(b.result) AS was_result,
+           any_value(a.result) AS now_result
+    FROM before b JOIN after a USING (run) GROUP BY run
+)
+SELECT count(*), count(*) FILTER (was <> now AND was_result IS DISTINCT FROM now_result), count(*) FILTER (was = now)
+FROM shared
+"""
+OTHERS = """
+SELECT DISTINCT run, b.execution AS was, a.execution AS now, b.ordinal, b.number FROM before b JOIN after a USING (run)
+WHERE b.execution <> a.execution AND b.result IS DISTINCT FROM a.result ORDER BY b.ordinal, b.number LIMIT $most
+"""
+
+
+def of_shared(question: Question, store: Store, project: LoadedProject, notes: list[Note]) -> Iterator[Difference]:
+    """Runs that both have, where other executions of them count."""
+    [(count, others, same)] = question.run(SHARED)
+    if count:
+        notes.append(Note(f"{count} runs are in both; of {same} of them the same execution counts"))
+    if not others:
+        return
+    details: list[str] = []
+    differing = 0
+    looked = question.sql(OTHERS, most=LOOKED_AT).to_pylist()
+    for row in looked:
+        was, now = (
+            question.sql("SELECT * FROM judged WHERE judgement = $e", e=row[name]).to_pylist()[0] for name in ("was", "now")
+        )
+        found = list(_outputs(question, store, project, was, now, notes, f"run {short(row['run'])}: "))
+        differing += bool(found)
+        details += [difference.line.removeprefix("results: ") for difference in found]
+    if differing or others > len(looked):
+        line = f"results: {others} of the {count} runs that both have wrote other bytes"
+        yield Difference("results", "runs", line, None, others, tuple(details))
+
+
+@dataclass(frozen=True, slots=True)
+class Mean:
+    """One column in one experiment, over the runs of a side."""
+
+    n: int
+    mean: float
+    sd: float
+    rate: tuple[float, float] | None = None
+    """Wilson's interval, where it is a rate."""
+
+
+def means(
+    store: Store,
+    project: LoadedProject,
+    before: Side,
+    after: Side,
+    chosen: Sequence[tuple[int, int]],
+    rows: int,
+    notes: list[Note],
+) -> Iterator[Difference]:
+    """The means of the experiments of these pairs, if all the rows of their outputs are not too many."""
+    if rows > ROWS:
+        text = f"means are not compared, of {rows} rows; sierra stats OUTPUT COLUMN -b HASH computes those of a batch"
+        notes.append(Note(text, "results"))
+        return
+    done, left = 0, []
+    for output, columns in _columns(store, project, before, after).items():
+        for column in columns:
+            if done == COLUMNS:
+                left.append(f"{output}.{column}")
+                continue
+            try:
+                old, new = (_means(project, store, side, output, column) for side in (before, after))
+            except SierraError as error:
+                notes.append(Note(f"the means of {output} are not compared: {error}", "results"))
+                break
+            done += 1
+            yield from _apart(before, chosen, old, new, output, column)
+    if left:
+        notes.append(Note(f"the means of {done} columns are compared; not those of {few(left, SHOWN)}", "results"))
+
+
+OTHER = "was <> now AND other_result AND was_executed IS NOT NULL AND now_executed IS NOT NULL"
+
+
+def of_places(question: Question) -> Iterator[Difference]:
+    """How many runs of one place wrote other bytes, where the runs are others."""
+    [(count, all_runs)] = question.run(f"SELECT count(*) FILTER ({OTHER}), count(*) FROM both_sides")  # noqa: S608 - our own
+    if count:
+        yield Difference("results", "bytes", f"results: {count} of {all_runs} runs wrote other bytes", None, count)
+
+
+def others(question: Question, pairs: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
+    """The experiments in which other runs wrote other bytes."""
+    rows = question.run(f"SELECT DISTINCT ordinal FROM both_sides WHERE {OTHER}")  # noqa: S608 - our own
+    found = {row[0] for row in rows}
+    return [pair for pair in pairs if pair[0] in found]
+
+
+def rows(question: Question) -> int:
+    """How many rows the outputs have, of both sides."""
+    statement = (
+        "SELECT coalesce(sum(rows), 0)::BIGINT FROM judged_artifacts WHERE kind = 'table' AND execution IN "
+        "(SELECT execution FROM before UNION ALL SELECT execution FROM after)"
+    )
+    question.views.make(("judged_artifacts",))
+    count: int = question.run(statement)[0][0]
+    return count
+
+
+def _columns(store: Store, project: LoadedProject, before: Side, after: Side) -> dict[str, list[str]]:
+    """The numeric columns that both wrote, by output, without those that are times."""
+    found = []
+    for side in (before, after):
+        with Frame(store, side.batch["batch"]) as frame:
+            found.append({table.name: table.columns for table in frame.outputs()})
+    times = {name: output.time for name, output in project.config.outputs.items()}
+    return {
+        name: [one for one in columns if one in found[1][name] and not _is_time(one, times.get(name))]
+        for name, columns in found[0].items()
+        if name in found[1]
+    }
+
+
+def _is_time(column: str, declared: str | None) -> bool:
+    return column == declared or column.lower().rstrip("_") in render.TIMES
+
+
+def _means(project: LoadedProject, store: Store, side: Side, output: str, column: str) -> dict[int, Mean]:
+    """By the experiment's place."""
+    table = render.statistics(project, store, side.batch["batch"], output, column, "final")
+    names = _names(table, "experiment", "n", "mean", "sd", "low", "high", "interval")
+    rows = zip(*(table.column(name).to_pylist() for name in names), strict=True)
+    return {
+        place: Mean(n, mean, sd or 0.0, (low, high) if interval == "Wilson" else None)
+        for place, n, mean, sd, low, high, interval in rows
+        if n and mean is not None
+    }
+
+
+def _names(table: Any, *names: str) -> list[str]:
+    """The columns of statistics, which have a `_` behind them where an axis is called so."""
+    return [f"{name}_" if f"{name}_" in table.column_names else name for name in names]
+
+
+def _apart(
+    before: Side, pairs: Sequence[tuple[int, int]], old: Mapping[int, Mean], new: Mapping[int, Mean], output: str, column: str
+) -> Iterator[Difference]:
+    both = [(was, old[was], new[now]) for was, now in pairs if was in old and now in new]
+    other = [one for one in both if one[1].mean != one[2].mean]
+    if not other:
+        return
+    lines, beyond = [], 0
+    for place, was, now in other:
+        interval = newcombe(was, now) or welch(was, now)
+        beyond += interval is not None and not interval[0] <= 0 <= interval[1]
+        lines.append(f"{_where(before, place)}: {_compared(was, now, interval)}")
+    called = f"results: mean of {column} ({output}, at the end)"
+    if len(both) == 1:
+        line = f"{called}: {lines[0].removeprefix(f'{_where(before, other[0][0])}: ')}"
+        yield Difference("results", f"{output}.{column}", line, other[0][1].mean, other[0][2].mean)
+        return
+    counts = f"other in {len(other)} of {len(both)} experiments"
+    line = f"{called}: {counts}; 0 is outside the 95 % interval of the difference in {beyond or 'none'} of them"
+    yield Difference(
+        "results", f"{output}.{column}", line, [m.mean for _, m, _ in both], [m.mean for _, _, m in both], tuple(lines)
+    )
+
+
+def _where(side: Side, place: int) -> str:
+    values = {name: value for name, value in side.cells[place].items() if name in side.batch["axes"]}
+    return " ".join(f"{name}={shown(value)}" for name, value in values.items())
+
+
+def _compared(was: Mean, now: Mean, interval: tuple[float, float] | None) -> str:
+    spread = f"95 % interval {interval[0]:+.4g} to {interval[1]:+.4g}" if interval else "no interval"
+    return f"{was.mean:.6g} {ARROW} {now.mean:.6g} ({now.mean - was.mean:+.4g}, {spread}, n = {was.n} and {now.n})"
+
+
+def newcombe(was: Mean, now: Mean) -> tuple[float, float] | None:
+    """Return the 95 % interval of the difference of two rates; None where one of them is none."""
+    if was.rate is None or now.rate is None:
+        return None
+    below = hypot(now.mean - now.rate[0], was.rate[1] - was.mean)
+    above = hypot(now.rate[1] - now.mean, was.mean - was.rate[0])
+    return now.mean - was.mean - below, now.mean - was.mean + above
+
+
+def welch(was: Mean, now: Mean) -> tuple[float, float] | None:
+    """Return the 95 % interval of the difference of two means; None where one of them is of less than two values."""
+    if min(was.n, now.n) < 2:
+        return None
+    errors = [one.sd / sqrt(one.n) for one in (was, now)]
+    error = hypot(*errors)
+    if not isfinite(error):
+        return None
+    parts = [(one / error) ** 2 if error else 0.0 for one in errors]
+    weight = sum(part**2 / (one.n - 1) for part, one in zip(parts, (was, now), strict=True))
+    freedom = 1 / weight if weight else float(was.n + now.n - 2)
+    t = student_t.quantiles((1 + LEVEL) / 2, max(1, int(freedom)))[-1]
+    return now.mean - was.mean - t * error, now.mean - was.mean + t * error

@@ -1,0 +1,76 @@
+"""Which executions count in which batch, and why no other does: the rule of the table `counting`, said in words."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from sierra.explain.diff.environment import other_programs, other_rules
+from sierra.explain.diff.operands import make_runs
+from sierra.store.files import Place
+from sierra.store.store import Question
+from sierra.store.views import LATEST
+from sierra.util.text import few
+
+SHOWN = 4
+
+
+@dataclass(frozen=True, slots=True)
+class Standing:
+    """Runs of one batch for which the same holds."""
+
+    batch: str
+    runs: int
+    counts: bool
+    why: str
+    run: str
+    """One of them."""
+    execution: str | None
+    """Of that run: the one that counts, else its last one."""
+
+
+ASKED = f"{LATEST} SELECT programs, reading FROM latest WHERE batch = $b"  # noqa: S608 - of our own parts
+STANDINGS = """
+SELECT t.counts, t.execution IS NOT NULL AS tried, coalesce(t.status = 'ok', false) AS good, e.reason, e.programs, e.reading,
+       count(*) AS runs, min(t.run) AS run, arg_min(t.own, t.run) AS execution
+FROM standing t LEFT JOIN (
+    SELECT judgement AS execution, CASE WHEN status <> 'ok' THEN coalesce(reason, status) END AS reason,
+           CASE WHEN status = 'ok' THEN programs END AS programs, CASE WHEN status = 'ok' THEN reading END AS reading
+    FROM judged WHERE judgement IN (SELECT execution FROM standing WHERE NOT counts)
+) e ON e.execution = t.execution
+GROUP BY ALL ORDER BY runs DESC, run
+"""
+
+
+def standings(question: Question, batches: list[str]) -> Iterator[Standing]:
+    """What holds for the runs in the table `wanted` in each of these batches."""
+    question.views.make(("members", "sessions", "judged", "batches"))
+    for batch in batches:
+        make_runs(question, Place(batch), "standing", good_first=True, only=" AND m.run IN (SELECT run FROM wanted)")
+        latest = question.sql(ASKED, b=batch).to_pylist() or [{"programs": None, "reading": None}]
+        for row in question.sql(STANDINGS).to_pylist():
+            told = {**row, "now_programs": latest[0]["programs"], "now_reading": latest[0]["reading"]}
+            yield Standing(batch, row["runs"], row["counts"], _why(question, told), row["run"], row["execution"])
+        question.run("DROP TABLE standing")
+
+
+def _why(question: Question, row: dict[str, Any]) -> str:
+    if row["counts"]:
+        return "the last good one with the programs and by the rules of the batch's last asking"
+    if not row["tried"]:
+        return "never executed"
+    if not row["good"]:
+        return f"none is good; the last one: {row['reason']}"
+    return f"stale: the last good one was executed otherwise than the batch was last asked for: {_other(question, row)}"
+
+
+def _other(question: Question, row: dict[str, Any]) -> str:
+    return few([*_differences(question, row)], SHOWN) or "which programs or rules is not recorded"
+
+
+def _differences(question: Question, row: dict[str, Any]) -> Iterator[str]:
+    if row["programs"] != row["now_programs"]:
+        yield from (one.line for one in other_programs(question, [row["programs"]], [row["now_programs"]]))
+    if row["reading"] != row["now_reading"]:
+        yield from (one.line for one in other_rules(question, [row["reading"]], [row["now_reading"]]))

@@ -1,0 +1,230 @@
+"""What happened to some runs, in order: each asking and each replay, and why it executed what it executed.
+
+An execution is judged against earlier ones of the same run, but for those in flight at the time, as the asking saw them: a
+finding counts from when it was made. The better of several counts: failed, by other rules, with other programs, good.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Any
+
+from sierra.execution.reuse import FAILED, GOOD, OTHER_PROGRAMS, OTHER_RULES
+from sierra.explain.diff.environment import other_programs, other_rules
+from sierra.store.store import Question
+from sierra.util.hashing import short
+from sierra.util.text import few
+
+SHOWN = 4
+
+
+@dataclass(frozen=True, slots=True)
+class Cause:
+    """Why some executions happened."""
+
+    executions: int
+    why: str
+    execution: str
+    """One of them."""
+    run: str
+    new: bool
+    """Whether it was the first execution of these runs."""
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """One asking, or one replay."""
+
+    session: str
+    when: datetime | None
+    what: str
+    """`asking`, `replay`, or another purpose."""
+    batch: str
+    query: str
+    executed: int
+    """Of the runs that this is about; so `failed`."""
+    failed: int
+    judged: int
+    """Runs of which a recorded execution was judged anew, by other rules."""
+    other_rules: str
+    """What is other about these rules; empty where none was."""
+    reused: int | None
+    """Of all runs of its batch; None of a replay, and of an asking that was not recorded."""
+    ended: bool
+    """Whether it came to its end, and was recorded as an asking."""
+    causes: tuple[Cause, ...]
+    more: tuple[str, ...] = ()
+    """Why runs were begun, or executed, more often than was asked, on a cluster."""
+
+
+EXECUTED = """
+CREATE TEMP TABLE happened AS
+WITH mine AS (
+    SELECT e.judgement, e.judged, e.place, e.execution, e.run, e.session, e.batch, e.started, e.ended, e.status, e.reason,
+           e.programs, e.reading, e.purpose, e.lamport
+    FROM judged e SEMI JOIN wanted USING (run)
+),
+first AS (SELECT * EXCLUDE (judgement, judged, place) FROM mine WHERE judgement = execution),
+earlier AS (
+    SELECT e.execution, p.execution AS prior, p.lamport, p.programs, p.reading, p.reason,
+           f.lamport IS NOT NULL AND f.lamport < e.lamport AS doubted,
+           CASE WHEN p.status <> 'ok' AND (f.lamport IS NULL OR f.lamport < e.lamport) THEN $failed
+                WHEN p.reading <> e.reading THEN $rules WHEN p.programs <> e.programs THEN $programs
+                ELSE $good END AS worth
+    FROM first e JOIN mine p ON p.run = e.run AND p.execution <> e.execution AND p.place < e.lamport AND p.purpose = 'run'
+        AND NOT (p.session <> e.session AND p.started < e.ended AND p.ended > e.started)
+    LEFT JOIN findings f ON f.execution = p.judgement
+    QUALIFY row_number() OVER (
+        PARTITION BY e.execution, p.execution ORDER BY p.reading = e.reading DESC, p.place DESC, p.judgement
+    ) = 1
+),
+best AS (
+    SELECT execution, max(worth) AS worth, arg_max({'prior': prior, 'programs': programs, 'reading': reading,
+           'reason': reason, 'doubted': doubted}, (worth, lamport)) AS best
+    FROM earlier GROUP BY execution
+)
+SELECT m.*, b.worth, b.best, EXISTS (
+    SELECT 1 FROM first o WHERE o.run = m.run AND o.purpose = 'run' AND o.session <> m.session AND o.lamport < m.lamport
+        AND o.started < m.ended AND o.ended > m.started
+) AS beside
+FROM first m LEFT JOIN best b USING (execution)
+"""
+CAUSES = """
+SELECT session, batch, purpose, worth, beside, best.doubted AS doubted, CASE WHEN worth = 0 THEN best.reason END AS reason,
+       CASE WHEN worth = 1 THEN best.reading END AS was_reading, CASE WHEN worth = 2 THEN best.programs END AS was_programs,
+       CASE WHEN worth = 1 THEN reading END AS reading, CASE WHEN worth = 2 THEN programs END AS programs,
+       count(*) AS executions, count(*) FILTER (status <> 'ok') AS failed, min(started) AS started,
+       min(lamport) AS lamport, arg_min(execution, lamport) AS execution, arg_min(run, lamport) AS run,
+       arg_min(best.prior, lamport) AS prior
+FROM happened GROUP BY ALL ORDER BY executions DESC, execution
+"""
+CUT = """
+WITH mine AS (
+    SELECT DISTINCT a.session, a.element FROM attempts a JOIN executions e USING (attempt) SEMI JOIN wanted USING (run)
+)
+SELECT session, count(*) AS times, sum(cut)::INT AS cut, list(DISTINCT trouble ORDER BY trouble) AS troubles
+FROM attempts SEMI JOIN mine USING (session, element) WHERE state = 'cut off' AND cut > 0 GROUP BY session
+"""
+COPIED = """
+SELECT e.session, count(*) AS copies, count(*) FILTER (NOT same) AS other, min(execution) AS execution
+FROM copies JOIN executions e USING (execution) WHERE e.run IN (SELECT run FROM wanted) GROUP BY e.session
+"""
+ASKINGS = """
+SELECT * FROM sessions WHERE list_contains($b, batch) OR list_contains($s, session)
+"""
+JUDGED = """
+SELECT j.session, any_value(j.batch) AS batch, count(DISTINCT j.run) AS runs, min(j.judged) AS judged,
+       min(j.lamport) AS lamport, list(DISTINCT j.reading) AS reading, list(DISTINCT e.reading) AS was_reading
+FROM judgements j SEMI JOIN wanted USING (run) JOIN judged e ON e.judgement = j.execution GROUP BY j.session
+"""
+REPLAYS = "SELECT replay, kind, target, verdict FROM replays WHERE list_contains($s, replay)"
+
+
+def tell(question: Question, batches: Sequence[str]) -> list[Event]:
+    """All that happened to the runs in the table `wanted`, and all askings of these batches."""
+    question.views.make(("executions", "judged", "findings", "sessions", "replays", "members", "attempts", "copies"))
+    question.run(EXECUTED, {"failed": FAILED, "rules": OTHER_RULES, "programs": OTHER_PROGRAMS, "good": GOOD})
+    rows = question.sql(CAUSES).to_pylist()
+    judged = {row["session"]: row for row in question.sql(JUDGED).to_pylist()}
+    sessions_of = [*(row["session"] for row in rows), *judged]
+    question.run("DROP TABLE happened")
+    sessions = {row["session"]: row for row in question.sql(ASKINGS, b=list(batches), s=sessions_of).to_pylist()}
+    by_session: dict[str, list[dict[str, Any]]] = {session: [] for session in sessions}
+    for row in rows:
+        by_session.setdefault(row["session"], []).append(row)
+    for session in judged:
+        by_session.setdefault(session, [])
+    replays = {row["replay"]: row for row in question.sql(REPLAYS, s=list(by_session)).to_pylist()}
+    more = _more(question)
+    places = {
+        key: min(row["lamport"] for row in (*those, *(named[key] for named in (sessions, judged) if key in named)))
+        for key, those in by_session.items()
+    }
+    return [
+        _event(question, key, by_session[key], sessions.get(key), replays.get(key), more.get(key, []), judged.get(key))
+        for key in sorted(places, key=lambda key: places[key])
+    ]
+
+
+def _event(
+    question: Question,
+    session: str,
+    rows: Sequence[Mapping[str, Any]],
+    asking: Mapping[str, Any] | None,
+    replay: Mapping[str, Any] | None,
+    more: Sequence[str],
+    judged: Mapping[str, Any] | None,
+) -> Event:
+    executed = sum(row["executions"] for row in rows)
+    failed = sum(row["failed"] for row in rows)
+    purpose = rows[0]["purpose"] if rows else "run"
+    return Event(
+        session=session,
+        when=asking["started"] if asking else _began(rows, judged),
+        what="asking" if purpose == "run" else purpose,
+        batch=(asking or (*rows, judged or {})[0])["batch"],
+        query=asking["query"] if asking else "",
+        executed=executed,
+        failed=failed,
+        judged=judged["runs"] if judged else 0,
+        other_rules=_lines(other_rules(question, judged["was_reading"], judged["reading"])) if judged else "",
+        reused=asking["reused"] if asking else None,
+        ended=asking is not None or replay is not None,
+        causes=tuple(_cause(question, row, replay) for row in rows),
+        more=tuple(more),
+    )
+
+
+def _began(rows: Sequence[Mapping[str, Any]], judged: Mapping[str, Any] | None) -> datetime | None:
+    """Return when a session that was not recorded as an asking had first done something."""
+    return min((row["started"] for row in rows), default=judged["judged"] if judged else None)
+
+
+def _more(question: Question) -> dict[str, list[str]]:
+    """By session: what was begun, or executed, more often than was asked, and why."""
+    told: dict[str, list[str]] = {}
+    for row in question.sql(CUT).to_pylist():
+        why = few([trouble for trouble in row["troubles"] if trouble], SHOWN) or "nobody says by what"
+        which = f"elements were cut off {row['times']} times" if row["times"] > 1 else "an element was cut off"
+        line = f"{which}, with {row['cut']} of its runs in flight, which were begun again: {why}"
+        told.setdefault(row["session"], []).append(line)
+    for row in question.sql(COPIED).to_pylist():
+        other = f"{row['other']} of them with other results" if row["other"] else "with the same results"
+        which = f"{row['copies']} (as {short(row['execution'])}), {other}"
+        line = f"executed twice, as two copies of an element lived at a time: {which}"
+        told.setdefault(row["session"], []).append(line)
+    return told
+
+
+def _cause(question: Question, row: Mapping[str, Any], replay: Mapping[str, Any] | None) -> Cause:
+    new = row["worth"] is None and row["purpose"] == "run" and not row["beside"]
+    return Cause(row["executions"], _why(question, row, replay), row["execution"], row["run"], new)
+
+
+def _why(question: Question, row: Mapping[str, Any], replay: Mapping[str, Any] | None) -> str:
+    if row["purpose"] != "run":
+        of = f" of {replay['kind']} {short(replay['target'])}: {replay['verdict']}" if replay else ", which was not ended"
+        return f"a {row['purpose']}{of}"
+    match row["worth"]:
+        case None if row["beside"]:
+            return "another asking was executing it at the time, which this one did not know"
+        case None:
+            return "new"
+        case 0 if row["doubted"]:
+            return f"the last one was found to be no good: {row['reason']}"
+        case 0:
+            return f"the last one failed: {row['reason']}"
+        case 1:
+            changes = other_rules(question, [row["was_reading"]], [row["reading"]])
+            return f"judged by other rules before: {_lines(changes)}"
+        case 2:
+            changes = other_programs(question, [row["was_programs"]], [row["programs"]])
+            return f"executed with other programs before: {_lines(changes)}"
+        case _:
+            return f"another asking had just executed it ({short(row['prior'])}), which this one did not know"
+
+
+def _lines(changes: Iterator[Any]) -> str:
+    return few([change.line for change in changes], SHOWN) or "which ones is not recorded"

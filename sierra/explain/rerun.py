@@ -1,0 +1,46 @@
+"""What asking a recorded batch again would do now, with the project as it is."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Container
+from typing import Any
+
+from sierra.config.project_file import LoadedProject
+from sierra.errors import SierraError
+from sierra.execution import plans
+from sierra.execution.plans import Plan
+from sierra.execution.reuse import foreseen, states
+from sierra.execution.status import ON_CLUSTER, claimed
+from sierra.explain.changes import other_programs, why_other
+from sierra.query import grammar
+from sierra.store.store import Store
+from sierra.util.hashing import short
+
+
+def again(project: LoadedProject, store: Store, batch: str, runs: Container[str] | None) -> list[str]:
+    """What would happen to these runs (None: to all), a line each. Nothing is executed."""
+    try:
+        plan = _plan(project, store, batch)
+    except SierraError as error:
+        return [f"cannot be asked again as it is: {error}"]
+    if plan.batch.id != batch:
+        because = [f"other runs, those of batch {short(plan.batch.id)}, since:", *why_other(plan, store, batch)]
+        return [*because, f"(sierra run {short(batch)} asks for these, with the code of then)"]
+    found = {run: state for run, state in foreseen(plan, store, states(plan, store)).items() if runs is None or run in runs}
+    there = {} if all(state.good for state in found.values()) else claimed(store)
+    counted = Counter(ON_CLUSTER if run in there and not state.good else state.why for run, state in found.items())
+    lines = [f"{_runs(count)}: {why}" for why, count in counted.most_common()]
+    return [*lines, *(other_programs(plan, store) if counted["executed with other programs"] else [])]
+
+
+def _runs(count: int) -> str:
+    return "1 run" if count == 1 else f"{count} runs"
+
+
+def _plan(project: LoadedProject, store: Store, batch: str) -> Plan:
+    [row] = store.rows("SELECT * FROM batches WHERE batch = $b", b=batch)
+    [last] = store.rows("SELECT max(number) + 1 AS runs FROM members WHERE batch = $b", b=batch)
+    asked: dict[str, Any] = {name: row[name] for name in ("controller", "scenario") if name not in row["axes"]}
+    sets = [grammar.setting(text) for text in row["sets"]]
+    return plans.plan(project, plans.ask(project, row["query"].split(), runs=last["runs"], sets=sets, **asked))

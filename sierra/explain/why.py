@@ -1,0 +1,108 @@
+"""Why recorded runs were executed, or not; which executions count, and why; and what asking again would do."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+from sierra.config.project_file import LoadedProject
+from sierra.execution.status import Standing as OnCluster
+from sierra.execution.status import seen
+from sierra.explain import diff
+from sierra.explain.effective import Standing, standings
+from sierra.explain.history import Event, tell
+from sierra.explain.rerun import again
+from sierra.store.files import where
+from sierra.store.store import Found, Question, Store
+from sierra.util.hashing import short
+
+BATCHES = 10
+"""Batches that are told of."""
+
+ASKED_LAST = """
+SELECT b.batch FROM batches b LEFT JOIN (SELECT batch, max(lamport) AS asked FROM sessions GROUP BY batch) s USING (batch)
+WHERE b.batch IN (SELECT batch FROM members WHERE run = $r) ORDER BY coalesce(s.asked, b.lamport) DESC
+"""
+EARLIER = """
+SELECT b.batch FROM batches b JOIN batches this ON this.batch = $b
+LEFT JOIN (SELECT batch, max(lamport) AS asked FROM sessions GROUP BY batch) s ON s.batch = b.batch
+WHERE b.axes = this.axes AND b.lamport < this.lamport AND b.batch <> this.batch
+ORDER BY CASE WHEN s.asked < this.lamport THEN s.asked ELSE b.lamport END DESC LIMIT 1
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Why:
+    """The answer."""
+
+    found: Found
+    runs: int
+    story: tuple[Event, ...]
+    """In order. Of an execution: only that in which it happened."""
+    new_because: Mapping[str, tuple[str, ...]]
+    """By the batch that new runs were executed for: compared with which batch they were new, and what differs."""
+    standings: tuple[Standing, ...]
+    again: tuple[str, ...]
+    """What asking again would do to these runs."""
+    clusters: tuple[OnCluster, ...] = ()
+    """What is on clusters now with some of these runs."""
+
+
+def why(project: LoadedProject, store: Store, prefix: str) -> Why:
+    """Why what an id names was executed, or not. Raises NotFound."""
+    found = store.resolve(prefix)
+    with store.ask() as question:
+        question.run("SET threads = 1")
+        batches = _runs(question, found)
+        story = tell(question, batches)
+        if found.kind == "execution":
+            story = [event for event in story if event.session == _session(question, found.id)]
+        stands = tuple(standings(question, batches))
+        [(wanted,)] = question.run("SELECT count(*) FROM wanted")
+        these = {row[0] for row in question.run("SELECT run FROM wanted")}
+        only = None if found.kind == "batch" else these
+        firsts = dict.fromkeys(event.batch for event in story if any(cause.new for cause in event.causes))
+        before = {batch: _before(question, batch) for batch in list(firsts)[:BATCHES]}
+    because = {batch: tuple(_because(project, store, batch, earlier)) for batch, earlier in before.items()}
+    return Why(
+        found, wanted, tuple(story), because, stands, tuple(again(project, store, batches[0], only)), tuple(seen(store, these))
+    )
+
+
+def _runs(question: Question, found: Found) -> list[str]:
+    """Make the table `wanted` of the runs that are meant; the batches to tell of, the last asked for first."""
+    if found.kind == "batch":
+        question.views.make(("members",))
+        question.run("CREATE TEMP TABLE wanted AS SELECT DISTINCT run FROM members WHERE batch = $b", {"b": found.id})
+        return [found.id]
+    place = where(question, found)
+    statement = f"CREATE TEMP TABLE wanted AS SELECT DISTINCT m.run FROM members m WHERE m.batch = $b {place.only}"  # noqa: S608
+    question.run(statement, place.parameters)
+    [(run,), *_] = question.run("SELECT run FROM wanted LIMIT 1")
+    batches = [row[0] for row in question.run(ASKED_LAST, {"r": run})]
+    if found.kind == "experiment":
+        having = {row[0] for row in question.run("SELECT batch FROM experiments WHERE experiment = $x", {"x": found.id})}
+        batches = [batch for batch in batches if batch in having]
+    return batches[:BATCHES]
+
+
+def _session(question: Question, execution: str) -> str:
+    session: str = question.run("SELECT session FROM executions WHERE execution = $e", {"e": execution})[0][0]
+    return session
+
+
+def _before(question: Question, batch: str) -> str | None:
+    rows = question.run(EARLIER, {"b": batch})
+    return rows[0][0] if rows else None
+
+
+def _because(project: LoadedProject, store: Store, batch: str, before: str | None) -> Iterator[str]:
+    """Why the runs of a batch were new when it was asked for first."""
+    if before is None:
+        yield "nothing over these variables was recorded before"
+        return
+    yield f"compared with batch {short(before)}:"
+    yield from diff.made_other(project, store, before, batch)
+
+
+__all__ = ["Why", "why"]

@@ -1,0 +1,246 @@
+"""What all formats have in common: sorting files by their columns, writing what is sound, noting what is not."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from sierra.errors import Missing
+from sierra.ingest.messages import shown
+from sierra.ingest.model import AtFaultError, Part, Reading, Shape, Siblings, Written
+from sierra.store.counting import rows_by_file
+from sierra.store.errors import first_line
+from sierra.store.names import column_names, identifier
+from sierra.store.scans import copy, parquet_metadata, read_parquet
+
+FILE = "# file"
+"""What DuckDB calls the file that a row is from: no name that a column is likely to have."""
+PARTS = 1000
+"""Sets of columns that one output may have: each is a file in each segment, and files are not to multiply with runs."""
+
+
+class Reader:
+    """What all formats have in common: sorting files by their columns, writing what is sound, noting what is not."""
+
+    def __init__(self, connection: Any, shape: Shape, target: Path, siblings: Siblings) -> None:
+        import duckdb
+
+        self.sql = connection
+        self.shape = shape
+        self.siblings = siblings
+        self.parts = list(shape.parts)
+        self.part = Part(())
+        """The one that is being read."""
+        self.target = self._first = target
+        self._more = 0
+        """How many Parquet files hold what is not as in most files of their part."""
+        self.rows: dict[tuple[str, str], int] = {}
+        self.counted: dict[tuple[str, str], int] = {}
+        self.columns: dict[tuple[str, str], Mapping[str, str]] = {}
+        self.hints: dict[tuple[str, str], dict[str, str]] = {}
+        self.faults: dict[str, str] = {}
+        self.error: type[Exception] = duckdb.Error
+
+    def read(self, files: Sequence[Written]) -> Reading:
+        for place, some in self._by_part(files):
+            sound = self.sound(some)
+            if place is None:  # without rows and columns
+                self._without_rows(sound)
+            elif sound:
+                self.part = self.parts[place]
+                self.target = self._first.with_stem(f"{self._first.stem}~{place + 1}") if place else self._first
+                self._one(sound)
+        ended = sum(file.ended for file in files if (file.execution, file.name) in self.rows)
+        shape = self.shape
+        shape = replace(shape, parts=tuple(self.parts), files=shape.files + len(self.rows), ended=shape.ended + ended)
+        return Reading(self.rows, self.counted, self.columns, self.hints, self.faults, shape)
+
+    def _without_rows(self, files: Sequence[Written]) -> None:
+        """Note that files have neither rows nor columns, if a count of them agrees."""
+        self.part = Part(())
+        for file, fault in self._miscounted(files, {}):
+            self.fault(file, fault)
+        for file in self.sound(files):
+            self.rows[file.execution, file.name] = 0
+            self.columns[file.execution, file.name] = {}
+
+    def _one(self, files: Sequence[Written]) -> None:
+        """Read the files of one part, without those of which other rows are read than they have."""
+        while files:
+            try:
+                self.one(files)
+            except AtFaultError as error:
+                for file, fault in error.faults:
+                    self.fault(file, fault)
+                for file in files:
+                    self.hints.pop((file.execution, file.name), None)
+                files = self.sound(files)
+            else:
+                return
+
+    def _miscounted(self, files: Sequence[Written], rows: Mapping[tuple[str, str], int]) -> Iterator[tuple[Written, str]]:
+        """Yield the files that do not have so many rows by a count of their own, each with what is wrong."""
+        for file in files:
+            key = file.execution, file.name
+            read = rows.get(key, 0)
+            counted = self.count(file, read)
+            if isinstance(counted, int):
+                self.counted[key] = counted
+            if counted != read:
+                yield file, counted if isinstance(counted, str) else self.miscount(file, counted, read)
+
+    def count(self, file: Written, read: int) -> int | str:
+        """Return the rows of a file, counted without DuckDB, or why they can't be. `read`: how many DuckDB has read.
+
+        What takes long need only be done where `read` isn't what a quick count gives.
+        """
+        raise NotImplementedError
+
+    def miscount(self, file: Written, counted: int, read: int) -> str:
+        """Return a sentence that says that a file has other rows than were read."""
+        return f"{counted} rows are in it, but {read} were read: it is not as other readers take it"
+
+    def sort(self, files: Sequence[Written]) -> Mapping[str, Part | None]:
+        """The columns (and delimiter) of each file that is not at fault, by its path; None where it has no rows nor columns."""
+        raise NotImplementedError
+
+    def one(self, files: Sequence[Written]) -> None:
+        """Read the files of one part."""
+        raise NotImplementedError
+
+    def targets(self) -> Iterator[Path]:
+        """Where the files of one part go: those that hold what most of them hold, then others."""
+        yield self.target
+        while True:
+            self._more += 1
+            yield self._first.with_stem(f"{self._first.stem}~{PARTS + self._more}")
+
+    def _by_part(self, files: Sequence[Written]) -> list[tuple[int | None, list[Written]]]:
+        """The files of each part, by its place."""
+        found = self.sort(files)
+        places = {self.key(part): place for place, part in enumerate(self.parts)}
+        members: dict[int | None, list[Written]] = {}
+        for file in self.sound(files):
+            part = found[file.path]
+            place = None if part is None else places.setdefault(self.key(part), len(places))
+            if place is not None and place >= PARTS:
+                self.fault(file, f"has other columns than {PARTS} other sets of columns; a table has at most so many")
+                continue
+            if part is not None and place == len(self.parts):
+                self.parts.append(part)
+            members.setdefault(place, []).append(file)
+        return list(members.items())
+
+    def key(self, part: Part) -> Any:
+        """What is the same for files of one part. The order of columns matters in a CSV alone."""
+        return frozenset(part.names)
+
+    def fault(self, file: Written, what: str) -> None:
+        self.faults.setdefault(file.execution, f"{shown(file.name)}: {what.replace(file.path, shown(file.name))}")
+
+    def sound(self, files: Iterable[Written]) -> list[Written]:
+        return [file for file in files if file.execution not in self.faults]
+
+    def done(self, target: Path, files: Sequence[Written], kinds: Mapping[str, Mapping[str, str]]) -> None:
+        """Note what was written to `target`: what these files have in each column, by their paths."""
+        for file in files:
+            self.columns[file.execution, file.name] = kinds[file.path]
+        self.rows |= dict.fromkeys(((file.execution, file.name) for file in files), 0)
+        stored = dict(zip(self.part.names, column_names(self.part.names), strict=True))
+        lacking = self._lacking(target)
+        partly = [name for name in self.part.names if stored[name] in lacking]
+        for key, count, filled in self._count(target, files, [stored[name] for name in partly]):
+            self.rows[key] = count
+            empty = {name for name, values in zip(partly, filled, strict=True) if not values}
+            if empty:
+                self.columns[key] = {n: "empty" if n in empty else kind for n, kind in self.columns[key].items()}
+        for file in files:
+            key = file.execution, file.name
+            if not self.rows[key]:
+                self.columns[key] = dict.fromkeys(self.columns[key], "empty")
+
+    def _lacking(self, target: Path) -> set[str]:
+        """The columns of a Parquet file that have no value in some row."""
+        rows = self.sql.execute(
+            f"SELECT path_in_schema FROM {parquet_metadata(str(target))} GROUP BY 1 "
+            "HAVING coalesce(max(stats_null_count), 1) > 0"
+        ).fetchall()
+        return {row[0].partition(", ")[0] for row in rows} | {row[0] for row in rows}
+
+    def halve(self, files: Sequence[Written], attempt: Callable[[Sequence[Written]], Any], explain: Callable[..., str]) -> None:
+        """Find the files with which `attempt` fails; they are at fault."""
+        try:
+            if files:
+                attempt(files)
+        except self.error as error:
+            if len(files) == 1:
+                self.fault(files[0], explain(files[0], error))
+            else:
+                for half in (files[: len(files) // 2], files[len(files) // 2 :]):
+                    self.halve(half, attempt, explain)
+
+    def write(self, target: Path, files: Sequence[Written], source: str, columns: Mapping[str, str]) -> None:
+        """Copy the rows that `source` (a relation on $files) gives, with whose they are; expressions by name."""
+        import pyarrow as pa
+
+        owners = pa.table(
+            {
+                "path": [file.path for file in files],
+                "run": [file.run for file in files],
+                "execution": [file.execution for file in files],
+                "name": [shown(file.name) for file in files],
+            }
+        )
+        named = ", ".join(
+            f"{expression} AS {identifier(name)}"
+            for name, expression in zip(column_names(list(columns)), columns.values(), strict=True)
+        )
+        name = "o.name AS file, " if self.shape.many else ""
+        self.sql.register("owners", owners)
+        self.sql.execute("SET threads = 1")  # several would put the pieces of a large file in any order
+        try:
+            rows = f"SELECT o.run, o.execution, {name}{named} FROM {source} t JOIN owners o ON t.{identifier(FILE)} = o.path"
+            self.sql.execute(copy(rows, target), these(files))
+            self._check_rows(target, files)
+        except (self.error, AtFaultError):
+            target.unlink(missing_ok=True)
+            raise
+        finally:
+            self.sql.execute("RESET threads")
+            self.sql.unregister("owners")
+
+    def _check_rows(self, target: Path, files: Sequence[Written]) -> None:
+        """Raise AtFaultError unless `target` has as many rows of each file as the file itself."""
+        only = self._names(files)
+        written = rows_by_file(target)
+        if faults := list(self._miscounted(files, {(one, only[one, name]): rows for (one, name), rows in written.items()})):
+            raise AtFaultError(faults)
+
+    def _names(self, files: Sequence[Written]) -> dict[tuple[str, str | None], str]:
+        """The names of files as they are, by what a Parquet file says: the execution, and, of several, which."""
+        many = self.shape.many
+        return {(file.execution, shown(file.name) if many else None): file.name for file in files}
+
+    def _count(
+        self, target: Path, files: Sequence[Written], columns: Sequence[str]
+    ) -> Iterator[tuple[tuple[str, str], int, Sequence[int]]]:
+        """Of each execution and file, the rows that were written, and how many of them have a value in these columns."""
+        name = "file" if self.shape.many else "NULL"
+        only = self._names(files)
+        filled = "".join(f", count({identifier(column)})" for column in columns)
+        statement = f"SELECT execution, {name}, count(*){filled} FROM {read_parquet([str(target)])} GROUP BY 1, 2"
+        for execution, file, count, *values in self.sql.execute(statement).fetchall():
+            yield (execution, only[execution, file]), count, values
+
+    def fetch(self, statement: str, files: Sequence[Written]) -> list[tuple[Any, ...]]:
+        rows: list[tuple[Any, ...]] = self.sql.execute(statement, these(files)).fetchall() if files else []
+        return rows
+
+    def unwritten(self, error: Exception) -> Missing:
+        return Missing(f"cannot write to {self.target.parent}: {first_line(error)}")
+
+
+def these(files: Sequence[Written]) -> dict[str, list[str]]:
+    return {"files": [file.path for file in files]}

@@ -1,0 +1,238 @@
+"""What the siblings of an execution, the other runs of its experiment, have: what most of them have is right."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from datetime import UTC, datetime
+from typing import Any
+
+from sierra.config.project_file import Output
+from sierra.ingest.context import Context
+from sierra.ingest.messages import difference
+from sierra.ingest.model import Siblings
+from sierra.store.column_types import AS_TEXT, own_kind, right_kind
+from sierra.store.layout import SessionPaths
+from sierra.store.store import Store
+from sierra.store.views import ORDER
+
+ANY_TABLE = "SELECT 1 FROM judged_artifacts WHERE kind = 'table' LIMIT 1"
+
+
+def find_odd(store: Store, session: SessionPaths, context: Context) -> set[str]:
+    """Find executions whose tables are not like their siblings', and record that; their runs.
+
+    Siblings are the good executions of one experiment with the same programs, whenever they were recorded. What most
+    of them have is right (of two that as many have, the more). Row counts and columns of an output with
+    `mismatch = "ragged"` may differ, and one that is not required may be absent. What a column holds (numbers, text, …)
+    must be the same among siblings; between experiments it may differ, for which `Recorder.notes` has a word.
+    """
+    with store.ask() as question:
+        if not question.sql(ANY_TABLE).num_rows:
+            return set()
+        rows = question.sql(GOOD + ODD, **asked(context)).to_pylist()
+    tables: dict[tuple[int, str], list[dict[str, Any]]] = {}
+    for row in rows:
+        tables.setdefault((row["ordinal"], row["output"]), []).append(row)
+    found: dict[str, str] = {}
+    for (_, name), siblings in sorted(tables.items()):
+        for execution, reason in _odd(siblings, name, context.outputs.get(name)):
+            found.setdefault(execution, reason)
+    now = datetime.now(UTC)
+    writer = store.writer(session.segment, context.batch)
+    same = {"found": now, "status": "mismatch", "lamport": context.lamport()}
+    writer.rows("findings", ({"execution": one, "reason": reason, **same} for one, reason in found.items()))
+    store.publish(writer)
+    return {row["run"] for row in rows if row["execution"] in found}
+
+
+def asked(context: Context) -> dict[str, str]:
+    """What the statements below ask for."""
+    return {"batch": context.batch, "programs": context.programs, "reading": context.reading}
+
+
+GOOD = f"""
+WITH good AS (
+    SELECT m.ordinal, e.run, arg_max(e.judgement, {ORDER}) AS execution
+    FROM (SELECT DISTINCT ordinal, run FROM members WHERE batch = $batch) m
+    JOIN judged e ON e.run = m.run AND e.status = 'ok' AND e.purpose = 'run'
+        AND e.programs = $programs AND e.reading = $reading
+    GROUP BY ALL
+)"""
+"""The good executions of a batch, each by its last judgement, by the place of their experiment."""
+
+
+ODD = """,
+tables AS (
+    SELECT g.ordinal, g.execution, a.output, sum(a.rows)::BIGINT AS rows, list_sort(list(DISTINCT a.form)) AS forms
+    FROM good g JOIN judged_artifacts a ON a.execution = g.execution AND a.kind = 'table'
+    GROUP BY ALL
+),
+counted AS (
+    SELECT g.ordinal, g.run, g.execution, x.output, t.rows, t.forms
+    FROM good g JOIN (SELECT DISTINCT ordinal, output FROM tables) x USING (ordinal)
+    LEFT JOIN tables t USING (ordinal, execution, output)
+),
+differing AS (
+    SELECT ordinal, output FROM counted GROUP BY ALL
+    HAVING count(rows) < count(*) OR min(rows) < max(rows) OR min(forms) < max(forms)
+)
+SELECT c.* FROM counted c JOIN differing USING (ordinal, output) ORDER BY execution
+"""
+
+
+def _odd(siblings: Sequence[Mapping[str, Any]], name: str, declared: Output | None) -> Iterator[tuple[str, str]]:
+    """The executions among siblings whose table `name` differs, and how."""
+    having = [row for row in siblings if row["rows"] is not None]
+    lacking = [row for row in siblings if row["rows"] is None]
+    count = len(siblings) - 1  # no run is a sibling of its own
+    ragged = declared is not None and declared.mismatch == "ragged"
+    if declared is None or declared.required:
+        if len(having) < len(lacking):
+            for row in having:
+                yield row["execution"], f"there is a table {name!r}, which {len(lacking)} of its {count} siblings do not have"
+            return
+        for row in lacking:
+            yield row["execution"], f"table {name!r} is not there; {len(having)} of its {count} siblings have it"
+    forms = Counter(form for row in having for form in row["forms"])
+    parsed = {form: json.loads(form) for form in forms}
+    likely = _likely([(parsed[form], number) for form, number in forms.items()])
+    allow = _allowing(name, None if declared else likely["file"])
+    for row in having:
+        for form in row["forms"]:
+            if reason := _unlike(parsed[form], likely, ragged, allow):
+                yield row["execution"], f"table {name!r} {reason}"
+    if not ragged:
+        rows = Counter(row["rows"] for row in having)
+        most = max(rows, key=lambda number: (rows[number], number))
+        for row in having:
+            if row["rows"] != most:
+                told = f"has {row['rows']} rows where {rows[most]} of its {count} siblings have {most}"
+                yield row["execution"], f"table {name!r} {told} {allow}"
+
+
+def _allowing(name: str, undeclared: str | None) -> str:
+    """How to say that tables may differ."""
+    file = f"file = {json.dumps(undeclared, ensure_ascii=False)}, " if undeclared else ""
+    return f'(if that may be so: {file}mismatch = "ragged" in [outputs.{name}])'
+
+
+def _likely(forms: Sequence[tuple[Mapping[str, Any], int]]) -> dict[str, Any]:
+    """What most tables look like, each in its turn: where they come from, their columns, what those hold, their end."""
+    files: Counter[str | None] = Counter()
+    columns: Counter[tuple[str, ...]] = Counter()
+    ended: Counter[bool] = Counter()
+    for form, number in forms:
+        files[form["file"]] += number
+        columns[tuple(form["columns"])] += number
+        ended[form["ended"]] += number
+    return {
+        "file": max(files, key=lambda file: files[file]),
+        "columns": max(columns, key=lambda names: (columns[names], len(names))),
+        "kinds": _likely_kinds(forms),
+        "ended": ended[True] >= ended[False],
+    }
+
+
+def _likely_kinds(forms: Iterable[tuple[Mapping[str, Any], int]]) -> dict[str, str]:
+    """What each column ought to hold, and whether as text (where all siblings with numbers have kept them so)."""
+    counts: dict[str, Counter[str]] = {}
+    for form, number in forms:
+        for name, kind in form["columns"].items():
+            if kind != "empty":
+                counts.setdefault(name, Counter())[kind] += number
+    return {name: _kind(kinds) for name, kinds in counts.items()}
+
+
+def _kind(kinds: Mapping[str, int]) -> str:
+    """What siblings ought to have in a column. Numbers that are text in all of them stay so: nothing of them is lost."""
+    right = right_kind(kinds)
+    return right if right in kinds or right == "text" else right + AS_TEXT
+
+
+def _unlike(form: Mapping[str, Any], likely: Mapping[str, Any], ragged: bool, allow: str) -> str | None:
+    """What makes a table unlike its siblings', beside its rows."""
+    if form["file"] != likely["file"]:
+        return f"comes from {form['file']!r} where its siblings' come from {likely['file']!r}"
+    columns = tuple(form["columns"])
+    if columns and columns != likely["columns"] and not ragged:
+        return f"{difference(columns, likely['columns'])} {allow}"
+    if wrong := _misfit(form["columns"], likely["kinds"]):
+        name, kind = wrong
+        if (hint := form.get("hints", {}).get(name)) and likely["kinds"][name] == "number":
+            return f"is unlike its siblings': {hint}"
+        told = f"has {many(kind)} in the column {name!r} where its siblings have {many(likely['kinds'][name])}"
+        again = kind.endswith(AS_TEXT) or likely["kinds"][name] == "text"
+        return told + " (it was recorded before most of them; asked again, it is read as they are)" * again
+    if likely["ended"] and not form["ended"]:
+        return "is cut short: its last line has no line feed at its end"
+    return None
+
+
+def _misfit(columns: Mapping[str, str], kinds: Mapping[str, str]) -> tuple[str, str] | None:
+    """The first column that does not hold what it should, and what it holds. Where texts are, all may be kept as text."""
+    for name, kind in columns.items():
+        right = kinds.get(name, kind)
+        if kind not in (right, "empty") and not (right == "text" and kind.endswith(AS_TEXT)):
+            return name, kind
+    return None
+
+
+def many(kind: str) -> str:
+    """The cells of a column that holds such, in words."""
+    own = own_kind(kind)
+    return {"number": "numbers", "flag": "flags"}.get(own, own) + kind.removeprefix(own)
+
+
+def known(store: Store, context: Context, name: str) -> Siblings:
+    """What the store has of the table `name` in the experiments of this batch, whoever asked for them."""
+    alike = {**asked(context), "output": name}
+    with store.ask() as question:
+        if not question.sql(ANY_TABLE).num_rows:
+            return Siblings()
+        forms = question.sql(SIBLINGS + SIBLINGS_FORMS, **alike).to_pylist()
+    mixed = {
+        column
+        for row in forms
+        for column, kind in json.loads(row["form"])["columns"].items()
+        if kind not in ("number", "empty")
+    }
+
+    def ask(runs: Sequence[str]) -> tuple[dict[str, Any], dict[tuple[Any, str], Counter[str]]]:
+        places = store.rows(PLACES, batch=context.batch)
+        votes: dict[tuple[Any, str], Counter[str]] = {}
+        for row in store.rows(SIBLINGS + SIBLINGS_VOTES, **alike):
+            for column, kind in json.loads(row["form"])["columns"].items():
+                if kind != "empty":
+                    votes.setdefault((row["ordinal"], column), Counter())[own_kind(kind)] += row["executions"]
+        wanted = set(runs)
+        return {row["run"]: row["ordinal"] for row in places if row["run"] in wanted}, votes
+
+    return Siblings(frozenset(mixed), ask)
+
+
+PLACES = "SELECT run, min(ordinal) AS ordinal FROM members WHERE batch = $batch GROUP BY run"
+SIBLINGS = f"""
+WITH mine AS (SELECT DISTINCT ordinal, run FROM members WHERE batch = $batch),
+alike AS (SELECT DISTINCT mine.ordinal, m.batch, m.ordinal AS theirs FROM mine JOIN members m USING (run)),
+family AS (
+    SELECT DISTINCT a.ordinal, m.run FROM alike a JOIN members m ON m.batch = a.batch AND m.ordinal = a.theirs
+),
+good AS (
+    SELECT f.ordinal, e.run, arg_max(e.judgement, {ORDER}) AS execution
+    FROM family f
+    JOIN judged e ON e.run = f.run AND e.status = 'ok' AND e.purpose = 'run'
+        AND e.programs = $programs AND e.reading = $reading
+    GROUP BY ALL
+)"""
+"""The good executions of the experiments of a batch, those with other numbers of runs of the same included."""
+SIBLINGS_FORMS = """
+SELECT DISTINCT a.form FROM judged_artifacts a
+WHERE a.kind = 'table' AND a.output = $output AND a.execution IN (SELECT execution FROM good)
+"""
+SIBLINGS_VOTES = """
+SELECT g.ordinal, a.form, count(DISTINCT a.execution) AS executions
+FROM judged_artifacts a JOIN good g USING (execution) WHERE a.kind = 'table' AND a.output = $output
+GROUP BY ALL
+"""

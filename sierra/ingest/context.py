@@ -1,0 +1,100 @@
+"""What recording needs to know of a session, and the hashes of what its project declares."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from sierra.config.project_file import Output, Success
+from sierra.errors import Damaged
+from sierra.store.order import stamp
+from sierra.store.segments import disk_errors
+from sierra.util.fs import read_record, write_whole
+from sierra.util.hashing import digest
+
+ID, SESSION = re.compile("[0-9a-f]{64}"), re.compile("[0-9a-f]{16}")
+UNREAD = {"units", "time", "tolerance", "ordered", "volatile"}
+"""Of an output, what makes no difference to how it is recorded."""
+SAVED = (
+    *("session", "batch", "purpose", "environment", "programs", "engine", "isolation", "shared", "enforced", "number", "raw"),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Context:
+    """All that recording needs to know of a session, so that another process can finish it."""
+
+    session: str
+    batch: str
+    purpose: str
+    environment: str
+    programs: str
+    outputs: Mapping[str, Output]
+    success: Success
+    engine: str = "none"
+    isolation: Mapping[str, Any] | None = None
+    """How the runs were contained, as a row of `isolations`; None where they were not."""
+    shared: bool = False
+    enforced: tuple[str, ...] = ()
+    """The limits that the engine enforces."""
+    number: int | None = None
+    """The session's Lamport number; None of a session that an older SIERRA began."""
+
+    def lamport(self, position: int = 0) -> int | None:
+        """Return the place in the order of what the session records; `position` is that of an execution in it."""
+        return stamp(self.number, self.session, position)
+
+    raw: bool = True
+    """Whether the bytes of files that become tables are kept too."""
+
+    @property
+    def reading(self) -> str:
+        """The hash of what decides whether an execution is good and what is kept of it."""
+        return self._declared({"mismatch", *UNREAD})
+
+    @property
+    def rules(self) -> str:
+        """The hash of the same, and of what may differ between siblings."""
+        return self._declared(UNREAD)
+
+    @property
+    def declared(self) -> str:
+        """What the project declares of outputs and success, as JSON."""
+        return json.dumps(self._tables())
+
+    def _tables(self) -> dict[str, Any]:
+        outputs = {name: output.model_dump(mode="json") for name, output in self.outputs.items()}
+        return {"outputs": outputs, "success": self.success.model_dump(mode="json")}
+
+    def _declared(self, without: set[str]) -> str:
+        outputs = {name: output.model_dump(mode="json", exclude=without) for name, output in self.outputs.items()}
+        return digest("reading", {"outputs": outputs, "success": self.success.model_dump(mode="json")})
+
+    def save(self, path: Path) -> None:
+        fields = {name: getattr(self, name) for name in SAVED}
+        fields |= self._tables()
+        with disk_errors(path.parent):
+            write_whole(path, json.dumps(fields).encode())
+
+    @classmethod
+    def load(cls, path: Path) -> Context:
+        """Raises FileNotFoundError, and Damaged for what nobody saved."""
+        fields = read_record(path)
+        try:
+            fields["outputs"], fields["success"] = rules_of(fields)
+            made = cls(**fields)
+            if ID.fullmatch(made.batch) and SESSION.fullmatch(made.session):
+                return made
+        except (ValueError, LookupError, TypeError, AttributeError):
+            pass
+        raise Damaged(f"{path}: is no context that this SIERRA wrote; move {path.parent} away, or go on with the one that did")
+
+
+def rules_of(declared: Mapping[str, Any]) -> tuple[dict[str, Output], Success]:
+    """What a project declared of outputs and success, as `Context.declared` keeps it."""
+    outputs = {name: Output.model_validate(output) for name, output in declared["outputs"].items()}
+    return outputs, Success.model_validate(declared["success"])

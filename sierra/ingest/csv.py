@@ -1,0 +1,302 @@
+"""Delimited text."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import re
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from sierra.ingest.base import FILE
+from sierra.ingest.counting import any_size, count_records, csv_reader, lines_of
+from sierra.ingest.messages import shown
+from sierra.ingest.model import Part, Shape, Siblings, Written
+from sierra.ingest.text import Text
+from sierra.store.scans import csv_given
+
+DELIMITERS = (",", "\t", ";", "|")
+HEAD_BYTES = 4096
+"""So much of a first line a worker tells."""
+COMMENTS = "comments are not read; write them to another file"
+QUOTING = "write a field with quotes in it in quotes, and those in it twice"
+CONTROL = re.compile(r"[\x00-\x08\x0e-\x1f]")
+"""Characters that no column's name has."""
+
+
+class Csv(Text):
+    """Delimited text."""
+
+    _longest = 0
+    """Bytes of the longest line of the part, where it has files of megabytes."""
+
+    def __init__(self, connection: Any, shape: Shape, target: Path, siblings: Siblings) -> None:
+        super().__init__(connection, shape, target, siblings)
+        self._records: dict[str, int | str] = {}
+        """By path, what came of counting the records of a file."""
+
+    def sort(self, files: Sequence[Written]) -> Mapping[str, Part | None]:
+        for file in files:
+            if file.bytes == 0 and self.shape.header:
+                self.fault(file, "is empty; not even a header")
+        self._cut(self.sound(files))
+        heads = {file.path: _first_record(file) for file in self.sound(files)}
+        described = self._described(Counter(heads.values()))
+        for file in self.sound(files):
+            part = described[heads[file.path]]
+            if isinstance(part, str):
+                self.fault(file, f"line 1: {part}")
+        return {path: part for path, head in heads.items() if not isinstance(part := described[head], str)}
+
+    def key(self, part: Part) -> Any:
+        return part.names, part.delimiter
+
+    def _described(self, heads: Counter[str]) -> dict[str, Part | str | None]:
+        """What the first lines say of columns; a sentence where they say nothing sensible."""
+        if self.shape.header:
+            return {head: self._named(head) for head in heads}
+        delimiter = self.shape.delimiter or delimiter_of(heads.most_common(1)[0][0] if heads else "")
+        return {head: self._numbered(head, delimiter) for head in heads}
+
+    def _named(self, head: str) -> Part | str:
+        delimiter = self.shape.delimiter or delimiter_of(head)
+        names = split(head, delimiter)
+        if not any(names):
+            return "is empty, where the names of the columns should be"
+        if "\ufffd" in head or CONTROL.search(head):
+            return f"is no text in UTF-8 (is it compressed?): {head[:80]!r}"
+        if head.count('"') % 2:
+            return f"quotes are not closed: {head[:80]!r}"
+        if all(reads_as_number(name) for name in names):
+            return "numbers, no names of columns (if it has no header: header = false in [outputs.…])"
+        names = tuple(name or f"column{place}" for place, name in enumerate(names))
+        doubled = [name for name, count in Counter(names).items() if count > 1]
+        if doubled:
+            return f"the column {doubled[0]!r} is there twice"
+        return Part(names, delimiter)
+
+    def _numbered(self, head: str, delimiter: str) -> Part | None:
+        """Columns of a file without header: as declared, or as many as its first line has fields."""
+        width = len(split(head, delimiter))
+        if self.shape.names or width:
+            return Part(self.shape.names or tuple(f"column{number}" for number in range(width)), delimiter)
+        return None
+
+    def one(self, files: Sequence[Written]) -> None:
+        for file in files:
+            if fault := self._misquoted(file):
+                self.fault(file, fault)
+        self._quoted_well(self.sound(files))
+
+    def _misquoted(self, file: Written) -> str | None:
+        """Return what is wrong with the quotes of a file. DuckDB may leave rows out after such, and say nothing."""
+        if file.quotes == 0:
+            return None
+        if (file.quotes or 0) % 2:
+            return self._unquoted(file)
+        counted = self._records_in(file)
+        return counted if isinstance(counted, str) else None
+
+    def _quoted_well(self, files: Sequence[Written]) -> None:
+        if not files:
+            return
+        large = [file for file in files if file.bytes >= 2_000_000]
+        self._longest = max(map(_longest_line, large), default=0)
+        super().one(files)
+
+    def count(self, file: Written, read: int) -> int | str:
+        header = int(self.shape.header)
+        lines = None if file.quotes else lines_of(file, empty=self._empty)
+        if lines is not None and max(lines - header, 0) == read:
+            return read
+        counted = self._records_in(file)
+        return max(counted - header, 0) if isinstance(counted, int) else counted
+
+    def _records_in(self, file: Written) -> int | str:
+        """Return how many records Python's csv reads in a file, its header included; a sentence where it refuses."""
+        if (known := self._records.get(file.path)) is None:
+            try:
+                known = count_records(file, self._delimiter, empty=self._empty)
+            except csv.Error:
+                known = self._unquoted(file)
+            self._records[file.path] = known
+        return known
+
+    @property
+    def _first_line(self) -> str:
+        return "the names of the columns" if self.shape.header else "the first row"
+
+    @property
+    def _empty(self) -> bool:
+        """Whether an empty line is a row, without a value."""
+        return len(self.part.names) == 1
+
+    @property
+    def _delimiter(self) -> str:
+        """The delimiter of the part that is read; where a file has no columns, any will do."""
+        return self.part.delimiter or ","
+
+    def miscount(self, file: Written, counted: int, read: int) -> str:
+        if not self.part.names:
+            return f"line 1: is empty, and {counted} rows follow; name the columns (columns = [...] in [outputs.…])"
+        told = self.first_fault(file, self.part.names, dict.fromkeys(self.part.names, "VARCHAR"))
+        return told or f"{super().miscount(file, counted, read)} ({QUOTING}, and end all lines alike)"
+
+    def _unquoted(self, file: Written) -> str:
+        """Return where quotes are not as they should be; where each has its like, the first line with an odd number."""
+        for line, record, _ in _read_slowly(file, self._delimiter):
+            if isinstance(record, str):
+                return f"line {line}: {record}"
+        with Path(file.path).open(encoding="utf-8", errors="surrogateescape", newline="") as lines:
+            odd = ((line, text) for line, text in enumerate(lines, 1) if text.count('"') % 2)
+            line, text = next(odd, (1, ""))
+        return f"line {line}: an odd number of quotes: {shown(text.strip())[:80]!r} ({QUOTING})"
+
+    def contradictions(
+        self, files: Sequence[Written], found: Mapping[str, Mapping[str, str | None]]
+    ) -> Iterator[tuple[Written, str]]:
+        """Yield the files in which the header is there again, as where a file was appended to: all columns are text then."""
+        names = [name for place, name in enumerate(self.part.names) if name != f"column{place}" and not reads_as_number(name)]
+        for file in files if self.shape.header else ():
+            if names and all(found[name].get(file.path) == "VARCHAR" for name in names) and (line := self._header_again(file)):
+                told = f"line {line}: the header is there again: {_first_record(file)[:80]!r}"
+                yield file, f"{told} (is it appended to? write it once, before all rows)"
+
+    def _header_again(self, file: Written) -> int | None:
+        """Return the next line that is the header; None where a single column has it among texts, as it may be."""
+        again = None
+
+        def fields(line: str) -> tuple[str, ...]:
+            return split(line.removeprefix("\ufeff").rstrip("\n"), self._delimiter)
+
+        with Path(file.path).open(encoding="utf-8", errors="replace") as lines, any_size():
+            names = fields(next(lines))
+            for number, line in enumerate(lines, 2):
+                if fields(line) == names:
+                    again = again or number
+                elif len(self.part.names) == 1 and line.strip() and not reads_as_number(line):
+                    return None
+        return again
+
+    def relation(self, names: Sequence[str], types: Mapping[str, str]) -> str:
+        columns = {f"c{place}": "DOUBLE" if types[name] == "DOUBLE" else "VARCHAR" for place, name in enumerate(names)}
+        longest = self._longest + 1 if self._longest >= 2_000_000 else None
+        return csv_given(columns, FILE, delimiter=self.part.delimiter, header=self.shape.header, longest=longest)
+
+    def has_underscores(self, file: Written) -> bool:
+        with Path(file.path).open("rb") as data:
+            if self.shape.header:
+                data.readline()
+            return any(b"_" in piece for piece in iter(lambda: data.read(1 << 20), b""))
+
+    def _cut(self, files: Sequence[Written]) -> None:
+        """A last line without its line feed is suspicious where at least half of all files have one."""
+        cut = [file for file in files if not file.ended]
+        ended = len(files) - len(cut) + self.shape.ended
+        if ended >= len(cut) + self.shape.files - self.shape.ended:
+            for file in cut:
+                self.fault(file, f"line {file.lines + 1}: its last line is cut short (no line feed at its end)")
+
+    def first_fault(self, file: Written, names: Sequence[str], types: Mapping[str, str]) -> str | None:
+        ends: set[str] = set()
+        only_comments = True
+        for line, record, end in _read_slowly(file, self._delimiter):
+            if isinstance(record, str):
+                return f"line {line}: {record}"
+            if not record:
+                continue
+            is_comment = record[0].startswith("#")
+            if line == 1 and self.shape.header:
+                only_comments = is_comment
+                continue
+            if fault := self._fault_in(record, names, types):
+                if only_comments and line > 1 and not is_comment:
+                    return (
+                        f"line 1: is a comment, where {self._first_line} should be: {_first_record(file)[:80]!r} ({COMMENTS})"
+                    )
+                about = f" ({COMMENTS})" if is_comment else ""
+                return f"line {line}: {fault}{about}"
+            only_comments &= is_comment
+            ends.add(end)
+        return "some lines end in CR LF, and some in LF" if len(ends) > 1 else None
+
+    def _fault_in(self, record: Sequence[str], names: Sequence[str], types: Mapping[str, str]) -> str | None:
+        """Return what is wrong with the fields of a line."""
+        text = self._delimiter.join(record)
+        if any("\udc80" <= character <= "\udcff" for character in text):
+            return f"is not UTF-8: {shown(text)[:80]!r}"
+        if len(record) != len(names) and not (len(record) == len(names) + 1 and not record[-1]):
+            few = "too few" if len(record) < len(names) else "too many"
+            return f"{few} fields ({len(record)}, not {len(names)}): {text[:80]!r}"
+        for name, cell in zip(names, record, strict=False):
+            if types[name] == "DOUBLE" and cell and not reads_as_number(cell):
+                return f"text where numbers are in column {name!r}: {cell[:80]!r}"
+        return None
+
+
+def delimiter_of(head: str) -> str:
+    """The delimiter that occurs most often in a header line, outside quotes; a comma where none does."""
+    bare = re.sub(r'"[^"]*"', "", head)
+    return max(DELIMITERS, key=lambda d: (bare.count(d), d == ","))
+
+
+def split(head: str, delimiter: str) -> tuple[str, ...]:
+    """The fields of a header line."""
+    if len(delimiter) != 1:
+        return tuple(field.strip() for field in head.split(delimiter))
+    reader = csv.reader(io.StringIO(head, newline=""), delimiter=delimiter, skipinitialspace=True)
+    return tuple(field.strip() for field in next(reader, []))
+
+
+def _first_record(file: Written) -> str:
+    """The first line of a CSV, whole: a worker tells its beginning only, and a quoted name may hold a line feed."""
+    head = file.head
+    if len(head.encode()) < HEAD_BYTES - 4 and head.count('"') % 2 == 0:
+        return head.removeprefix("\ufeff").partition("\r")[0]
+    with Path(file.path).open(encoding="utf-8-sig", errors="replace", newline="") as text:
+        line = next(text, "")
+        while line.count('"') % 2 and (more := next(text, "")):
+            line += more
+    return line.rstrip("\r\n")
+
+
+def _longest_line(file: Written) -> int:
+    with Path(file.path).open("rb") as lines:
+        return max(map(len, lines), default=0)
+
+
+def _read_slowly(file: Written, delimiter: str) -> Iterator[tuple[int, list[str] | str, str]]:
+    """The records of a CSV with the lines they begin in and how those end; at last what cannot be read, as a sentence."""
+    ends: list[str] = []
+
+    def lines(text: Iterable[str]) -> Iterator[str]:
+        for line in text:
+            ends.append("\r\n" if line.endswith("\r\n") else line[-1])
+            yield line
+
+    line = 1
+    with Path(file.path).open(encoding="utf-8-sig", errors="surrogateescape", newline="") as text, any_size():
+        reader = csv_reader(lines(text), delimiter)
+        try:
+            for record in reader:
+                yield line, record, "\n" if reader.line_num > line and not file.ended else _end(ends)
+                line = reader.line_num + 1
+        except csv.Error as error:
+            yield line, f"quotes are not closed, or not as CSV has them ({error})", ""
+
+
+def _end(ends: list[str]) -> str:
+    """How the last line that was read ended; a last line without an end is like its forerunners."""
+    end = ends[-1]
+    return end if end in ("\n", "\r", "\r\n") else (ends[-2] if len(ends) > 1 else "\n")
+
+
+def reads_as_number(field: str) -> bool:
+    try:
+        number = float(field)
+    except ValueError:
+        return False
+    return "_" not in field and not (math.isinf(number) and any(map(str.isdigit, field)))

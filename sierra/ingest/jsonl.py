@@ -1,0 +1,84 @@
+"""JSON lines: an object each."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from sierra.ingest.base import FILE
+from sierra.ingest.counting import count_lines, lines_of
+from sierra.ingest.messages import shown
+from sierra.ingest.model import Part, Written
+from sierra.ingest.text import Text
+from sierra.store.errors import first_line
+from sierra.store.names import identifier, quote
+from sierra.store.scans import objects_given
+
+
+class Jsonl(Text):
+    """JSON lines: an object each."""
+
+    def sort(self, files: Sequence[Written]) -> Mapping[str, Part | None]:
+        try:
+            found = self._keys(files)
+        except self.error:
+            self.halve(files, self._keys, lambda file, error: self.first_fault(file, (), {}) or first_line(error))
+            found = self._keys(self.sound(files))
+        return {file.path: Part(tuple(found[file.path])) if file.path in found else None for file in files}
+
+    def _keys(self, files: Sequence[Written]) -> dict[str, dict[str, None]]:
+        """The keys that a file's objects have, by file."""
+        rows = self.fetch(
+            f"SELECT DISTINCT {identifier(FILE)}, CASE WHEN json_type(json) <> 'OBJECT' THEN error('not an object') "
+            "WHEN len(json_keys(json)) <> len(list_distinct(json_keys(json))) THEN error('a key is there twice') "
+            f"ELSE json_keys(json) END FROM {self._objects()}",
+            files,
+        )
+        found: dict[str, dict[str, None]] = {}
+        for path, keys in sorted(rows, key=lambda row: -len(row[1])):
+            found.setdefault(path, {}).update(dict.fromkeys(keys))
+        return found
+
+    def _objects(self) -> str:
+        return objects_given(FILE)
+
+    def relation(self, names: Sequence[str], types: Mapping[str, str]) -> str:
+        pointers = ("/" + name.replace("~", "~0").replace("/", "~1") for name in names)
+        cells = "".join(
+            f"nullif(json_extract(json, {quote(pointer)})::VARCHAR, 'null') AS c{place}, "
+            for place, pointer in enumerate(pointers)
+        )
+        return f"(SELECT {cells}{identifier(FILE)} FROM {self._objects()})"
+
+    def text(self, cell: str) -> str:
+        return f"CASE WHEN starts_with({cell}, '\"') THEN json_extract_string({cell}, '$') ELSE {cell} END"
+
+    def count(self, file: Written, read: int) -> int | str:
+        return read if lines_of(file) == read else count_lines(file)
+
+    def first_fault(self, file: Written, names: Sequence[str], types: Mapping[str, str]) -> str | None:
+        with Path(file.path).open(encoding="utf-8", errors="surrogateescape") as lines:
+            for line, text in enumerate(lines, 1):
+                if not text.strip():
+                    continue
+                try:
+                    pairs = json.loads(text, object_pairs_hook=_Pairs)
+                except ValueError:
+                    return f"line {line}: is cut short, or no JSON: {shown(text.strip())[:80]!r}"
+                if not isinstance(pairs, _Pairs):
+                    return f"line {line}: is not an object: {text.strip()[:80]!r}"
+                doubled = [key for key, count in Counter(key for key, _ in pairs).items() if count > 1]
+                if doubled:
+                    return f"line {line}: the key {doubled[0]!r} is there twice"
+                for key, value in pairs:
+                    number = value is None or (isinstance(value, int | float) and not isinstance(value, bool))
+                    if types.get(key) == "DOUBLE" and not number:
+                        return f"line {line}: text where numbers are in column {key!r}: {str(value)[:80]!r}"
+        return None
+
+
+class _Pairs(list[tuple[str, Any]]):
+    """A JSON object as it is written."""

@@ -1,0 +1,33 @@
+"""How files and their columns are told of."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from sierra.util.text import few
+
+FEW = 10
+"""Names of columns that one line shows."""
+
+
+def difference(has: tuple[str, ...], names: tuple[str, ...]) -> str:
+    """What is wrong with a file's columns, seen from its siblings'."""
+    missing = [name for name in names if name not in has]
+    extra = [name for name in has if name not in names]
+    parts = []
+    if missing:
+        parts.append(f"lacks the column{'s' * (len(missing) > 1)} {_few(map(repr, missing))}")
+    if extra:
+        parts.append(f"has the further column{'s' * (len(extra) > 1)} {_few(map(repr, extra))}")
+    return (" and ".join(parts) or "has its columns in another order") + f" (its siblings have {_few(names)})"
+
+
+def _few(names: Iterable[str]) -> str:
+    """Some names, and how many more there are; never `and 1 more`."""
+    names = list(names)
+    return few(names, FEW if len(names) > FEW + 1 else len(names))
+
+
+def shown(path: str) -> str:
+    """A file's name as text: bytes of it that are no UTF-8 as escapes."""
+    return path.encode("utf-8", "backslashreplace").decode()

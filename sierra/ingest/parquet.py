@@ -1,0 +1,126 @@
+"""Parquet, which knows its types."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from sierra.errors import Damaged
+from sierra.ingest.base import FILE, Reader
+from sierra.ingest.model import AtFaultError, Part, Shape, Siblings, Written
+from sierra.ingest.types import alike
+from sierra.store.column_types import EMPTY, HUGE, is_inexact, is_whole, kind_of
+from sierra.store.counting import rows_in
+from sierra.store.errors import first_line
+from sierra.store.names import identifier
+from sierra.store.scans import parquet_given, parquet_schema
+
+DIGITS = 38
+"""Digits of a DECIMAL of DuckDB, at most; it reads decimals of more as DOUBLE, without a word."""
+
+
+class Parquet(Reader):
+    """Parquet knows its types."""
+
+    def __init__(self, connection: Any, shape: Shape, target: Path, siblings: Siblings) -> None:
+        super().__init__(connection, shape, target, siblings)
+        self._found: Mapping[str, Mapping[str, str]] = {}
+        self._wide: dict[str, str] = {}
+        """A column of each file that has decimals which DuckDB would turn to DOUBLE."""
+
+    def sort(self, files: Sequence[Written]) -> Mapping[str, Part | None]:
+        try:
+            self._found = self._schemas(files)
+        except self.error:
+            self._found = self._schemas(self._readable(files))
+        for file in self.sound(files):
+            if name := self._wide.get(file.path):
+                self.fault(file, f"the column {name!r} has decimals of more than {DIGITS} digits, the most that a table keeps")
+        return {path: Part(tuple(columns)) for path, columns in self._found.items()}
+
+    def one(self, files: Sequence[Written]) -> None:
+        try:
+            written = self._write(files)
+        except self.error:
+            try:
+                written = self._write(self._readable(files))
+            except self.error as error:
+                raise self.unwritten(error) from error
+        for target, some in written:
+            kinds = {file.path: {name: kind_of(self._found[file.path][name]) for name in self.part.names} for file in some}
+            self.done(target, some, kinds)
+
+    def count(self, file: Written, read: int) -> int | str:
+        try:
+            return rows_in(file.path)
+        except Damaged as error:
+            return str(error)
+
+    def _write(self, files: Sequence[Written]) -> list[tuple[Path, list[Written]]]:
+        """Write the files, those whose columns are of one kind into one Parquet file: where, and which."""
+        kinds = {
+            name: {file.path: None if (kind := self._found[file.path][name]) == EMPTY else kind for file in files}
+            for name in self.part.names
+        }
+        written = list(zip(self.targets(), alike(files, kinds, self._inexact(files)), strict=False))
+        try:
+            for target, some in written:
+                types = {name: self._type(name, some) for name in self.part.names}
+                columns = {name: f"CAST(t.{identifier(name)} AS {types[name]})" for name in self.part.names}
+                self.write(target, some, self._source(), columns)
+        except (self.error, AtFaultError):
+            for target, _ in written:
+                target.unlink(missing_ok=True)
+            raise
+        return written
+
+    def _inexact(self, files: Sequence[Written]) -> set[str]:
+        """The columns of whole numbers in some files, and fractions in others, that DOUBLE does not hold."""
+        found = set()
+        for name in self.part.names:
+            whole = [file for file in files if is_whole(self._found[file.path][name])]
+            fractions = {"DOUBLE", "FLOAT"} & {self._found[file.path][name] for file in files}
+            if fractions and whole and self._any_inexact(name, whole):
+                found.add(name)
+        return found
+
+    def _any_inexact(self, name: str, files: Sequence[Written]) -> bool:
+        kind = self._type(name, files)
+        inexact = is_inexact(f"CAST({identifier(name)} AS {kind})", kind)
+        return bool(self.fetch(f"SELECT 1 FROM {self._source()} WHERE {inexact} LIMIT 1", files))
+
+    def _source(self) -> str:
+        return parquet_given(FILE)
+
+    def _readable(self, files: Sequence[Written]) -> list[Written]:
+        whole = f"SELECT count(COLUMNS(*)) FROM {self._source()}"
+        self.halve(files, lambda some: self.fetch(whole, some), lambda file, error: first_line(error))
+        return self.sound(files)
+
+    def _schemas(self, files: Sequence[Written]) -> dict[str, dict[str, str]]:
+        """Names and types of each file's columns; files that say the same are asked once."""
+        rows = self.fetch(
+            "SELECT file_name, list((name, type, type_length, num_children, converted_type, scale, precision, logical_type)"
+            f"::VARCHAR), min(name) FILTER (precision > {DIGITS}) FROM {parquet_schema()} GROUP BY file_name",
+            files,
+        )
+        self._wide |= {path: name for path, _, name in rows if name}
+        by_path = {file.path: file for file in files}
+        described: dict[tuple[str, ...], dict[str, str]] = {}
+        found = {}
+        for path, schema, _ in rows:
+            key = tuple(schema)
+            if key not in described:
+                columns = self.fetch(f"DESCRIBE SELECT * FROM {self._source()}", [by_path[path]])
+                described[key] = {row[0]: row[1] for row in columns if row[0] != FILE}
+            found[path] = described[key]
+        return found
+
+    def _type(self, name: str, files: Sequence[Written]) -> str:
+        """The type that files have in a column, all of one kind; the widest of numbers."""
+        kinds = {self._found[file.path][name] for file in files} - {EMPTY}
+        if len(kinds) < 2:
+            return kinds.pop() if kinds else EMPTY
+        whole = all("INT" in kind for kind in kinds)
+        return HUGE if whole and "UBIGINT" in kinds else "BIGINT" if whole else "DOUBLE"

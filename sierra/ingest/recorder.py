@@ -1,0 +1,250 @@
+"""Results become segments of the store, now and then."""
+
+from __future__ import annotations
+
+import contextlib
+import shutil
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from sierra.containers import engines
+from sierra.ingest.context import Context
+from sierra.ingest.logs import LOG_SHOWN, kept_of, last_words
+from sierra.ingest.match_outputs import NOTED_AT_MOST, Assigning
+from sierra.ingest.messages import shown
+from sierra.ingest.model import Shape
+from sierra.ingest.success import Judged, doubted, judge
+from sierra.ingest.tables import Tabled, artifact_rows, tabled
+from sierra.ingest.warnings import Remarks, as_files, lost
+from sierra.model import OutputFile, Result, Status
+from sierra.store.layout import RUN_OUTPUT, RUN_STDERR, RUN_STDOUT, SessionPaths
+from sierra.store.objects import Objects
+from sierra.store.segments import Writer
+from sierra.store.store import Store
+from sierra.util.fs import inside
+from sierra.util.hashing import merkle, short
+from sierra.worker import worker
+
+PENDING_RUNS = 4_000
+PENDING_BYTES = 256 << 20
+SOON_S, LATE_S = 2.0, 600.0
+COPIES = "SELECT c.execution, c.attempt FROM copies c JOIN executions e USING (execution) WHERE e.session = $s"
+
+
+class Recorder:
+    """Takes results, and writes them to the store now and then, and at the end."""
+
+    def __init__(
+        self,
+        store: Store,
+        session: SessionPaths,
+        context: Context,
+        kept: Path | None = None,
+        doubt: Callable[[], str | None] = lambda: None,
+    ) -> None:
+        """`kept`: the folder that the runs' folders are moved to once they are recorded; without, they are removed.
+
+        `doubt` says, before anything is written, why none of what has ended since can be good.
+        """
+        self._folder = kept
+        self._doubt = doubt
+        self._store = store
+        self._session = session
+        self._context = context
+        self._reading = context.reading
+        self._pending: list[Judged] = []
+        self._beside: dict[str, list[Mapping[str, Any]]] = {}
+        self._around: set[str] = set()
+        """Environments that are recorded, or will be: mostly one for all elements."""
+        self._ruled = 0
+        """In how many segments what all executions have in common is recorded."""
+        self._position: int | None = None
+        """That of the next execution in the session, which others may have recorded before."""
+        self._copies: list[Result] = []
+        self._copied = self._unlike = 0
+        self._bytes = 0
+        self._began = self._flushed = time.monotonic()
+        self._shapes: dict[str, Shape] = {}
+        self._assigning = Assigning(context.outputs)
+        self._left_out: dict[str, None] = {}
+
+    def add(self, result: Result) -> Status:
+        """Take one result; how it is judged so far. One that was interrupted is not kept."""
+        result = self._ended(result)
+        status, reason = judge(result, self._context.outputs, self._context.success)
+        if status is Status.INTERRUPTED:
+            discard(Path(result.directory), self._session)
+        else:
+            self._left_out.update(dict.fromkeys(result.left_out[: max(NOTED_AT_MOST - len(self._left_out), 0)]))
+            self._pending.append(Judged(result, status, reason))
+            self._bytes += sum(file.bytes for file in result.outputs)
+        return status
+
+    def _ended(self, result: Result) -> Result:
+        """The result, where an engine's client stood between the program and the worker."""
+        if self._context.isolation is None or self._context.shared or result.exit_code == 0:
+            return result
+        said = kept_of(f"{result.directory}/{RUN_STDERR}")[0][-LOG_SHOWN:].decode("utf-8", "replace")
+        return engines.find(self._context.engine).classify(result, said, frozenset(self._context.enforced))
+
+    def beside(self, rows: Iterable[tuple[str, Mapping[str, Any]]], copies: Iterable[Result]) -> None:
+        """Take what else is to be recorded: rows by their table, and runs that were executed once more than was asked."""
+        for table, row in rows:
+            if table == "environments":
+                if row["environment"] in self._around:
+                    continue
+                self._around.add(row["environment"])
+            self._beside.setdefault(table, []).append(row)
+        self._copies += copies
+
+    def due(self) -> bool:
+        """Whether it is time to write: soon at first, then ever less often, so that segments stay few."""
+        now = time.monotonic()
+        patience = min(max(SOON_S, 0.5 * (now - self._began)), LATE_S)
+        many = len(self._pending) >= PENDING_RUNS or self._bytes >= PENDING_BYTES
+        return bool(self._pending) and (many or now - self._flushed >= patience)
+
+    def flush(self) -> list[tuple[str, Status, str]]:
+        """Write what is pending; the executions among it that are not good: run, status, reason.
+
+        Raises Missing where the disk is full or may not be written; nothing is lost then.
+        """
+        self._flushed = time.monotonic()
+        if not (self._pending or self._beside or self._copies):
+            return []
+        writer = self._store.writer(self._session.segment, self._context.batch)
+        for table, rows in self._beside.items():
+            writer.rows(table, rows)
+        writer.rows("copies", self._compared())
+        if (doubt := self._doubt()) is not None:
+            self._pending = [doubted(one, doubt) for one in self._pending]
+        judged = self._write(writer)
+        self._store.publish(writer)
+        self._ruled += 1
+        for one in judged:
+            self._put_away(one.result)
+        self._pending, self._bytes = [], 0
+        self._beside, self._copies = {}, []
+        return [(one.result.run, one.status, one.reason or "") for one in judged if one.status is not Status.OK]
+
+    def _compared(self) -> Iterator[dict[str, Any]]:
+        """The copies that are not recorded yet, each compared with what is recorded of its execution."""
+        if not self._copies:
+            return
+        recorded = {one.result.execution: result_hash(one.result.outputs) for one in self._pending}
+        rows = self._store.rows("SELECT execution, result FROM executions WHERE session = $s", s=self._context.session)
+        recorded |= {row["execution"]: row["result"] for row in rows}
+        told = self._store.rows(COPIES, s=self._context.session)
+        known = {(row["execution"], row["attempt"]) for row in told}
+        for copy in (one for one in self._copies if (one.execution, one.attempt) not in known):
+            result = result_hash(copy.outputs)
+            same = recorded.get(copy.execution) == result
+            self._copied, self._unlike = self._copied + 1, self._unlike + (not same)
+            yield {"execution": copy.execution, "run": copy.run, "attempt": copy.attempt, "result": result, "same": same}
+
+    def _put_away(self, result: Result) -> None:
+        folder = Path(result.directory)
+        if self._folder is not None:
+            self._folder.mkdir(parents=True, exist_ok=True)
+            with contextlib.suppress(FileNotFoundError):
+                shutil.move(folder, inside(self._folder, short(result.run)))
+        discard(folder, self._session)
+
+    def notes(self) -> list[str]:
+        """What was recorded and is allowed, and yet hardly meant; a line each.
+
+        Asks the store, so it is to be called once, when all is recorded and `find_odd` has looked at it.
+        """
+        remarks = Remarks(self._store, self._context, self._shapes)
+        return [*self._twice(), *lost(list(self._left_out)), *as_files(self._assigning.kept), *remarks.all()]
+
+    def _twice(self) -> Iterator[str]:
+        """Runs that two attempts executed at a time."""
+        if self._copied:
+            told = f"{self._copied} runs were executed twice, because copies of their elements lived at a time"
+            unlike = f"; {self._unlike} of them came out differently: they are not deterministic" if self._unlike else ""
+            yield f"{told}{unlike}; the table copies has them"
+
+    def _write(self, writer: Writer) -> list[Judged]:
+        """Write what is pending; how it is judged in the end."""
+        tables = tabled(self._pending, writer, self._store, self._context, self._assigning, self._shapes)
+        judged = [tables.judged(one) for one in self._pending]
+        objects = Objects(writer.path("objects"))
+        artifacts = [row for one in judged for row in _artifacts(one.result, tables, objects, raw=self._context.raw)]
+        objects.close()
+        writer.rows("artifacts", artifacts)
+        first = self._next()
+        writer.rows("executions", (self._execution(one, place) for place, one in enumerate(judged, first)))
+        self._position = first + len(judged)
+        if self._ruled < 2:  # twice, as where one segment is damaged no others are to be lost
+            writer.rows("readings", [{"reading": self._reading, "declared": self._context.declared}])
+            writer.rows("isolations", [self._context.isolation] if self._context.isolation else [])
+        return judged
+
+    def _next(self) -> int:
+        """Return the position of the next execution in its session."""
+        if self._position is None:
+            [row] = self._store.rows("SELECT count(*) AS before FROM executions WHERE session = $s", s=self._context.session)
+            self._position = row["before"]
+        return self._position
+
+    def _execution(self, one: Judged, position: int) -> dict[str, Any]:
+        result, context = one.result, self._context
+        return {
+            "execution": result.execution,
+            "run": result.run,
+            "session": context.session,
+            "batch": context.batch,
+            "started": _moment(result.started),
+            "ended": _moment(result.ended),
+            "status": str(one.status),
+            "reason": one.reason,
+            "exit_code": result.exit_code,
+            "signal": result.signal,
+            "wall": result.ended - result.started,
+            "user": result.user_s,
+            "system": result.system_s,
+            "max_rss": result.max_rss_bytes,
+            "host": result.host,
+            "slot": result.slot,
+            "result": result_hash(result.outputs),
+            "log": None if one.status is Status.OK else last_words(result.directory),
+            "environment": result.environment or context.environment,
+            "programs": context.programs,
+            "reading": self._reading,
+            "purpose": context.purpose,
+            "isolation": context.isolation and context.isolation["isolation"],
+            "attempt": result.attempt,
+            "lamport": context.lamport(position),
+        }
+
+
+def _artifacts(result: Result, tables: Tabled, objects: Objects, *, raw: bool) -> Iterator[dict[str, Any]]:
+    """Yield a row for each file that a run left. Their bytes are put among the objects; those of tables only with `raw`."""
+    mine = {"execution": result.execution, "run": result.run}
+    for file, row in zip(result.outputs, artifact_rows(result, tables), strict=True):
+        if raw or row["kind"] == "file":
+            objects.add_file(Path(result.directory, RUN_OUTPUT, file.path), file.sha256, file.bytes)
+        yield row
+    for name in (RUN_STDOUT, RUN_STDERR):
+        content, size = kept_of(f"{result.directory}/{name}")
+        if size:
+            yield {**mine, "path": name, "kind": "log", "output": None, "size": size, "sha256": objects.add(content)}
+
+
+def result_hash(outputs: Iterable[OutputFile]) -> str:
+    """The Merkle hash of an execution's outputs: their names and digests, in the order of the names."""
+    return merkle("result", (f"{file.sha256} {shown(file.path)}" for file in sorted(outputs, key=lambda file: file.path)))
+
+
+def discard(folder: Path, session: SessionPaths) -> None:
+    """Remove a run's folder; what is recorded is not needed there any more. A run that could not begin has none of its own."""
+    if folder.name.isdigit() and folder not in (session.root, session.runs):
+        worker.remove(str(folder))
+
+
+def _moment(seconds: float) -> datetime:
+    return datetime.fromtimestamp(seconds, UTC)

@@ -1,0 +1,71 @@
+"""Whether an execution is good, by what is known as soon as it has ended."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from sierra.config.project_file import Output, Success
+from sierra.model import Result, Status
+from sierra.store.layout import RUN_OUTPUT, RUN_STDERR, RUN_STDOUT
+
+STOPPED = {
+    Status.TIMEOUT: "ran longer than its limit ([limits] wall)",
+    Status.MEMORY: "took more memory than its limit ([limits] memory)",
+    Status.CPU: "took more CPU time than its limit ([limits] cpu)",
+    Status.OUTPUT: "wrote more bytes than its limit ([limits] output; standard output and error: 256 MiB each)",
+    Status.INTERRUPTED: "was interrupted",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Judged:
+    """An execution, and how it is judged so far."""
+
+    result: Result
+    status: Status
+    reason: str | None
+    """Why it is not good."""
+
+
+def doubted(one: Judged, doubt: str) -> Judged:
+    """The same, not good because of what is doubted."""
+    return Judged(one.result, Status.FAILED, doubt) if one.status is Status.OK else one
+
+
+def judge(result: Result, outputs: Mapping[str, Output], success: Success) -> tuple[Status, str | None]:
+    """Whether an execution is good by what is known at once, and why not."""
+    if result.error is not None:
+        return Status.FAILED, result.error
+    if result.stopped is not None:
+        return Status(result.stopped), STOPPED[Status(result.stopped)]
+    if result.signal is not None:
+        return Status.FAILED, f"ended by signal {result.signal} ({_signal_name(result.signal)})"
+    if result.exit_code not in success.exit_status:
+        return Status.FAILED, f"exit status {result.exit_code}"
+    for name, output in outputs.items():
+        if output.required and not any(output.matches(file.path) for file in result.outputs):
+            return Status.FAILED, f"did not write {output.file!r} (output {name!r})"
+    return _marked(result, success)
+
+
+def _marked(result: Result, success: Success) -> tuple[Status, str | None]:
+    if not success.marker:
+        return Status.OK, None
+    log = success.marker in (RUN_STDOUT, RUN_STDERR)
+    marker = Path(result.directory, "" if log else RUN_OUTPUT, success.marker)
+    there = not marker.is_symlink() and marker.is_file()
+    if not there and not log:  # a log that is not there is empty
+        return Status.FAILED, f"did not write its marker {success.marker!r}"
+    if success.contains and not (there and success.contains.encode() in marker.read_bytes()):
+        return Status.FAILED, f"its marker {success.marker!r} does not contain {success.contains!r}"
+    return Status.OK, None
+
+
+def _signal_name(number: int) -> str:
+    try:
+        return signal.Signals(number).name
+    except ValueError:
+        return "unknown"

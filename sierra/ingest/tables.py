@@ -1,0 +1,131 @@
+"""The tables of some executions, read into one segment."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from sierra.config.project_file import Output
+from sierra.ingest.consistency import known
+from sierra.ingest.context import Context
+from sierra.ingest.match_outputs import Assigning
+from sierra.ingest.messages import shown
+from sierra.ingest.model import Reading, Shape, Written
+from sierra.ingest.read import read
+from sierra.ingest.success import Judged
+from sierra.model import OutputFile, Result, Status
+from sierra.store.layout import RUN_OUTPUT
+from sierra.store.segments import OUTPUT, Writer
+from sierra.store.store import Store
+
+
+@dataclass(frozen=True, slots=True)
+class Tabled:
+    """Which file is which table's, and what was read of it."""
+
+    outputs: Mapping[str, Output]
+    belongs: dict[tuple[str, str], str] = field(default_factory=dict)
+    """The table of each file, by its execution and path."""
+    readings: dict[str, Reading] = field(default_factory=dict)
+    faults: dict[str, str] = field(default_factory=dict)
+    """Why executions are at fault."""
+
+    def judged(self, one: Judged) -> Judged:
+        """The same, knowing what its tables were like."""
+        execution = one.result.execution
+        if execution in self.faults:
+            return Judged(one.result, Status.MISMATCH, self.faults[execution])
+        for file in one.result.outputs if one.status is Status.OK else ():
+            name = self.table(execution, file)
+            output, count = self.outputs.get(name or ""), self.rows(execution, file)
+            if output and count is not None and count < output.min_rows:
+                return Judged(one.result, Status.FAILED, too_few(file.path, count, str(name), output))
+        return one
+
+    def table(self, execution: str, file: OutputFile) -> str | None:
+        """The table of a file, also where none of it could be read."""
+        return self.belongs.get((execution, file.path))
+
+    def rows(self, execution: str, file: OutputFile) -> int | None:
+        """How many rows a file gave its table; None of what has none."""
+        name = self.table(execution, file)
+        return self.readings[name].rows.get((execution, file.path)) if name else None
+
+    def counted(self, execution: str, file: OutputFile) -> int | None:
+        """Return the rows of a file by a count of the file itself; None of what has none."""
+        name = self.table(execution, file)
+        return self.readings[name].counted.get((execution, file.path)) if name else None
+
+    def form(self, execution: str, file: OutputFile) -> str:
+        """What a table looks like, for a comparison with its siblings'. Only a CSV's columns have an order of their own."""
+        reading = self.readings[self.belongs[execution, file.path]]
+        columns = reading.columns[execution, file.path]
+        csv = reading.shape.format == "csv"
+        whole = file.ended or not csv
+        return json.dumps(
+            {
+                "file": None if reading.shape.many else shown(file.path),
+                "columns": columns if csv else dict(sorted(columns.items())),
+                "ended": whole,
+                **({"hints": dict(hints)} if (hints := reading.hints.get((execution, file.path))) else {}),
+            }
+        )
+
+
+def too_few(path: str, rows: int, name: str, output: Output) -> str:
+    """Say that a file has fewer rows than its output asks for."""
+    return f"{path}: {rows} rows; [outputs.{name}] min_rows asks for {output.min_rows}"
+
+
+def artifact_rows(result: Result, tables: Tabled) -> Iterator[dict[str, Any]]:
+    """Yield a row of `artifacts` for each file of an execution that is no log."""
+    for file in result.outputs:
+        count = tables.rows(result.execution, file)
+        yield {
+            "execution": result.execution,
+            "run": result.run,
+            "path": shown(file.path),
+            "kind": "file" if count is None else "table",
+            "output": tables.table(result.execution, file),
+            "size": file.bytes,
+            "sha256": file.sha256,
+            "rows": count,
+            "form": None if count is None else tables.form(result.execution, file),
+            "counted": None if count is None else tables.counted(result.execution, file),
+        }
+
+
+def tabled(
+    executions: Iterable[Judged], writer: Writer, store: Store, context: Context, assigning: Assigning, shapes: dict[str, Shape]
+) -> Tabled:
+    """Read all tables of good executions into a segment; `shapes` learns those of tables that it has not."""
+    from sierra.store.connections import connect
+
+    made = Tabled(context.outputs)
+    files: dict[str, list[Written]] = {}
+    for result in (one.result for one in executions if one.status is Status.OK):
+        for name, shape, file in assigning.of(result):
+            made.belongs[result.execution, file.path] = name
+            shapes.setdefault(name, shape)
+            files.setdefault(name, []).append(_written(result, file))
+    if not files:
+        return made
+    connection = connect()
+    try:
+        for name, written in files.items():
+            reading = read(connection, written, shapes[name], writer.path(OUTPUT + name), known(store, context, name))
+            shapes[name], made.readings[name] = reading.shape, reading
+            for execution, fault in reading.faults.items():
+                made.faults.setdefault(execution, fault)
+    finally:
+        connection.close()
+    return made
+
+
+def _written(result: Result, file: OutputFile) -> Written:
+    path = str(Path(result.directory, RUN_OUTPUT, file.path))
+    seen = (file.head, file.lines, file.ended, file.bytes, file.quotes, file.blank, file.alike)
+    return Written(path, result.run, result.execution, file.path, *seen)

@@ -1,0 +1,206 @@
+"""What of the tables that were recorded is allowed, and yet hardly meant."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import PurePosixPath
+from typing import Any
+
+from sierra.ingest.consistency import GOOD, asked, many
+from sierra.ingest.context import Context
+from sierra.ingest.csv import delimiter_of
+from sierra.ingest.match_outputs import NOTED_AT_MOST
+from sierra.ingest.messages import shown
+from sierra.ingest.model import Shape
+from sierra.store.column_types import AS_TEXT
+from sierra.store.columns import TEXT
+from sierra.store.names import identifier
+from sierra.store.store import Question, Store
+from sierra.util.text import counted
+
+COMMENT = "the first line is a comment, and comments are not read; begin with the names of the columns, without '#'"
+SEVERAL = "is it several columns? (delimiter = {delimiter} in [outputs.{output}])"
+
+
+class Remarks:
+    """Looks at the tables of a session, each with its shape."""
+
+    def __init__(self, store: Store, context: Context, shapes: Mapping[str, Shape]) -> None:
+        self._store = store
+        self._context = context
+        self._shapes = shapes
+
+    def all(self) -> list[str]:
+        """A line each. Asks the store, so it is to be called once, when all is recorded and `find_odd` has looked at it."""
+        if not self._shapes:
+            return []
+        rows = self._store.rows(GOOD + FORMS, **asked(self._context))
+        forms = [{**row, "columns": json.loads(row["form"])["columns"]} for row in rows]
+        return [*self._alone(forms), *self._renamed(forms), *self._of_kinds(forms)]
+
+    def _alone(self, forms: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+        """Columns that one run alone has in its whole batch, as it may be where there is one run per experiment."""
+        sets: dict[str, Counter[tuple[str, ...]]] = {}
+        for row in forms:
+            sets.setdefault(row["output"], Counter())[tuple(row["columns"])] += row["executions"]
+        for name, counts in sets.items():
+            declared = self._context.outputs.get(name)
+            alone = sum(number == 1 for number in counts.values())
+            if name in self._shapes and len(counts) > 1 and alone and (declared is None or declared.mismatch == "strict"):
+                whose = "one run has columns" if alone == 1 else f"{alone} runs have columns, each its own,"
+                yield f"output {name!r}: {whose} that no other run has; none of its experiment shows whether that is right"
+
+    def _renamed(self, forms: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+        """Columns that SQL knows by another name, because an axis has theirs, and not their values."""
+        columns: dict[str, set[str]] = {}
+        for row in forms:
+            columns.setdefault(row["output"], set()).update(map(str.lower, row["columns"]))
+        with self._store.ask(self._context.batch) as question:
+            axes = {axis.lower(): axis for axis in question.views.axes()}
+            for name in (name for name in self._shapes if not axes.keys().isdisjoint(columns.get(name, ()))):
+                for axis, column, called in _hidden(question, name, axes):
+                    told = f"the column {column!r} of output {name!r} is called {called!r} in SQL"
+                    yield f"{told}: {axis!r} there is the independent variable, and its values are others"
+
+    def _of_kinds(self, forms: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+        """Columns that hold one thing in some runs and another in others, and texts that were hardly meant as such."""
+        kinds: dict[tuple[str, str], Counter[str]] = {}
+        for row in forms:
+            for name, kind in row["columns"].items():
+                if kind != "empty" and row["output"] in self._shapes:
+                    kinds.setdefault((row["output"], name), Counter())[kind] += row["executions"]
+        for (output, name), counts in kinds.items():
+            stored = {"text" if kind.endswith(AS_TEXT) else kind for kind in counts}
+            if len(stored) > 1:
+                held = ", ".join(f"{many(kind)} in {count}" for kind, count in sorted(counts.items()))
+                apart = f"the numbers in {name!r}, and what is none in {name + TEXT!r}"
+                seen = apart if "number" in stored else "all as text"
+                yield f"column {name!r} of output {output!r} holds {held} runs; SQL shows {seen}"
+        yield from self._texts(kinds)
+
+    def _texts(self, kinds: Mapping[tuple[str, str], Counter[str]]) -> Iterator[str]:
+        """Columns that are text in all runs, and were hardly meant as such."""
+        texts = [key for key, counts in kinds.items() if all(kind == "text" or kind.endswith(AS_TEXT) for kind in counts)]
+        for output, name in texts[:NOTED_AT_MOST]:
+            if told := self._as_one_column(kinds, output, name) or self._numeric(kinds, output, name):
+                runs = kinds[output, name].total()
+                yield f"column {name!r} of output {output!r} is text in {counted(runs, 'run')}, and has no figure: {told}"
+
+    def _as_one_column(self, kinds: Iterable[tuple[str, str]], output: str, name: str) -> str | None:
+        """Return what to write where a table is one column because its delimiter or its header was not seen as such."""
+        if self._shapes[output].format != "csv" or not _only_column(kinds, output, name):
+            return None
+        if name.startswith("#"):
+            return COMMENT
+        if self._shapes[output].delimiter and (other := delimiter_of(name)) in name:
+            return SEVERAL.format(delimiter=json.dumps(other), output=output)
+        return SEVERAL.format(delimiter='" "', output=output) if len(name.split()) > 1 else None
+
+    def _numeric(self, kinds: Iterable[tuple[str, str]], output: str, name: str) -> str | None:
+        """Return what to write in a column of texts most of which look like numbers, by the first rows that are there."""
+        with self._store.ask(self._context.batch) as question:
+            question.views.make((output,))
+            named = {row[0].lower(): row[0] for row in question.run(f"DESCRIBE {identifier(output)}")}
+            column = next((named[n] for n in (name.lower() + "_", name.lower()) if n in named), None)
+            if column is None:
+                return None
+            rows = question.run(
+                LOOKS.format(column=identifier(column), table=identifier(output), number=NUMBER, missing=MISSING)
+            )
+        looks = [(look, count, example) for look, count, example in rows if look != "number"]
+        numbers = sum(count for look, count, _ in rows if look in ("number", "comma", "grouped"))
+        united = max((count for look, count, _ in looks if look.startswith("unit ")), default=0)
+        if 2 * (numbers + united) <= sum(count for look, count, _ in rows if look != "missing"):
+            return None
+        if _first_column(kinds, output).startswith("#") and looks and looks[0][0] == "other":
+            return COMMENT
+        return "most of its values look like numbers; " + _instead(output, name, *(looks[0] if looks else ("", 0, "")))
+
+
+def _instead(output: str, name: str, look: str, cells: int, example: str) -> str:
+    """Return what to write instead of a cell that keeps its column from being one of numbers."""
+    match look.partition(" "):
+        case ("comma", _, _):
+            return f"write {example.replace(',', '.')!r} for {example!r}, with a decimal point"
+        case ("grouped", _, _):
+            return f"write {example!r} without what groups its digits"
+        case ("unit", _, unit):
+            key = json.dumps(name, ensure_ascii=False)
+            told = f"[outputs.{output}] units = {{ {key} = {json.dumps(unit, ensure_ascii=False)} }}"
+            return f"write {example!r} without {unit!r} ({told} says the unit)"
+        case ("other" | "missing", _, _):
+            return f"where there is no number, leave the cell empty instead of {example!r} ({counted(cells, 'such cell')})"
+    return "some further down do not"
+
+
+def lost(names: Sequence[str]) -> Iterator[str]:
+    """What runs left in their outputs that is no file."""
+    if names:
+        others = f" and {counted(len(names) - 1, 'other')} are" if len(names) > 1 else " is"
+        yield f"{shown(names[0])!r}{others} not recorded: only files are, and where a link leads is not followed"
+
+
+def as_files(kept: Mapping[str, Mapping[str, None]]) -> Iterator[str]:
+    """Files that look like tables, and became none."""
+    for why, files in kept.items():
+        first = PurePosixPath(next(iter(files)))
+        told = why.replace("{glob}", str(first.with_name("*" + first.suffix))).replace("{file}", str(first))
+        some = "or more " if len(files) == NOTED_AT_MOST else ""
+        these = f"{str(first)!r} and {len(files) - 1} {some}others are" if len(files) > 1 else f"{str(first)!r} is"
+        yield f"{these} kept as {'files' if len(files) > 1 else 'a file'}: {told}"
+
+
+def _first_column(kinds: Iterable[tuple[str, str]], output: str) -> str:
+    return next(name for table, name in kinds if table == output)
+
+
+def _only_column(kinds: Iterable[tuple[str, str]], output: str, name: str) -> bool:
+    return [key for key in kinds if key[0] == output] == [(output, name)]
+
+
+FORMS = """
+SELECT a.output, a.form, count(DISTINCT a.execution) AS executions
+FROM judged_artifacts a WHERE a.kind = 'table' AND a.execution IN (SELECT execution FROM good)
+GROUP BY ALL ORDER BY ALL
+"""
+NUMBER = r"[-+]?([0-9]+[.]?[0-9]*|[.][0-9]+)([eE][-+]?[0-9]+)?"
+MISSING = "n[./]?a[.]?|#n/a|null|none|nil|missing|undefined|-+|[?]"
+"""What is written where there is no number, so that such cells tell nothing of what a column holds."""
+LOOKS = """
+WITH cells AS (
+    SELECT trim(cell) AS cell FROM (SELECT {column}::VARCHAR AS cell FROM {table} LIMIT 200000) WHERE cell IS NOT NULL
+), looking AS (
+    SELECT cell, CASE
+        WHEN TRY_CAST(cell AS DOUBLE) IS NOT NULL AND NOT contains(cell, '_') THEN 'number'
+        WHEN regexp_full_match(cell, '[-+]?[0-9]+,[0-9]+([eE][-+]?[0-9]+)?') THEN 'comma'
+        WHEN regexp_full_match(cell, '[-+]?[0-9]{{1,3}}([ '',._][0-9]{{3}})+([.,][0-9]+)?') THEN 'grouped'
+        WHEN regexp_full_match(lower(cell), '{missing}') THEN 'missing'
+        WHEN regexp_full_match(cell, '{number} *[^-+0-9eE.,;:_ ][^0-9]*') THEN
+            'unit ' || regexp_extract(cell, '^{number} *(.*)$', 3)
+        ELSE 'other' END AS look
+    FROM cells
+)
+SELECT look, count(*), min(cell) FROM looking GROUP BY look ORDER BY count(*) DESC, look LIMIT 1000
+"""
+"""What cells look like: how many, and one of them."""
+
+
+def _hidden(question: Question, name: str, axes: Mapping[str, str]) -> Iterator[tuple[str, str, str]]:
+    """The columns of an output that an axis hides in SQL, where their values differ: axis, column, what it is called there."""
+    question.views.make((name,))
+    for column, called in question.views.called.get(name.lower(), {}).items():
+        axis = axes.get(column.lower())
+        if axis is not None and question.run(
+            UNLIKE.format(axis=identifier(axis), column=identifier(called), table=identifier(name))
+        ):
+            yield axis, column, called
+
+
+UNLIKE = """
+SELECT 1 FROM {table}
+WHERE {column} IS NOT NULL AND {column}::VARCHAR IS DISTINCT FROM {axis}::VARCHAR
+    AND coalesce(TRY_CAST({column} AS DOUBLE) <> TRY_CAST({axis} AS DOUBLE), true)
+LIMIT 1
+"""

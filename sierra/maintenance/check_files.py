@@ -1,0 +1,391 @@
+"""Every byte of a store against what vouches for it, and every Parquet file against the tables it should hold.
+
+A segment's name vouches for its MANIFEST, and that for each of its files. What a file holds is looked at only where its
+bytes are those that were written; even then it may come from somebody else, so memory is bounded whatever it says.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+import re
+import stat
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from sierra.maintenance.findings import Finding, Kind
+from sierra.store import marks
+from sierra.store.errors import first_line
+from sierra.store.layout import WORK, StorePaths
+from sierra.store.objects import GROUP, ROWS
+from sierra.store.schema import RECORDED, arrow_schema, is_table
+from sierra.store.segments import (
+    AFTER,
+    FORMAT,
+    MANIFEST,
+    MARK_BYTES,
+    OUTPUT,
+    READABLE,
+    REPLACES,
+    SUFFIX,
+    Segment,
+    on_disk,
+    out_of_date,
+)
+from sierra.store.store import CACHEDIR
+from sierra.store.views import ONCE
+from sierra.util.hashing import sha256, unsealed
+
+NAME = re.compile(r"[0-9a-f]{12}-([0-9a-f]{16})")
+ASIDE = re.compile(rf"{NAME.pattern}(\.\d+)?")
+"""What a segment is called that a repair has put aside."""
+LINE = re.compile(r"([0-9a-f]{64})  ([^/\0]+)")
+UNFINISHED = re.compile(r"\.(format|\.?gitignore|CACHEDIR\.TAG|MANIFEST|id)\.\d+")
+CHUNK = 1 << 20
+THREADS = 4
+EXPANDED = 256 << 20
+"""Bytes that a piece of an object file may come to in memory."""
+FIXED = {"format": FORMAT, ".gitignore": "*\n", "CACHEDIR.TAG": CACHEDIR}
+ALSO = {"format": READABLE}
+"""All that such a file may say."""
+"""Files that are the same in every store."""
+DERIVED = frozenset(("files", "numbers"))
+"""Files that are made again where they are not there."""
+FOLDERS = frozenset(("segments", "work", "damaged", "kept", "images"))
+
+
+@dataclass(slots=True)
+class Contents:
+    """What was read: segments as far as they are sound, and what is wrong with the others."""
+
+    findings: list[Finding] = field(default_factory=list)
+    sound: list[Segment] = field(default_factory=list)
+    """Segments that count, each with its sound Parquet files alone."""
+    broken: dict[str, set[str]] = field(default_factory=dict)
+    """By segment: the names of its files that are lost."""
+    left: list[str] = field(default_factory=list)
+    """Segments that do not count any more."""
+    files: int = 0
+    bytes: int = 0
+
+
+def read(paths: StorePaths, tell: Callable[[int], None] = lambda done: None) -> Contents:
+    """Read and hash all files of a store. `tell` hears how many bytes are done."""
+    found = Contents()
+    found.findings += _top(paths)
+    present = {segment.name: segment for segment in on_disk(paths.segments)}
+    found.findings += _strays(paths, present)
+    hidden = out_of_date(list(present.values()))
+    suffixes: dict[str, str] = {}
+    with ThreadPoolExecutor(THREADS) as pool:
+        for name, segment in present.items():
+            folder = paths.segments / name
+            if folder.is_symlink() or not NAME.fullmatch(name):
+                continue
+            if name in hidden:
+                found.left.append(name)
+            twin = suffixes.setdefault(name.partition("-")[2], name)
+            if twin != name and not segment.files.keys() <= ONCE.keys():
+                what = f"the same segment as {twin}, under another name"
+                found.findings.append(Finding(Kind.STRAY, _shown(paths, folder), what))
+                continue
+            _segment(paths, found, segment, pool, counts=name not in hidden)
+            tell(found.bytes)
+    return found
+
+
+def _shown(paths: StorePaths, path: Path) -> str:
+    text = str(path.relative_to(paths.root))
+    return text.encode("utf-8", "backslashreplace").decode()
+
+
+# ---------------------------------------------------------------- what is not in a segment
+
+
+def _top(paths: StorePaths) -> Iterator[Finding]:
+    for name, content in FIXED.items():
+        path = paths.root / name
+        try:
+            if not _is_plain(path):
+                yield Finding(Kind.DAMAGED, name, "is no plain file")
+            elif _beginning(path, len(content.encode()) + 1) not in [one.encode() for one in ALSO.get(name, (content,))]:
+                yield Finding(Kind.DAMAGED, name, "does not say what it should; sierra fsck --repair writes it again")
+        except FileNotFoundError:
+            yield Finding(Kind.ABSENT, name, "is not there; sierra fsck --repair writes it again")
+        except OSError as error:
+            yield Finding(Kind.DAMAGED, name, f"cannot be read: {error.strerror}")
+    for entry in _entries(paths.root):
+        path = Path(entry.path)
+        if entry.name in FOLDERS:
+            if not entry.is_dir(follow_symlinks=entry.name == WORK):
+                yield Finding(Kind.STRAY, _shown(paths, path), "is no folder")
+        elif UNFINISHED.fullmatch(entry.name):
+            yield Finding(Kind.LEFT, _shown(paths, path), "an unfinished file")
+        elif entry.name in DERIVED:
+            if not _is_sealed(path):
+                yield Finding(Kind.DAMAGED, entry.name, "is not what was written; sierra fsck --repair removes it")
+        elif entry.name == paths.identity.name:
+            if marks.id_in(path) is None:
+                yield Finding(
+                    Kind.DAMAGED, entry.name, "holds no id of a store; move it and work away, and SIERRA makes both again"
+                )
+        elif entry.name not in FIXED:
+            yield Finding(Kind.STRAY, _shown(paths, path), "does not belong to a store")
+    if not paths.segments.is_dir():
+        yield Finding(Kind.ABSENT, "segments", "is not there: all that was recorded is gone")
+    segments = put_aside(paths)
+    for entry in _entries(paths.damaged):
+        path = Path(entry.path)
+        if path in segments:
+            yield Finding(Kind.LEFT, _shown(paths, path), "put aside by a repair; sierra gc --damaged removes it")
+        else:
+            yield Finding(Kind.FOREIGN, _shown(paths, path), "is no segment, and is left alone; move it away if it is yours")
+
+
+def has_segments(paths: StorePaths) -> bool:
+    """Return whether anything is recorded, as far as names tell."""
+    return any(NAME.fullmatch(entry.name) for entry in _entries(paths.segments))
+
+
+def put_aside(paths: StorePaths) -> list[Path]:
+    """Return the segments among what a repair has put aside: no more of it is ever removed."""
+    found = [Path(entry.path) for entry in _entries(paths.damaged) if entry.is_dir(follow_symlinks=False)]
+    return [path for path in found if ASIDE.fullmatch(path.name)]
+
+
+def _is_sealed(path: Path) -> bool:
+    with contextlib.suppress(OSError):
+        return _is_plain(path) and path.stat().st_size < EXPANDED and unsealed(path.read_bytes()) is not None
+    return False
+
+
+def _strays(paths: StorePaths, present: Mapping[str, Segment]) -> Iterator[Finding]:
+    for entry in _entries(paths.segments):
+        path = _shown(paths, Path(entry.path))
+        if entry.is_symlink() or not entry.is_dir(follow_symlinks=False):
+            yield Finding(Kind.STRAY, path, "is no segment: no folder")
+        elif not NAME.fullmatch(entry.name):
+            yield Finding(Kind.STRAY, path, "is no segment: they are called by 12 and 16 hexadecimal digits")
+
+
+def _entries(folder: Path) -> list[os.DirEntry[str]]:
+    try:
+        return sorted(os.scandir(folder), key=lambda entry: entry.name)
+    except OSError:
+        return []
+
+
+def _is_plain(path: Path) -> bool:
+    return stat.S_ISREG(path.lstat().st_mode)
+
+
+def _beginning(path: Path, count: int) -> bytes:
+    with path.open("rb") as file:
+        return file.read(count)
+
+
+# ---------------------------------------------------------------- segments
+
+
+def _segment(paths: StorePaths, found: Contents, segment: Segment, pool: ThreadPoolExecutor, *, counts: bool) -> None:
+    """Look at one segment; a sound part of it counts, if it counts at all."""
+    folder = paths.segments / segment.name
+    listed, faults = _manifest(folder)
+    findings = [Finding(Kind.DAMAGED, _shown(paths, folder / MANIFEST), fault) for fault in faults]
+    entries = {entry.name for entry in _entries(folder)} - {MANIFEST}
+    findings += [
+        Finding(Kind.LEFT, _shown(paths, folder / name), "an unfinished file")
+        if UNFINISHED.fullmatch(name)
+        else Finding(Kind.STRAY, _shown(paths, folder / name), "is not listed in the segment's MANIFEST")
+        for name in sorted(entries - listed.keys())
+    ]
+    hashed = dict(zip(sorted(entries), pool.map(lambda name: _hashed(folder / name), sorted(entries)), strict=True))
+    lost: set[str] = set()
+    for name, digest in listed.items():
+        kind, fault = _differs(hashed.get(name), digest)
+        if fault:
+            lost.add(name)
+            findings.append(Finding(kind, _shown(paths, folder / name), fault))
+    sound = {}
+    for name, path in segment.files.items():
+        file = name + SUFFIX
+        if file in listed and file not in lost and not faults:
+            if (unlike := parquet_fault(Path(path), name)) is not None:
+                lost.add(file)
+                findings.append(Finding(Kind.INCONSISTENT, _shown(paths, Path(path)), unlike))
+            else:
+                sound[name] = path
+    found.files += len(hashed) + 1
+    found.bytes += sum(size for _, size in hashed.values())
+    found.findings += findings
+    if counts:
+        if lost or faults:
+            found.broken[segment.name] = lost or {MANIFEST}
+        found.sound.append(replace(segment, files=sound))
+
+
+def _manifest(folder: Path) -> tuple[dict[str, str], list[str]]:
+    """What MANIFEST lists, as far as that can be told: SHA-256 by name; and what is wrong with it."""
+    path = folder / MANIFEST
+    try:
+        if not _is_plain(path):
+            return {}, ["is no plain file"]
+        text = _beginning(path, MARK_BYTES)
+    except FileNotFoundError:
+        return {}, ["is not there"]
+    except OSError as error:
+        return {}, [f"cannot be read: {error.strerror}"]
+    listed = {}
+    for line in text.decode("utf-8", "replace").splitlines():
+        if matched := LINE.fullmatch(line):
+            listed[matched[2]] = matched[1]
+    faults = [] if sha256(text)[:16] == folder.name[-16:] else ["is not the one that the segment's name vouches for"]
+    return listed, faults
+
+
+def _hashed(path: Path) -> tuple[str, int]:
+    """SHA-256 and size of a plain file; instead of the first, what is wrong with it."""
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
+    except OSError as error:
+        return ("is a link, and no file" if path.is_symlink() else f"cannot be read: {error.strerror}"), 0
+    try:
+        with os.fdopen(descriptor, "rb", buffering=0) as file:
+            if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+                return "is no plain file", 0
+            digest, size = hashlib.sha256(), 0
+            while piece := file.read(CHUNK):
+                digest.update(piece)
+                size += len(piece)
+            return digest.hexdigest(), size
+    except OSError as error:
+        return f"cannot be read: {error.strerror}", 0
+
+
+def _differs(found: tuple[str, int] | None, digest: str) -> tuple[Kind, str]:
+    if found is None:
+        return Kind.ABSENT, "is not there"
+    if found[0] == digest:
+        return Kind.DAMAGED, ""
+    whole = re.fullmatch("[0-9a-f]{64}", found[0])
+    return Kind.DAMAGED, "has other bytes than were written" if whole else found[0]
+
+
+# ---------------------------------------------------------------- what Parquet files hold
+
+
+def table_of(name: str) -> str | None:
+    """The recorded table whose rows a file of a segment has; None for an output's."""
+    return None if name.startswith(OUTPUT) else name
+
+
+def parquet_fault(path: Path, name: str) -> str | None:
+    """Why a file cannot be the one of that name."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    try:
+        with pq.ParquetFile(path) as file:
+            schema = file.schema_arrow
+    except (OSError, ValueError, pa.ArrowException) as error:
+        return f"is no Parquet file that can be read: {first_line(error)}"
+    if name.startswith(OUTPUT):
+        missing = [column for column in ("run", "execution") if column not in schema.names]
+        return f"has no column {missing[0]!r}" if missing else None
+    if name not in RECORDED:
+        return f"no table of a store is called {name!r}"
+    if name == "experiments":
+        schema = pa.schema(list(schema)[: len(arrow_schema(name))])
+    if is_table(name, schema):
+        return None
+    return f"has not the columns of {name}: {', '.join(map(str, schema.names))[:200]}"
+
+
+@dataclass(slots=True)
+class Objects:
+    """The objects of a store, hashed."""
+
+    whole: set[str] = field(default_factory=set)
+    """SHA-256 of those that are there, byte for byte."""
+    faults: list[tuple[str, str]] = field(default_factory=list)
+    """Path of a file, and what is wrong in it."""
+    blobs: dict[str, str] = field(default_factory=dict)
+    """Git's hash, by SHA-256, of those that were asked for."""
+
+
+def read_objects(segments: list[Segment], wanted: set[str], tell: Callable[[], None] = lambda: None) -> Objects:
+    """Hash all objects over their parts; of `wanted` ones also as git does."""
+    found = Objects()
+    for segment in segments:
+        path = segment.files.get("objects")
+        if path is not None:
+            try:
+                _read_objects(path, found, wanted)
+            except (OSError, ValueError, MemoryError) as error:
+                found.faults.append((path, f"cannot be read: {first_line(error) if str(error) else 'out of memory'}"))
+            tell()
+    return found
+
+
+def _read_objects(path: str, found: Objects, wanted: set[str]) -> None:
+    one: _Object | None = None
+    for digest, part, size, content in _parts(path):
+        if one is None or one.digest != digest or part != one.parts:
+            _finish(one, path, found)
+            one = _Object(digest, size, digest in wanted)
+        if part != one.parts or size != one.size:
+            found.faults.append((path, f"the parts of object {digest[:16]} are not in order"))
+        one.add(content)
+    _finish(one, path, found)
+
+
+class _Object:
+    def __init__(self, digest: str, size: int, as_blob: bool) -> None:
+        self.digest, self.size = digest, size
+        self.parts = self.bytes = 0
+        self.sha256 = hashlib.sha256()
+        self.sha1 = hashlib.sha1(b"blob %d\0" % size, usedforsecurity=False) if as_blob else None
+
+    def add(self, content: memoryview) -> None:
+        self.parts += 1
+        self.bytes += len(content)
+        self.sha256.update(content)
+        if self.sha1 is not None:
+            self.sha1.update(content)
+
+
+def _finish(one: _Object | None, path: str, found: Objects) -> None:
+    if one is None:
+        return
+    if one.bytes == one.size and one.sha256.hexdigest() == one.digest:
+        found.whole.add(one.digest)
+        if one.sha1 is not None:
+            found.blobs[one.digest] = one.sha1.hexdigest()
+    else:
+        found.faults.append((path, f"object {one.digest[:16]} has other content than its SHA-256 says"))
+
+
+def _parts(path: str) -> Iterator[tuple[str, int, int, memoryview]]:
+    """The rows of an object file, a bounded number of bytes at a time. Raises ValueError for one that nobody wrote so."""
+    import pyarrow.parquet as pq
+
+    with pq.ParquetFile(path, pre_buffer=False) as file:
+        for group in range(file.num_row_groups):
+            described = file.metadata.row_group(group)
+            held = sum(described.column(place).total_uncompressed_size for place in range(described.num_columns))
+            if described.num_rows > ROWS or held > 2 * GROUP:
+                raise ValueError("its row groups are larger than any that is written")
+            rows = max(1, min(ROWS, EXPANDED // max(held, 1)))
+            for batch in file.iter_batches(rows, row_groups=[group]):
+                digests, parts, sizes, contents = (batch.column(name) for name in ("sha256", "part", "size", "content"))
+                for row in range(batch.num_rows):
+                    content = contents[row].as_buffer()
+                    if content is None or None in (fixed := (digests[row].as_py(), parts[row].as_py(), sizes[row].as_py())):
+                        raise ValueError("it has rows without a value")
+                    yield *fixed, memoryview(content)
+
+
+__all__ = ["AFTER", "REPLACES", "Contents", "Objects", "parquet_fault", "read", "read_objects", "table_of"]

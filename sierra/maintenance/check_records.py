@@ -1,0 +1,495 @@
+"""Whether records say what their ids say, and whether all that they refer to is there.
+
+Each id follows from the record itself (see DESIGN: identity is content), so a record that was forged or written wrongly is
+found even where the bytes of its file are those that were written. What has no id of its own (when an execution ended, on
+which host) is vouched for by the segment alone.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from itertools import groupby
+from operator import itemgetter
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+
+from sierra.design.expand import exact, run_id
+from sierra.errors import Missing, SierraError
+from sierra.ingest.context import UNREAD
+from sierra.ingest.rejudge import judgement_id
+from sierra.maintenance.check_files import Contents, Objects
+from sierra.maintenance.findings import NOTHING, Affected, Finding, Kind, of
+from sierra.model import Recipe
+from sierra.provenance import source
+from sierra.provenance.program import fingerprint
+from sierra.store.counting import rows_by_file
+from sierra.store.errors import first_line
+from sierra.store.layout import StorePaths
+from sierra.store.scans import read_parquet
+from sierra.store.schema import RECORDED
+from sierra.store.store import Question
+from sierra.store.views import records as records_of
+from sierra.util.hashing import canonical_plain, digest, merkle, sha256, short
+
+Rows = Iterator[dict[str, Any]]
+SHOWN = 3
+MEMORY = "1GB"
+
+
+class Records:
+    """The records of all sound files, on one connection."""
+
+    def __init__(self, paths: StorePaths, contents: Contents, objects: Objects) -> None:
+        self.paths = paths
+        self.contents = contents
+        self.objects = objects
+        self.files: dict[str, list[str]] = {}
+        for segment in contents.sound:
+            for name, path in segment.files.items():
+                self.files.setdefault(name, []).append(path)
+        self.question = Question(paths.root, contents.sound)
+        self.question.run(f"SET memory_limit = '{MEMORY}'")
+        self.question.run("SET preserve_insertion_order = true")
+        self.question.register("kept", pa.table({"sha256": pa.array(sorted(objects.whole), pa.string())}))
+        for name in (*(name for name in RECORDED if name != "objects"), "judged", "judged_artifacts"):
+            with contextlib.suppress(SierraError):  # what asks of it finds that it can't be read
+                self.question.views.make((name,))
+
+    def each(self, statement: str, **parameters: Any) -> Iterator[tuple[Any, ...]]:
+        return self.question.each(statement, parameters)
+
+    def raw(self, name: str) -> str:
+        """All rows of a table as they stand in the files, with the file's name."""
+        if name in self.files:
+            return records_of(name, self.files[name], filename=True)
+        columns = ", ".join(f'NULL::{c.type} AS "{c.name}"' for c in RECORDED[name].columns)
+        return f"(SELECT {columns}, '' AS filename WHERE false)"
+
+    def rows(self, name: str) -> Rows:
+        """The different records of a table, each with one file that has it."""
+        columns = [column.name for column in RECORDED[name].columns]
+        listed = ", ".join(f'"{column}"' for column in columns)
+        for row in self.each(f"SELECT {listed}, min(filename) FROM {self.raw(name)} GROUP BY ALL"):
+            yield dict(zip((*columns, "filename"), row, strict=True))
+
+    def shown(self, path: str) -> str:
+        """A file's path in the store."""
+        return str(Path(path).relative_to(self.paths.root)) if path else ""
+
+    def wrong(self, row: Mapping[str, Any], what: str, affected: Affected = NOTHING) -> Finding:
+        return Finding(Kind.INCONSISTENT, self.shown(row["filename"]), what, affected)
+
+
+Check = Callable[[Records], Iterator[Finding]]
+
+
+def check(records: Records, root: Path) -> Iterator[Finding]:
+    """All that is wrong with the records; `root` is the project's, in whose git the sources are."""
+    for one in CHECKS:
+        yield from _tried(one.__name__.strip("_"), one(records))
+    yield from _tried("sources", _gone(records, root))
+
+
+def _tried(what: str, found: Iterator[Finding]) -> Iterator[Finding]:
+    """What a check finds, and that it could not go on, where records cannot even be read."""
+    try:
+        yield from found
+    except (SierraError, ValueError, TypeError, KeyError, MemoryError, RecursionError) as error:
+        yield Finding(Kind.INCONSISTENT, what, f"cannot be checked: {first_line(error) or error!r}")
+
+
+# ---------------------------------------------------------------- ids
+
+
+def _id(what: Callable[[], str]) -> str | None:
+    """An id that follows from a record; None where the record cannot even be read."""
+    try:
+        return what()
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
+        return None
+
+
+def _recipes(records: Records) -> Iterator[Finding]:
+    def recipe(row: Mapping[str, Any]) -> str:
+        variables = json.loads(row["variables"])
+        made = Recipe(row["platform"], tuple(row["command"]), variables, row["source"], row["image"], tuple(row["reach"] or ()))
+        return digest("recipe", made.preimage())
+
+    yield from _own(records, "recipes", "recipe", recipe)
+
+
+def _environments(records: Records) -> Iterator[Finding]:
+    facts = [column.name for column in RECORDED["environments"].columns if column.name != "environment"]
+    yield from _own(records, "environments", "environment", lambda row: digest("environment", {n: row[n] for n in facts}))
+
+
+def _sources(records: Records) -> Iterator[Finding]:
+    names = source.RECORDED
+    yield from _own(records, "sources", "source", lambda row: digest("source", {name: row[name] for name in names}))
+
+
+def _readings(records: Records) -> Iterator[Finding]:
+    def reading(row: Mapping[str, Any]) -> str:
+        declared = json.loads(row["declared"])
+        heeded = {
+            name: {key: value for key, value in output.items() if key not in {"mismatch", *UNREAD}}
+            for name, output in declared["outputs"].items()
+        }
+        return digest("reading", {"outputs": heeded, "success": declared["success"]})
+
+    yield from _own(records, "readings", "reading", reading)
+
+
+def _judgements(records: Records) -> Iterator[Finding]:
+    """The ids of judgements, and that each is of the run whose execution it judges."""
+    rows = f"SELECT judgement, execution, reading, session, filename FROM {records.raw('judgements')}"
+    for judgement, execution, reading, session, filename in list(records.each(rows)):
+        if _id(lambda: judgement_id(execution, reading, session)) != judgement:  # noqa: B023
+            what = f"judgement {short(str(judgement))} does not have the id that its columns give"
+            yield records.wrong({"filename": filename}, what, of(records.question, [judgement]))
+    statement = "SELECT j.judgement FROM judgements j JOIN executions e USING (execution) WHERE j.run <> e.run"
+    if named := [row[0] for row in records.each(statement)]:
+        what = "judgements are of other runs than the executions that they judge"
+        yield Finding(Kind.INCONSISTENT, "judgements", what, of(records.question, named))
+
+
+def _isolations(records: Records) -> Iterator[Finding]:
+    facts = [column.name for column in RECORDED["isolations"].columns if column.name != "isolation"]
+    yield from _own(records, "isolations", "isolation", lambda row: digest("isolation", {n: row[n] for n in facts}))
+
+
+def _own(records: Records, table: str, key: str, identity: Callable[[Mapping[str, Any]], str]) -> Iterator[Finding]:
+    """Records whose id does not follow from their columns."""
+    for row in records.rows(table):
+        if _id(lambda row=row: identity(row)) != row[key]:  # type: ignore[misc]
+            yield records.wrong(
+                row, f"{key} {short(str(row[key]))} does not have the id that its columns give", _using(records, row, key)
+            )
+
+
+USING = {
+    "recipe": "SELECT DISTINCT batch FROM members WHERE recipe = $id",
+    "environment": "SELECT DISTINCT batch FROM executions WHERE environment = $id",
+    "reading": "SELECT DISTINCT batch FROM executions WHERE reading = $id",
+    "isolation": "SELECT DISTINCT batch FROM executions WHERE isolation = $id",
+    "programs": "SELECT DISTINCT batch FROM executions WHERE programs = $id",
+    "source": "SELECT DISTINCT batch FROM sessions WHERE source = $id",
+}
+
+
+def _using(records: Records, row: Mapping[str, Any], key: str) -> Affected:
+    return of(records.question, batches=[found[0] for found in records.each(USING[key], id=row[key]) if found[0]])
+
+
+def _programs(records: Records) -> Iterator[Finding]:
+    """The programs of one fingerprint stand one after the other, as often as they were recorded."""
+    for path in records.files.get("programs", ()):
+        statement = f"SELECT programs, name, sha256 FROM {read_parquet([path])}"
+        for identity, rows in groupby(records.each(statement), itemgetter(0)):
+            if identity != fingerprint((name, found) for _, name, found in rows if name is not None):
+                what = f"programs {short(str(identity))} do not have the id that their names and SHA-256 give"
+                yield Finding(Kind.INCONSISTENT, records.shown(path), what, _using(records, {"programs": identity}, "programs"))
+
+
+RUNS = """
+SELECT DISTINCT m.run, m.seed, m.recipe, [m.input] || m.others AS inputs, r.files, m.filename
+FROM {members} m LEFT JOIN recipes r ON r.recipe = m.recipe
+"""
+
+
+def _runs(records: Records) -> Iterator[Finding]:
+    bad: dict[tuple[str, str], set[str]] = {}
+    for run, seed, recipe, inputs, files, path in records.each(RUNS.format(members=records.raw("members"))):
+        if files is None:
+            bad.setdefault((path, f"its recipe {short(str(recipe))} is not recorded"), set()).add(run)
+        elif _id(lambda: run_id(recipe, zip(files, inputs, strict=True), seed)) != run:  # noqa: B023
+            bad.setdefault((path, "runs do not have the ids that their recipe, inputs and seeds give"), set()).add(run)
+    for (path, what), runs in bad.items():
+        yield Finding(Kind.INCONSISTENT, records.shown(path), what, of(records.question, runs=runs))
+
+
+def _batches(records: Records) -> Iterator[Finding]:
+    """The ids of experiments and batches. Values are read file by file: a column may hold numbers here, and texts there."""
+    axes = {batch: names or [] for batch, names in records.each(f"SELECT DISTINCT batch, axes FROM {records.raw('batches')}")}
+    found: dict[str, dict[int, str]] = {}
+    for path in records.files.get("experiments", ()):
+        statement = f"SELECT * FROM {read_parquet([path])}"
+        for row in records.question.sql(statement).to_pylist():
+            batch, ordinal, own = row["batch"], row["ordinal"], row["experiment"]
+            found.setdefault(batch, {})[ordinal] = own
+            if batch in axes and not _is_experiment(records, row, axes[batch]):
+                what = f"experiment {short(str(own))} does not have the id that its values and runs give"
+                runs = [r[0] for r in records.each(MEMBERS, b=batch, o=ordinal)]
+                yield records.wrong({"filename": path}, what, of(records.question, runs=runs, batches=[batch]))
+    for batch in axes:
+        ids = [experiment for _, experiment in sorted(found.get(batch, {}).items())]
+        if _id(lambda: merkle("batch", ids)) != batch:  # noqa: B023
+            yield Finding(
+                Kind.INCONSISTENT,
+                "batches",
+                f"batch {short(batch)} does not have the id that its experiments give",
+                of(records.question, batches=[batch]),
+            )
+    yield from _parted(records, found.keys() - axes.keys())
+
+
+MEMBERS = "SELECT run FROM members WHERE batch = $b AND ordinal = $o GROUP BY run, number ORDER BY number"
+
+
+def _is_experiment(records: Records, row: Mapping[str, Any], axes: Sequence[str]) -> bool:
+    values = {axis: row.get(axis) for axis in axes}
+    if any(isinstance(value, float) and abs(value) >= 2**53 for value in values.values()):
+        return True  # among fractions, so great a whole number is not kept exactly
+    runs = [found[0] for found in records.each(MEMBERS, b=row["batch"], o=row["ordinal"])]
+    shown = {name: exact(value) for name, value in values.items() if value is not None}
+    return bool(_id(lambda: merkle("experiment", runs, {"values": shown})) == row["experiment"])
+
+
+def _parted(records: Records, batches: Iterable[str]) -> Iterator[Finding]:
+    members = {row[0] for row in records.each("SELECT DISTINCT batch FROM members")}
+    known = {row[0] for row in records.each("SELECT DISTINCT batch FROM batches")}
+    for batch in sorted({*batches, *(members - known)}):
+        yield Finding(
+            Kind.LOST,
+            "batches",
+            f"batch {short(batch)} is not recorded, but parts of it are",
+            of(records.question, batches=[batch]),
+        )
+
+
+RESULTS = """
+SELECT e.execution, e.result, array_agg(a.sha256 || ' ' || a.path ORDER BY a.path) FILTER (a.path IS NOT NULL)
+FROM (
+    SELECT DISTINCT execution, result FROM {executions}
+    UNION SELECT j.judgement, e.result FROM judgements j JOIN {executions} e USING (execution)
+) e
+LEFT JOIN (SELECT execution, sha256, path FROM judged_artifacts WHERE kind <> 'log') a USING (execution) GROUP BY ALL
+"""
+
+
+def _results(records: Records) -> Iterator[Finding]:
+    bad = []
+    for execution, result, members in records.each(RESULTS.format(executions=records.raw("executions"))):
+        odd = any("\\" in member for member in members or ())  # a name that is no UTF-8 was sorted by its bytes
+        preimage = {"sierra": "result", "format": 1, "members": members or []}
+        if not odd and sha256(canonical_plain(preimage)) != result:
+            bad.append(execution)
+    if bad := _unless_broken(records, bad):
+        what = "executions do not have the result that their artifacts give"
+        yield Finding(Kind.INCONSISTENT, "executions", what, of(records.question, bad))
+
+
+# ---------------------------------------------------------------- references
+
+
+def _unless_broken(records: Records, executions: Iterable[str]) -> list[str]:
+    """Without those of segments of which a file is known to be lost: that has been told."""
+    named = set(executions)
+    for segment in records.contents.sound:
+        if segment.name in records.contents.broken:
+            for table in ("executions", "artifacts", "judgements"):
+                if table in segment.files:
+                    key = "judgement" if table == "judgements" else "execution"
+                    found = records.each(f"SELECT DISTINCT {key} FROM {read_parquet([segment.files[table]])}")
+                    named -= {row[0] for row in found}
+    return sorted(named)
+
+
+ORPHANS = "their runs belong to no batch; asking for that again finds them"
+LOST_BY_EXECUTION = {
+    "files or logs of executions are not in the store": """
+        SELECT DISTINCT execution FROM judged_artifacts a ANTI JOIN kept USING (sha256) WHERE a.kind IN ('file', 'log')""",
+    ORPHANS: """
+        SELECT DISTINCT execution FROM executions ANTI JOIN members USING (run)""",
+    "what the project declared for executions is not recorded": """
+        SELECT DISTINCT judgement FROM judged ANTI JOIN readings USING (reading)""",
+    "how executions were contained is not recorded": """
+        SELECT DISTINCT execution FROM executions ANTI JOIN isolations USING (isolation) WHERE isolation IS NOT NULL""",
+    "there are artifacts of executions that are not recorded": """
+        SELECT DISTINCT execution FROM judged_artifacts a ANTI JOIN judged e ON e.judgement = a.execution""",
+    "there are findings about executions that are not recorded": """
+        SELECT DISTINCT execution FROM findings f ANTI JOIN judged e ON e.judgement = f.execution""",
+    "there are judgements of executions that are not recorded": """
+        SELECT DISTINCT judgement FROM judgements ANTI JOIN executions USING (execution)""",
+    "there are verdicts about executions that are not recorded": """
+        SELECT DISTINCT recorded FROM verdicts v WHERE recorded NOT IN (SELECT execution FROM executions)
+        UNION SELECT execution FROM verdicts WHERE execution NOT IN (SELECT execution FROM executions)""",
+}
+
+
+def _references(records: Records) -> Iterator[Finding]:
+    for what, statement in LOST_BY_EXECUTION.items():
+        if named := _unless_broken(records, (row[0] for row in records.each(statement))):
+            yield Finding(Kind.LOST, "executions", what, of(records.question, named))
+    doubled = (
+        f"SELECT execution FROM (SELECT execution FROM {records.raw('executions')} UNION ALL "
+        f"SELECT judgement FROM {records.raw('judgements')}) GROUP BY execution HAVING count(*) > 1"
+    )
+    if named := [row[0] for row in records.each(doubled)]:
+        yield Finding(Kind.INCONSISTENT, "executions", "executions are recorded more than once", of(records.question, named))
+    said = "SELECT replay FROM verdicts UNION SELECT replay FROM equivalences"
+    orphans = f"SELECT replay FROM ({said}) ANTI JOIN replays USING (replay)"
+    for (replay,) in records.each(orphans):
+        yield Finding(Kind.LOST, "replays", f"replay {short(replay)} is not recorded, but verdicts of it are")
+    for table, key in (("environments", "environment"), ("programs", "programs")):
+        statement = f"SELECT execution FROM executions ANTI JOIN {table} USING ({key}) WHERE {key} <> $nothing"
+        if named := [row[0] for row in records.each(statement, nothing=fingerprint(()))]:
+            yield Finding(
+                Kind.UNKNOWN,
+                table,
+                f"the {table} of executions are not recorded (their asking was killed)",
+                of(records.question, named),
+            )
+
+
+INPUTS = """
+SELECT DISTINCT run FROM (SELECT run, unnest([input] || others) AS sha256 FROM members) ANTI JOIN kept USING (sha256)
+"""
+
+
+def _inputs(records: Records) -> Iterator[Finding]:
+    if lost := [row[0] for row in records.each(INPUTS)]:
+        yield Finding(Kind.LOST, "members", "input files of runs are not in the store", of(records.question, runs=lost))
+
+
+EXPECTED = """
+SELECT execution, lower(output) AS output, CASE WHEN form->>'$.file' IS NULL THEN path ELSE '' END AS file,
+    any_value(path) AS path, sum(rows)::BIGINT AS rows, sum(counted)::BIGINT AS counted
+FROM judged_artifacts WHERE kind = 'table' GROUP BY ALL
+"""
+TABLES = f"""
+SELECT execution, output, coalesce(e.path, file), coalesce(e.counted, e.rows, 0), coalesce(w.rows, 0)
+FROM ({EXPECTED}) e FULL JOIN written w USING (execution, output, file)
+WHERE coalesce(e.rows, 0) <> coalesce(w.rows, 0) OR e.counted <> coalesce(w.rows, 0)
+ORDER BY ALL
+"""
+
+
+def _tables(records: Records) -> Iterator[Finding]:
+    """Rows of outputs: as many of each file of an execution as were read of it, and as were counted in it; no others."""
+    records.question.register("written", _written(records))
+    bad: dict[str, list[tuple[str, str]]] = {}
+    for execution, output, path, expected, found in records.each(TABLES):
+        bad.setdefault(output, []).append((execution, f"{path}: {found}, not {expected}"))
+    for output, executions in sorted(bad.items()):
+        if named := _unless_broken(records, (execution for execution, _ in executions)):
+            first = next(told for execution, told in executions if execution in named)
+            what = f"table {output!r} has not as many rows as executions wrote ({first})"
+            yield Finding(Kind.LOST, "output." + output, what, of(records.question, named))
+
+
+def _written(records: Records) -> pa.Table:
+    """Return how many rows each file of each execution has in the store, counted without DuckDB."""
+    rows = [
+        (execution, output.lower(), file or "", count)
+        for segment in records.contents.sound
+        for output, path in segment.outputs()
+        for (execution, file), count in rows_by_file(path).items()
+    ]
+    table = pa.table([list(column) for column in zip(*rows, strict=True)] or [[]] * 4, schema=WRITTEN)
+    return table.group_by(WRITTEN.names[:3]).aggregate([("rows", "sum")]).rename_columns(WRITTEN.names)
+
+
+WRITTEN = pa.schema([("execution", pa.string()), ("output", pa.string()), ("file", pa.string()), ("rows", pa.int64())])
+
+
+def _manifests(records: Records) -> Iterator[Finding]:
+    """The files of sources: the list is there, gives the tree, and, outside git, each of them is there."""
+    wanted = dict(records.each("SELECT blob, sha256 FROM blobs"))
+    for blob, found in wanted.items():
+        if found not in records.objects.whole:
+            yield Finding(Kind.LOST, "blobs", f"a file of a source, {short(blob)}, is not in the store", _of_sources(records))
+        elif records.objects.blobs.get(found, blob) != blob:
+            yield Finding(Kind.INCONSISTENT, "blobs", f"{short(blob)} is not git's hash of the file that it stands for")
+    for row in records.rows("sources"):
+        if row["files"] not in records.objects.whole:
+            what = f"the list of the files of source {short(row['source'])} is not in the store"
+            yield Finding(Kind.LOST, "sources", what, _of_tree(records, row["tree"]))
+        elif (tree := source.tree_of(_object(records, row["files"]))) is not None and source.SWHID + tree != row["tree"]:
+            yield records.wrong(
+                row, f"the files of source {short(row['source'])} do not give its tree", _of_tree(records, row["tree"])
+            )
+    known = {row[0] for row in records.each("SELECT DISTINCT tree FROM sources")}
+    for (tree,) in records.each("SELECT DISTINCT source FROM recipes WHERE source IS NOT NULL"):
+        if tree not in known:
+            yield Finding(Kind.LOST, "sources", f"the source {tree} is not recorded", _of_tree(records, tree))
+
+
+def _images(records: Records) -> Iterator[Finding]:
+    """The images of recipes, and the lists of what is in them."""
+    for identity, files in records.each(IMAGES):
+        if files is None:
+            what = f"the image {identity} is not recorded"
+        elif files not in records.objects.whole:
+            what = f"the list of the files of image {identity} is not in the store"
+        else:
+            continue
+        yield Finding(Kind.LOST, "images", what, _of_image(records, identity))
+
+
+IMAGES = """
+SELECT DISTINCT coalesce(r.image, i.image), i.files FROM (SELECT image FROM recipes WHERE image IS NOT NULL) r
+FULL JOIN images i USING (image)
+"""
+
+
+def _of_image(records: Records, identity: str) -> Affected:
+    statement = "SELECT DISTINCT batch FROM members SEMI JOIN (SELECT recipe FROM recipes WHERE image = $i) USING (recipe)"
+    return of(records.question, batches=[row[0] for row in records.each(statement, i=identity)])
+
+
+def _object(records: Records, digest: str) -> bytes:
+    statement = f"SELECT DISTINCT ON (part) content FROM {records.raw('objects')} WHERE sha256 = $d ORDER BY part"
+    return b"".join(row[0] for row in records.each(statement, d=digest))
+
+
+def _of_tree(records: Records, tree: str | None) -> Affected:
+    statement = "SELECT DISTINCT batch FROM members SEMI JOIN (SELECT recipe FROM recipes WHERE source = $t) USING (recipe)"
+    return of(records.question, batches=[row[0] for row in records.each(statement, t=tree)])
+
+
+def _of_sources(records: Records) -> Affected:
+    statement = (
+        "SELECT DISTINCT m.batch FROM members m JOIN recipes r USING (recipe) JOIN sources s ON s.tree = r.source "
+        "WHERE s.vcs = 'none'"
+    )
+    return of(records.question, batches=[row[0] for row in records.each(statement)])
+
+
+HEALS = "sierra source fetch brings what sierra source push has shared"
+
+
+def _gone(records: Records, root: Path) -> Iterator[Finding]:
+    """Sources that git does not have any more."""
+    for tree, files in list(records.each("SELECT tree, any_value(files) FROM sources WHERE vcs = 'git' GROUP BY tree")):
+        try:
+            there = source.is_there(root, tree, _object(records, files))
+        except Missing as error:
+            yield Finding(Kind.GONE, "sources", str(error))
+            return
+        if not there:
+            affected = _of_tree(records, tree)
+            yield Finding(Kind.GONE, "sources", f"{tree} is not in git: it can't be replayed here; {HEALS}", affected)
+
+
+CHECKS: Sequence[Check] = (
+    _recipes,
+    _environments,
+    _sources,
+    _readings,
+    _judgements,
+    _isolations,
+    _programs,
+    _runs,
+    _batches,
+    _results,
+    _references,
+    _inputs,
+    _tables,
+    _manifests,
+    _images,
+)

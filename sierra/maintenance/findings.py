@@ -1,0 +1,155 @@
+"""What a check of the store can find, and what of the record it concerns."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+import pyarrow as pa
+
+from sierra.store.store import Question
+from sierra.util.hashing import short
+from sierra.util.text import counted, spans
+
+
+class Kind(StrEnum):
+    """What is wrong, the worst first; from `DEAD` on nothing is: it is only told."""
+
+    DAMAGED = "damaged"
+    """A file has other bytes than were written, or cannot be read."""
+    ABSENT = "absent"
+    """A file is not there."""
+    INCONSISTENT = "inconsistent"
+    """A record does not have the id that follows from what it says, or contradicts another."""
+    LOST = "lost"
+    """A record refers to what is not in the store."""
+    STRAY = "stray"
+    """Something is there that does not belong to a store."""
+    GONE = "gone"
+    """A recorded source is no longer in git: nothing here is damaged, but its runs cannot be replayed here."""
+    DEAD = "dead"
+    """An asking that died; `sierra run` or `sierra gc` finishes it."""
+    LEFT = "left over"
+    """Nobody needs it; `sierra gc` removes it."""
+    FOREIGN = "foreign"
+    """SIERRA did not make it, and leaves it alone."""
+    UNKNOWN = "unknown"
+    """What was around executions is not recorded: their asking was killed before its end."""
+
+    @property
+    def fine(self) -> bool:
+        return self in (Kind.DEAD, Kind.LEFT, Kind.FOREIGN, Kind.UNKNOWN)
+
+    @property
+    def repairable(self) -> bool:
+        return not self.fine and self is not Kind.GONE
+
+
+@dataclass(frozen=True, slots=True)
+class Affected:
+    """The part of the record that a finding concerns."""
+
+    batches: tuple[str, ...] = ()
+    experiments: tuple[str, ...] = ()
+    runs: tuple[str, ...] = ()
+    executions: tuple[str, ...] = ()
+    sources: tuple[str, ...] = ()
+    text: str = ""
+
+
+NOTHING = Affected()
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One thing that is found: where (a path in the store, or the table that says so), and what."""
+
+    kind: Kind
+    path: str
+    what: str
+    affected: Affected = field(default=NOTHING)
+
+    def __str__(self) -> str:
+        told = f"{self.kind}: {self.path}: {self.what}"
+        return f"{told}: {self.affected.text}" if self.affected.text else told
+
+
+SHOWN = 3
+"""Batches, and experiments of each, that are named in a line."""
+PLACES = """
+SELECT DISTINCT m.batch, x.experiment, m.ordinal, m.number, m.run
+FROM members m LEFT JOIN experiments x USING (batch, ordinal) JOIN concerned c ON c.run = m.run
+ORDER BY m.batch, m.ordinal, m.number
+"""
+
+
+def of(question: Question, executions: Iterable[str] = (), runs: Iterable[str] = (), batches: Iterable[str] = ()) -> Affected:
+    """What is concerned where these executions, runs and batches are."""
+    ended = sorted(set(executions))
+    question.views.make(("members", "experiments", "batches", "judged", "judged_artifacts"))
+    question.register("named", pa.table({"execution": pa.array(ended, pa.string())}))
+    found = question.run(
+        "SELECT DISTINCT run FROM judged e SEMI JOIN named n ON n.execution = e.judgement UNION "
+        "SELECT DISTINCT run FROM judged_artifacts SEMI JOIN named USING (execution)"
+    )
+    concerned = sorted({*runs, *(row[0] for row in found if row[0] is not None)})
+    question.register("concerned", pa.table({"run": pa.array(concerned, pa.string())}))
+    places = question.run(PLACES)
+    named = sorted({*batches, *(row[0] for row in places)})
+    return Affected(
+        tuple(named),
+        tuple(dict.fromkeys(row[1] for row in places if row[1])),
+        tuple(concerned),
+        tuple(ended),
+        text=_text(question, named, places, len(ended), len(concerned)),
+    )
+
+
+def _text(
+    question: Question, batches: Sequence[str], places: Sequence[tuple[str, str, int, int, str]], ended: int, runs: int
+) -> str:
+    count = counted(ended, "execution") if ended else counted(runs, "run") if runs else ""
+    parts = []
+    for batch in batches[:SHOWN]:
+        where = _experiments(question, batch, [row for row in places if row[0] == batch])
+        parts.append(f"batch {short(batch)}{f' ({where})' if where else ''}")
+    if len(batches) > SHOWN:
+        parts.append(f"{len(batches) - SHOWN} more batches")
+    return " of ".join(filter(None, (count, ", ".join(parts))))
+
+
+def _experiments(question: Question, batch: str, places: Sequence[tuple[str, str, int, int, str]]) -> str:
+    numbers: dict[int, list[int]] = {}
+    for _, _, ordinal, number, _ in places:
+        numbers.setdefault(ordinal, []).append(number)
+    values = _values(question, batch) if numbers else {}
+    told = [f"{values.get(ordinal, f'experiment {ordinal}')}: {_ranges(those)}" for ordinal, those in numbers.items()]
+    more = [f"{len(told) - SHOWN} more experiments"] if len(told) > SHOWN else []
+    return "; ".join(told[:SHOWN] + more)
+
+
+def _values(question: Question, batch: str) -> dict[int, str]:
+    """What each experiment of a batch is called: the values of its axes."""
+    own = ("experiment", "batch", "ordinal")
+    return {
+        place: ", ".join(f"{n}={v}" for n, v in row.items() if n not in own and v is not None) or "its experiment"
+        for place, row in question.cells(batch).items()
+    }
+
+
+def _ranges(numbers: Sequence[int]) -> str:
+    """Numbers of runs: `runs 3–9, 12`."""
+    found = spans(sorted(set(numbers)))
+    told = ", ".join(str(a) if a == b else f"{a}–{b}" for a, b in found[:5]) + (", …" if len(found) > 5 else "")
+    return f"run{'s' if len(set(numbers)) > 1 else ''} {told}"
+
+
+def worst_first(findings: Iterable[Finding]) -> list[Finding]:
+    order = {kind: place for place, kind in enumerate(Kind)}
+    return sorted(findings, key=lambda finding: (order[finding.kind], finding.path))
+
+
+def counts(findings: Iterable[Finding]) -> Counter[Kind]:
+    return Counter(finding.kind for finding in findings)

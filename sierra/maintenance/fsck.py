@@ -1,0 +1,152 @@
+"""`fsck`: hash all that is in a store, check what it says, and name what is wrong and what that concerns."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from sierra.errors import Damaged, Missing, SierraError
+from sierra.execution import sessions
+from sierra.maintenance import check_files as contents
+from sierra.maintenance import check_records
+from sierra.maintenance.check_files import Contents, Objects
+from sierra.maintenance.check_records import Records
+from sierra.maintenance.findings import Affected, Finding, Kind, of, worst_first
+from sierra.store import marks
+from sierra.store.layout import StorePaths
+from sierra.store.read_lock import Shared
+from sierra.store.scans import read_parquet
+from sierra.store.store import Question, check_free
+
+Tell = Callable[[str], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """What a check found, the worst first, and how much it looked at."""
+
+    findings: tuple[Finding, ...]
+    segments: int
+    files: int
+    bytes: int
+    objects: int
+    executions: int
+    seconds: float
+
+    @property
+    def sound(self) -> bool:
+        return all(finding.kind.fine for finding in self.findings)
+
+
+@dataclass(frozen=True, slots=True)
+class Checked:
+    """A report, and what a repair needs to know."""
+
+    report: Report
+    contents: Contents
+    objects: Objects
+
+
+def check(paths: StorePaths, root: Path, tell: Tell = lambda text: None) -> Checked:
+    """Check a store; `root` is its project. Raises Missing where there is none, or a folder of somebody else's."""
+    if not paths.root.is_dir():
+        raise Missing(f"no store in {paths.root}: nothing has been run here yet (sierra run makes one)")
+    if not contents.has_segments(paths):
+        check_free(paths.root)
+    began = time.monotonic()
+    shared = Shared(paths.reading)
+    try:
+        found = contents.read(paths, lambda done: tell(f"{done / 1e6:.0f} MB hashed"))
+        objects = contents.read_objects(found.sound, _blobs(paths, found), lambda: tell("hashing recorded files"))
+        read = Records(paths, found, objects)
+        try:
+            tell("checking records")
+            findings = [*_contents(read), *check_records.check(read, root), *_sessions(paths), *_strange(paths), *_left(found)]
+            executions = _count(read)
+        finally:
+            read.question.__exit__()
+    finally:
+        shared.close()
+    count = len(found.sound) + len(found.left)
+    seconds = time.monotonic() - began
+    report = Report(tuple(worst_first(findings)), count, found.files, found.bytes, len(objects.whole), executions, seconds)
+    return Checked(report, found, objects)
+
+
+def _blobs(paths: StorePaths, found: Contents) -> set[str]:
+    """The objects that are files of sources outside git."""
+    files = [segment.files["blobs"] for segment in found.sound if "blobs" in segment.files]
+    try:
+        with Question(paths.root, found.sound) as question:
+            return {row[0] for row in question.run(f"SELECT sha256 FROM {read_parquet(files)}")} if files else set()
+    except SierraError:
+        return set()
+
+
+def _count(read: Records) -> int:
+    try:
+        return int(read.question.run("SELECT count(*) FROM executions")[0][0])
+    except SierraError:
+        return 0
+
+
+def _contents(read: Records) -> Iterator[Finding]:
+    """What is wrong with files, each with what it concerns."""
+    damaged = {segment.name: segment for segment in read.contents.sound}
+    for finding in read.contents.findings:
+        parts = Path(finding.path).parts
+        if finding.kind.fine or len(parts) < 2 or parts[0] != "segments" or parts[1] not in damaged:
+            yield finding
+        else:
+            yield Finding(finding.kind, finding.path, finding.what, _affected(read, parts[1], parts[-1]))
+    for path, what in read.objects.faults:
+        segment = Path(path).parent.name
+        read.contents.broken.setdefault(segment, set()).add("objects.parquet")
+        yield Finding(Kind.INCONSISTENT, read.shown(path), what, _affected(read, segment, "objects.parquet"))
+
+
+def _affected(read: Records, name: str, file: str) -> Affected:
+    """What a segment holds, as far as its sound files, and the batch that it is called by, say."""
+    [segment] = [segment for segment in read.contents.sound if segment.name == name]
+    try:
+        batches = [row[0] for row in read.each("SELECT batch FROM batches WHERE starts_with(batch, $p)", p=segment.batch)]
+        executions: set[str] = set()
+        for table, path in segment.files.items():
+            if table in ("executions", "artifacts") or (table.startswith("output.") and not executions):
+                executions |= {row[0] for row in read.each(f"SELECT DISTINCT execution FROM {read_parquet([path])}")}
+        told = of(read.question, executions, batches=batches)
+    except (Damaged, SierraError):
+        return Affected(text=f"of batch {segment.batch}…")
+    return told if told.text else Affected(text=f"of batch {segment.batch}…")
+
+
+def _sessions(paths: StorePaths) -> Iterator[Finding]:
+    """Askings that died. Where the store cannot be written, nobody works in it, and nobody can tell."""
+    if not all(os.access(path, os.W_OK) for path in (paths.root, paths.work) if path.exists()):
+        return
+    try:
+        with sessions.exclusively(paths) as locks:
+            living = {one.root for one in sessions.alive(paths)}
+            found = sessions.all_of(paths) if locks else []
+    except (SierraError, OSError) as error:
+        yield Finding(Kind.DAMAGED, "work", str(error))
+        return
+    for session in found:
+        if session.root not in living:
+            what = "an asking that died; sierra run or sierra gc finishes it"
+            yield Finding(Kind.DEAD, f"work/{session.root.name}", what)
+
+
+def _strange(paths: StorePaths) -> Iterator[Finding]:
+    """What lies among the sessions and is none; nothing of it is ever removed."""
+    for path in marks.strange(paths):
+        name = path.relative_to(paths.root)
+        yield Finding(Kind.FOREIGN, str(name), "does not bear SIERRA's mark, and is left alone; move it away if it is yours")
+
+
+def _left(found: Contents) -> Iterator[Finding]:
+    for name in found.left:
+        yield Finding(Kind.LEFT, f"segments/{name}", "replaced by another segment; sierra gc removes it")

@@ -1,0 +1,237 @@
+"""`gc`: removing what nothing needs, and merging many small segments of a batch into one.
+
+What nothing needs: folders of askings that died (what had finished there is recorded first), unfinished files, segments that
+were replaced, recorded files that no record refers to. Git's `refs/sierra/` are left alone: other projects and stores may
+share the repository, and no store knows of them all. Segments that a repair put aside go only where that is asked for.
+
+Only where that is asked for, the bytes of files that became tables go too; their rows stay. Bytes that are also those of an
+input, of a file that became no table, or of a source stay: each is needed as that.
+
+Merging changes no row, and their order in an execution neither. Of what is in several merged segments, one copy stays.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Set as AbstractSet
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from sierra.containers.images.inspect import unfinished
+from sierra.execution import recover, sessions
+from sierra.maintenance.check_files import UNFINISHED, put_aside
+from sierra.maintenance.transaction import changing, publish, undisturbed
+from sierra.store.compaction import Drop, Group, Rewriting, groups, out_of_use, tidy, touched
+from sierra.store.layout import StorePaths
+from sierra.store.scans import read_parquet
+from sierra.store.segments import Segment
+from sierra.store.store import Question, Store
+from sierra.worker import worker
+
+MANY = 4
+"""Small segments of one batch that are merged; fewer are left as they are."""
+SMALL = 64 << 20
+LARGE = 256 << 20
+"""Bytes that merged segments have at most."""
+
+
+@dataclass(frozen=True, slots=True)
+class Collection:
+    """What is removed, or would be."""
+
+    sessions: int
+    """Askings that died."""
+    unfinished: int
+    """Files that were never finished."""
+    replaced: int
+    """Segments that do not count any more."""
+    objects: int
+    """Recorded files that nothing refers to, and those of `raw`."""
+    bytes: int
+    """Their sizes."""
+    merged: int
+    """Segments that are merged."""
+    into: int
+    """What they are merged to."""
+    damaged: int
+    """Segments that a repair put aside; they go only where that is asked for."""
+    raw: int = 0
+    """Files that became tables, of which the bytes go; only where that is asked for."""
+    recovered: int = 0
+    """Executions that had finished in askings that died, and are recorded now."""
+    left: int = 0
+    """Segments that somebody was still reading, and that the next gc removes."""
+
+    @property
+    def nothing(self) -> bool:
+        return not any((self.sessions, self.unfinished, self.replaced, self.objects, self.merged, self.damaged))
+
+
+@dataclass(frozen=True, slots=True)
+class _Plan:
+    groups: tuple[Group, ...]
+    drop: Drop
+    bytes: int
+    raw: int
+    seen: AbstractSet[str]
+
+    @property
+    def objects(self) -> int:
+        return len(self.drop.get("objects", {}).get("sha256", ()))
+
+
+def plan(store: Store, *, damaged: bool = False, raw: bool = False) -> Collection:
+    """What `collect` would do."""
+    paths = store.paths
+    made = _plan(store, raw=raw)
+    with sessions.exclusively(paths) as locks:
+        living = {one.root for one in sessions.alive(paths)} if locks else set()
+        dead = [one for one in sessions.all_of(paths) if locks and one.root not in living]
+        unused = len(out_of_use(paths))
+    merged = [group for group in made.groups if len(group.segments) > 1]
+    aside = len(put_aside(paths)) if damaged else 0
+    return Collection(
+        len(dead),
+        len(list(_unfinished(paths))),
+        unused,
+        made.objects,
+        made.bytes,
+        sum(len(group.segments) for group in merged),
+        len(merged),
+        aside,
+        made.raw,
+    )
+
+
+def collect(
+    store: Store, *, damaged: bool = False, raw: bool = False, agree: Callable[[Collection], bool] = lambda collection: True
+) -> Collection | None:
+    """Remove what nothing needs, if `agree` says so of what that is; None where it does not.
+
+    Raises Missing where the disk is full, SierraError where another is just beginning: nothing is lost then.
+    """
+    first = plan(store, damaged=damaged, raw=raw)
+    if not first.nothing and not agree(first):
+        return None
+    paths = store.paths
+    recovered = recover.finish_dead(store)
+    for path in list(_unfinished(paths)):
+        worker.remove(str(path)) if path.is_dir() else path.unlink(missing_ok=True)
+    for path in put_aside(paths) if damaged else ():
+        worker.remove(str(path))
+    left = 0
+    with changing(paths) as session:
+        made = _plan(store, raw=raw)
+        if made.groups:
+
+            def prepare(rewriting: Rewriting) -> AbstractSet[str]:
+                nonlocal made
+                made = _plan(store, raw=raw)
+                for group in made.groups:
+                    rewriting.write(group, made.drop)
+                return made.seen
+
+            left = publish(paths, session, prepare, lambda: undisturbed(paths, session, set()))
+        else:
+            with sessions.exclusively(paths):
+                tidy(paths, session.paths.root / "old")
+                left = len(out_of_use(paths))
+    return replace(first, recovered=recovered, left=left)
+
+
+def _unfinished(paths: StorePaths) -> Iterator[Path]:
+    """Files that were written beside their targets, and images that were being read, by processes that are gone."""
+    own = (path for path in paths.root.iterdir() if UNFINISHED.fullmatch(path.name))
+    for path in (*own, *unfinished(paths)):
+        if worker.birth(int(path.name.rpartition(".")[2])) is None:
+            yield path
+
+
+REFERRED = """
+SELECT sha256 FROM judged_artifacts {which} UNION SELECT unnest([input] || others) FROM members
+UNION SELECT files FROM sources UNION SELECT files FROM images UNION SELECT sha256 FROM blobs
+"""
+
+
+RAW = "WHERE kind <> 'table'"
+TABLES = "SELECT count(DISTINCT sha256) FROM judged_artifacts SEMI JOIN unneeded USING (sha256) WHERE kind = 'table'"
+
+
+def _plan(store: Store, *, raw: bool) -> _Plan:
+    with store.ask() as question:
+        question.views.make(("judged_artifacts", "members", "sources", "images", "blobs"))
+        unneeded = {} if not _has(question, "objects") else _unneeded(question, raw=raw)
+        drop = {"objects": {"sha256": set(unneeded)}} if unneeded else {}
+        holding = touched(question, question.segments, drop)
+        small: dict[str, list[Segment]] = {}
+        for segment in question.segments:
+            if segment.files and _size(segment) < SMALL:
+                small.setdefault(segment.batch, []).append(segment)
+        chosen = {id(segment): segment for those in small.values() if len(those) >= MANY for segment in those}
+        chosen |= {id(segment): segment for segment in holding}
+        found = [part for group in groups(chosen.values()) for part in _parts(group)]
+        kept = [group for group in found if len(group.segments) > 1 or group.segments[0] in holding]
+        raws = _tables(question, unneeded)
+        return _Plan(tuple(kept), drop, sum(unneeded.values()), raws, {segment.name for segment in question.segments})
+
+
+def _has(question: Question, table: str) -> bool:
+    return any(table in segment.files for segment in question.segments)
+
+
+def _unneeded(question: Question, *, raw: bool) -> dict[str, int]:
+    """Return the size of each object that no record refers to; with `raw`, none but as that of a table."""
+    referred = REFERRED.format(which=RAW if raw else "")
+    files = [segment.files["objects"] for segment in question.segments if "objects" in segment.files]
+    statement = f"SELECT sha256, max(size) FROM {read_parquet(files)} o ANTI JOIN ({referred}) r USING (sha256) GROUP BY sha256"
+    return dict(question.run(statement))
+
+
+def _tables(question: Question, unneeded: Iterable[str]) -> int:
+    """Count the objects among these that are bytes of tables."""
+    import pyarrow as pa
+
+    question.register("unneeded", pa.table({"sha256": pa.array(sorted(unneeded), pa.string())}))
+    count: int = question.run(TABLES)[0][0]
+    return count
+
+
+def _size(segment: Segment) -> int:
+    return sum(Path(path).stat().st_size for path in segment.files.values())
+
+
+def _parts(group: Group) -> Iterator[Group]:
+    """A group in parts that are not too large."""
+    held: list[Segment] = []
+    size = 0
+    for segment in group.segments:
+        more = _size(segment)
+        if held and size + more > LARGE:
+            yield Group(tuple(held))
+            held, size = [], 0
+        held.append(segment)
+        size += more
+    yield Group(tuple(held))
+
+
+RAW_LOST = (
+    "files that became tables: their bytes, not their rows. Changed [outputs] or [success] may execute their runs again, "
+    "sierra files writes them from their rows, and no check can read them again"
+)
+
+
+def text(collection: Collection) -> list[str]:
+    """What is removed, in lines."""
+    told = (
+        (collection.sessions, "askings that died (what had finished in them is recorded first)"),
+        (collection.unfinished, "unfinished files"),
+        (collection.replaced, "segments that were replaced"),
+        (collection.objects - collection.raw, "recorded files that nothing refers to"),
+        (collection.raw, RAW_LOST),
+        (collection.merged, f"small segments, merged into {collection.into}"),
+        (collection.damaged, "damaged segments that a repair put aside"),
+    )
+    return [f"{count} {what}" for count, what in told if count]
+
+
+__all__ = ["Collection", "collect", "plan", "text"]

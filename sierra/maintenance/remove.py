@@ -1,0 +1,289 @@
+"""`rm`: removing batches, experiments, runs and executions, and nothing else.
+
+A batch goes with all that says so: its experiments, members, askings, replays. Its runs' executions go with it, unless another
+batch has the run. An experiment, a run or an execution is part of what batches *are*, so only what was executed of it goes, and
+the batch asks for it again; of an experiment, runs that other experiments have keep their executions. A run or an execution
+that is named itself goes, whoever has it; which batches these are is said first.
+
+What was recorded around them (recipes, sources, environments, programs, rules, files) goes where nothing else refers to it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Set as AbstractSet
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import pyarrow as pa
+
+from sierra.errors import NotFound, SierraError
+from sierra.execution import recover
+from sierra.maintenance.transaction import changing, publish, undisturbed
+from sierra.provenance import source
+from sierra.store.compaction import Rewriting, groups, touched
+from sierra.store.segments import Segment
+from sierra.store.store import Question, Store
+from sierra.util.hashing import short
+from sierra.util.text import few
+
+SHOWN = 5
+
+
+@dataclass(frozen=True, slots=True)
+class Removal:
+    """What removing would delete, and what stays though it was asked for."""
+
+    batches: tuple[Mapping[str, Any], ...]
+    """Whole ones: batch, query, experiments, runs."""
+    runs: int
+    """Runs that have no execution then, or one less."""
+    executions: int
+    replays: int
+    bytes: int
+    """What these executions wrote, in files and tables."""
+    losing: tuple[str, ...]
+    """Batches that stay, and lose executions."""
+    shared: int
+    """Runs that stay as they are, because others have them."""
+    sharing: tuple[str, ...]
+    """The batches that have them."""
+    left: int = 0
+    """Old files (segments) that somebody was still reading, and that `sierra gc` removes."""
+
+    @property
+    def nothing(self) -> bool:
+        return not self.batches and not self.executions
+
+
+@dataclass(slots=True)
+class _Plan:
+    removal: Removal
+    drop: dict[str, dict[str, AbstractSet[str]]] = field(default_factory=dict)
+    touched: list[Segment] = field(default_factory=list)
+    concerned: set[str] = field(default_factory=set)
+    """Batches that must not be executing meanwhile."""
+    seen: set[str] = field(default_factory=set)
+
+
+def plan(store: Store, prefixes: Sequence[str]) -> Removal:
+    """What `remove` would do. Raises NotFound."""
+    return _plan(store, _resolve(store, prefixes)).removal
+
+
+def remove(store: Store, prefixes: Sequence[str], agree: Callable[[Removal], bool] = lambda removal: True) -> Removal | None:
+    """Remove what these ids name, if `agree` says so of what that would delete; None where it does not.
+
+    Raises NotFound, Missing where the disk is full, SierraError while one of the batches is executing; then nothing changes.
+    """
+    recover.finish_dead(store)
+    named = _resolve(store, prefixes)
+    first = _plan(store, named)
+    if not agree(first.removal):
+        return None
+    made = first
+    with changing(store.paths) as session:
+
+        def prepare(rewriting: Rewriting) -> AbstractSet[str]:
+            nonlocal made
+            made = _plan(store, named)
+            if made.removal != first.removal:
+                raise SierraError("what this would delete has changed meanwhile; ask again")
+            for group in groups(made.touched):
+                rewriting.write(group, made.drop)
+            return made.seen
+
+        left = publish(store.paths, session, prepare, lambda: undisturbed(store.paths, session, made.concerned))
+    done = made.removal
+    return replace(done, left=left)
+
+
+def _resolve(store: Store, prefixes: Sequence[str]) -> dict[str, set[str]]:
+    named: dict[str, set[str]] = {"batch": set(), "experiment": set(), "run": set(), "execution": set()}
+    for prefix in prefixes:
+        found = store.resolve(prefix)
+        named[found.kind].add(found.id)
+    if not prefixes:
+        raise NotFound("name what is to be removed: batches, experiments, runs or executions, by the beginning of their ids")
+    return named
+
+
+TABLES = (
+    "batches",
+    "experiments",
+    "members",
+    "executions",
+    "judged",
+    "artifacts",
+    "judged_artifacts",
+    "verdicts",
+    "replays",
+    "sessions",
+    "recipes",
+    "sources",
+    "images",
+    "blobs",
+)
+FIND = """
+CREATE TEMP TABLE asked_members AS SELECT DISTINCT m.batch, m.ordinal, m.run
+    FROM members m JOIN experiments x USING (batch, ordinal)
+    WHERE m.batch IN (SELECT id FROM named WHERE kind = 'batch')
+    OR x.experiment IN (SELECT id FROM named WHERE kind = 'experiment');
+CREATE TEMP TABLE shared AS SELECT DISTINCT a.run, m.batch FROM (SELECT DISTINCT run FROM asked_members) a
+    JOIN (SELECT DISTINCT batch, ordinal, run FROM members EXCEPT SELECT batch, ordinal, run FROM asked_members) m USING (run);
+CREATE TEMP TABLE gone AS
+    SELECT judgement AS execution, execution AS own, run, environment, programs, reading, isolation FROM judged
+    WHERE execution IN (SELECT id FROM named WHERE kind = 'execution') OR run IN (SELECT id FROM named WHERE kind = 'run')
+    OR run IN (SELECT run FROM asked_members EXCEPT SELECT run FROM shared);
+CREATE TEMP TABLE gone_batches AS SELECT id AS batch FROM named WHERE kind = 'batch';
+CREATE TEMP TABLE gone_verdicts AS SELECT replay FROM verdicts WHERE recorded IN (SELECT execution FROM gone)
+    OR execution IN (SELECT execution FROM gone);
+CREATE TEMP TABLE staying_verdicts AS SELECT DISTINCT replay FROM verdicts
+    WHERE (recorded IS NULL OR recorded NOT IN (SELECT execution FROM gone))
+    AND (execution IS NULL OR execution NOT IN (SELECT execution FROM gone));
+CREATE TEMP TABLE gone_replays AS SELECT replay FROM replays WHERE batch IN (SELECT batch FROM gone_batches)
+    OR (replay IN (SELECT replay FROM gone_verdicts) AND replay NOT IN (SELECT replay FROM staying_verdicts));
+CREATE TEMP TABLE staying AS SELECT judgement AS execution, environment, programs, reading, isolation FROM judged
+    WHERE judgement NOT IN (SELECT execution FROM gone);
+CREATE TEMP TABLE gone_members AS SELECT * FROM members WHERE batch IN (SELECT batch FROM gone_batches);
+CREATE TEMP TABLE staying_members AS SELECT * FROM members WHERE batch NOT IN (SELECT batch FROM gone_batches);
+CREATE TEMP TABLE staying_recipes AS SELECT DISTINCT recipe FROM staying_members;
+CREATE TEMP TABLE staying_trees AS SELECT DISTINCT source AS tree FROM recipes
+    WHERE recipe IN (SELECT recipe FROM staying_recipes);
+CREATE TEMP TABLE staying_sessions AS SELECT * FROM sessions WHERE batch NOT IN (SELECT batch FROM gone_batches);
+CREATE TEMP TABLE staying_replays AS SELECT * FROM replays WHERE replay NOT IN (SELECT replay FROM gone_replays);
+CREATE TEMP TABLE gone_sources AS SELECT source, files, vcs FROM sources WHERE
+    (source IN (SELECT source FROM sessions WHERE batch IN (SELECT batch FROM gone_batches))
+     OR tree IN (SELECT source FROM recipes WHERE recipe IN (SELECT recipe FROM gone_members)))
+    AND source NOT IN (SELECT source FROM staying_sessions WHERE source IS NOT NULL)
+    AND tree NOT IN (SELECT tree FROM staying_trees WHERE tree IS NOT NULL);
+CREATE TEMP TABLE gone_images AS SELECT image, files FROM images WHERE
+    image IN (SELECT image FROM recipes WHERE recipe IN (SELECT recipe FROM gone_members))
+    AND image NOT IN (SELECT image FROM recipes WHERE recipe IN (SELECT recipe FROM staying_recipes) AND image IS NOT NULL);
+"""
+AROUND = {
+    "recipes": ("recipe", "SELECT recipe FROM gone_members EXCEPT SELECT recipe FROM staying_recipes"),
+    "environments": (
+        "environment",
+        "(SELECT environment FROM gone UNION SELECT environment FROM sessions UNION SELECT environment FROM replays) EXCEPT "
+        "(SELECT environment FROM staying UNION SELECT environment FROM staying_sessions "
+        "UNION SELECT environment FROM staying_replays)",
+    ),
+    "programs": (
+        "programs",
+        "(SELECT programs FROM gone UNION SELECT programs FROM sessions UNION SELECT programs FROM replays) EXCEPT "
+        "(SELECT programs FROM staying UNION SELECT programs FROM staying_sessions UNION SELECT programs FROM staying_replays)",
+    ),
+    "readings": (
+        "reading",
+        "(SELECT reading FROM gone UNION SELECT reading FROM sessions) EXCEPT "
+        "(SELECT reading FROM staying UNION SELECT reading FROM staying_sessions)",
+    ),
+    "sources": ("source", "SELECT source FROM gone_sources"),
+    "images": ("image", "SELECT image FROM gone_images"),
+    "isolations": ("isolation", "SELECT isolation FROM gone EXCEPT SELECT isolation FROM staying"),
+}
+"""By table, its key, and the ids that nothing refers to any more."""
+OBJECTS = """
+(SELECT sha256 FROM judged_artifacts WHERE execution IN (SELECT execution FROM gone)
+ UNION SELECT unnest([input] || others) FROM gone_members UNION SELECT files FROM gone_sources
+ UNION SELECT files FROM gone_images UNION SELECT sha256 FROM blobs WHERE blob IN (SELECT blob FROM gone_blobs))
+EXCEPT
+(SELECT sha256 FROM judged_artifacts WHERE execution NOT IN (SELECT execution FROM gone)
+ UNION SELECT unnest([input] || others) FROM staying_members
+ UNION SELECT files FROM sources WHERE source NOT IN (SELECT source FROM gone_sources)
+ UNION SELECT files FROM images WHERE image NOT IN (SELECT image FROM gone_images)
+ UNION SELECT sha256 FROM blobs WHERE blob NOT IN (SELECT blob FROM gone_blobs))
+"""
+
+
+def _plan(store: Store, named: Mapping[str, AbstractSet[str]]) -> _Plan:
+    with store.ask() as question:
+        question.views.make((*TABLES, "environments", "programs", "readings", "findings"))
+        pairs = [(kind, identity) for kind, ids in named.items() for identity in sorted(ids)]
+        question.register("named", pa.table({"kind": [kind for kind, _ in pairs], "id": [one for _, one in pairs]}))
+        question.run(FIND)
+        made = _Plan(_removal(question, named))
+        made.drop = _drop(question, store, named)
+        made.touched = touched(question, question.segments, made.drop)
+        made.seen = {segment.name for segment in question.segments}
+        concerned = "SELECT batch FROM members WHERE run IN (SELECT run FROM gone) UNION SELECT batch FROM gone_batches"
+        made.concerned = _column(question, concerned)
+        return made
+
+
+def _removal(question: Question, named: Mapping[str, AbstractSet[str]]) -> Removal:
+    batches = question.sql(
+        "SELECT batch, query, experiments, runs FROM batches WHERE list_contains($b, batch) ORDER BY batch",
+        b=sorted(named["batch"]),
+    ).to_pylist()
+    [(runs, executions)] = question.run("SELECT count(DISTINCT run), count(DISTINCT own) FROM gone")
+    [(replays,)] = question.run("SELECT count(DISTINCT replay) FROM gone_replays")
+    [(size,)] = question.run("SELECT coalesce(sum(size), 0)::BIGINT FROM artifacts WHERE execution IN (SELECT own FROM gone)")
+    losing = _column(
+        question, "SELECT m.batch FROM members m JOIN gone USING (run) ANTI JOIN gone_batches g ON g.batch = m.batch"
+    )
+    kept = "SELECT run, batch FROM shared WHERE run NOT IN (SELECT run FROM gone)"
+    shared = _column(question, f"SELECT run FROM ({kept})")
+    sharing = _column(question, f"SELECT batch FROM ({kept})")
+    return Removal(tuple(batches), runs, executions, replays, size, tuple(sorted(losing)), len(shared), tuple(sorted(sharing)))
+
+
+def _drop(question: Question, store: Store, named: Mapping[str, AbstractSet[str]]) -> dict[str, dict[str, AbstractSet[str]]]:
+    executions = _column(question, "SELECT execution FROM gone")
+    batches = set(named["batch"])
+    replays = _column(question, "SELECT replay FROM gone_replays")
+    drop: dict[str, dict[str, AbstractSet[str]]] = {
+        **{table: {"execution": executions} for table in ("executions", "artifacts", "findings", "output")},
+        "judgements": {"judgement": executions},
+        **{table: {"batch": batches} for table in ("batches", "experiments", "members", "sessions")},
+        "replays": {"replay": replays},
+        "equivalences": {"replay": replays},
+        "verdicts": {"replay": replays, "recorded": executions, "execution": executions},
+    }
+    for table, (key, statement) in AROUND.items():
+        drop[table] = {key: _column(question, statement)}
+    blobs = _blobs(question, store)
+    question.register("gone_blobs", pa.table({"blob": pa.array(sorted(blobs), pa.string())}))
+    drop["blobs"] = {"blob": blobs}
+    drop["objects"] = {"sha256": _column(question, OBJECTS)}
+    return {
+        table: heeded
+        for table, columns in drop.items()
+        if (heeded := {column: values for column, values in columns.items() if values})
+    }
+
+
+def _blobs(question: Question, store: Store) -> set[str]:
+    """Files of sources outside git that no other source has."""
+    gone = _column(question, "SELECT files FROM gone_sources WHERE vcs = 'none'")
+    if not gone:
+        return set()
+    stay = _column(question, "SELECT files FROM sources WHERE vcs = 'none' AND source NOT IN (SELECT source FROM gone_sources)")
+    theirs = {blob for files in stay for blob in source.blobs(store.object(files))}
+    return {blob for files in gone for blob in source.blobs(store.object(files))} - theirs
+
+
+def _column(question: Question, statement: str) -> set[str]:
+    return {row[0] for row in question.run(statement) if row[0] is not None}
+
+
+def text(removal: Removal) -> list[str]:
+    """What would be deleted, and what stays, in lines."""
+    lines = [
+        f"batch {short(one['batch'])} ({one['query']}): {one['experiments']} experiments, {one['runs']} runs"
+        for one in removal.batches
+    ]
+    if removal.executions:
+        lines.append(f"{removal.executions} executions of {removal.runs} runs, with their files, tables and logs")
+    if removal.replays:
+        lines.append(f"{removal.replays} replay{'' if removal.replays == 1 else 's'}")
+    if removal.losing:
+        lines.append(f"these executions are also of batch {_some(removal.losing)}, which stays, and would execute them again")
+    if removal.shared:
+        lines.append(f"stays: {removal.shared} runs with their executions, which batch {_some(removal.sharing)} has too")
+    return lines
+
+
+def _some(batches: Iterable[str]) -> str:
+    return few([short(batch) for batch in batches], SHOWN)

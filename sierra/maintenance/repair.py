@@ -1,0 +1,187 @@
+"""`fsck --repair`: making again what follows from other things, and putting the rest of a damaged segment aside.
+
+Nothing is deleted. What is the same in every store is written again; a MANIFEST is made again where it then is the one that the
+segment's name vouches for; what does not belong to a store is moved to `damaged/`. Of a damaged segment the sound files are
+written to a new one, and the old one is moved to `damaged/`, whole. What stays of it must be complete, by one rule:
+
+- an execution stays if its record, all its artifacts, files, logs and rows are there and give its result; else it goes, and
+  `sierra run` executes it again;
+- a batch stays if its id follows from its experiments and runs, and all their inputs and its source are there; else what says
+  that there is such a batch goes, its executions stay, and asking for it again finds them.
+
+The same holds for what was forged, or written wrongly, in segments whose bytes are sound.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import re
+from collections.abc import Iterator
+from collections.abc import Set as AbstractSet
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from sierra.errors import Damaged, SierraError
+from sierra.execution import sessions
+from sierra.maintenance import check_records, fsck
+from sierra.maintenance.check_files import DERIVED, FIXED, NAME
+from sierra.maintenance.check_records import Records
+from sierra.maintenance.findings import Kind
+from sierra.maintenance.fsck import Checked, Report, Tell
+from sierra.maintenance.transaction import aside, changing, publish, undisturbed
+from sierra.store.compaction import Drop, Rewriting, groups, touched
+from sierra.store.layout import StorePaths
+from sierra.store.segments import FORMAT, MANIFEST, READABLE, Segment, manifest
+from sierra.util.fs import write_whole
+from sierra.util.hashing import sha256, short
+
+
+@dataclass(frozen=True, slots=True)
+class Repair:
+    """What was done, or would be, in lines; and what a check says then."""
+
+    done: tuple[str, ...]
+    report: Report
+
+
+@dataclass(slots=True)
+class _Loss:
+    """What cannot be kept."""
+
+    executions: set[str] = field(default_factory=set)
+    batches: set[str] = field(default_factory=set)
+    touched: list[Segment] = field(default_factory=list)
+
+    @property
+    def drop(self) -> Drop:
+        drop: dict[str, dict[str, AbstractSet[str]]] = {}
+        if self.executions:
+            drop |= {table: {"execution": self.executions} for table in ("executions", "artifacts", "findings", "output")}
+            drop["judgements"] = {"judgement": self.executions}
+            drop["verdicts"] = {"recorded": self.executions, "execution": self.executions}
+        if self.batches:
+            drop |= {table: {"batch": self.batches} for table in ("batches", "experiments", "members")}
+        return drop
+
+
+def repair(paths: StorePaths, root: Path, *, dry_run: bool = False, tell: Tell = lambda text: None) -> Repair:
+    """Repair a store. Raises Missing where the disk is full, SierraError where others are at work; nothing is lost then."""
+    _ours(paths)
+    checked = fsck.check(paths, root, tell)
+    done = [*_fixed(paths, checked, dry_run), *_manifests(paths, checked, dry_run), *_strays(paths, checked, dry_run)]
+    if done and not dry_run:
+        checked = fsck.check(paths, root, tell)
+    done += _salvage(paths, root, checked, dry_run, tell)
+    return Repair(tuple(done), checked.report if dry_run or not done else fsck.check(paths, root, tell).report)
+
+
+def _ours(paths: StorePaths) -> None:
+    """Raise Damaged for a store that says to be of another format: what is sound there would seem damaged here."""
+    with contextlib.suppress(OSError):
+        found = paths.format.read_bytes().decode("utf-8", "replace")
+        if re.fullmatch(r"sierra store \d+\n", found) and found not in READABLE:
+            told = f"this is {found.strip()!r}, which this SIERRA does not repair"
+            raise Damaged(f"{paths.format}: {told}; if this SIERRA made it, let the file say {FORMAT.strip()!r}")
+
+
+def _fixed(paths: StorePaths, checked: Checked, dry_run: bool) -> Iterator[str]:
+    """Files that are the same in every store."""
+    wrong = {finding.path for finding in checked.report.findings} & FIXED.keys()
+    for name in sorted(wrong):
+        if not dry_run:
+            write_whole(paths.root / name, FIXED[name].encode())
+        yield f"{name}: written again"
+    for name in sorted({finding.path for finding in checked.report.findings if finding.kind is Kind.DAMAGED} & DERIVED):
+        if not dry_run:
+            (paths.root / name).unlink()
+        yield f"{name}: removed, to be made again"
+
+
+def _manifests(paths: StorePaths, checked: Checked, dry_run: bool) -> Iterator[str]:
+    for name in sorted(checked.contents.broken):
+        folder = paths.segments / name
+        files = sorted(path for path in folder.iterdir() if path.name != MANIFEST and path.is_file() and not path.is_symlink())
+        text = manifest(files)
+        if MANIFEST in checked.contents.broken[name] and sha256(text)[:16] == name[-16:]:
+            if not dry_run:
+                write_whole(folder / MANIFEST, text)
+            checked.contents.broken.pop(name)
+            yield f"segments/{name}/{MANIFEST}: made again from the segment's files, which its name vouches for"
+
+
+def _strays(paths: StorePaths, checked: Checked, dry_run: bool) -> Iterator[str]:
+    for finding in checked.report.findings:
+        path = paths.root / finding.path
+        if finding.kind is Kind.STRAY and (path.is_symlink() or path.exists()):
+            if not dry_run:
+                aside(paths, path)
+            yield f"{finding.path}: moved to damaged/"
+
+
+def _salvage(paths: StorePaths, root: Path, checked: Checked, dry_run: bool, tell: Tell) -> Iterator[str]:
+    loss = _loss(paths, checked)
+    names = [segment.name for segment in loss.touched]
+    if not names:
+        return
+    if not dry_run:
+        _write(paths, root, loss, tell)
+    for name in names:
+        yield f"segments/{name}: what is sound in it written to a new segment, and the old one moved to damaged/"
+    for segment in loss.touched:
+        if "artifacts" in segment.files and "objects.parquet" in checked.contents.broken.get(segment.name, ()):
+            yield f"segments/{segment.name}: the bytes of files that became tables are lost, their rows are not"
+    if loss.executions:
+        yield f"{len(loss.executions)} executions are lost; sierra run executes again those that counted"
+    for batch in sorted(loss.batches):
+        yield f"batch {short(batch)} is not complete; asking for it again records it again"
+
+
+def _write(paths: StorePaths, root: Path, first: _Loss, tell: Tell) -> None:
+    with sessions.exclusively(paths):
+        pass  # makes the folder for work, where it is gone
+    with changing(paths) as session:
+        loss = first
+
+        def prepare(rewriting: Rewriting) -> AbstractSet[str]:
+            nonlocal loss
+            checked = fsck.check(paths, root, tell)
+            loss = _loss(paths, checked)
+            for group in groups(segment for segment in loss.touched if NAME.fullmatch(segment.name)):
+                rewriting.write(group, loss.drop)
+            return {segment.name for segment in checked.contents.sound}
+
+        def may() -> None:
+            if loss.executions - first.executions or loss.batches - first.batches:
+                raise SierraError("more has been damaged meanwhile; try again")
+            undisturbed(paths, session, loss.batches)
+
+        publish(paths, session, prepare, may, keep={segment.name for segment in first.touched})
+
+
+def _loss(paths: StorePaths, checked: Checked) -> _Loss:
+    """What is not complete, in damaged segments and anywhere else, and the segments that have some of it."""
+    contents = checked.contents
+    loss = _Loss()
+    broken, contents.broken = contents.broken, {}
+    read = Records(paths, contents, checked.objects)
+    try:
+        for one in check_records.CHECKS:
+            for finding in one(read):
+                if finding.kind in (Kind.LOST, Kind.INCONSISTENT):
+                    loss.executions |= set() if finding.what == check_records.ORPHANS else set(finding.affected.executions)
+                    if not finding.affected.executions:
+                        loss.batches |= set(finding.affected.batches)
+        loss.executions |= _judgements_of(read, loss.executions)
+        readable = [segment for segment in contents.sound if segment.name not in broken]
+        going = {segment.name for segment in touched(read.question, readable, loss.drop)}
+        loss.touched = [segment for segment in contents.sound if segment.name in broken or segment.name in going]
+    finally:
+        read.question.__exit__()
+        contents.broken = broken
+    return loss
+
+
+def _judgements_of(read: Records, executions: AbstractSet[str]) -> set[str]:
+    """The judgements that go with their executions."""
+    rows = read.each("SELECT judgement FROM judgements WHERE list_contains($e, execution)", e=sorted(executions))
+    return {row[0] for row in rows}

@@ -1,0 +1,57 @@
+"""SHA-256 of files, remembered for as long as a file is the same: its path, device, inode, size, and both its times.
+
+The time of change (ctime) is set by the kernel whenever content or rights change, and no program can set it. A file that
+was changed within the last seconds is hashed again next time: a further change might fall into the same tick of the clock
+(what git calls racily clean).
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from pathlib import Path
+
+from sierra.errors import Missing
+from sierra.store.layout import user_digests
+from sierra.util.cache import Remembered
+from sierra.util.hashing import sha256_file
+
+SMALL = 1 << 16
+"""Bytes up to which hashing is as quick as remembering."""
+RACY_NS = 2 * 10**9
+MOST = 4096
+
+
+class Digests:
+    """SHA-256 of files; `save` at the end keeps them for the next time."""
+
+    def __init__(self) -> None:
+        self._remembered = Remembered(user_digests(), MOST)
+
+    def of(self, path: str) -> str:
+        """The SHA-256 of a file's content. Raises Missing where it cannot be read."""
+        try:
+            return self._of(os.path.abspath(path))  # noqa: PTH100 - links stay
+        except OSError as error:
+            raise Missing(f"{path} cannot be read: {error.strerror}") from error
+
+    def save(self) -> None:
+        self._remembered.save()
+
+    def _of(self, path: str) -> str:
+        state = _state(path)
+        if state[2] <= SMALL:
+            return sha256_file(Path(path))
+        known = self._remembered.get(path)
+        if isinstance(known, list) and known[:-1] == state and isinstance(known[-1], str):
+            return known[-1]
+        now = time.time_ns()
+        digest = sha256_file(Path(path))
+        if _state(path) == state and max(state[3:]) < now - RACY_NS:
+            self._remembered.put(path, [*state, digest])
+        return digest
+
+
+def _state(path: str) -> list[int]:
+    status = os.stat(path)  # noqa: PTH116 - as quick as can be
+    return [status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns]

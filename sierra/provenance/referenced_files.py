@@ -1,0 +1,172 @@
+"""Files that a command, a variable or a template names, and that the source does not hold: they count like programs.
+
+What git ignores is such, and what lies outside the project, be it by a link. A command or a variable names a file or a
+folder by `{project}/…` (of a folder, all files count), and a file by its absolute path. A template names a file where an
+attribute or a text in it is the file's path: absolute, or as seen from the project's root, from the template's folder, or
+from a folder that it names as well (`meshdir`). What is named so and is a model or a configuration itself is read likewise.
+"""
+
+from __future__ import annotations
+
+import html
+import os
+import re
+from collections.abc import Callable, Container, Iterable, Iterator, Sequence
+from pathlib import Path
+
+from sierra.errors import Missing
+from sierra.provenance.hash_cache import Digests
+from sierra.provenance.program import NOTHING, Kind, Program, Programs
+
+LONGEST = 4096
+LARGEST = 10**9
+"""Bytes of a file that a template names, beyond which it is not hashed."""
+READ = (".xml", ".urdf", ".sdf", ".xacro", ".mjcf", ".argos", ".world", ".launch", ".json", ".yaml", ".yml", ".toml")
+READABLE = 1 << 24
+"""Bytes of the template, or of such a file, in which names are looked for."""
+LETTER = re.compile(r"[^\W\d_]")
+TAG = re.compile(r"""<[/?!]?[^\s<>"'/=]+""")
+"""The beginning of a tag in XML, with its name."""
+
+
+def files(
+    words: Iterable[str], root: Path, source: Container[bytes], texts: Programs = NOTHING, project: Path | None = None
+) -> Programs:
+    """What the words of a command and the values of variables name, and what `texts` has found beside.
+
+    The code lies in `root`; what is outside of it (`{project}/../data`) is where the user has the `project`.
+    """
+    digests = Digests()
+    found = {}
+    for word in words:
+        for path in _named(word.replace(f"{root}/", "{project}/"), root, (project or root).resolve()):
+            if not _holds(source, path, root):
+                found[str(path)] = _file(path, root, digests)
+    digests.save()
+    return Programs((*found.values(), *(one for one in texts.all if one.path not in found)), texts.notes)
+
+
+def _named(word: str, root: Path, project: Path) -> Iterator[Path]:
+    for inside in re.findall(r"\{project\}/([^:;,=]+)", word):
+        yield from _files(Path(os.path.normpath(project / inside)) if inside.split("/")[0] == ".." else root / inside)
+    for absolute in re.findall(r"(?:^|[:;,=])(/[^:;,=]+)", word):
+        if Path(absolute).is_file():
+            yield Path(absolute)
+
+
+def _files(path: Path) -> Iterator[Path]:
+    if path.is_file():
+        yield path
+    elif path.is_dir():
+        yield from sorted(below for below in path.rglob("*") if below.is_file() and "__pycache__" not in below.parts)
+
+
+def data(template: Path, texts: Iterable[str], root: Path, source: Container[bytes], without: Iterable[str]) -> Programs:
+    """The files that a template and `texts`, what is put into it, name; but those in `without`, as seen from the root."""
+    left = [root / path for path in without]
+    digests = Digests()
+    found: dict[Path, Program] = {}
+    notes: dict[Path, str] = {}
+    for path in _all_named(template, "\n".join(texts), root, left):
+        if path in found or path in notes or _holds(source, path, root):
+            continue
+        try:
+            if path.stat().st_size > LARGEST:
+                raise Missing(f"{path} is larger than 1 GB")
+            found[path] = _file(path, root, digests)
+        except (Missing, OSError) as error:
+            notes[path] = f"{error}: the template names it, and a change of it would not be seen"
+    digests.save()
+    return Programs(tuple(found[path] for path in sorted(found)), tuple(notes.values()))
+
+
+def uncounted(values: Iterable[str], template: Path, root: Path, source: Container[bytes], used: Programs) -> list[Path]:
+    """The files that values of a query name, and that are neither in the source nor among the files used.
+
+    They do not count: if they did, a batch with one value more would execute all that it has in common with another again.
+    """
+    known = {one.path for one in used.all}
+    found = dict.fromkeys(_existing(values, (root, template.parent)))
+    return [path for path in found if str(path) not in known and not _holds(source, path, root)]
+
+
+def beside(template: Path, texts: Iterable[str], root: Path) -> list[str]:
+    """Return the relative paths by which a template, and what is put into it, names files of the project."""
+    words = list(_words("\n".join((_text(template), *texts))))
+    folders = [folder for word in words if _is(Path.is_dir, folder := template.parent / word)]
+    relative = [word for word in words if not word.startswith("/")]
+    return [word for word in relative if any(_existing([word], (template.parent, root, *folders)))]
+
+
+def again(names: Iterable[str], root: Path) -> Programs:
+    """The files that a record has by these names, where they are there: `{project}/…`, or where they were."""
+    digests = Digests()
+    paths = (Path(name.replace("{project}", str(root), 1)) for name in names)
+    found = [_file(path, root, digests) for path in paths if path.is_absolute() and path.is_file()]
+    digests.save()
+    return Programs(tuple(found))
+
+
+def _all_named(template: Path, texts: str, root: Path, without: Sequence[Path]) -> Iterator[Path]:
+    """All existing files that a template names, and that those name which it includes; of none of these files or folders."""
+    pending, read = [(template, _text(template) + "\n" + texts)], {template}
+    while pending:
+        origin, text = pending.pop()
+        words = list(_words(text))
+        folders = [folder for word in words if _is(Path.is_dir, folder := origin.parent / word)]
+        for path in _existing(words, (root, origin.parent, *folders)):
+            if any(path.is_relative_to(left) for left in without):
+                continue
+            yield path
+            if path.suffix.lower() in READ and path not in read:
+                read.add(path)
+                pending.append((path, _text(path)))
+
+
+def _text(path: Path) -> str:
+    """What a file holds, up to a bound: it may be hostile."""
+    try:
+        with path.open("rb") as file:
+            return file.read(READABLE).decode("utf-8", "replace")
+    except OSError:
+        return ""
+
+
+def _existing(words: Iterable[str], folders: Iterable[Path]) -> Iterator[Path]:
+    """The files that are called so in one of these folders. A file's name has a dot or a slash."""
+    for word in words:
+        for folder in folders if "." in word or "/" in word else ():
+            path = Path(os.path.normpath(folder / word))
+            if _is(Path.is_file, path) and path.parts[1] not in ("proc", "sys", "dev"):
+                yield path
+
+
+def _is(kind: Callable[[Path], bool], path: Path) -> bool:
+    """Whether there is such a thing; names that are too long, or forbidden, are none."""
+    try:
+        return kind(path)
+    except (OSError, ValueError):
+        return False
+
+
+def _words(text: str) -> Iterator[str]:
+    """Yield what may be a path, each once: attributes, texts, and parts of them, if there is a letter in them.
+
+    Tags are none: `</x>` does not name the file `/x`.
+    """
+    said = TAG.sub("<", re.sub(r"<!--.*?-->", "", text, flags=re.DOTALL))
+    pieces = (html.unescape(piece).strip() for piece in dict.fromkeys(re.split(r"[\"'<>\n]", said)))
+    for word in dict.fromkeys(part for piece in pieces for part in (piece, *piece.split())):
+        if len(word) <= LONGEST and "\0" not in word and LETTER.search(word):
+            yield word.removeprefix("file://")
+
+
+def _holds(source: Container[bytes], path: Path, root: Path) -> bool:
+    relative = path.relative_to(root) if path.is_relative_to(root) else path
+    outside = not path.resolve().is_relative_to(root.resolve())
+    return not outside and os.fsencode(relative.as_posix()) in source
+
+
+def _file(path: Path, root: Path, digests: Digests) -> Program:
+    name = f"{{project}}/{path.relative_to(root)}" if path.is_relative_to(root) else str(path)
+    return Program(name, str(path), digests.of(str(path)), Kind.FILE)

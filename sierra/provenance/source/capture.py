@@ -1,0 +1,205 @@
+"""The code that runs are made from, as one tree with one id.
+
+The id is that of the tree as git hashes it, written as an SWHID (`swh:1:dir:…`): in a git repository git makes
+it, of the files as they are now (changed and untracked ones too, ignored ones not); outside, the same hash is
+made here, so that a project has one id wherever it lies. The user's index, files, branches and stash are not
+touched (see `working`), and the tree is kept from being pruned by a ref, `refs/sierra/<tree>`.
+
+`[source] dirty` says what becomes of changes that are not committed: "record" counts them, "refuse" is an error, and with
+"ignore" the source is the commit's tree. Since a result must not be ascribed to code that did not make it, what executes is
+then a checkout of that tree too wherever the working tree is another: `Source.checkout`.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Container, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from sierra.errors import ConfigError
+from sierra.provenance.source import ignored as uncounted
+from sierra.provenance.source import origin, plain_tree, worktree
+from sierra.provenance.source.git import Git, in_repository
+from sierra.provenance.source.manifest import (
+    LINK,
+    Entry,
+    Files,
+    blobs,
+    changed,
+    listed,
+    paths,
+    repositories,
+    tree_hash,
+    tree_of,
+    written,
+)
+from sierra.provenance.source.paths import Chosen, inside, shown
+from sierra.provenance.source.plain_tree import LEFT_OUT
+from sierra.provenance.source.restore import is_there, restore
+from sierra.provenance.source.sharing import Shared, share
+from sierra.util.hashing import digest
+
+SWHID = "swh:1:dir:"
+LARGE = 50_000_000
+"""Bytes, where `[source] large` does not say."""
+RECORDED = ("tree", "vcs", "commit", "branch", "dirty", "remote", "described", "folder", "submodules")
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """The state of the code at one time."""
+
+    tree: str
+    vcs: str
+    commit: str | None
+    branch: str | None
+    dirty: bool | None
+    remote: str | None
+    manifest: bytes
+    """A line for each file: mode, blob hash, path."""
+    described: str | None = None
+    folder: str | None = None
+    """The project's, from the root of the repository."""
+    submodules: str | None = None
+    """JSON: path and commit of each repository inside."""
+    checkout: bool = False
+    """Whether the working tree is another: what executes must be restored first."""
+    notes: tuple[str, ...] = ()
+    """What the user should know, a line each."""
+
+    @property
+    def id(self) -> str:
+        return digest("source", {name: getattr(self, name) for name in RECORDED})
+
+    def row(self, files: str) -> dict[str, Any]:
+        """Its record; `files` is the SHA-256 under which the manifest is kept."""
+        return {"source": self.id, "files": files, **{name: getattr(self, name) for name in RECORDED}}
+
+
+def capture(
+    root: Path,
+    *,
+    paths: Sequence[str],
+    without: Iterable[str],
+    dirty: str = "record",
+    large: int = LARGE,
+    memory: Path | None = None,
+) -> Source:
+    """The code in the project `root`: all of it or what `paths` names, without some files and folders.
+
+    `dirty` is as in `[source]`; an untracked file may have `large` bytes. In the file `memory`, the hashes of files outside git
+    are remembered. Raises ConfigError for a path that is not there, a file that is too large, changes that are refused; Missing
+    where git is needed and cannot tell.
+    """
+    for path in paths:
+        if not (root / path).exists():
+            raise ConfigError(f"[source] paths: there is no {path!r} in {root}")
+        if inside(path).startswith((b"..", b"/")):
+            raise ConfigError(f"[source] paths: {path!r} is outside {root}; name files and folders in it")
+    chosen = Chosen(paths, without)
+    source, files = _git(root, chosen, dirty, large) if _in_git(root) else _outside(root, chosen, dirty, large, memory)
+    for path in paths:
+        if not any(map(Chosen([path]), files)):
+            raise ConfigError(f"[source] paths: nothing in {path!r} counts: it is empty, or ignored by git")
+    return source
+
+
+def contents(source: Source, root: Path, known: Container[str]) -> Iterator[tuple[str, bytes]]:
+    """The files of a source outside git, each as git's hash, which is not `known`, and its content.
+
+    Raises Missing for one that has changed meanwhile.
+    """
+    return plain_tree.contents(source.manifest, root, known)
+
+
+def ignored(root: Path, without: Iterable[str]) -> str:
+    """The first few things that git ignores in a project, and how many more; empty where there are none but caches of tools."""
+    return shown(uncounted.ignored(root, without)) if _in_git(root) else ""
+
+
+def _in_git(root: Path) -> bool:
+    """Whether a repository holds the project; one that ignores the project's folder does not."""
+    return in_repository(root) and not Git(root).ignores_it()
+
+
+def _outside(root: Path, chosen: Chosen, dirty: str, large: int, memory: Path | None) -> tuple[Source, Files]:
+    if dirty != "record":
+        raise ConfigError(f'[source] dirty = "{dirty}": there is no commit to compare with, {root} is not in git; use "record"')
+    entries = plain_tree.entries(root, chosen, large, memory)
+    links = [entry.path for entry in entries if entry.mode == LINK]
+    files = {entry.path: entry.blob.encode() for entry in entries}
+    tree = SWHID + tree_hash(entries)
+    return Source(tree, "none", None, None, None, None, listed(entries), notes=tuple(_leading_out(root, links))), files
+
+
+def _git(root: Path, chosen: Chosen, dirty: str, large: int) -> tuple[Source, Files]:
+    git = Git(root)
+    now = worktree.look(git, chosen) if dirty == "ignore" else worktree.take(git, chosen, large)
+    if dirty == "refuse":
+        _refuse(root, now)
+    differs = bool(now.changed) and dirty != "ignore"
+    source = Source(
+        tree=SWHID + now.tree,
+        vcs="git",
+        commit=now.commit,
+        branch=now.branch,
+        dirty=differs or now.commit is None,
+        remote=origin.remote(git, now.branch),
+        manifest=written(now.files),
+        described=origin.describe(git, now.commit, dirty=differs),
+        folder=git.prefix.decode("utf-8", "replace").rstrip("/") or ".",
+        submodules=json.dumps(now.submodules, sort_keys=True) if now.submodules else None,
+        checkout=dirty == "ignore" and bool(now.changed or now.absent),
+        notes=tuple(_notes(root, now)) if dirty != "ignore" else (),
+    )
+    return source, now.files
+
+
+def _refuse(root: Path, now: worktree.Snapshot) -> None:
+    if now.commit is None:
+        raise ConfigError(f'[source] dirty = "refuse": the repository of {root} has no commit yet; commit something first')
+    if now.changed:
+        raise ConfigError(
+            f'[source] dirty = "refuse": {shown(now.changed)}: not as in commit {now.commit[:12]}; '
+            "commit (git commit), put aside (git stash -u), or list in .gitignore what is no code"
+        )
+
+
+def _notes(root: Path, now: worktree.Snapshot) -> Iterator[str]:
+    yield from _leading_out(root, [path for path, what in now.files.items() if what[:6] == b"120000"])
+    hollow = [path for path in now.absent if (root / os.fsdecode(path)).is_dir()]
+    if hollow:
+        yield f"{shown(hollow)}: submodules that are not checked out do not count; git submodule update --init fetches them"
+
+
+def _leading_out(root: Path, links: Sequence[bytes]) -> Iterator[str]:
+    here = root.resolve()
+    out = [path for path in sorted(links) if not (root / os.fsdecode(path)).resolve().is_relative_to(here)]
+    if out:
+        yield f"{shown(out)}: links out of the project; what they lead to counts only where the command names it"
+
+
+__all__ = [
+    "LARGE",
+    "LEFT_OUT",
+    "SWHID",
+    "Entry",
+    "Shared",
+    "Source",
+    "blobs",
+    "capture",
+    "changed",
+    "contents",
+    "ignored",
+    "inside",
+    "is_there",
+    "paths",
+    "repositories",
+    "restore",
+    "share",
+    "tree_hash",
+    "tree_of",
+]

@@ -1,0 +1,157 @@
+"""A recorded source, written into a folder again.
+
+In a git repository that has all of its files, git writes them (with the line endings and filters that it knows for them). It
+need not be the repository that recorded: a clone that has the commit has the files, and from these and the list of files git
+makes the tree again. What it lacks may be in the store, which keeps the files of projects outside git.
+A list of files may come from elsewhere: no path in it leaves the folder.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+from sierra.errors import Damaged, Missing
+from sierra.provenance.source import lfs
+from sierra.provenance.source.git import Git, in_repository
+from sierra.provenance.source.manifest import LINK, REPOSITORY, Files, is_blob, parts, read, tree_of, written
+from sierra.provenance.source.paths import shown
+from sierra.provenance.source.worktree import of_tree
+
+HASH = re.compile("[0-9a-f]{40}|[0-9a-f]{64}")
+FETCH = "run sierra source fetch (once sierra source push has been run where it was recorded)"
+Content = Callable[[str], bytes | None]
+
+
+def restore(tree: str, manifest: bytes, root: Path, target: Path, content: Content, *, commit: str | None = None) -> None:
+    """Write the files of a recorded source into `target`, a folder that is made.
+
+    They come from the git repository that `root` lies in, where it has them, else from `content`, which gives a file
+    by git's hash of it. Raises Damaged where the list is that of another tree, Missing where neither has a file, with the
+    `commit` to fetch if that is said.
+    """
+    files = read(manifest)
+    _check(files)
+    if tree_of(manifest) not in (None, tree.rpartition(":")[2]):
+        raise Damaged(f"the list of the recorded source's files does not give {tree}: other code would be restored")
+    target.mkdir(parents=True)
+    git = Git(root) if in_repository(root) else None
+    lacking = _lacking(git, tree.rpartition(":")[2], files)
+    if git is not None and not lacking:
+        _checkout(git, files, target, commit)
+        return
+    for path, what in sorted(files.items(), key=lambda item: parts(item[1])[0] == REPOSITORY):
+        mode, blob = parts(what)
+        found = None if mode == REPOSITORY else content(blob)
+        if found is None and git is not None and blob not in lacking and mode != REPOSITORY:
+            found = git("cat-file", "blob", blob)
+        if found is None or not is_blob(found, blob):
+            told = f"the source's file {shown([path])!r} is neither in git at {root} nor in the store"
+            raise Missing(f"{told}; {_healing(git, commit)}")
+        _write(target / os.fsdecode(path), mode, found)
+
+
+def is_there(root: Path, tree: str, manifest: bytes) -> bool:
+    """Return whether the git repository that `root` lies in has the files of a recorded source.
+
+    A submodule that is not checked out is taken to have them. Raises Damaged for a path that is none of git's.
+    """
+    files = read(manifest)
+    _check(files)
+    if not in_repository(root) or _lacking(Git(root), tree.rpartition(":")[2], files):
+        return False
+    inner = {path: parts(what)[1] for path, what in files.items() if parts(what)[0] == REPOSITORY}
+    return all(_is_inside(root / os.fsdecode(path), thing) for path, thing in inner.items())
+
+
+def _is_inside(folder: Path, thing: str) -> bool:
+    """Return whether a repository in a source has a commit or a tree, as far as that can be told."""
+    return not (folder / ".git").exists() or Git(folder).has(thing)
+
+
+def _check(files: Files) -> None:
+    """Raise Damaged for a path that is none of git's, or lies below a file or a link."""
+    for path, what in files.items():
+        steps = path.split(b"/")
+        above = (b"/".join(steps[:end]) for end in range(1, len(steps)))
+        if any(step.lower() in (b"", b".", b"..", b".git") for step in steps) or any(one in files for one in above):
+            raise Damaged(f"the recorded source has a file {shown([path])!r}, which no source can have")
+        mode, blob = parts(what)
+        if mode not in ("100644", "100755", LINK, REPOSITORY):
+            raise Damaged(f"the recorded source has a file {shown([path])!r} of the unknown mode {mode}")
+        if not HASH.fullmatch(blob):
+            raise Damaged(f"the recorded source has a file {shown([path])!r} whose hash {blob!r} is none of git's")
+
+
+def _healing(git: Git | None, commit: str | None) -> str:
+    """Say what brings a source that git lacks."""
+    if git is None:
+        return f"clone the repository that has {f'commit {commit[:12]}' if commit else 'it'}, and replay there"
+    if commit and not git.has(commit):
+        return f"fetch commit {commit[:12]} (git fetch); if files were changed then, also: {FETCH}"
+    return f"it was never committed: {FETCH}"
+
+
+def _lacking(git: Git | None, tree: str, files: Files) -> set[str]:
+    """The hashes of files that the repository does not have."""
+    blobs = {blob for mode, blob in map(parts, files.values()) if mode != REPOSITORY}
+    if git is None:
+        return blobs
+    if git.has(tree):
+        return set()
+    lines = git("cat-file", "--batch-check", given="".join(f"{blob}\n" for blob in blobs).encode()).decode().splitlines()
+    return {line.split(" ")[0] for line in lines if line.endswith("missing")}
+
+
+def _write(file: Path, mode: str, content: bytes) -> None:
+    file.parent.mkdir(parents=True, exist_ok=True)
+    if mode == LINK:
+        file.symlink_to(os.fsdecode(content))
+    else:
+        file.write_bytes(content)
+        file.chmod(0o755 if mode == "100755" else 0o644)
+
+
+def _checkout(git: Git, files: Files, target: Path, commit: str | None) -> None:
+    """Let git write files, and those of the repositories inside; for a part of a repository by the attributes of the whole."""
+    prefix = git.prefix
+    with tempfile.TemporaryDirectory(prefix=".sierra-", dir=target.parent) as scratch:
+        index, into = Path(scratch, "index"), Path(scratch, "files")
+        into.mkdir()
+        lines = written({prefix + path: what for path, what in files.items()}) + _attributes(git, commit or "HEAD")
+        git("update-index", "-z", "--index-info", index=index, given=lines, at_top=True)
+        git("checkout-index", "--all", index=index, into=into)
+        written_to = into / os.fsdecode(prefix)
+        if written_to.is_dir():
+            written_to.replace(target)
+    lfs.check_restored(git, target, files)
+    for path, what in files.items():
+        mode, thing = parts(what)
+        if mode == REPOSITORY:
+            _checkout_inside(git.root, path, thing, target)
+
+
+def _checkout_inside(root: Path, path: bytes, thing: str, target: Path) -> None:
+    inside = root / os.fsdecode(path)
+    if not (inside / ".git").exists() or not Git(inside).has(thing):
+        there = (inside / ".git").exists()
+        how = f"if files were changed in it then: {FETCH}" if there else "git submodule update --init brings it"
+        also = "git submodule update --init brings what was committed; " if there else ""
+        raise Missing(f"the submodule {shown([path])!r} does not have {thing[:12]}; {also}{how}")
+    below = of_tree(Git(inside), thing)
+    _check(below)
+    _checkout(Git(inside), below, target / os.fsdecode(path), None)
+
+
+def _attributes(git: Git, commit: str) -> bytes:
+    """The .gitattributes above the project, as lines of an index."""
+    folders = git.prefix.split(b"/")[:-1]
+    names = [b"/".join((*folders[:depth], lfs.ATTRIBUTES.encode())) for depth in range(len(folders))]
+    if not names:
+        return b""
+    found = git("ls-tree", "-z", commit, "--", *map(os.fsdecode, names), at_top=True, optional=True)
+    lines = (line.partition(b"\t") for line in found.split(b"\0") if line)
+    return b"".join(b"%s %s\t%s\0" % (what[:6], what.rpartition(b" ")[2], path) for what, _, path in lines)

@@ -1,0 +1,302 @@
+"""Criteria as people write them: `parse` reads one, `text` writes the one canonical text of it.
+
+    criterion = name ("=" (list | span) | "." dotted)
+    list      = item {"," item}                        all numbers, or all names, each once
+    span      = number ":" number ":" count            noise=0:1:5
+    dotted    = "Log" whole                            population_size.Log8
+              | "Linear" whole [".C" count]            population_size.Linear100.C10; 10 where left out
+              | step "." step ".C" count               max_speed.1.9.C5
+              | step ".I" step ".C" count              population_constant_density.5p0.I16.C4
+              | "C" count                              montecarlo.C20
+
+In lists and spans a number is written as usual (`-0.5`, `1e-3`). In a step `p` is the decimal point, since
+the dot parts the steps. Steps with a `p` are a span: `x.0p5.2p5.C5` is `x=0.5:2.5:5`. The name decides
+twice: `montecarlo` takes a count and nothing else does, and the steps of `population_variable_density` are
+densities. All else is the same for every name, whoever gives the name its meaning.
+
+What looks almost like a number (`0p2` in a list, `1_000`, `007`, `nan`) is neither number nor name: it is an
+error, as everything is that could quietly have meant another range.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+import re
+from collections.abc import Iterable
+from fractions import Fraction
+from typing import assert_never
+
+from sierra.errors import QueryError, UsageError
+from sierra.model import ConstantDensity, Criterion, Linear, Listed, Log, MonteCarlo, Scale, Span, Steps, Value, VariableDensity
+from sierra.query import ranges
+from sierra.store.schema import RESERVED
+
+"""Columns that the store has beside the axes; SQL takes no notice of case."""
+MONTE_CARLO = "montecarlo"
+VARIABLE_DENSITY = "population_variable_density"
+LINEAR_COUNT = 10
+"""How many values `.Linear100` has, where `.C` is left out."""
+DIGITS = 40
+"""Characters that a number may have, so that none takes long to read."""
+
+_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
+_ITEM = re.compile(r"(?=[.-]*[A-Za-z0-9_])[A-Za-z0-9_.-]+")
+_NUMBER = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]{1,3})?")
+_WHOLE = re.compile(r"[+-]?[0-9]+")
+_LEADING_ZERO = re.compile(r"[+-]?0[0-9]")
+_ALMOST_NUMBER = re.compile(
+    r"[+-]?(?:[0-9][0-9_]*(?:[.p][0-9_]*)?(?:e[+-]?[0-9]*)?|\.[0-9_]+(?:e[+-]?[0-9]*)?|nan|inf|infinity)", re.I
+)
+
+_STEP = r"([+-]?[0-9]+(?:p[0-9]+)?)"
+_COUNT = r"C([+-]?[0-9]+)"
+_LOG = re.compile(r"Log([+-]?[0-9]+)")
+_LINEAR = re.compile(rf"Linear([+-]?[0-9]+)(?:\.{_COUNT})?")
+_STEPS = re.compile(rf"{_STEP}\.{_STEP}\.{_COUNT}")
+_GROWTH = re.compile(rf"{_STEP}\.I{_STEP}\.{_COUNT}")
+_ONLY_COUNT = re.compile(_COUNT)
+
+
+def parse(text: str) -> Criterion:
+    """The criterion that a text asks for. Raises QueryError, in one line that says what would be right."""
+    try:
+        return _criterion(text)
+    except QueryError as error:
+        raise QueryError(f"{_shown(text)}: {error}") from None
+
+
+def parse_all(texts: Iterable[str]) -> tuple[Criterion, ...]:
+    """The criteria of one query, in their order.
+
+    Raises QueryError for one that is not right, for none at all, for an axis asked for twice or named like a
+    column of the store, and for more than a million experiments.
+    """
+    criteria = tuple(parse(text) for text in texts)
+    if not criteria:
+        raise QueryError("a query has at least one criterion; use population_size.Log8")
+    first: dict[str, Criterion] = {}
+    for criterion in criteria:
+        _check_axis(criterion, first.setdefault(criterion.name.lower(), criterion))
+    if math.prod(ranges.count(criterion.scale) for criterion in criteria) > ranges.MOST:
+        together = " ".join(text(criterion) for criterion in criteria)
+        raise QueryError(f"{_shown(together)} ask for more than {ranges.MOST} experiments; use fewer values")
+    return criteria
+
+
+def text(criterion: Criterion) -> str:
+    """The canonical text, for which `parse(text(criterion)) == criterion`.
+
+    Raises QueryError for a criterion made by hand that no text asks for.
+    """
+    ranges.check(criterion.scale)
+    written = criterion.name + _written(criterion.scale)
+    if parse(written) != criterion:
+        raise QueryError(f"{_shown(written)} asks for something else than {_shown(criterion)}")
+    return written
+
+
+def _check_axis(criterion: Criterion, first: Criterion) -> None:
+    name = criterion.name
+    if name.lower() in RESERVED:
+        raise QueryError(f"{_shown(text(criterion))}: {name!r} is a column of the store; use another, as in my_{name}")
+    if first is not criterion:
+        raise QueryError(f"{_shown(text(criterion))}: {name!r} is asked for already, by {_shown(text(first))}; use one of them")
+
+
+def _criterion(text: str) -> Criterion:
+    if not text:
+        raise QueryError("a criterion is not empty; use population_size.Log8")
+    if not text.isprintable() or " " in text:
+        raise QueryError("a criterion has no blanks; use noise=0,0.5,1")
+    name, separator, rest = _split(text)
+    if not _NAME.fullmatch(name):
+        raise QueryError(f"{_shown(name)} is not a name of letters, digits and _; {_right_name(name)}")
+    if not rest:
+        raise QueryError(f"{name} has no range; {_forms(name)}")
+    if (name == MONTE_CARLO) != bool(separator == "." and _ONLY_COUNT.fullmatch(rest)):
+        raise QueryError(_monte_carlo_mistaken(name, rest))
+    scale = _dotted(name, rest) if separator == "." else _spelled(name, rest)
+    ranges.check(scale)
+    return Criterion(name, scale)
+
+
+def _split(text: str) -> tuple[str, str, str]:
+    """The name, the first `.` or `=`, and what follows it."""
+    name = re.split(r"[.=]", text, maxsplit=1)[0]
+    return name, text[len(name) : len(name) + 1], text[len(name) + 1 :]
+
+
+def _dotted(name: str, rest: str) -> Scale:
+    if found := _LOG.fullmatch(rest):
+        return Log(_whole(found[1]))
+    if found := _LINEAR.fullmatch(rest):
+        return Linear(_whole(found[1]), LINEAR_COUNT if found[2] is None else _whole(found[2]))
+    if found := _ONLY_COUNT.fullmatch(rest):
+        return MonteCarlo(_whole(found[1]))
+    if found := _GROWTH.fullmatch(rest):
+        return ConstantDensity(_step(found[1]), _step(found[2]), _whole(found[3]))
+    if found := _STEPS.fullmatch(rest):
+        return _steps(name, found[1], found[2], _whole(found[3]))
+    raise QueryError(_dotted_mistaken(name, rest))
+
+
+def _steps(name: str, start: str, end: str, count: int) -> Scale:
+    if name == VARIABLE_DENSITY:
+        return VariableDensity(_step(start), _step(end), count)
+    if "p" in start + end:
+        return Span(_step(start), _step(end), count)
+    return Steps(_whole(start), _whole(end), count)
+
+
+def _spelled(name: str, rest: str) -> Scale:
+    """What follows `=`: a list, or a span."""
+    if ":" not in rest:
+        return Listed(tuple(_item(word) for word in rest.split(",")))
+    parts = rest.split(":")
+    if len(parts) != 3 or not _WHOLE.fullmatch(parts[2]):
+        raise QueryError(f"a span says from, to and how many; use {name}=0:1:5")
+    return Span(_fraction(parts[0]), _fraction(parts[1]), _whole(parts[2]))
+
+
+def _item(word: str) -> Value:
+    if _WHOLE.fullmatch(word):
+        return _whole(word)
+    if _NUMBER.fullmatch(word):
+        return _float(word)
+    if _ALMOST_NUMBER.fullmatch(word):
+        raise QueryError(_almost(word))
+    if not _ITEM.fullmatch(word):
+        raise QueryError(f"{_shown(word)} is not a value; use a number, or a name of letters, digits, _ - and .")
+    return word
+
+
+def _float(word: str) -> float:
+    exact, number = _fraction(word), float(word)
+    if math.isinf(number) or (exact and not number):
+        raise QueryError(f"{word} is not within the floats; use one from 1e-307 to 1e308")
+    return number + 0.0  # -0.0 becomes 0.0
+
+
+def _whole(word: str) -> int:
+    return int(_fraction(word))
+
+
+def _step(word: str) -> Fraction:
+    if _LEADING_ZERO.match(word):
+        raise QueryError(f"{_shown(word)} has leading zeros; use none, as in 5 or 0p5")
+    return _fraction(word.replace("p", "."))
+
+
+def _fraction(word: str) -> Fraction:
+    """The exact number, of so few digits and so small an exponent that it can't be a trap."""
+    if len(word) > DIGITS:
+        raise QueryError(f"a number of {len(word)} characters is too long; use at most {DIGITS}")
+    if not _NUMBER.fullmatch(word) or _LEADING_ZERO.match(word):
+        raise QueryError(_almost(word))
+    return Fraction(word)
+
+
+def _almost(word: str) -> str:
+    """What is wrong with a word that should be a number."""
+    plain = word.lower().replace("p", ".", 1).replace("_", "")
+    if len(word) > DIGITS or not _NUMBER.fullmatch(plain):
+        return f"{_shown(word)} is not a number; use one as 5, -0.5 or 1e-3"
+    sign, digits = ("-" if plain[0] == "-" else ""), plain.lstrip("+-")
+    digits = digits.lstrip("0") if digits.strip("0") else "0"
+    right = sign + (digits if digits[0].isdigit() else "0" + digits)
+    return f"{word} is not how a number is written here; use {right}"
+
+
+def _written(scale: Scale) -> str:
+    match scale:
+        case Log(end):
+            return f".Log{end}"
+        case Linear(end, count):
+            return f".Linear{end}.C{count}"
+        case Steps(start, end, count):
+            return f".{start}.{end}.C{count}"
+        case Span(start, end, count):
+            return f"={ranges.plain(start)}:{ranges.plain(end)}:{count}"
+        case Listed(listed):
+            return "=" + ",".join(map(_written_value, listed))
+        case MonteCarlo(count):
+            return f".C{count}"
+        case ConstantDensity(density, increment, count):
+            return f".{_density(density)}.I{_written_step(increment)}.C{count}"
+        case VariableDensity(start, end, count):
+            return f".{_density(start)}.{_density(end)}.C{count}"
+        case _:
+            assert_never(scale)
+
+
+def _written_value(value: Value) -> str:
+    if isinstance(value, float):
+        return repr(value + 0.0).replace("e+", "e")
+    return str(value)
+
+
+def _written_step(number: Fraction) -> str:
+    return ranges.plain(number).replace(".", "p")
+
+
+def _density(number: Fraction) -> str:
+    written = _written_step(number)
+    return written if "p" in written else f"{written}p0"
+
+
+def _dotted_mistaken(name: str, rest: str) -> str:
+    """Why `rest` is no dotted scale, and what it may have been meant as."""
+    if re.fullmatch(rf"{_STEP}\.{_STEP}", rest):
+        return f"it does not say how many values from {rest.replace('.', ' to ')}; use {name}.1.9.C5"
+    if re.fullmatch(r"[0-9.+-]+(\.C[0-9]+)?", rest):
+        return f"steps are from, to and how many, with p for the decimal point; use {name}.0p5.2p5.C5"
+    if (word := re.match(r"[A-Za-z]+", rest)) is None:
+        return f"{_shown(rest)} is not a scale; {_forms(name)}"
+    close = difflib.get_close_matches(word[0][:DIGITS].capitalize(), ("Log", "Linear"), 1, 0.5)
+    if not close:
+        return f"unknown scale {_shown(rest)}; {_forms(name)}"
+    meant = close[0] + rest[word.end() :].replace("c", "C")
+    if not (_LOG.fullmatch(meant) or _LINEAR.fullmatch(meant)):
+        meant = {"Log": "Log8", "Linear": "Linear100.C10"}[close[0]]
+    return f"unknown scale {_shown(rest)}; did you mean {name}.{meant}?"
+
+
+def _monte_carlo_mistaken(name: str, rest: str) -> str:
+    if name == MONTE_CARLO:
+        return f"{MONTE_CARLO} has nothing but a count; use {MONTE_CARLO}.C20"
+    if name.lower() == MONTE_CARLO:
+        return f"{name} is written small; use {MONTE_CARLO}.{rest}"
+    return f"{name} has a count, but no range; use {name}.1.9.C5, or {MONTE_CARLO}.{rest} to vary seeds only"
+
+
+def _right_name(name: str) -> str:
+    right = re.sub(r"[^A-Za-z0-9_]", "_", name[:DIGITS]).lstrip("0123456789")
+    return f"use {right}" if right.strip("_") else "use population_size.Log8"
+
+
+def _forms(name: str) -> str:
+    return f"use {name}.Log8, {name}.Linear100.C10, {name}.1.9.C5, {name}=0:1:5 or {name}=1,2,4"
+
+
+def _shown(what: object) -> str:
+    """As in the source of Python: one line, whatever it holds, and never a long one."""
+    written = repr(what)
+    return written if len(written) <= 80 else f"{written[:76]}…{written[-1]}"
+
+
+def setting(text: str) -> tuple[str, str]:
+    """XPATH=VALUE at the first `=` that is not within brackets or quotes. Raises UsageError."""
+    depth, quote = 0, ""
+    for place, character in enumerate(text):
+        if quote:
+            quote = "" if character == quote else quote
+        elif character in "'\"":
+            quote = character
+        elif character in "[(":
+            depth += 1
+        elif character in ")]":
+            depth -= 1
+        elif character == "=" and depth == 0 and place:
+            return text[:place], text[place + 1 :]
+    raise UsageError(f"--set {text!r}: write it as XPATH=VALUE, as in --set \"//numeric[@name='noise']/@data=0.5\"")

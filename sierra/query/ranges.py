@@ -1,0 +1,251 @@
+"""The values that a scale spans: exact where they can be, never a silently different range.
+
+A scale is *right* where its values are distinct, finite, at most a million, and just those that its text says,
+and whole numbers are within 64 bits (beside decimals: within 2**53, as far as a float has them all); `check`
+raises QueryError for any other, and names right ones that are near.
+Ends with decimals have at most 18 places, so that each has one plain text. No value is reached by adding
+up: the i-th is computed from the ends, in whole numbers, and rounded at most once.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from fractions import Fraction
+from typing import assert_never
+
+from sierra.errors import QueryError
+from sierra.model import ConstantDensity, Linear, Listed, Log, MonteCarlo, Scale, Span, Steps, Value, VariableDensity
+
+MOST = 1_000_000
+"""Values that one scale, and experiments that one query, may have."""
+LARGEST = 2**63 - 1
+"""The largest whole number, the store's BIGINT."""
+EXACT = 2**53
+"""The largest whole number up to which a float, and so a column of decimals, has them all."""
+PLACES = 18
+"""Decimals that an end or a density may have."""
+
+
+def values(scale: Scale) -> tuple[Value, ...]:
+    """The values in their order: whole ones as int, others as the float nearest to the exact one.
+
+    Raises QueryError where the scale is not right, and for densities, which only a platform can turn into
+    values: see `densities` and `growths`.
+    """
+    check(scale)
+    match scale:
+        case Log(end):
+            return tuple(2**power for power in range(end.bit_length()))
+        case Linear(end, count):
+            return tuple(range(end // count, end + 1, end // count))
+        case Steps(start, end, count):
+            return tuple(start + (end - start) // (count - 1) * index for index in range(count))
+        case Span(start, end, count):
+            return _spread(start, end, count)
+        case Listed(listed):
+            return listed
+        case MonteCarlo(count):
+            return tuple(range(1, count + 1))
+        case ConstantDensity() | VariableDensity():
+            raise QueryError("densities only fit a platform's own criterion; use steps, as in =0.5:2:4")
+        case _:
+            assert_never(scale)
+
+
+def count(scale: Scale) -> int:
+    """How many values a right scale has, without making them."""
+    match scale:
+        case Log(end):
+            return end.bit_length()
+        case Listed(listed):
+            return len(listed)
+        case _:
+            return scale.count
+
+
+def densities(scale: VariableDensity) -> tuple[Fraction, ...]:
+    """The exact densities, in percent of robots per m². Raises QueryError where the scale is not right."""
+    check(scale)
+    gap = (scale.end - scale.start) / (scale.count - 1)
+    return tuple(scale.start + gap * index for index in range(scale.count))
+
+
+def growths(scale: ConstantDensity) -> tuple[Fraction, ...]:
+    """By how many metres each arena's sides are longer than the scenario's: 0, increment, 2 · increment, …
+
+    Raises QueryError where the scale is not right.
+    """
+    check(scale)
+    return tuple(scale.increment * index for index in range(scale.count))
+
+
+def check(scale: Scale) -> None:
+    """Raises QueryError, with right scales that are near, where the scale is not right."""
+    match scale:
+        case Log(end):
+            _check_log(end)
+        case Linear(end, count):
+            _check_linear(end, count)
+        case Steps(start, end, count):
+            _check_steps(start, end, count)
+        case Span(start, end, count):
+            _check_span(start, end, count)
+        case Listed(listed):
+            _check_listed(listed)
+        case MonteCarlo(count):
+            _check_count(count)
+        case ConstantDensity(density, increment, count):
+            _check_positive(density, "a density", "5p0")
+            _check_positive(increment, "an increment", "I16")
+            _check_count(count)
+        case VariableDensity(start, end, count):
+            _check_positive(start, "a density", "5p0")
+            _check_positive(end, "a density", "5p0")
+            _check_ends(start, end, count)
+        case _:
+            assert_never(scale)
+
+
+def plain(number: Fraction | int) -> str:
+    """A decimal of at most 18 places, without exponent: 5, -0.25."""
+    whole, rest = divmod(abs(int(number * 10**PLACES)), 10**PLACES)
+    sign = "-" if number < 0 else ""
+    return f"{sign}{whole}" + (f".{rest:0{PLACES}}".rstrip("0") if rest else "")
+
+
+def _spread(start: Fraction, end: Fraction, count: int) -> tuple[Value, ...]:
+    """Over the one denominator that all values share, so that each is one division of whole numbers."""
+    shared = math.lcm(start.denominator, end.denominator) * (count - 1)
+    first = int(start * shared)
+    gap = int((end - start) * shared) // (count - 1)
+    return tuple(_value(first + gap * index, shared) for index in range(count))
+
+
+def _value(numerator: int, denominator: int) -> int | float:
+    whole, rest = divmod(numerator, denominator)
+    return numerator / denominator if rest else whole
+
+
+def _check_log(end: int) -> None:
+    if end < 1:
+        raise QueryError(f"Log ends at 1 or more, not {end}; use Log8")
+    _check_size(end)
+    if end.bit_count() > 1:
+        below = 1 << (end.bit_length() - 1)
+        ends = [below, below * 2] if below * 2 <= LARGEST else [below]
+        raise QueryError(f"{end} is not a power of two; use {_either(f'Log{end}' for end in ends)}")
+
+
+def _check_linear(end: int, count: int) -> None:
+    if end < 1:
+        raise QueryError(f"Linear ends at 1 or more, not {end}; use Linear100.C10")
+    _check_size(end)
+    _check_count(count)
+    if end % count:
+        near = [_linear(end, divisor) for divisor in _divisors(end, count) if divisor > 1]
+        multiples = (end // count * count, (end // count + 1) * count)
+        near += [_linear(multiple, count) for multiple in multiples if 0 < multiple <= LARGEST]
+        raise QueryError(f"{end} does not divide into {count} equal whole steps; use {_either(near)}")
+
+
+def _linear(end: int, count: int) -> str:
+    return f"Linear{end}" + ("" if count == 10 else f".C{count}")
+
+
+def _check_steps(start: int, end: int, count: int) -> None:
+    _check_ends(start, end, count)
+    distance = abs(end - start)
+    if distance % (count - 1):
+        near = [f".{start}.{end}.C{gaps + 1}" for gaps in _divisors(distance, count - 1) if gaps < MOST]
+        if max(abs(start), abs(end)) <= EXACT and _apart(Fraction(start), Fraction(end), count):
+            near.insert(0, f"={start}:{end}:{count}")
+        raise QueryError(f"{start} to {end} does not divide into {count - 1} equal whole gaps; use {_either(near)}")
+
+
+def _check_span(start: Fraction, end: Fraction, count: int) -> None:
+    _check_ends(start, end, count)
+    if not _apart(start, end, count):
+        raise QueryError("its values lie closer together than floats can tell apart; use fewer, or a wider range")
+    _check_mixed(_spread(start, end, count) if max(abs(start), abs(end)) > EXACT else ())
+
+
+def _apart(start: Fraction, end: Fraction, count: int) -> bool:
+    """Whether no two values become the same: up to a gap of one unit in the last place, neighbours may."""
+    gap = abs(end - start) / (count - 1)
+    whole = start.denominator == gap.denominator == 1
+    return whole or gap > math.ulp(float(max(abs(start), abs(end))))
+
+
+def _check_ends(start: Fraction | int, end: Fraction | int, count: int) -> None:
+    _check_size(start)
+    _check_size(end)
+    if start == end:
+        raise QueryError(f"it starts where it ends, at {plain(start)}; use ={plain(start)} for one value")
+    if count == 1:
+        raise QueryError("one value has no start and end; use 2 or more")
+    _check_count(count)
+
+
+def _check_listed(listed: tuple[Value, ...]) -> None:
+    if not listed:
+        raise QueryError("it lists no values; use =1,2,4")
+    _check_count(len(listed))
+    names = [value for value in listed if isinstance(value, str)]
+    if names and len(names) < len(listed):
+        raise QueryError(f"{names[0]!r} is a name among numbers; use all numbers, or all names")
+    seen: set[Value] = set()
+    for value in listed:
+        if not isinstance(value, str):
+            _check_listed_size(value)
+        if value in seen:
+            raise QueryError(f"{value!r} is listed twice; use it once")
+        seen.add(value)
+    _check_mixed(listed)
+
+
+def _check_mixed(values: tuple[Value, ...]) -> None:
+    """Whole numbers among decimals are kept as floats, which must have them exactly."""
+    large = [value for value in values if isinstance(value, int) and abs(value) > EXACT]
+    if large and any(isinstance(value, float) for value in values):
+        told = f"{large[0]} is beyond 2**53, where a decimal can't be told from its neighbours"
+        raise QueryError(f"{told}; use whole numbers alone, or smaller ones")
+
+
+def _check_listed_size(number: int | float) -> None:
+    if isinstance(number, int):
+        _check_size(number)
+    elif not math.isfinite(number):
+        raise QueryError(f"{number} is not a finite number; use one up to 1e308")
+
+
+def _check_positive(number: Fraction, what: str, right: str) -> None:
+    _check_size(number)
+    if number <= 0:
+        raise QueryError(f"{what} is more than 0, not {plain(number)}; use {right}")
+
+
+def _check_count(count: int) -> None:
+    if count < 1:
+        raise QueryError(f"a count is 1 or more, not {count}; use C5")
+    if count > MOST:
+        raise QueryError(f"{count} values are too many; use at most {MOST}")
+
+
+def _check_size(number: Fraction | int) -> None:
+    if not -LARGEST <= number <= LARGEST:
+        raise QueryError(f"a number is too large; use at most {LARGEST}")
+    if 10**PLACES % number.denominator:
+        raise QueryError(f"{number} is not a decimal of at most {PLACES} places; use a shorter one")
+
+
+def _divisors(number: int, near: int) -> list[int]:
+    """The divisors of `number` next to `near`, which is none: the one below, and the one above, up to twice as far."""
+    below = next((n for n in range(min(near, number), 0, -1) if number % n == 0), None)
+    above = next((n for n in range(near, min(number, 2 * near) + 1) if number % n == 0), None)
+    return sorted({n for n in (below, above) if n is not None})
+
+
+def _either(choices: Iterable[str]) -> str:
+    *first, last = choices
+    return f"{', '.join(first)} or {last}" if first else last

@@ -1,0 +1,1 @@
+"""Replay: execute recorded runs again, and compare the outcome with the record."""

@@ -1,0 +1,413 @@
+"""How far two executions of one run agree: verdicts, from identical to different, and where they part.
+
+Values are compared, never texts: NaN agrees with NaN, a missing value with a missing value, 1 with 1.0. A distance is taken
+between doubles: absolute, relative to the recorded number, and in units in the last place of the greater one.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from decimal import Decimal
+from enum import StrEnum
+from fractions import Fraction
+from typing import Any
+
+from sierra.config.project_file import Tolerance
+from sierra.util.text import counted, few
+
+STEPS = 10
+"""Parts of the rows for which the growth of a difference is told."""
+EXACT = Tolerance()
+MANY_ULP = 1e6
+"""From which on units in the last place tell nobody anything."""
+NAMED = 4
+"""Columns that are named in a line; others are counted."""
+LONGEST = 80
+"""Characters of a value that a line shows."""
+EXACT_UP_TO = 2.0**52
+"""Whole numbers below are their doubles, and so are the distances between them."""
+LARGEST_ULP = 2.0**971
+"""That of the greatest double, for which numpy says infinity."""
+
+
+class Verdict(StrEnum):
+    """How far something agrees with its record; each is weaker than the one before."""
+
+    IDENTICAL = "identical"
+    """The same bytes."""
+    EQUAL = "equal"
+    """The same values; what was declared volatile, or how numbers are written, differs."""
+    WITHIN = "within tolerance"
+    EQUIVALENT = "equivalent"
+    """Other values; but over the runs of a whole experiment, the declared metrics are the same within their margins."""
+    DIFFERENT = "different"
+    FAILED = "failed"
+    """It did not execute to a good end."""
+
+    @property
+    def fine(self) -> bool:
+        return self not in (Verdict.DIFFERENT, Verdict.FAILED)
+
+
+def worst(verdicts: Iterable[Verdict]) -> Verdict:
+    """The weakest of these; identical where there are none."""
+    order = list(Verdict)
+    return max(verdicts, key=order.index, default=Verdict.IDENTICAL)
+
+
+@dataclass(frozen=True, slots=True)
+class Agreement:
+    """What came of comparing one output: the verdict, and for tables where they part and how far they are apart at worst."""
+
+    verdict: Verdict
+    why: str = ""
+    """In a line; empty where they are identical."""
+    row: int | None = None
+    """The first row, from 0, in which they differ."""
+    column: str | None = None
+    recorded: str | None = None
+    found: str | None = None
+    abs: float | None = None
+    """The greatest distance."""
+    rel: float | None = None
+    ulp: float | None = None
+    growth: tuple[tuple[Any, float], ...] = ()
+    """For each tenth of the rows: its last time (or row, without a time), and the greatest absolute distance in it."""
+    form: bool = False
+    """Whether not values differ, but what there is: a file, or the columns of a table."""
+
+
+@dataclass(frozen=True, slots=True)
+class Rules:
+    """By what two tables are compared."""
+
+    tolerance: Mapping[str, Tolerance] = field(default_factory=dict)
+    """By column; `*` stands for those that are not named."""
+    volatile: Sequence[str] = ()
+    """Columns that are not compared."""
+    time: str = ""
+    """The column in whose terms it is said where tables part; the row's number without."""
+    ordered: bool = True
+    """Whether the order of rows means anything."""
+
+    def of(self, column: str) -> Tolerance:
+        return self.tolerance.get(column, self.tolerance.get("*", EXACT))
+
+
+def of_tables(recorded: Any, found: Any, rules: Rules | None = None) -> Agreement:
+    """Compare two pyarrow tables, row by row; where their order means nothing, each sorted by all columns, numbers last.
+
+    Where only one of them has a column, or they have different numbers of rows, what both have is compared as well.
+    """
+    rules = rules or Rules()
+    old, new = ([name for name in table.column_names if name not in rules.volatile] for table in (recorded, found))
+    both = [name for name in old if name in new]
+    answer = _of_columns(recorded, found, both, rules)
+    if set(old) == set(new):
+        return answer
+    same = {Verdict.EQUAL: "the same", Verdict.DIFFERENT: answer.why}.get(answer.verdict, f"{answer.verdict}, {answer.why}")
+    rest = f"; {counted(len(both), 'column')} in both: {same}" if both else ""
+    return replace(answer, verdict=Verdict.DIFFERENT, why=f"{other_columns(old, new)}{rest}", form=True)
+
+
+def other_columns(was: Sequence[str], now: Sequence[str]) -> str:
+    """Say in a line which columns only one of two tables has, the first few by name."""
+    lost, more = ([name for name in a if name not in b] for a, b in ((was, now), (now, was)))
+    sides = [
+        f"{few([_cut(repr(name)) for name in names], NAMED)} {what}" for names, what in ((lost, "gone"), (more, "new")) if names
+    ]
+    return f"other columns: {', '.join(sides)}" if sides else "the same columns in another order"
+
+
+def _of_columns(recorded: Any, found: Any, columns: list[str], rules: Rules) -> Agreement:
+    """Compare these columns of two tables."""
+    unlike = _volatile(recorded, found, rules)
+    recorded, found = _plain(recorded.select(columns)), _plain(found.select(columns))
+    answer = _of_rows(recorded, found, rules, unlike)
+    if rules.ordered or answer.verdict.fine:
+        return answer
+    answer = _of_rows(_sorted(recorded), _sorted(found), rules, unlike)
+    equal = answer.verdict is Verdict.EQUAL
+    return replace(answer, why="the same rows in another order" if equal else f"rows sorted: {answer.why}")
+
+
+def _volatile(recorded: Any, found: Any, rules: Rules) -> list[str]:
+    """Return the volatile columns in which two tables differ."""
+    names = [name for name in (*recorded.column_names, *found.column_names) if name in rules.volatile]
+    return [name for name in dict.fromkeys(names) if not _alike(recorded, found, name)]
+
+
+def _alike(recorded: Any, found: Any, name: str) -> bool:
+    """Return whether two tables have the same column of that name."""
+    if name not in recorded.column_names or name not in found.column_names or recorded.num_rows != found.num_rows:
+        return False
+    old, new = (_plain(table.select([name])).column(0) for table in (recorded, found))
+    return not _differ(old, new).any()
+
+
+def _plain(table: Any) -> Any:
+    """The table, with columns of lists, structures and the like, which Arrow compares and sorts not, as texts."""
+    import pyarrow as pa
+
+    kinds = (pa.types.is_nested, pa.types.is_interval, pa.types.is_dictionary, pa.types.is_null)
+    for place, column in enumerate(table.schema):
+        if any(kind(column.type) for kind in kinds):
+            texts = [None if value is None else repr(value) for value in table.column(place).to_pylist()]
+            table = table.set_column(place, column.name, pa.array(texts, pa.string()))
+    return table
+
+
+def _of_rows(recorded: Any, found: Any, rules: Rules, unlike: Sequence[str] = ()) -> Agreement:
+    """Compare tables of the same columns; `unlike` are the volatile columns beside these that differ."""
+    time = recorded.column(rules.time) if rules.time in recorded.column_names else None
+    distances = [_Distance(name, recorded.column(name), found.column(name), time) for name in recorded.column_names]
+    parted = [one for one in distances if one.first is not None]
+    if recorded.num_rows != found.num_rows:
+        return _other_length(recorded.num_rows, found.num_rows, parted)
+    if not parted:
+        return Agreement(Verdict.EQUAL, _equal(distances, unlike))
+    beyond = [one for one in parted if not one.keeps_to(rules.of(one.name))]
+    if not beyond:
+        far = max(parted, key=lambda one: one.rel)
+        return far.told(Verdict.WITHIN, f"at most {far.far()} in {far.called()}")
+    first = min(beyond, key=lambda one: one.first or 0)
+    return first.told(Verdict.DIFFERENT, _in_a_line(first, beyond))
+
+
+def _equal(distances: Sequence[_Distance], unlike: Sequence[str]) -> str:
+    """Say why two tables of other bytes are equal."""
+    digits = " (of fractions, the 17 digits that a number holds)" * any(one.fractions for one in distances)
+    if not unlike:
+        return f"the same values{digits}, written in other bytes"
+    every = " (which is every column)" * (not distances)
+    named = few([_cut(repr(name)) for name in unlike], NAMED)
+    rest = f"; all else has the same values{digits}" if digits else ""
+    return f"only what is declared volatile{every} differs: {named}{rest}"
+
+
+def _other_length(was: int, now: int, parted: Sequence[_Distance]) -> Agreement:
+    """Say that tables have different numbers of rows, and how the rows that both have compare."""
+    why = f"{was} rows were recorded, {now} found"
+    first = min(parted, key=lambda one: one.first or 0, default=None)
+    if first is None:
+        return Agreement(Verdict.DIFFERENT, f"{why}; the first {min(was, now)} are the same" if min(was, now) else why)
+    return first.told(Verdict.DIFFERENT, f"{why}; {_in_a_line(first, parted)}")
+
+
+def _in_a_line(first: _Distance, parted: Sequence[_Distance]) -> str:
+    """Say where tables part first, how far they are apart there, and which columns differ in how many rows."""
+    parts = [first.where(), *([text] if (text := first.how_far()) else [])]
+    if len(parted) > 1:
+        ordered = [first, *(one for one in parted if one is not first)]
+        parts.append(f"{len(parted)} columns differ: {few([f'{one.called()} in {one.rows()}' for one in ordered], NAMED)}")
+    else:
+        parts.append(f"in {first.rows()}")
+    return "; ".join(parts)
+
+
+def _sorted(table: Any) -> Any:
+    """The rows in the order of their values: texts and whole numbers first, which tell rows apart though others waver."""
+    import pyarrow as pa
+
+    names = sorted(table.column_names, key=lambda name: pa.types.is_floating(table.column(name).type))
+    return table.sort_by([(name, "ascending") for name in names]) if names else table
+
+
+def of_texts(recorded: bytes, found: bytes, volatile: Sequence[str] = ()) -> Agreement:
+    """Compare two files line by line, without lines in which one of the regular expressions `volatile` is found."""
+    patterns = [re.compile(pattern.encode()) for pattern in volatile]
+    ours, theirs = (
+        [line for line in content.split(b"\n") if not any(pattern.search(line) for pattern in patterns)]
+        for content in (recorded, found)
+    )
+    if ours == theirs:
+        every = " (which is every line)" * (not ours)
+        return Agreement(Verdict.EQUAL, f"only what is declared volatile{every} differs")
+    if not all(map(_is_text, (recorded, found))):
+        return Agreement(Verdict.DIFFERENT, _of_bytes(recorded, found))
+    both = zip(ours, theirs, strict=False)
+    differing = [row for row, (one, other) in enumerate(both) if one != other]
+    row = differing[0] if differing else min(len(ours), len(theirs))
+    was, now = (_shown(lines[row]) if row < len(lines) else "nothing" for lines in (ours, theirs))
+    count = len(differing) + abs(len(ours) - len(theirs))
+    more = f"; {count} of {max(len(ours), len(theirs))} lines differ" if count > 1 else ""
+    return Agreement(Verdict.DIFFERENT, f"line {row + 1} was {was} and is {now}{more}", row=row, recorded=was, found=now)
+
+
+def _is_text(content: bytes) -> bool:
+    """Return whether people read it: UTF-8 without the character NUL."""
+    try:
+        return b"\0" not in content and content.decode() is not None
+    except UnicodeDecodeError:
+        return False
+
+
+def _of_bytes(recorded: bytes, found: bytes) -> str:
+    """Say in a line how two files differ that nobody reads."""
+    import numpy as np
+
+    shorter = min(len(recorded), len(found))
+    places = np.flatnonzero(np.frombuffer(recorded, np.uint8, shorter) != np.frombuffer(found, np.uint8, shorter))
+    first = int(places[0]) if len(places) else shorter
+    sizes = f"{len(recorded)} bytes were recorded, {len(found)} found; " if len(recorded) != len(found) else ""
+    return f"{sizes}binary: {len(places)} of {counted(shorter, 'byte')} differ, the first at offset {first}"
+
+
+class _Distance:
+    """How far one column of two tables is apart, in the rows that both have."""
+
+    def __init__(self, name: str, recorded: Any, found: Any, time: Any = None) -> None:
+        import numpy as np
+
+        rows = min(len(recorded), len(found))
+        self.name = name
+        self._time = time
+        self._recorded, self._found = recorded.slice(0, rows), found.slice(0, rows)
+        self.numeric = _is_number(recorded.type) and _is_number(found.type)
+        self.fractions = any(not _is_exact(column.type) for column in (recorded, found)) and self.numeric
+        self._apart = _differ(self._recorded, self._found)
+        places = np.flatnonzero(self._apart)
+        self.first: int | None = int(places[0]) if len(places) else None
+        self.growth: tuple[tuple[Any, float], ...] = ()
+        self.abs = self.rel = self.ulp = float("inf")
+        if self.numeric:
+            self._measure(np)
+
+    def _measure(self, np: Any) -> None:
+        old, new = (_doubles(column) for column in (self._recorded, self._found))
+        with np.errstate(all="ignore"):
+            apart = np.where(self._apart, np.abs(new - old), 0.0)
+            apart = np.where(np.isnan(apart), np.inf, apart)
+            self._exactly(np, apart, np.fmax(np.abs(old), np.abs(new)))
+            relative = np.where(apart == 0, 0.0, apart / np.abs(old))
+            last_place = np.fmin(np.spacing(np.maximum(np.abs(old), np.abs(new))), LARGEST_ULP)
+            units = np.where(apart == 0, 0.0, apart / last_place)
+        self._all = {"abs": apart, "rel": _or_infinite(relative), "ulp": _or_infinite(units)}
+        self.abs, self.rel, self.ulp = (float(values.max(initial=0.0)) for values in self._all.values())
+        if self.first is not None:
+            parts = np.array_split(np.arange(len(apart)), min(STEPS, len(apart)))
+            self.growth = tuple((self._when(int(part[-1])), float(apart[part].max())) for part in parts)
+
+    def _exactly(self, np: Any, apart: Any, size: Any) -> None:
+        """Take anew the distances of numbers that doubles do not tell apart: large whole ones, and decimals."""
+        if not any(_is_exact(column.type) for column in (self._recorded, self._found)):
+            return
+        whole = all(_is_whole(column.type) for column in (self._recorded, self._found))
+        for row in np.flatnonzero(self._apart & np.isfinite(apart) & ((size >= EXACT_UP_TO) | (not whole))):
+            old, new = (Fraction(column[int(row)].as_py()) for column in (self._recorded, self._found))
+            apart[row] = float(abs(new - old))
+
+    def keeps_to(self, tolerance: Tolerance) -> bool:
+        if not self.numeric:
+            return False
+        fine = ~self._apart
+        for kind, distances in self._all.items():
+            if allowed := getattr(tolerance, kind):
+                fine |= distances <= allowed
+        return bool(fine.all())
+
+    def _when(self, row: int) -> Any:
+        return row if self._time is None else self._time[row].as_py()
+
+    def where(self) -> str:
+        was, now = self._values()
+        at = "" if self._time is None else f" (at {self._when(self.first or 0)})"
+        return f"row {self.first}{at}: {self.called()} was {was} and is {now}"
+
+    def called(self) -> str:
+        """Its name as a line has it."""
+        return _cut(repr(self.name))
+
+    def rows(self) -> str:
+        """In how many rows it differs."""
+        return f"{int(self._apart.sum())} of {counted(len(self._apart), 'row')}"
+
+    def how_far(self) -> str:
+        """How far numbers are apart at worst; empty where one of them is none, or is not finite."""
+        return f"at worst {self.far()}" if self.numeric and self.abs < float("inf") else ""
+
+    def far(self) -> str:
+        known = [
+            *([f"relative {self.rel:.3g}"] if self.rel < float("inf") else []),
+            *([f"{self.ulp:.3g} ulp"] if self.ulp < MANY_ULP else []),
+        ]
+        return f"{self.abs:.3g} apart" + (f" ({', '.join(known)})" if known else "")
+
+    def told(self, verdict: Verdict, why: str) -> Agreement:
+        was, now = self._values()
+        if not self.numeric:
+            return Agreement(verdict, why, self.first, self.name, was, now)
+        return Agreement(verdict, why, self.first, self.name, was, now, self.abs, self.rel, self.ulp, self.growth)
+
+    def _values(self) -> tuple[str, str]:
+        place = self.first or 0
+        return _value(self._recorded[place].as_py()), _value(self._found[place].as_py())
+
+
+def distance(far: float) -> str:
+    """Write a distance; one from a number to what is none, or is infinite, is not a number."""
+    return f"{far:.3g}" if far < float("inf") else "by no number"
+
+
+def _value(value: Any) -> str:
+    """A cell as a line has it."""
+    return "missing" if value is None else _cut(str(value) if isinstance(value, Decimal) else repr(value))
+
+
+def _or_infinite(values: Any) -> Any:
+    """Distances, of which those that are no number count as infinite."""
+    import numpy as np
+
+    return np.where(np.isnan(values), np.inf, values)
+
+
+def _is_number(kind: Any) -> bool:
+    import pyarrow as pa
+
+    return bool(pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_decimal(kind))
+
+
+def _is_whole(kind: Any) -> bool:
+    import pyarrow as pa
+
+    return bool(pa.types.is_integer(kind))
+
+
+def _is_exact(kind: Any) -> bool:
+    import pyarrow as pa
+
+    return _is_whole(kind) or bool(pa.types.is_decimal(kind))
+
+
+def _doubles(column: Any) -> Any:
+    import pyarrow as pa
+
+    return column.cast(pa.float64(), safe=False).fill_null(float("nan")).to_numpy()
+
+
+def _differ(recorded: Any, found: Any) -> Any:
+    """Where two columns differ, as a numpy array of truth values."""
+    import numpy as np
+    import pyarrow as pa
+    import pyarrow.compute as pc
+
+    if recorded.type != found.type:
+        flags = [pa.types.is_boolean(column.type) for column in (recorded, found)]
+        pairs = zip(recorded.to_pylist(), found.to_pylist(), strict=True)  # Python compares numbers exactly, 2**53 + 1 too
+        return np.array([one != other or (any(flags) and one is not None) for one, other in pairs], dtype=bool)
+    same = pc.fill_null(pc.equal(recorded, found), False)
+    same = pc.or_(same, pc.and_(pc.is_null(recorded), pc.is_null(found)))
+    if pa.types.is_floating(recorded.type):
+        neither = pc.and_(pc.fill_null(pc.is_nan(recorded), False), pc.fill_null(pc.is_nan(found), False))
+        same = pc.or_(same, neither)
+    return ~np.asarray(same.to_numpy())
+
+
+def _shown(line: bytes) -> str:
+    return _cut(repr(line.decode("utf-8", "replace")))
+
+
+def _cut(text: str) -> str:
+    return text if len(text) <= LONGEST else f"{text[: LONGEST - 3]}..."

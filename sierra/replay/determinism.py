@@ -1,0 +1,48 @@
+"""Executing one run of a batch twice before the others, to say whether the same run gives the same bytes.
+
+The first execution is that of the batch; the second is a replay of it, recorded as such.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace as replaced
+
+from sierra.errors import Missing
+from sierra.execution import execute
+from sierra.execution.executor import How
+from sierra.execution.plans import Plan
+from sierra.execution.reuse import states
+from sierra.replay import replay
+from sierra.replay.compare import Verdict
+from sierra.replay.verdicts import Compared
+from sierra.store.store import Store
+from sierra.util.hashing import short
+
+
+def probe(plan: Plan, store: Store, how: How) -> tuple[str, ...]:
+    """Probe the first run that has no good execution; what came of it. Nothing where there is none, or it fails."""
+    found = states(plan, store)
+    run = next((run.id for run in plan.batch.runs if not found[run.id].good), None)
+    if run is None:
+        return ()
+    first = execute.run(plan, store, replaced(how, slots=1, only={run}, detach=False))
+    if first.interrupted:
+        raise KeyboardInterrupt
+    if not first.executed or not states(plan, store)[run].good:
+        return ()
+    try:
+        answer = replay.replay(plan.project, store, run, replay.How(slots=1, runner=how.runner), how.watch)
+    except Missing as error:
+        return (f"run {short(run)} could not be executed a second time: {error}",)
+    if answer.interrupted:
+        raise KeyboardInterrupt
+    return tuple(_told(one) for one in answer.runs)
+
+
+def _told(run: Compared) -> str:
+    executed = f"run {short(run.taken.run)}, executed twice,"
+    if run.verdict is Verdict.IDENTICAL:
+        return f"{executed} left the same bytes"
+    worst = next((path, one) for path, one in run.outputs.items() if one.verdict is run.verdict)
+    told = f"{executed} came out {run.verdict}: {f'{worst[0]}: ' if worst[0] else ''}{worst[1].why}"
+    return told if run.verdict.fine else f"{told}; runs with one seed are not deterministic"

@@ -1,0 +1,106 @@
+"""Runs that are not deterministic, compared in a replay by what the project declares: `[equivalence.NAME]`.
+
+Over the runs of one experiment, what they gave is held against what they give now, pair by pair, in a test of equivalence
+(see `sierra.stats.equivalence`). A run that has a value in only one of the two makes a metric not comparable.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+from sierra import stats
+from sierra.config.project_file import Equivalence, Output
+from sierra.errors import NotFound, SierraError, UsageError
+from sierra.stats import equivalence
+from sierra.store.samples import Column, Frame
+from sierra.store.store import Store
+
+Values = dict[str, dict[tuple[int, str], float]]
+"""By metric: what each run of an experiment (its place) was reduced to."""
+
+
+@dataclass(frozen=True, slots=True)
+class Metric:
+    """One metric of one experiment, compared."""
+
+    name: str
+    declared: Equivalence
+    was: float | None
+    """The recorded mean."""
+    now: float | None
+    tested: equivalence.Tested | None
+    why: str
+    """In a line."""
+
+    @property
+    def equivalent(self) -> bool:
+        return self.tested is not None and self.tested.equivalent
+
+
+def values(
+    store: Store, batch: str, executions: Mapping[str, str], metrics: Mapping[str, Equivalence], outputs: Mapping[str, Output]
+) -> Values:
+    """What the given execution of each run comes to, by metric. Raises NotFound for an output or a column that is not there,
+    or of which runs have several values at one time.
+    """
+    found: Values = {}
+    with Frame(store, batch, executions) as frame:
+        for name, metric in metrics.items():
+            declared = outputs.get(metric.table)
+            column = Column(frame, metric.table, metric.column, declared.time if declared else "")
+            _check_single(column)
+            rows = stats.reduced(column, metric.measure, metric.threshold).to_pylist()
+            found[name] = {(row["experiment"], row["run"]): row["value"] for row in rows}
+    return found
+
+
+def _check_single(column: Column) -> None:
+    """Check that no run has several rows at one time. Raises NotFound."""
+    try:
+        stats.coverage(column)
+    except NotFound:
+        raise
+    except UsageError as error:
+        raise NotFound(f"output {column.table!r}: {error}") from error
+    except SierraError:
+        pass  # without rows, no run has a value
+
+
+def compare(metrics: Mapping[str, Equivalence], was: Values, now: Values, ordinal: int, runs: list[str]) -> Iterator[Metric]:
+    """Each metric of the experiment at a place in its batch, over these runs."""
+    for name, metric in metrics.items():
+        pairs = [(was[name].get((ordinal, run), math.nan), now[name].get((ordinal, run), math.nan)) for run in runs]
+        yield _compare(name, metric, [pair for pair in pairs if not all(map(math.isnan, pair))])
+
+
+def _compare(name: str, metric: Equivalence, pairs: list[tuple[float, float]]) -> Metric:
+    alone = sum(any(map(math.isnan, pair)) for pair in pairs)
+    if alone or len(pairs) < 2:
+        why = (
+            f"{alone} of {len(pairs)} runs have a value only once"
+            if alone
+            else f"{len(pairs)} runs with a value; two are needed"
+        )
+        return Metric(name, metric, None, None, None, f"{name}: {why}")
+    mean, now = (equivalence.mean_of(values) for values in zip(*pairs, strict=True))
+    differences = [new - old for old, new in pairs]
+    if not all(map(math.isfinite, differences)):
+        return Metric(name, metric, mean, now, None, f"{name}: values differ by more than the largest number")
+    margin = metric.margin or (metric.relative or 0.0) * abs(mean)
+    if not margin > 0:
+        return Metric(
+            name, metric, mean, None, None, f"{name}: the recorded mean is 0, and so is 'relative' of it; use 'margin'"
+        )
+    tested = equivalence.test(differences, margin, metric.alpha)
+    return Metric(name, metric, mean, now, tested, _told(name, tested))
+
+
+def _told(name: str, tested: equivalence.Tested) -> str:
+    level = f"{100 * (1 - 2 * tested.alpha):.3g} % CI {tested.low:.3g} … {tested.high:.3g}"
+    within = "within" if tested.equivalent else "not within"
+    return (
+        f"{name}: mean difference {tested.difference:.3g} ({level}) is {within} ±{tested.margin:.3g}, "
+        f"n = {tested.n}, p = {tested.p:.2g}, power {tested.power:.2f}"
+    )

@@ -1,0 +1,46 @@
+"""Executing on this machine itself what was recorded in an image: with this machine's programs, which may be others.
+
+What counts is what counts without an image (see `sierra.provenance.programs`): programs, the libraries that they load, what a
+Python has installed. What is not in the image, where it is here, as the same file, is named before anything executes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from sierra.containers.images import Contents
+from sierra.execution import commands
+from sierra.model import Recipe
+from sierra.provenance import programs
+from sierra.provenance.program import Kind, Program
+from sierra.util.hashing import short
+from sierra.util.text import few
+
+SHOWN = 3
+
+
+def unlike(recipe: Recipe, inside: Contents, root: Path) -> Iterator[str]:
+    """Yield a line that says which of this machine's programs are not the image's, if any are; the code lies in `root`.
+
+    Raises Missing for a program that is not on this machine.
+    """
+    words, variables = commands.on_host(recipe, inside.image, root)
+    found = programs.find(words, variables, root)
+    other = [line for one in found.all if (line := _other(one, inside, root))]
+    if other:
+        yield f"not contained, and with other programs than those of {inside.image.name}: {few(other, SHOWN)}"
+
+
+def _other(one: Program, inside: Contents, root: Path) -> str | None:
+    """How one thing here differs from the image's; None where it does not."""
+    if one.kind == Kind.DISTRIBUTIONS:
+        lines = set((one.version or "").splitlines())
+        lacking = sorted(lines - set(inside.packages.get("python", ())))
+        return f"{one.name}: {lacking[0]} is not in the image" if lacking else None
+    if Path(one.path).is_relative_to(root):
+        return None
+    there = inside.sha256(one.path)
+    if there == one.sha256:
+        return None
+    return f"{one.path} is {short(one.sha256)} here, {short(there) if there else 'nothing'} in the image"

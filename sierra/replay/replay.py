@@ -1,0 +1,482 @@
+"""Executing recorded runs again, from the record alone, and saying how far they agree with it.
+
+The source is restored to a folder of the replay's own, inputs come from the store, programs are compared with the record
+before anything executes. What is executed is recorded as further executions of the same runs, with the purpose `replay`:
+these never count in statistics, and nothing that was recorded changes.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from sierra import runners
+from sierra.config.project_file import LoadedProject, Output
+from sierra.containers.isolation import Containment, contain
+from sierra.errors import Missing, NotFound, UsageError
+from sierra.execution import commands, recover, stored_plan, timing
+from sierra.execution.executor import Progress, Watch
+from sierra.execution.follow import Ears, Following
+from sierra.execution.sessions import Session
+from sierra.execution.stored_plan import Recalled
+from sierra.ingest.context import Context
+from sierra.ingest.recorder import Recorder
+from sierra.model import Job, Run, Status
+from sierra.provenance import environment, programs, versions
+from sierra.provenance.change_guard import Seen, seen
+from sierra.provenance.program import Programs, mentioned
+from sierra.replay import equivalence, host_check
+from sierra.replay.compare import Agreement, Verdict
+from sierra.replay.equivalence import Metric
+from sierra.replay.outputs import compare_all
+from sierra.replay.verdicts import Compared, OfExperiment, Replay, Tolerances, metric_rows, plain, verdict_rows
+from sierra.runners.base import Runner, Work, needed
+from sierra.store.files import Taken, take, where
+from sierra.store.layout import SessionPaths
+from sierra.store.names import column_names
+from sierra.store.order import stamp
+from sierra.store.samples import like
+from sierra.store.store import Found, Store
+from sierra.util.hashing import short
+from sierra.util.signals import noted
+from sierra.version import __version__
+
+ARITHMETIC = ("machine", "cpu_flags", "gpus", "libc", "container")
+"""What of a machine may change the results of the same programs."""
+
+
+@dataclass(frozen=True, slots=True)
+class How:
+    """How to replay."""
+
+    slots: int
+    runs: int | None = None
+    """The first so many of each experiment alone."""
+    runner: str = "local"
+    engine: str | None = None
+    """What contains them; that which did, where it is not said."""
+    tolerances: Tolerances = field(default_factory=dict)
+    """Instead of what the project declares."""
+    keep: bool = False
+    """Whether to leave the restored source and the folders of the runs."""
+
+
+@dataclass(slots=True)
+class _Record:
+    """What the store has of what is replayed."""
+
+    found: Found
+    of: Recalled
+    runs: list[Taken]
+    named: int
+    """How many runs the id names, also such as have no good execution."""
+    whole: bool
+    """Whether all good runs of each experiment are among them."""
+    cells: dict[int, dict[str, Any]]
+    """The values of each experiment, by its place in the batch."""
+    seeds: dict[str, int]
+    tables: dict[str, list[str]]
+    """The columns of the outputs that are tables."""
+    environment: str
+    notes: list[str]
+
+
+def replay(
+    project: LoadedProject,
+    store: Store,
+    prefix: str,
+    how: How,
+    watch: Watch = lambda progress: None,
+    say: Callable[[str], None] = lambda text: None,
+) -> Replay:
+    """Execute again what an id names, and compare. `say` hears what is other than it was recorded, before anything executes.
+
+    Raises NotFound for what is not there, Missing for what is needed and gone: the source, a program, an input.
+    """
+    if not os.access(store.paths.root, os.W_OK):
+        raise Missing(f"cannot write to {store.paths.root}; a replay with --no-record does not need to")
+    recover.finish_dead(store)
+    record = _look_up(store, store.resolve(prefix), how.runs)
+    declared = _declared(record, project, how.tolerances)
+    was = _metrics(project, store, record, declared)
+    engine = stored_plan.engine(store, record.of.batch, record.of.recipe, how.engine, hosted=True)
+    image = stored_plan.image(project, store, record.of.recipe)
+    runner = runners.find(how.runner, project.config.runners)(how.slots)
+    began = datetime.now(UTC)
+    session = Session(store.paths, project.config.store.place())
+    kept = store.paths.kept(session.id) if how.keep else None
+    try:
+        session.take_number()
+        root = session.paths.source
+        checkout = record.of.checkout(project, store)
+        checkout.make(root)
+        if image is not None and engine.name == "none":
+            record.notes += host_check.unlike(record.of.recipe, stored_plan.image_contents(store, image.id), root)
+        variables = commands.declared(record.of.recipe.environment, root, project.root)
+        now = versions.asked(checkout.programs_in(root), project.config.programs, variables, root)
+        around = environment.capture(__version__, project.config.environment.record)
+        contained = contain(
+            engine,
+            image,
+            record.of.recipe,
+            project.config.container,
+            commands.limits(project.config),
+            code=root,
+            project=project.root,
+            store=store.paths,
+            session=session.id,
+            elsewhere=runner.stays,
+        )
+        notes = (
+            *record.notes,
+            *contained.notes,
+            *now.notes,
+            *_other_programs(record.of, now, root),
+            *_other_machine(store, record, around),
+        )
+        for text in notes:
+            say(text)
+        context = Context(
+            session.id,
+            record.of.batch,
+            "replay",
+            around["environment"],
+            now.id,
+            record.of.outputs,
+            record.of.success,
+            number=session.number,
+            raw=project.config.store.raw,
+            **contained.context,
+        )
+        maker = commands.Maker(
+            record.of.recipe,
+            root,
+            engine,
+            commands.limits(project.config),
+            session.id,
+            project.root,
+            image=image,
+            box=contained.box,
+            script=session.paths.worker if runner.stays else None,
+        )
+        made = {job.run: job for job in _jobs(record, store, maker)}
+        search = commands.declared(record.of.recipe.environment, root, project.root, image=image)["PATH"]
+        work = Work(
+            made.values(),
+            len(made),
+            record.of.batch,
+            (*needed(now, search), *contained.needed),
+            timing.recorded(store, list(made)) if runner.stays else None,
+            record=environment.recorded(project.config.environment.record),
+            around=around,
+        )
+        try:
+            doubt = _doubt(seen(root, b"", now), contained)
+            failed, interrupted = _execute(store, session, context, work, runner, watch, say, kept, doubt)
+        finally:
+            contained.close()
+        _leave(session.paths, kept)
+        if interrupted:
+            return Replay(session.id, record.found, (), notes, interrupted=True, of=record.named, kept=kept)
+        compared = _compare(record, store, made, failed, declared)
+        experiments = tuple(_experiments(project, store, record, list(compared), was, declared))
+        answer = Replay(session.id, record.found, experiments, notes, interrupted=False, of=record.named, kept=kept)
+        _keep(answer, store, session, record, now, around, began, how, contained)
+        return answer
+    finally:
+        session.close()
+
+
+def unrecorded(
+    project: LoadedProject,
+    store: Store,
+    prefix: str,
+    how: How,
+    watch: Watch = lambda progress: None,
+    say: Callable[[str], None] = lambda text: None,
+) -> Replay:
+    """Do as `replay` does, and write nothing to the store: all is recorded in one beside it, which is removed at the end.
+
+    Raises the same, and UsageError for what would need the record: to keep folders, or to execute on a cluster.
+    """
+    if how.keep:
+        raise UsageError("--keep leaves folders in the store; ask without --no-record")
+    if runners.find(how.runner, project.config.runners)(how.slots).stays:
+        raise UsageError(f"what {how.runner!r} executes is found again by the record; ask without --no-record")
+    own = project.config.store.model_copy(update={"work": None})  # what is beside is elsewhere already
+    inner = replace(project, config=project.config.model_copy(update={"store": own}))
+    with store.beside(project.config.store.place()) as other:
+        return replay(inner, other, prefix, how, watch, say)
+
+
+def _look_up(store: Store, found: Found, runs: int | None) -> _Record:
+    import pyarrow as pa
+
+    with store.ask() as question:
+        named = take(question, found)
+        good = [one for one in named if one.status == "ok"]
+        taken = [one for one in good if runs is None or one.number < runs]
+        if not taken:
+            raise NotFound(f"{found.kind} {short(found.id)} has no good execution to compare with; sierra run makes one")
+        question.views.make(("members", "experiments", "batches"))
+        batch = where(question, found).batch
+        question.register("taken", pa.table({"execution": [str(one.judgement) for one in taken]}))
+        by = question.sql(
+            "SELECT DISTINCT programs, reading, environment "
+            "FROM judged e SEMI JOIN taken t ON t.execution = e.judgement ORDER BY ALL"
+        ).to_pylist()
+        cells = question.cells(batch)
+        [(axes,)] = question.run("SELECT axes FROM batches WHERE batch = $b", {"b": batch})
+        tables = {row["output"]: row["forms"] for row in question.sql(TABLES).to_pylist()}
+        wrote = {row[0] for row in question.run(WROTE)}
+        seeds = dict(question.run("SELECT run, seed FROM members WHERE batch = $b", {"b": batch}))
+    record = _Record(
+        found=found,
+        of=stored_plan.recall(store, batch, by[0]["programs"], by[0]["reading"]),
+        runs=taken,
+        named=len(named),
+        whole=len(taken) == len(good) and found.kind in ("batch", "experiment"),
+        cells={place: {axis: row[axis] for axis in axes} for place, row in cells.items()},
+        seeds=seeds,
+        tables={name: _columns(forms) for name, forms in sorted(tables.items())},
+        environment=by[0]["environment"],
+        notes=[],
+    )
+    left = sum(one.judgement in wrote for one in taken)
+    if not left:
+        raise Missing(f"{found.kind} {short(found.id)} left nothing but logs, which are not compared")
+    if left < len(taken):
+        record.notes.append(f"{len(taken) - left} of {len(taken)} runs left nothing but logs, which are not compared")
+    if without := len(named) - len(good):
+        record.notes.append(f"{without} of {len(named)} runs have no good execution to compare with; they are left out")
+    if len({(row["programs"], row["reading"]) for row in by}) > 1:
+        record.notes.append("not all runs were recorded with the same programs and rules; those of the first are heeded")
+    return record
+
+
+def _columns(forms: list[str | None]) -> list[str]:
+    """Return the columns of tables, as SQL calls them, by what is recorded of their form."""
+    named = (column_names(list(json.loads(form or "{}").get("columns", ()))) for form in forms)
+    return list(dict.fromkeys(name for names in named for name in names))
+
+
+TABLES = """
+SELECT output, list(DISTINCT form ORDER BY form) AS forms FROM judged_artifacts SEMI JOIN taken USING (execution)
+WHERE kind = 'table' GROUP BY output
+"""
+"""What is recorded of the form of tables, by their output."""
+WROTE = "SELECT DISTINCT execution FROM judged_artifacts SEMI JOIN taken USING (execution) WHERE kind <> 'log'"
+"""The executions that left files, or tables."""
+
+
+def _declared(record: _Record, project: LoadedProject, tolerances: Tolerances) -> dict[str, Output]:
+    """The rules to compare by: of outputs as they were recorded, as the project has them now, with the tolerances asked for."""
+    declared = {**record.of.outputs, **project.config.outputs}
+    known = sorted({*declared, *record.tables})
+    if unknown := tolerances.keys() - {"*", *known}:
+        raise UsageError(f"--set-tolerance: no output {min(unknown)!r}; there is {', '.join(known) or 'none'}")
+    for name, columns in tolerances.items():
+        _check_columns(name, columns, record.tables)
+    for name, output in declared.items():
+        record.notes += _unused(name, output, record.tables.get(name))
+    for name in known if tolerances else ():
+        output = declared.get(name) or Output(file=name)
+        asked = {**output.tolerance, **tolerances.get("*", {}), **tolerances.get(name, {})}
+        declared[name] = output.model_copy(update={"tolerance": asked})
+    return declared
+
+
+def _check_columns(output: str, columns: Iterable[str], tables: Mapping[str, list[str]]) -> None:
+    """Raise UsageError for a column that no table of that name has; `*` stands for all outputs, and for all columns."""
+    known = sorted({name for table, names in tables.items() if output in ("*", table) for name in names})
+    for column in columns:
+        if known and column not in ("*", *known):
+            where = "no output" if output == "*" else f"output {output!r}"
+            has = "has the" if output == "*" else "has no"
+            raise UsageError(f"--set-tolerance: {where} {has} column {column!r}; {like(column, known)}")
+
+
+def _unused(name: str, output: Output, columns: list[str] | None) -> Iterator[str]:
+    """Say which columns an output's declaration names that its table does not have."""
+    for key, names in (("tolerance", output.tolerance), ("volatile", output.volatile)) if columns else ():
+        for column in names:
+            if column not in ("*", *(columns or ())):
+                yield f"[outputs.{name}] {key}: the table has no column {column!r}; {like(column, columns or ())}"
+
+
+def _metrics(
+    project: LoadedProject, store: Store, record: _Record, declared: Mapping[str, Output]
+) -> equivalence.Values | None:
+    """What the recorded runs come to, by metric; None where experiments cannot be compared by metrics."""
+    if not project.config.equivalence or record.found.kind not in ("batch", "experiment"):
+        return None
+    if not record.whole:
+        record.notes.append("equivalence is judged of whole experiments alone: replay without --runs")
+        return None
+    executions = {one.run: str(one.judgement) for one in record.runs}
+    try:
+        return equivalence.values(store, record.of.batch, executions, project.config.equivalence, declared)
+    except NotFound as error:
+        record.notes.append(f"[equivalence]: {error}; no experiment is judged by it")
+        return None
+
+
+def _other_programs(of: Recalled, now: Programs, root: Path) -> Iterator[str]:
+    """What is other about the programs, by name; the code lies in `root`."""
+    if now.id != of.fingerprint:
+        words = mentioned(of.recipe.command, root)
+        yield from (f"other programs: {line}" for line in programs.told(of.programs, now, words))
+
+
+def _other_machine(store: Store, record: _Record, around: Mapping[str, Any]) -> Iterator[str]:
+    """What is other about the machine that may change arithmetic."""
+    for row in store.rows("SELECT * FROM environments WHERE environment = $e", e=record.environment):
+        for name, was, found in environment.differing(row, around):
+            if name in ARITHMETIC:
+                old, new = (", ".join(one) or "none" if isinstance(one, list) else one or "none" for one in (was, found))
+                yield f"other machine: {name} {'that differ: ' if isinstance(was, list) else ''}was {old}, is {new}"
+
+
+def _jobs(record: _Record, store: Store, maker: commands.Maker) -> Iterator[Job]:
+    """A job for each run, with the inputs that are recorded."""
+    for taken, files in stored_plan.inputs(store, {one.run: one for one in record.runs}.values()):
+        yield maker.job(Run(taken.run, taken.ordinal, taken.number, record.seeds[taken.run], (), b""), files)
+
+
+def _execute(
+    store: Store,
+    session: Session,
+    context: Context,
+    work: Work,
+    runner: Runner,
+    watch: Watch,
+    say: Callable[[str], None],
+    kept: Path | None,
+    doubt: Callable[[], str | None],
+) -> tuple[dict[str, Status], bool]:
+    """Execute; how runs ended that did not end well, and whether it was interrupted."""
+    context.save(session.paths.context)
+    done: dict[str, Status] = {}
+
+    def took(run: str, status: Status) -> None:
+        done[run] = status
+
+    def bad() -> dict[str, Status]:
+        return {run: status for run, status in done.items() if status is not Status.OK}
+
+    def tell(running: int, queued: int, waits: str) -> None:
+        watch(Progress(work.count, 0, len(done), len(bad()), running, queued=queued, waits=waits))
+
+    with noted() as signals:
+        ears = Ears(took, tell, say)
+        recorder = Recorder(store, session.paths, context, kept, doubt)
+        following = Following(runner, recorder, store, session, ears, leave=lambda: False)
+        following.execute(work, signals)
+    return bad(), bool(signals) or session.paths.cancelled.exists()
+
+
+def _doubt(files: Seen, contained: Containment) -> Callable[[], str | None]:
+    """What says why executions cannot be ascribed to the programs, or to the image, that were there when they began."""
+    return lambda: files.doubt() or contained.doubt()
+
+
+def _leave(session: SessionPaths, kept: Path | None) -> None:
+    """Put the restored source where it is kept."""
+    if kept is not None:
+        kept.mkdir(parents=True, exist_ok=True)
+        session.source.rename(kept / session.source.name)
+
+
+def _compare(
+    record: _Record, store: Store, made: Mapping[str, Job], failed: Mapping[str, Status], declared: Mapping[str, Output]
+) -> Iterator[Compared]:
+    done = [one for one in record.runs if one.run not in failed]
+    with store.ask() as question:
+        pairs = [(str(one.judgement), made[one.run].execution) for one in done]
+        for taken, outputs in zip(done, compare_all(question, pairs, declared), strict=True):
+            yield Compared(taken, made[taken.run].execution, outputs)
+        question.views.make(("executions",))
+        for taken in (one for one in record.runs if one.run in failed):
+            execution = made[taken.run].execution
+            [(reason,)] = question.run("SELECT reason FROM executions WHERE execution = $e", {"e": execution}) or [("",)]
+            yield Compared(taken, execution, {None: Agreement(Verdict.FAILED, reason or failed[taken.run])})
+
+
+def _experiments(
+    project: LoadedProject,
+    store: Store,
+    record: _Record,
+    compared: Sequence[Compared],
+    was: equivalence.Values | None,
+    declared: Mapping[str, Output],
+) -> Iterator[OfExperiment]:
+    by_place: dict[int, list[Compared]] = {}
+    for run in sorted(compared, key=lambda run: (run.taken.ordinal, run.taken.number)):
+        by_place.setdefault(run.taken.ordinal, []).append(run)
+    stochastic = {place: runs for place, runs in by_place.items() if was is not None and _wavers(runs)}
+    now: equivalence.Values = {}
+    if stochastic:
+        executions = {run.taken.run: str(run.execution) for runs in stochastic.values() for run in runs}
+        try:
+            now = equivalence.values(store, record.of.batch, executions, project.config.equivalence, declared)
+        except NotFound as error:
+            record.notes.append(f"[equivalence]: {error}; what was executed again has no value of it")
+            now = {name: {} for name in project.config.equivalence}
+    for place, runs in by_place.items():
+        found: tuple[Metric, ...] = ()
+        if place in stochastic and was is not None:
+            names = [run.taken.run for run in runs]
+            found = tuple(equivalence.compare(project.config.equivalence, was, now, place, names))
+        yield OfExperiment(runs[0].taken.experiment, place, record.cells[place], tuple(runs), found)
+
+
+def _wavers(runs: Sequence[Compared]) -> bool:
+    """Whether runs differ in values alone: none failed, and what they wrote is of the same form."""
+    different = [one for run in runs for one in run.outputs.values() if not one.verdict.fine]
+    return bool(different) and all(one.verdict is Verdict.DIFFERENT and not one.form for one in different)
+
+
+def _keep(
+    answer: Replay,
+    store: Store,
+    session: Session,
+    record: _Record,
+    now: Programs,
+    around: Mapping[str, Any],
+    began: datetime,
+    how: How,
+    contained: Containment,
+) -> None:
+    """Record the replay and its verdicts."""
+    writer = store.writer(session.paths.segment, record.of.batch)
+    writer.rows(
+        "replays",
+        [
+            {
+                "replay": answer.id,
+                "kind": record.found.kind,
+                "target": record.found.id,
+                "batch": record.of.batch,
+                "started": began,
+                "ended": datetime.now(UTC),
+                "runner": how.runner,
+                "engine": contained.engine.name,
+                "runs": len(answer.runs),
+                "verdict": str(answer.verdict),
+                "tolerances": json.dumps(plain(how.tolerances)) if how.tolerances else None,
+                "environment": around["environment"],
+                "programs": now.id,
+                "lamport": stamp(session.number, session.id),
+            }
+        ],
+    )
+    writer.rows("verdicts", (row for run in answer.runs for row in verdict_rows(answer.id, run)))
+    writer.rows("equivalences", (row for one in answer.experiments for row in metric_rows(answer.id, one)))
+    writer.rows("environments", [around])
+    writer.rows("programs", now.rows())
+    store.publish(writer)

@@ -1,0 +1,1 @@
+"""The cluster runner: array jobs whose elements execute many runs each."""

@@ -1,0 +1,179 @@
+"""What a batch would ask a cluster for, and why, before anything is submitted or written."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from sierra.config.project_file import ClusterTable
+from sierra.errors import Missing
+from sierra.model import Times
+from sierra.runners import schedulers
+from sierra.runners.cluster import submission
+from sierra.runners.cluster.calibrate import PATIENCE_S
+from sierra.runners.cluster.preflight import Probe
+from sierra.runners.cluster.sizing import Size, size
+from sierra.runners.cluster.submission import UNFOLLOWED
+from sierra.runners.schedulers.base import Bounds
+from sierra.store.layout import SessionPaths
+from sierra.util.text import counted
+
+FILES = 14
+"""Files of a submission, however many elements it has; see `sierra.store.layout`."""
+FILES_OF_ELEMENT = 3
+"""Its jobs, its pack, what it prints."""
+SAID = (
+    *("cpus", "memory", "gpus", "partition", "account", "qos", "constraint", "modules", "directives"),
+    *("python", "scratch", "attempts", "cancelled"),
+)
+"""The settings of a cluster that are told of, beside the number of elements and their time."""
+DEFAULTS = {
+    "cpus": "the default: one run at a time",
+    "scratch": "$SLURM_TMPDIR, $TMPDIR or /tmp, whichever a node has",
+    "python": "the default",
+    "attempts": "the default",
+}
+
+PROBE = (
+    "nodes were not tried out within a day: the elements will wait (a dependency in the script) for one small task that does"
+)
+
+
+TELL = (
+    "{}: {} go first, and tell how many elements the others become; so many as are told here where nobody waits for them, or "
+    "no node begins them within {:g} s"
+)
+NOBODY, NEVER = "nobody knows yet how long runs take", "runs with these values were never timed"
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """One setting of a cluster, and why it is what it is."""
+
+    name: str
+    value: str | float | None
+    """None is what the site has by default."""
+    why: str
+
+
+@dataclass(frozen=True, slots=True)
+class Proposal:
+    """What would be submitted."""
+
+    runner: str
+    scheduler: str
+    """With its version, where it says that."""
+    runs: int
+    elements: int
+    longest: int
+    """Runs of the largest element."""
+    cpus: int
+    wall_s: float | None
+    """What each element asks for; None is what the site says."""
+    expected_s: float | None
+    """What each is expected to take; None where nobody knows yet."""
+    core_hours: float | None
+    """What all are expected to take together."""
+    most_core_hours: float | None
+    """What they take at most: all that is asked for."""
+    files: int
+    """On the shared file system, about; so `bytes`, which is None where nobody knows yet what runs write."""
+    bytes: int | None
+    settings: tuple[Setting, ...]
+    script: str | None
+    """All of it; None where the scheduler must be asked for it first, and can't be."""
+    notes: tuple[str, ...]
+
+
+def propose(
+    name: str,
+    scheduler: str,
+    table: ClusterTable,
+    work: Path,
+    *,
+    count: int,
+    times: Times | None,
+    each: float | None,
+    beside: tuple[int, int],
+    waits: bool,
+) -> Proposal:
+    """What `count` runs would ask of a cluster, which are expected to take these times, and each of which leaves `each` bytes.
+
+    `waits`: whether somebody would follow. `work` is the folder of sessions; `beside` are files and bytes that are there
+    however the batch is dealt out. Where the scheduler can't be reached, all is told but for what the site allows. Raises
+    ConfigError for what is refused.
+    """
+    notes = [PROBE] if Probe(name, table, SessionPaths(work / "SESSION")).is_needed() else []
+    version, bounds = _site(scheduler, table, notes)
+    sized = size(count, times, table, bounds, waits=waits)
+    asked = table.model_copy(update={"wall": sized.wall_s})
+    unknown = NEVER if times else NOBODY
+    notes += [TELL.format(unknown, counted(len(sized.first), "run"), PATIENCE_S)] if sized.first else []
+    notes += [] if waits else [UNFOLLOWED]
+    files, carried = beside
+    return Proposal(
+        runner=name,
+        scheduler=version or scheduler,
+        runs=count,
+        elements=sized.elements,
+        longest=math.ceil((count - len(sized.first)) / sized.elements),
+        cpus=table.cpus,
+        wall_s=sized.wall_s,
+        expected_s=sized.expected_s,
+        core_hours=sum(times.each) / 3600 if times else None,
+        most_core_hours=None if sized.wall_s is None else sized.elements * table.cpus * sized.wall_s / 3600,
+        files=files + FILES + FILES_OF_ELEMENT * (sized.elements + bool(sized.first)),
+        bytes=None if each is None else carried + round(count * each),
+        settings=tuple(_settings(sized, times, table, bounds)),
+        script=_script(scheduler, asked, sized, SessionPaths(work / "SESSION"), notes),
+        notes=tuple(dict.fromkeys(notes)),
+    )
+
+
+def _site(scheduler: str, table: ClusterTable, notes: list[str]) -> tuple[str | None, Bounds]:
+    """The scheduler's version and what the site allows, as far as it answers."""
+    asked = schedulers.find(scheduler)(table)
+    try:
+        return asked.version(), asked.bounds()
+    except Missing as error:
+        notes.append(f"{error}; what the site allows is not known")
+        return None, Bounds()
+
+
+def _settings(sized: Size, times: Times | None, table: ClusterTable, bounds: Bounds) -> list[Setting]:
+    """All that is asked for, and what the site allows."""
+    values: dict[str, float | None] = {"elements": sized.elements, "wall": sized.wall_s}
+    found = [Setting(name, values.get(name), why) for name, why in sized.why]
+    if times:
+        took = f"{min(times.each):.3g} to {max(times.each):.3g} s, {times.mean:.3g} s in the mean"
+        found.append(Setting("time of a run", took, times.how))
+    if sized.first:
+        found.append(Setting("first runs", len(sized.first), f"{NEVER if times else NOBODY}: these tell"))
+    for name in SAID:
+        value = getattr(table, name)
+        shown = ", ".join(value) or None if isinstance(value, tuple) else value
+        if name in table.model_fields_set:
+            found.append(Setting(name, shown, "as sierra.toml says"))
+        elif name in DEFAULTS:
+            found.append(Setting(name, shown, DEFAULTS[name]))
+    return [*found, *_allowed(bounds)]
+
+
+def _allowed(bounds: Bounds) -> Iterator[Setting]:
+    names = {"array": "longest array", "jobs": "jobs at a time", "running": "jobs that run at a time", "wall_s": "longest wall"}
+    for name, shown in names.items():
+        if (value := getattr(bounds, name)) is not None:
+            whose = bounds.whose.get(name)
+            yield Setting(shown, value, f"the site allows no more: {whose}" if whose else "the site allows no more")
+
+
+def _script(scheduler: str, table: ClusterTable, sized: Size, session: SessionPaths, notes: list[str]) -> str | None:
+    elements = tuple(range(bool(sized.first), sized.elements + bool(sized.first)))
+    request = submission.elements_request(session, "sierra-SESSION", elements, table)
+    try:
+        return schedulers.find(scheduler)(table).script(request)
+    except Missing as error:
+        notes.append(f"{error}; so there is no script to show")
+        return None

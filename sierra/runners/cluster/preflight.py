@@ -1,0 +1,78 @@
+"""One small task before all elements: whether nodes see the project, have a Python, and the files that runs need.
+
+The elements wait for it (`Request.after`), so that what is wrong is found out once, before anything of the batch begins. What
+was fine is remembered for a day, in the user's cache: for the same cluster, as the project names it, and file system.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+
+from sierra.config.project_file import ClusterTable
+from sierra.errors import Missing
+from sierra.runners.cluster import submission
+from sierra.runners.cluster.result_log import Finished, Pack, Trouble
+from sierra.runners.schedulers.base import Request
+from sierra.store.layout import SessionPaths, user_clusters
+from sierra.util.cache import Remembered
+from sierra.util.hashing import digest
+
+VALID_S = 86_400.0
+MOST = 64
+
+
+class Probe:
+    """The probe of one session."""
+
+    def __init__(self, runner: str, table: ClusterTable, session: SessionPaths) -> None:
+        self._session = session
+        self._runner = runner
+        self._table = table
+        self._key = digest("cluster", {"runner": runner, "table": _told(table), "device": _device(session.root)})
+        self.name = submission.name_of(session, "probe")
+
+    def is_needed(self) -> bool:
+        """Whether nobody has found out lately that it would be fine."""
+        found = Remembered(user_clusters(), MOST).get(self._key)
+        return not (isinstance(found, float) and 0 <= time.time() - found < VALID_S)
+
+    def request(self) -> Request:
+        """The job that finds out."""
+        return submission.request(self._session, self.name, (0,), self._table.python, "--probe")
+
+    def is_fine(self) -> bool:
+        """Whether it has found all to be fine. Raises Missing where it has found what is not."""
+        for path in self._session.results.glob("probe.*.pack"):
+            for event in Pack(path).read():
+                match event:
+                    case Trouble():
+                        raise Missing(f"nodes can't execute this: {event.reason}")
+                    case Finished():
+                        self._remember()
+                        return True
+        return False
+
+    def gone(self, word: str) -> Missing:
+        """What is to be said where it has ended and told nothing."""
+        said = submission.last_line(self._session, "0")
+        if said:
+            return Missing(f"nodes can't execute this: {said}; see python and modules in [runners.{self._runner}]")
+        where = f"do they see {self._session.root}, as on a shared file system?"
+        return Missing(f"nodes can't execute this, and say nothing{f' ({word})' if word else ''}: {where}")
+
+    def _remember(self) -> None:
+        memory = Remembered(user_clusters(), MOST)
+        memory.put(self._key, time.time())
+        memory.save()
+
+
+def _device(folder: Path) -> int:
+    """The file system that a folder lies on, or will lie on."""
+    return next(one.stat().st_dev for one in (folder, *folder.parents) if one.exists())
+
+
+def _told(table: ClusterTable) -> object:
+    """What of a cluster's table makes a difference to what nodes are, and can."""
+    return json.loads(table.model_dump_json(exclude={"elements", "attempts", "wall", "cancelled"}))

@@ -1,0 +1,678 @@
+"""Runs on a cluster: one array job whose elements execute many runs each, and what becomes of it.
+
+Truth is what elements have recorded in their packs; a scheduler is only asked whether anything may still come. Two copies of
+one task, a requeue, a lost node, a job that nobody remembers, a controller out of reach and a submitter that died are all one
+case: see what is recorded, ask whether anything lives, submit again what is missing.
+
+An element that others than SIERRA have cancelled ends the session, unless the project wants it submitted again. One that
+has executed all of its runs is never cancelled.
+
+An element that is gone with runs missing is submitted again as long as it gets on. One that ends without having executed
+anything, `attempts` times in a row, ends all: something is wrong with the cluster or the project, and no run is to blame. A run
+that was begun `attempts` times and never ended has failed, if it was cut off while it had the element for itself: of several at
+a time, one may take the element down (by its memory, say), and the others with it, so that those in flight are executed one by
+one the last time. Where it was the element's time that was over, a run has failed that had all of it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import re
+import shutil
+import threading
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+from sierra.config.project_file import ClusterTable
+from sierra.errors import Full, Missing, SierraError
+from sierra.model import Result, Times
+from sierra.provenance import machine
+from sierra.runners import schedulers
+from sierra.runners.base import Look, Work
+from sierra.runners.cluster import submission
+from sierra.runners.cluster.calibrate import Pilot, Told
+from sierra.runners.cluster.collect import AT_ONCE, Harvest, Share, refresh
+from sierra.runners.cluster.preflight import Probe
+from sierra.runners.cluster.shard import deal, deal_first, deal_rest
+from sierra.runners.cluster.sizing import Size, elements_of, size
+from sierra.runners.cluster.submission import Submission
+from sierra.runners.schedulers.base import State, Task
+from sierra.store.layout import SessionPaths
+from sierra.store.segments import disk_errors
+from sierra.util.fs import write_whole
+from sierra.util.text import counted, few
+from sierra.worker import array_task, worker
+
+FIRST_POLL_S, LAST_POLL_S = 1.0, 15.0
+"""Between two questions to the scheduler, which get rarer while nothing happens."""
+QUIET_S = 3.0
+"""How long an element that the scheduler does not know must have recorded nothing, before it is taken for gone."""
+UNHEARD = 3
+"""How many times in a row the scheduler must not know a probe that has recorded nothing, before it is taken for failed."""
+FULL_S = 30.0
+"""Until a scheduler that takes no more jobs is tried again."""
+LAST_WORD_S = 20.0
+"""How long elements that have executed everything may take to end by themselves."""
+STOPPING_S = 60.0
+UNREACHED_S = 20.0
+"""How long a scheduler that is to cancel jobs may be out of reach, before that is left to whoever asks next."""
+TIMED = re.compile(r"time ?limit|timeout|walltime", re.IGNORECASE)
+"""In words on how an element ended: its time was over."""
+ASKED = re.compile(r"asked to end after (\d+) s$")
+"""In what an element says itself: how long it had lasted."""
+MISHAP = re.compile(rf"{TIMED.pattern}|node|preempt|memory|boot|requeue|deadline", re.IGNORECASE)
+"""In the scheduler's words on how an element ended: nobody meant to end it."""
+RELAUNCHED = "launch failed"
+"""What schedulers say of a job that they could not begin, though it can: it is submitted again."""
+
+
+class Cluster:
+    """The runner of a cluster's name, over its scheduler."""
+
+    stays = True
+
+    def __init__(self, slots: int, table: ClusterTable, *, name: str, scheduler: str) -> None:
+        self.name = name
+        self._kind = scheduler
+        self._table = table
+        self._scheduler = schedulers.find(scheduler)(table)
+        self._opened = contextlib.ExitStack()
+        self._pilot: Pilot | None = None
+
+    # ------------------------------------------------------------ beginning
+
+    def submit(self, work: Work, session: SessionPaths) -> None:
+        bounds, version = self._scheduler.bounds(), self._scheduler.version()
+        sized = size(work.count, work.times, self._table, bounds, waits=work.waits)
+        estimated = self._table.wall is None and sized.wall_s is not None
+        self._table = self._table.model_copy(update={"wall": sized.wall_s})
+        past = submission.past(session)
+        with disk_errors(session.root):
+            forget(session)
+            session.results.mkdir()
+            session.logs.mkdir()
+            counts, rest = self._deal(work, sized, session)
+            for module in (worker, array_task, machine):
+                shutil.copyfile(str(module.__file__), session.root / Path(str(module.__file__)).name)
+            write_whole(session.element_settings, json.dumps(self._settings(work, session)).encode())
+        probed = Probe(self.name, self._table, session).is_needed()
+        table = self._table.model_dump(mode="json")
+        dealt = (work.batch, counts, dict(work.around), probed, rest)
+        means = _means(work.times, sized.first)
+        made = Submission(self.name, self._kind, version, table, *dealt, asdict(bounds), estimated, *means, past)
+        made.save(session)
+        self._scheduler = schedulers.find(self._kind)(self._table)
+        self._begin(made, session, {})
+        self._is_own = True
+        if rest:
+            unknown = "runs with these values were never timed" if work.times else "nobody knows yet how long runs take"
+            self._note(f"{unknown}: {counted(counts[0], 'run')} of {work.count} go first")
+        self._hand_all_over()
+
+    def _deal(self, work: Work, sized: Size, session: SessionPaths) -> tuple[tuple[int, ...], int]:
+        """The runs of each element, and those that are dealt out later."""
+        if not sized.first:
+            return deal(work.jobs, sized.elements, session), 0
+        first, rest = deal_first(work.jobs, frozenset(sized.first), session)
+        return (first,), rest
+
+    def _hand_all_over(self) -> None:
+        """Submit the probe, if there is to be one, and all elements."""
+        if self._made.probed:
+            self._goes_before = self._scheduler.submit(self._probe.request())
+            self._note(f"{self._kind} job {self._goes_before} ({self._probe.name}) goes before: it tries nodes out")
+        try:
+            self._hand_over(tuple(range(len(self._shares))), "", after=self._goes_before)
+        except SierraError:
+            self._cancel()
+            raise
+
+    def _settings(self, work: Work, session: SessionPaths) -> dict[str, Any]:
+        return {
+            "session": session.root.name,
+            "slots": self._table.cpus,
+            "scratch": self._table.scratch,
+            "needs": [asdict(one) for one in work.needs],
+            "record": list(work.record),
+            "requeue": list(self._scheduler.requeue),
+        }
+
+    def resume(self, session: SessionPaths, recorded: Mapping[str, str | None]) -> None:
+        made = Submission.load(session)
+        self._table = made.cluster
+        self._scheduler = schedulers.find(self._kind)(self._table)
+        self._begin(made, session, recorded)
+        try:
+            if session.cancelled.exists():
+                self.stop()
+            elif not any(session.sent.iterdir()):  # who made it died before
+                self._hand_all_over()
+            elif never := self._never_sent():  # or when it had dealt out what came after the first runs
+                self._hand_over(never, "")
+        except SierraError as error:
+            self._end(error)
+
+    def _never_sent(self) -> tuple[int, ...]:
+        """The elements that nobody has tried to hand over."""
+        sent = {index for one in submission.sent(self._session) for index in one.elements}
+        return tuple(index for index in range(len(self._shares)) if index not in sent)
+
+    def _begin(self, made: Submission, session: SessionPaths, recorded: Mapping[str, str | None]) -> None:
+        self._made, self._session = made, session
+        self._name = submission.name_of(session)
+        self._probe = Probe(self.name, self._table, session)
+        self._probing = made.probed
+        self._unheard = self._probes = 0
+        self._harvest = Harvest(made, session, recorded, self._note)
+        self._opened.callback(self._harvest.close)
+        self._shares = self._harvest.shares
+        self._pilot = Pilot(session) if made.rest else None
+        self._told: Told | None = None
+        self._goes_before = ""
+        self._is_own = False
+        self._poll = Poll(self._scheduler)
+        self._due = time.monotonic() + FIRST_POLL_S
+        self._pause = FIRST_POLL_S
+        self._queued: set[int] = set()
+        self._waits = ""
+        self._alive: set[int] | None = None
+        self._notes: list[str] = []
+        self._said: set[str] = set()
+        self._again: dict[int, str] = {}
+        self._again_at = 0.0
+        self._stopping: float | None = None
+        self._whole: float | None = None
+        self._over = self._deaf = self._silent = False
+        self._wrong: SierraError | None = None
+
+    def leave(self) -> None:
+        if self._stopping is not None or self._session.cancelled.exists():
+            return
+        if self._is_own:
+            self._note(submission.UNFOLLOWED)
+        if self._pilot is None:
+            return
+        if self._table.wall is None and self._made.bounds.wall_s is not None:
+            self._allow(self._made.bounds.wall_s)  # nobody is there to submit again what takes longer than usual
+        try:
+            self._deal_rest(self._told or Told(None, "nobody waits for the runs that go first"))
+        except SierraError as error:
+            self._note(f"{error}; whoever follows next tries again")
+
+    def close(self) -> None:
+        self._opened.close()
+
+    # ------------------------------------------------------------ looking
+
+    def look(self) -> Look:
+        harvest = self._harvest
+        results, copies = self._read() if harvest.is_due() else ([], [])
+        if len(results) < AT_ONCE:
+            results += harvest.failed
+            harvest.failed = []
+            was_over = self._over
+            self._go_on(bool(results))
+            if self._over and not was_over:  # what was written until nothing lived any more
+                refresh(self._session.results)
+                for known, more in zip((results, copies), self._read(), strict=True):
+                    known += more
+        notes, self._notes = tuple(self._notes), []
+        rows, harvest.rows = harvest.rows, []
+        alive = not self._over or bool(results) or harvest.waits()
+        if not alive:
+            rows += harvest.attempts("cancelled" if self._stopping is not None and self._wrong is None else None)
+        running = 0 if self._over else harvest.running(self._alive)
+        wrong = None if alive else self._wrong
+        return Look(tuple(results), running, alive, tuple(rows), notes, len(self._queued), self._waits, tuple(copies), wrong)
+
+    def _read(self) -> tuple[list[Result], list[Result]]:
+        """What packs have since the last time; and whether another process cancels, or the probe has said its word."""
+        if self._stopping is None and self._session.cancelled.exists():
+            self.stop()
+        if self._told is not None and self._stopping is None:  # those who hear of the first runs might have stopped all
+            try:
+                self._deal_rest(self._told)
+            except SierraError as error:
+                self._end(error)
+        found = self._harvest.read()
+        if self._probing and self._stopping is None:
+            self._probing = not self._is_fine()
+        self._told = self._pilot.told(over=self._harvest.is_whole()) if self._pilot is not None else None
+        return found
+
+    def _go_on(self, came: bool) -> None:
+        """Find out what lives, where it is time to, and do what follows from that."""
+        now = time.monotonic()
+        if self._over:
+            return
+        if self._harvest.is_whole() and not self._made.rest:
+            self._settle(now)
+            return
+        if came:
+            self._pause = FIRST_POLL_S
+        if now >= self._due and self._poll.ask(self._probe.name if self._probing and self._stopping is None else self._name):
+            self._due = float("inf")
+        if (answer := self._poll.answer()) is not None:
+            self._pause = min(self._pause * 1.5, LAST_POLL_S)
+            self._due = now + self._pause
+            if answer.name == self._name:
+                self._hear(self._of_now(answer.tasks))
+            else:
+                self._hear_of_probe(answer.tasks)
+        if self._stopping is not None:
+            self._await_end(now - self._stopping)
+        if self._again and now >= self._again_at and self._stopping is None:
+            self._submit_again()
+
+    def _await_end(self, waited: float) -> None:
+        """Be patient with what was cancelled. Raises Missing where nobody can be asked to cancel it."""
+        if waited > UNREACHED_S and (self._deaf or self._silent):
+            why = f"{self._wrong}; " if self._wrong else ""
+            session = self._session.root.name
+            again = f"sierra cancel {session}, sierra status or asking again does that"
+            raise Missing(
+                f"{why}{self._kind} cannot be reached, so that jobs of session {session} are not cancelled yet: {again}"
+            )
+        if waited > STOPPING_S:
+            self._note(f"{self._name}: {self._kind} does not say that it has ended; it was asked to")
+            self._over = True
+
+    def _of_now(self, tasks: tuple[Task, ...] | None) -> tuple[Task, ...] | None:
+        """Without those of what the session had submitted before, and is recorded."""
+        return None if tasks is None else tuple(task for task in tasks if task.job not in self._made.past)
+
+    def _hear(self, tasks: tuple[Task, ...] | None) -> None:
+        """What the scheduler says."""
+        self._silent = tasks is None
+        if tasks is None:
+            self._note(f"{self._kind} cannot be reached; what has been recorded is taken, and it is asked again")
+            return
+        living = [task for task in tasks if task.state in (State.QUEUED, State.RUNNING)]
+        self._queued = self._elements(task for task in tasks if task.state is State.QUEUED)
+        self._waits = submission.waits(tasks)
+        self._alive = self._elements(living)
+        self._note_ends(tasks)
+        if self._stopping is not None:
+            self._over = not living
+            if self._deaf:
+                self._cancel()
+            return
+        self._unstick([task for task in tasks if task.state is State.STUCK])
+        for index, share in enumerate(self._shares):
+            share.gone = share.gone + 1 if share.missing and index not in self._alive and index not in self._again else 0
+            share.queued = index in self._queued or (share.queued and index not in self._alive)
+        gone = [index for index, share in enumerate(self._shares) if share.gone]
+        if gone:
+            self._due = time.monotonic() + FIRST_POLL_S
+        if any(self._shares[index].gone > 1 for index in gone):
+            refresh(self._session.results)
+            self._lost([index for index in gone if self._is_quiet(self._shares[index])])
+
+    def _note_ends(self, tasks: Iterable[Task]) -> None:
+        """Keep how the elements ended that were submitted last."""
+        ended = (task for task in tasks if task.state is State.ENDED)
+        for index, task in submission.last(self._session, ended):
+            if index < len(self._shares):
+                share = self._shares[index]
+                share.word = task.reason or share.word
+                share.cancelled = task.cancelled
+
+    def _is_fine(self) -> bool:
+        """Whether the probe, or an element that has begun since, says that nodes can execute elements."""
+        try:
+            return self._harvest.has_begun() or self._probe.is_fine()
+        except Missing as error:
+            self._end(error)
+            return True
+
+    def _hear_of_probe(self, tasks: tuple[Task, ...] | None) -> None:
+        """What the scheduler says of the probe, as long as it has said nothing itself."""
+        if tasks is None:
+            self._hear(None)
+        if tasks is None or self._stopping is not None or not self._probing:
+            return
+        stuck = [task for task in tasks if task.state is State.STUCK]
+        if any(is_mishap(task) for task in stuck) and self._probes + 1 < self._table.attempts:
+            self._begin_anew()
+            return
+        self._unstick(stuck)
+        living = [task for task in tasks if task.state in (State.QUEUED, State.RUNNING)]
+        self._queued = {0} if any(task.state is State.QUEUED for task in living) else set()
+        self._waits = submission.waits(tasks)
+        self._unheard = 0 if living else self._unheard + 1
+        if not living and any(task.cancelled for task in tasks) and self._is_heeded():
+            self._heed([task.job for task in tasks if task.cancelled], "before any node was tried out", sure=True)
+            return
+        self._due = min(self._due, time.monotonic() + FIRST_POLL_S)
+        if self._unheard > 1:
+            refresh(self._session.results)
+            self._probing = not self._is_fine()
+            if self._probing and self._unheard > UNHEARD:
+                self._lost_probe(tasks)
+
+    def _begin_anew(self) -> None:
+        """Submit all again: the probe could not be begun, by mishap, and the elements wait for that one."""
+        self._unheard, self._probes = 0, self._probes + 1
+        self._cancel()
+        try:
+            self._hand_all_over()
+        except SierraError as error:
+            self._end(error)
+
+    def _lost_probe(self, tasks: tuple[Task, ...]) -> None:
+        """The probe is gone, and has recorded nothing. One that nobody knows anything of (any more) is submitted again."""
+        wrong = self._probe.gone(next((task.reason for task in tasks if task.reason), ""))
+        self._unheard, self._probes = 0, self._probes + 1
+        if tasks or self._probes >= self._table.attempts or submission.last_line(self._session, "0"):
+            self._end(wrong)
+            return
+        try:
+            self._goes_before = self._scheduler.submit(self._probe.request())
+        except SierraError as error:
+            self._end(error)
+
+    def _is_quiet(self, share: Share) -> bool:
+        return share.gone > 1 and time.monotonic() - share.grew > QUIET_S
+
+    def _unstick(self, stuck: Sequence[Task]) -> None:
+        """Cancel what will never begin; where that is not by mishap, nothing will."""
+        mishaps = [task for task in stuck if is_mishap(task)]
+        if mishaps:
+            held = sorted(self._elements(mishaps))
+            for index in held:  # that it is cancelled then is no reason
+                self._shares[index].trouble = mishaps[0].reason
+            self._cancel(held)
+        wrong = [task for task in stuck if task not in mishaps]
+        if wrong:
+            why = self._scheduler.explain(wrong[0].reason)
+            self._end(Missing(f"{self._kind} will never begin job {wrong[0].job}: {why}; see [runners.{self.name}]"))
+
+    def _elements(self, tasks: Iterable[Task]) -> set[int]:
+        return submission.elements(self._session, tasks) & set(range(len(self._shares)))
+
+    def _settle(self, now: float) -> None:
+        """All is recorded: let elements end that have executed all that they had, and cancel what else may live.
+
+        An element that has no runs left is not cancelled: it would be on record as cancelled, though it did all of its work.
+        """
+        self._whole = self._whole or now
+        closing = self._harvest.closing() if self._alive is None else self._harvest.closing() & self._alive
+        if closing and now - self._whole < LAST_WORD_S:
+            return
+        self._over = True
+        if self._made.probed:  # it may have been requeued, and wait
+            with contextlib.suppress(Missing):
+                self._scheduler.cancel(self._probe.name)
+        tasks = self._scheduler.look(self._name) or ()
+        ending = self._harvest.ending() | closing
+        living = [task for task in tasks if task.state is not State.ENDED]
+        needless = [task for task in living if not (task.state is State.RUNNING and task.element in ending)]
+        if needless:
+            self._cancel(sorted(self._elements(needless)))
+
+    # ------------------------------------------------------------ going on
+
+    def _lost(self, indices: Sequence[int]) -> None:
+        """These elements are gone, and runs of theirs are missing."""
+        foreign = [index for index in indices if self._is_foreign(index)]
+        if foreign and self._is_heeded():
+            sent = submission.sent(self._session)
+            jobs = [one.job for one in sent if one.job and set(one.elements) & set(foreign)][-1:]
+            what = f"{counted(len(foreign), 'element')} of it: {few([self._why(index) for index in foreign], 2)}"
+            self._heed(jobs, what, sure=any(self._shares[index].cancelled for index in foreign))
+            return
+        for index in indices:
+            share = self._shares[index]
+            self._harvest.given_up_before(index)
+            word = self._why(index)
+            if share.done > share.progress:
+                share.tries = 0
+            timed = bool(TIMED.search(word))
+            cut = self._harvest.cut_late(index) if timed else self._harvest.cut_alone(index)
+            guilty = [one for one in self._suspects(share, self._table.attempts) if one in cut]
+            self._harvest.give_up_on(index, guilty, word)
+            if not share.missing:
+                continue
+            if share.done > share.progress:
+                share.tries = 0
+            suspects = [] if timed else self._suspects(share, self._table.attempts - 1)
+            if share.tries >= self._table.attempts * (2 if suspects else 1):
+                times = f"{share.tries} times" if share.tries > 1 else "once"
+                self._end(Missing(f"element {index} was executed {times} and ended before any run had: {word}"))
+                return
+            self._harvest.isolate(index, suspects)
+            self._again[index] = word
+
+    def _is_foreign(self, index: int) -> bool:
+        """Whether others than SIERRA have ended an element, as far as can be told.
+
+        Where the scheduler does not say who or what has ended it, an element that was asked to end before its time was over was
+        cancelled; so was one that never began, where the scheduler forgets at once what has ended.
+        """
+        share = self._shares[index]
+        if share.ours or share.cancelled:
+            return not share.ours
+        told = share.trouble or submission.last_line(self._session, str(index))
+        if told:
+            return bool(ASKED.search(told)) and not (self._overdue(index, told) or MISHAP.search(share.word))
+        return share.queued and not share.word and self._scheduler.forgets
+
+    def _is_heeded(self) -> bool:
+        return self._table.cancelled == "stop"
+
+    def _heed(self, jobs: Sequence[str], what: str, *, sure: bool) -> None:
+        """End the session because others have cancelled a part of it; or seem to have, where that is not `sure`."""
+        job = f"{self._kind} job {jobs[0]}" if jobs else f"a {self._kind} job"
+        table = f"[runners.{self.name}]"
+        unknown = f", unless that was a time limit that SIERRA does not know: set wall in {table}"
+        more = "" if sure or self._table.wall is not None else unknown
+        self._note(
+            f"{job} was cancelled, and not by SIERRA{more} ({what}): all of the session ends now; ask again to execute what is "
+            f'missing, or set cancelled = "again" in {table}'
+        )
+        self.stop()
+
+    def _suspects(self, share: Share, times: int) -> list[str]:
+        """The runs that were cut off so often; or at all, where the element ended so often, got nowhere and said nothing."""
+        stuck = share.tries >= times and not share.trouble
+        return [one for one, begun in share.begun.items() if stuck or begun >= times]
+
+    def _why(self, index: int) -> str:
+        """Why an element is gone: by its own words, and the scheduler's."""
+        share = self._shares[index]
+        told = share.trouble or submission.last_line(self._session, str(index))
+        word = share.word or self._overdue(index, told)
+        if not told or (word and word in told):
+            return share.trouble or word or "nobody says by what"
+        return f"{told} ({word})" if word else told
+
+    def _overdue(self, index: int, told: str) -> str:
+        """For a scheduler that is silent on what has ended, as PBS without a history: whether an element's time was over."""
+        asked, wall = ASKED.search(told), self._table.wall or self._harvest.allowed(index)
+        return f"walltime of {wall:g} s exceeded" if asked and wall and int(asked[1]) >= wall - 1 else ""
+
+    def _submit_again(self) -> None:
+        words = list(dict.fromkeys(self._again.values()))
+        count = len(self._again)
+        indices, why = tuple(sorted(self._again)), few(words, 2)
+        self._again = {}
+        self._note(f"{count} {'element is' if count == 1 else 'elements are'} submitted again: {why}")
+        if any(TIMED.search(word) for word in words):
+            self._give_more_time()
+        for index in indices:
+            self._harvest.note_end(index)
+            share = self._shares[index]
+            share.tries, share.progress, share.gone = share.tries + 1, share.done, 0
+            share.trouble = share.word = ""
+            share.cancelled = share.ours = share.queued = False
+        try:
+            self._hand_over(indices, why)
+        except SierraError as error:
+            self._end(error)
+
+    def _give_more_time(self) -> None:
+        """Let elements take twice as long from now on, where that was a guess; no longer than the site allows."""
+        before = self._table.wall
+        if not self._made.estimated or before is None:
+            return
+        wall = min(2 * before, self._made.bounds.wall_s or math.inf)
+        self._allow(wall)
+        if wall > before:
+            self._note(f"elements may take {wall / 60:g} minutes from now on, for {before / 60:g} were too few")
+
+    def _allow(self, wall: float) -> None:
+        """Have elements that are submitted from now on ask for so much time."""
+        self._table = self._table.model_copy(update={"wall": wall})
+        self._made = replace(self._made, table=self._table.model_dump(mode="json"), estimated=True)
+        self._made.save(self._session)
+        self._scheduler = schedulers.find(self._kind)(self._table)
+        self._poll = Poll(self._scheduler)  # the other one will not know what this one submits
+
+    def _learn(self, told: Told) -> float | None:
+        """What the other runs take in the mean, by what those that went first have told; where that is more, give more time."""
+        made, wall = self._made, self._table.wall
+        if told.seconds is None or made.first_s is None or made.rest_s is None:
+            return made.rest_s if told.seconds is None else told.seconds
+        slower = max(1.0, told.seconds / made.first_s)
+        if made.estimated and wall is not None and slower > 1:
+            self._allow(min(wall * slower, made.bounds.wall_s or math.inf))
+        return made.rest_s * slower
+
+    def _deal_rest(self, told: Told) -> None:
+        """Deal the other runs out, by what those that went first have told, and hand them over. Raises what is refused."""
+        self._pilot = self._told = None
+        count, why = elements_of(self._made.rest, self._learn(told), self._table, self._made.bounds, before=True)
+        begin = len(self._shares)
+        counts = deal_rest(count, begin, self._session)
+        self._made = replace(self._made, counts=(*self._made.counts, *counts), rest=0)
+        self._made.save(self._session)
+        self._shares += [Share(each, tries=1) for each in counts]
+        self._note(f"{told.how}: the other {sum(counts)} runs become {counted(count, 'element')} ({why})")
+        self._hand_over(tuple(range(begin, begin + count)), "", after=self._goes_before if self._probing else "")
+        with disk_errors(self._session.root):
+            self._session.rest.unlink()
+
+    def _hand_over(self, indices: tuple[int, ...], why: str, after: str = "") -> None:
+        """Submit elements; those that are too many now are submitted later. Raises what the scheduler refuses."""
+        number = len(list(self._session.sent.iterdir()))
+        intent = submission.intent(indices, why)
+        submission.note(self._session, number, intent)
+        request = replace(submission.elements_request(self._session, self._name, indices, self._table), after=after)
+        self._due = time.monotonic() + FIRST_POLL_S
+        try:
+            job = self._scheduler.submit(request)
+        except Full as error:
+            self._put_off(number, indices, why, error, after)
+        except Missing as error:
+            self._note(f"{error}; whether it has taken the job will be seen")
+        else:
+            submission.note(self._session, number, replace(intent, job=job))
+            self._note(f"submitted as {self._kind} job {job} ({self._name}): {counted(len(indices), 'element')}")
+
+    def _put_off(self, number: int, indices: tuple[int, ...], why: str, error: Full, after: str) -> None:
+        """Try half of them, and the others later; or all later. Raises where the site takes not even one, and has none."""
+        (self._session.sent / f"{number}.json").unlink()
+        half = len(indices) // 2
+        if half:
+            self._hand_over(indices[:half], why, after)
+        elif not self._made.probed and not any(submission.jobs(self._session)):
+            raise error
+        else:
+            self._note(f"{error}; tried again every {FULL_S:g} s")
+        for index in indices[half:]:
+            self._shares[index].tries -= 1
+            self._again[index] = why or "the site took no more jobs at first"
+        self._again_at = time.monotonic() + FULL_S
+
+    def stop(self) -> None:
+        if self._stopping is None:
+            self._stopping = time.monotonic()
+            self._session.cancelled.touch()
+        if not self._deaf:
+            self._cancel()
+        self._due, self._pause = time.monotonic(), FIRST_POLL_S / 2
+
+    def _cancel(self, elements: Sequence[int] | None = None) -> None:
+        """Have jobs, or elements, ended; where nobody can be asked to, that is tried again with the next question."""
+        self._deaf = False
+        for index in elements or ():
+            self._shares[index].ours = True
+        try:
+            if self._made.probed and elements is None:
+                self._scheduler.cancel(self._probe.name)
+            self._scheduler.cancel(self._name, elements)
+        except Missing as error:
+            self._deaf = True
+            self._note(f"{error}; what is to end is cancelled as soon as {self._kind} can be reached")
+
+    def _end(self, error: SierraError) -> None:
+        """End all: asking again will do no better unless something is done about it."""
+        self._wrong = self._wrong or error
+        self.stop()
+
+    def _note(self, text: str) -> None:
+        if text not in self._said:
+            self._said.add(text)
+            self._notes.append(text)
+
+
+def _means(times: Times | None, first: Sequence[int]) -> tuple[float | None, float | None]:
+    """What the runs at these places, and the others, are expected to take in the mean."""
+    if times is None or not first:
+        return None, times.mean if times else None
+    chosen = [times.each[place] for place in first]
+    rest = len(times.each) - len(chosen)
+    return sum(chosen) / len(chosen), (sum(times.each) - sum(chosen)) / max(rest, 1)
+
+
+class Answer:
+    """What a scheduler has answered."""
+
+    def __init__(self, name: str, tasks: tuple[Task, ...] | None) -> None:
+        self.name = name
+        self.tasks = tasks
+
+
+class Poll:
+    """Questions to a scheduler, one at a time, in another thread: one that is out of reach takes its time to say so."""
+
+    def __init__(self, scheduler: schedulers.Scheduler) -> None:
+        self._scheduler = scheduler
+        self._thread: threading.Thread | None = None
+        self._answers: list[Answer] = []
+
+    def ask(self, name: str) -> bool:
+        """Ask for the jobs of a name, where no question is open."""
+        if self._thread is not None and self._thread.is_alive():
+            return False
+        self._thread = threading.Thread(target=self._look, args=(name,), daemon=True)
+        self._thread.start()
+        return True
+
+    def answer(self) -> Answer | None:
+        return self._answers.pop() if self._answers else None
+
+    def _look(self, name: str) -> None:
+        try:
+            tasks = self._scheduler.look(name)
+        except (SierraError, OSError):
+            tasks = None
+        self._answers.append(Answer(name, tasks))
+
+
+def is_mishap(task: Task) -> bool:
+    """Whether a task that will never begin could, if it were submitted again."""
+    return RELAUNCHED in task.reason.lower()
+
+
+def forget(session: SessionPaths) -> None:
+    """Remove what was submitted before in the same session, and is recorded: others have given more runs back meanwhile."""
+    session.submission.unlink(missing_ok=True)
+    session.cancelled.unlink(missing_ok=True)
+    for folder in (session.results, session.logs, session.sent, session.jobs(0).parent):
+        worker.remove(str(folder))

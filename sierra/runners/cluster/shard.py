@@ -1,0 +1,212 @@
+"""Dealing jobs out to the elements of a cluster's job: the files that `sierra.worker.array_task.jobs` reads.
+
+What all jobs of an element have in common is written once, with what their input files, which come from one template, have in
+common. All files are written at once where that much memory suffices: on a network file system, opening one is what costs.
+
+Where a few runs go first, the others lie in one file until these have told how many elements there are to be.
+"""
+
+from __future__ import annotations
+
+import gzip
+import json
+import zlib
+from binascii import b2a_base64
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Set as AbstractSet
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from pydantic_core import to_json
+
+from sierra.errors import Damaged
+from sierra.model import Job
+from sierra.runners import local
+from sierra.store.layout import SessionPaths
+from sierra.store.segments import disk_errors
+
+LEVEL = 1
+ENCODER = json.JSONEncoder(separators=(",", ":"))
+BUFFERED = 2 << 20
+"""Bytes of lines that wait to be compressed."""
+PACKED = 4 << 20
+"""Bytes, compressed, that wait to be written."""
+
+
+def deal(jobs: Iterable[Job], elements: int, session: SessionPaths) -> tuple[int, ...]:
+    """Write job k to element k mod `elements`; how many jobs each has got. An element without any gets no file.
+
+    Raises Missing where there is no room for them.
+    """
+    shares = [_Share(session.jobs(number)) for number in range(elements)]
+    _write(((shares[number % elements], job) for number, job in enumerate(jobs)), shares, session)
+    return tuple(share.count for share in shares)
+
+
+def deal_first(jobs: Iterable[Job], first: AbstractSet[int], session: SessionPaths) -> tuple[int, int]:
+    """Write the jobs at the places `first` to element 0, and the others to `rest`; how many each has got."""
+    shares = [_Share(session.jobs(0)), _Share(session.rest)]
+    _write(((shares[number not in first], job) for number, job in enumerate(jobs)), shares, session)
+    return shares[0].count, shares[1].count
+
+
+def deal_rest(elements: int, begin: int, session: SessionPaths) -> tuple[int, ...]:
+    """Write the jobs that lie in `rest` to so many elements from `begin` on, as `deal` does. It may be done again.
+
+    Raises Damaged where they are not all there.
+    """
+    shares = [_Share(session.jobs(begin + number)) for number in range(elements)]
+    lines = _lines(session.rest)
+    common = next(lines)
+    for share in shares:
+        share.begin(common)
+    _write(((shares[number % elements], line) for number, line in enumerate(lines)), shares, session)
+    return tuple(share.count for share in shares)
+
+
+def _lines(path: Path) -> Iterator[bytes]:
+    """What all jobs of a file have in common, and then each job; as they are written there."""
+    count = -1
+    try:
+        with gzip.open(path, "rb") as lines:
+            for line in lines:
+                if line.startswith(b'{"end"') and line == _line({"end": count}):
+                    return
+                yield line
+                count += 1
+    except (OSError, EOFError, zlib.error) as error:
+        raise Damaged(f"{path}: cannot be read: {error}") from error
+    raise Damaged(f"{path}: holds {max(count, 0)} jobs, and should hold others")
+
+
+def _write(dealt: Iterable[tuple[_Share, Job | bytes]], shares: Sequence[_Share], session: SessionPaths) -> None:
+    """Give each share what is dealt to it, and have as little in memory as is needed to open files seldom."""
+    buffered = packed = 0
+    with disk_errors(session.root):
+        session.jobs(0).parent.mkdir(mode=0o700, exist_ok=True)  # variables of runs are nobody else's business
+        for share, job in dealt:
+            buffered += share.put(job) if isinstance(job, bytes) else share.add(job)
+            if buffered > BUFFERED:
+                packed, buffered = packed + sum(share.compress() for share in shares), 0
+            if packed > PACKED:
+                packed = sum(share.write() for share in shares)
+        for share in shares:
+            share.close()
+
+
+class _Share:
+    """The jobs of one element: lines, then members of a gzip file, then what is on the disk."""
+
+    def __init__(self, path: Path) -> None:
+        self.count = 0
+        self._path = path
+        self._lines: list[bytes] = []
+        self._members: list[bytes] = []
+        self._common: Job | None = None
+        self._templates: dict[str, _Template] = {}
+
+    def add(self, job: Job) -> int:
+        """The bytes of memory that it takes until it is compressed."""
+        if self._common is None:
+            self._common = job
+            self._templates = defaultdict(_Template, ((name, _Template(content)) for name, content in job.files))
+            self.begin(_line({"common": local.record(job)}))
+        return self.put(_line(_difference(job, self._common, self._templates)))
+
+    def begin(self, common: bytes) -> None:
+        """The first line; a file that is there already is begun anew."""
+        with disk_errors(self._path.parent):
+            self._path.unlink(missing_ok=True)
+        self._lines.append(common)
+
+    def put(self, line: bytes) -> int:
+        """One job, without what it has in common; the bytes of memory that it takes until it is compressed."""
+        self._lines.append(line)
+        self.count += 1
+        return len(line)
+
+    def compress(self) -> int:
+        """The bytes that it has become."""
+        if not self._lines:
+            return 0
+        compressor = zlib.compressobj(LEVEL, zlib.DEFLATED, zlib.MAX_WBITS | 16)
+        member = compressor.compress(b"".join(self._lines)) + compressor.flush()
+        self._lines.clear()
+        self._members.append(member)
+        return len(member)
+
+    def write(self) -> int:
+        """The bytes that still wait: none."""
+        if self._members:
+            with self._path.open("ab") as file:
+                file.writelines(self._members)
+            self._members.clear()
+        return 0
+
+    def close(self) -> None:
+        if self.count:
+            self._lines.append(_line({"end": self.count}))
+            self.compress()
+            self.write()
+
+
+class _Template:
+    """An input file of the first job, and with how many of its bytes those of the others have begun and ended so far."""
+
+    def __init__(self, content: bytes = b"") -> None:
+        self._content = content
+        self._head = self._tail = len(content)
+
+    def difference(self, content: bytes) -> list[Any]:
+        """The bytes with which it begins like the template, what comes then, and the bytes with which it ends like it."""
+        if not self._fits(content):
+            most = min(len(content), len(self._content))
+            self._head = _alike(content, self._content, min(most, self._head))
+            self._tail = _alike(content[::-1], self._content[::-1], min(most - self._head, self._tail))
+        between = content[self._head : len(content) - self._tail]
+        return [self._head, b2a_base64(between, newline=False).decode(), self._tail]
+
+    def _fits(self, content: bytes) -> bool:
+        return (
+            self._head + self._tail <= min(len(content), len(self._content))
+            and content[: self._head] == self._content[: self._head]
+            and content[len(content) - self._tail :] == self._content[len(self._content) - self._tail :]
+        )
+
+
+def _line(record: Mapping[str, Any]) -> bytes:
+    try:
+        return to_json(record) + b"\n"
+    except ValueError:  # a path whose bytes are no text
+        return ENCODER.encode(record).encode() + b"\n"
+
+
+def _difference(job: Job, common: Job, templates: Mapping[str, _Template]) -> dict[str, Any]:
+    """What a job does not have in common with another of its session, whose files are `templates`."""
+    if job.environment.keys() != common.environment.keys() or (job.client is None) != (common.client is None):
+        raise ValueError(f"run {job.run} is not executed like run {common.run}: other variables, or another engine")
+    shared = common.environment
+    own = {name: value for name, value in job.environment.items() if shared[name] != value}
+    record: dict[str, Any] = {"run": job.run, "execution": job.execution, "environment": own}
+    if job.argv != common.argv:
+        record["argv"] = job.argv
+    if job.files != common.files:
+        record["files"] = {name: templates[name].difference(content) for name, content in job.files}
+    if job.limits is not common.limits or job.client is not common.client or job.shared != common.shared:
+        whole = local.record(replace(job, files=()))
+        record.update((name, whole[name]) for name in ("limits", "client", "shared") if name in whole)
+    return record
+
+
+def _alike(one: bytes, other: bytes, most: int) -> int:
+    """How many bytes two contents begin with that are the same, at most so many: found by halving."""
+    low, high = 0, most
+    while low < high:
+        middle = (low + high + 1) // 2
+        if one[low:middle] == other[low:middle]:
+            low = middle
+        else:
+            high = middle - 1
+    return low

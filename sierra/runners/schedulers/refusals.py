@@ -1,0 +1,107 @@
+"""What a scheduler's word of refusal is about: which settings of a cluster's table, and what they ask for.
+
+Schedulers say `PartitionConfig`, and not of what. The tables are of what SLURM (`slurm_strerror`, reasons of squeue) and PBS
+(`pbs_error`, comments of jobs) say of requests that they refuse, or that will never begin; their own words stay first.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from sierra.config.project_file import ClusterTable
+
+PLACE = ("partition", "account", "qos")
+DIRECTIVES = ("directives",)
+SIZE = ("cpus", "memory", "gpus", "constraint")
+
+
+@dataclass(frozen=True, slots=True)
+class Meaning:
+    """What some words are about."""
+
+    words: re.Pattern[str]
+    means: str
+    settings: tuple[str, ...]
+
+
+def _meaning(words: str, means: str, *settings: str) -> Meaning:
+    return Meaning(re.compile(words, re.IGNORECASE), means, settings)
+
+
+SLURM = (
+    _meaning(r"DependencyNeverSatisfied", "the small task that tries nodes out has not ended well"),
+    _meaning(r"JobHeldAdmin", "an administrator holds it"),
+    _meaning(r"accounting/QOS policy", "it allows less", *PLACE, *SIZE, "wall", "elements"),
+    _meaning(r"memory specification|MaxMemPerLimit", "no node has so much memory", "partition", "memory"),
+    _meaning(r"PartitionTimeLimit|time limit is invalid", "the partition does not allow so much time", "partition", "wall"),
+    _meaning(
+        r"PartitionConfig|PartitionNodeLimit|(partition|node) configuration (is )?not available|more processors requested"
+        r"|(cpu|node) count (specification|per node)",
+        "no node of the partition has all of that",
+        *("partition", *SIZE, "wall"),
+    ),
+    _meaning(
+        r"partition not available|invalid partition|PartitionDown|PartitionInactive", "no such partition now", "partition"
+    ),
+    _meaning(r"account|association|user'?s? group not permitted|can't use this partition", "not open to the account", *PLACE),
+    _meaning(r"(Assoc|QOS)\w*(Wall|Time)", "it allows other times", *PLACE, "wall"),
+    _meaning(r"(Assoc|QOS)\w*(Cpu|Node|Billing)", "it allows another number of cores", *PLACE, "cpus"),
+    _meaning(r"(Assoc|QOS)\w*Mem", "it allows another size of memory", *PLACE, "memory"),
+    _meaning(r"(Assoc|QOS)\w*(Gres|TRES)", "it allows other resources", *PLACE, *SIZE),
+    _meaning(r"qos", "no quality of service of yours", "qos", "account"),
+    _meaning(r"BadConstraints|feature", "no node has these features", "constraint"),
+    _meaning(r"generic resource|gres|gpu", "no node has such processors", "gpus", "partition"),
+    _meaning(r"job array", "so long an array is not allowed", "elements"),
+    _meaning(r"licen[sc]e|reservation|option|wckey|cluster", "what the directives say", *DIRECTIVES),
+)
+PBS = (
+    _meaning(r"unknown queue|queue .*(not enabled|not started)|no default queue", "no such queue now", "partition"),
+    _meaning(r"unauthori[sz]ed|not authori[sz]ed|access .*denied|no permission", "not open to you", "partition", "account"),
+    _meaning(r"account", "not an account of yours", "account"),
+    _meaning(r"walltime", "not so much time", "partition", "wall"),
+    _meaning(r"-J value|array", "such an array is not allowed", "elements"),
+    _meaning(
+        r"resource limits|can never run|enough total nodes|feasible|cannot satisfy|too many|exceeds",
+        "no node, or no place in the queue, has all of that",
+        *("partition", *SIZE, "wall", "elements"),
+    ),
+    _meaning(r"unknown resource|illegal attribute|option", "no such thing here", "gpus", "constraint", *DIRECTIVES),
+)
+
+
+def about(words: str, meanings: Sequence[Meaning], table: ClusterTable, site: Callable[[], Sequence[str]]) -> str:
+    """These words, and what they mean, what was asked for, and what the site has, as far as each is known; in one line.
+
+    The site is asked only where that is about its nodes, or places in a queue.
+    """
+    known = next((one for one in meanings if one.words.search(words)), None)
+    if known is None:
+        return words
+    if not known.settings:
+        return f"{words}: {known.means}"
+    asked = ", ".join(_asked(table, known.settings)) or "nothing, so it is the site's default"
+    has = () if known.settings == DIRECTIVES else site()
+    there = f"; the site has {'; '.join(has)}" if has else ""
+    return f"{words}: {known.means}; asked for: {asked}{there}"
+
+
+def _asked(table: ClusterTable, settings: Sequence[str]) -> Iterator[str]:
+    for name in settings:
+        value = getattr(table, name)
+        if value not in (None, ()):
+            yield f"{name} = {_shown(name, value)}"
+
+
+def _shown(name: str, value: Any) -> str:
+    match value:
+        case int() if name == "memory":
+            return f"{value / 1e9:.5g} GB"
+        case int() | float():
+            return f"{value:g}" if value < 1e6 else str(value)
+        case tuple():
+            return ", ".join(value)
+        case _:
+            return repr(value)

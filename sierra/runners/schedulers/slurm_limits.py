@@ -1,0 +1,125 @@
+"""What accounting (slurmdbd) allows a user of SLURM: by association, and by quality of service.
+
+Of a kind of limit, the first that is set counts: the one of the partition's QOS, of the job's, of the user's association (what
+its accounts set is inherited, but for limits on groups). So SLURM's "Resource Limits" has it. Without accounting, or where it
+enforces nothing, nothing is asked; where it can't be reached, nothing is known, and sbatch will say what it refuses.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+from sierra.config.project_file import ClusterTable
+from sierra.errors import ConfigError, Missing
+from sierra.runners.schedulers.base import Limit, least
+
+Ask = Callable[..., str]
+"""What a command with these words prints; raises Missing."""
+Row = Mapping[str, str]
+
+ASSOCIATION = (
+    *("Account", "Partition", "DefaultQOS", "QOS"),
+    *("MaxSubmitJobs", "GrpSubmitJobs", "MaxJobs", "MaxWall"),
+)
+QOS = ("Name", "MaxSubmitJobsPerUser", "MaxSubmitJobsPerAccount", "GrpSubmitJobs", "MaxJobsPerUser", "MaxWall")
+USUAL = "normal"
+"""The QOS of whoever has none."""
+
+
+@dataclass(frozen=True, slots=True)
+class Allowed:
+    """What accounting allows of each kind."""
+
+    jobs: Limit | None = None
+    running: Limit | None = None
+    wall_s: Limit | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Partitions:
+    """The partitions that are asked for, and their QOS."""
+
+    names: tuple[str, ...]
+    qos: tuple[str, ...]
+
+
+def allowed(ask: Ask, config: Row, user: str, table: ClusterTable, partitions: Partitions) -> Allowed:
+    """What this user may have of the cluster with that configuration.
+
+    Raises ConfigError for an account or a QOS that is not the user's.
+    """
+    enforced = set(re.findall(r"\w+", config.get("AccountingStorageEnforce", "")))
+    if not config.get("AccountingStorageType", "").endswith("slurmdbd") or not enforced & {"associations", "limits", "qos"}:
+        return Allowed()
+    try:
+        association = _association(ask, config.get("ClusterName", ""), user, table, partitions)
+        names = dict.fromkeys((*partitions.qos, _qos(association, table, strict="qos" in enforced)))
+        return _allowed(association, _qualities(ask, names)) if "limits" in enforced else Allowed()
+    except Missing:
+        return Allowed()
+
+
+def seconds(text: str) -> float | None:
+    """A limit as SLURM writes it, `1-12:00:00`; None where there is none."""
+    match = re.fullmatch(r"(?:(\d+)-)?(\d+):(\d+):(\d+)", text)
+    if match is None:
+        return None
+    days, hours, minutes, rest = (int(part or 0) for part in match.groups())
+    return float(((days * 24 + hours) * 60 + minutes) * 60 + rest)
+
+
+def _rows(ask: Ask, what: str, columns: Sequence[str], *where: str) -> list[Row]:
+    told = ask("sacctmgr", "--noheader", "--parsable2", "show", what, "where", *where, f"format={','.join(columns)}")
+    return [
+        dict(zip(columns, line.split("|"), strict=True)) for line in told.splitlines() if line.count("|") == len(columns) - 1
+    ]
+
+
+def _association(ask: Ask, cluster: str, user: str, table: ClusterTable, partitions: Partitions) -> Row:
+    """The one that counts: of the account that is asked for, or of the user's default; empty where there is none."""
+    found = _rows(ask, "associations", ASSOCIATION, f"user={user}", f"cluster={cluster}")
+    accounts = dict.fromkeys(row["Account"].lower() for row in found)
+    if table.account is not None and found and table.account.lower() not in accounts:
+        raise ConfigError(f"account {table.account!r} is none of yours on this cluster; there are {', '.join(accounts)}")
+    usual = (row["DefaultAccount"] for row in _rows(ask, "user", ("DefaultAccount",), f"name={user}"))
+    account = table.account or next(filter(None, usual), next(iter(accounts), ""))
+    mine = {row["Partition"]: row for row in found if row["Account"].lower() == account.lower()}
+    return next((mine[name] for name in (*partitions.names, "") if name in mine), {})
+
+
+def _qos(association: Row, table: ClusterTable, *, strict: bool) -> str:
+    """The quality of service that a job will have."""
+    names = [name for name in association.get("QOS", "").split(",") if name]
+    if table.qos is not None and names and strict and table.qos.lower() not in names:
+        raise ConfigError(f"QOS {table.qos!r} is none of account {association['Account']!r}; there are {', '.join(names)}")
+    return table.qos or association.get("DefaultQOS") or (names[0] if len(names) == 1 else USUAL)
+
+
+def _qualities(ask: Ask, names: Mapping[str, object]) -> list[Row]:
+    """What is said of each quality of service, in this order."""
+    said = {row["Name"]: row for row in _rows(ask, "qos", QOS, f"name={','.join(names)}")}
+    return [said[name.lower()] for name in names if name.lower() in said]
+
+
+def _allowed(association: Row, qualities: Sequence[Row]) -> Allowed:
+    def first(of_qos: str, of_association: str = "", read: Callable[[str], float | None] = _number) -> Limit | None:
+        asked = [(f"QOS {row['Name']}", row, of_qos) for row in qualities]
+        asked.append((f"your association with account {association.get('Account')}", association, of_association))
+        found = ((whose, name, read(row.get(name, ""))) for whose, row, name in asked)
+        return next((Limit(most, f"{name} of {whose}") for whose, name, most in found if most is not None), None)
+
+    return Allowed(
+        jobs=least(
+            first("MaxSubmitJobsPerUser", "MaxSubmitJobs"),
+            first("MaxSubmitJobsPerAccount"),
+            first("GrpSubmitJobs", "GrpSubmitJobs"),
+        ),
+        running=first("MaxJobsPerUser", "MaxJobs"),
+        wall_s=first("MaxWall", "MaxWall", seconds),
+    )
+
+
+def _number(text: str) -> float | None:
+    return float(text) if text.isdigit() else None

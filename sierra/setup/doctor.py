@@ -1,0 +1,155 @@
+"""What SIERRA needs and can use on this machine and in this project, and what to do where it is not there."""
+
+from __future__ import annotations
+
+import os
+import platform
+import shutil
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+from typing import Literal
+
+from sierra.config import user
+from sierra.containers.engines.base import Abilities
+from sierra.errors import SierraError
+from sierra.provenance.environment import usable_cores
+from sierra.store.layout import StorePaths, user_settings
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """One thing that was looked at. `missing` is needed, `absent` is optional."""
+
+    name: str
+    state: Literal["ok", "absent", "missing"]
+    found: str
+    remedy: str = ""
+
+
+LIBRARIES = ("duckdb", "pyarrow", "lxml", "pydantic", "matplotlib", "typer", "rich")
+
+
+def all_checks() -> list[Check]:
+    """Everything, the machine first."""
+    return [check for part in (_machine, _settings, _libraries, _programs, _engines, _project) for check in part()]
+
+
+def _machine() -> Iterator[Check]:
+    version = platform.python_version()
+    fits = sys.version_info >= (3, 11)
+    yield Check("python", "ok" if fits else "missing", f"{version} ({sys.executable})", "" if fits else "install 3.11 or newer")
+    yield Check("cores", "ok", f"{usable_cores()} usable")
+    free = shutil.disk_usage(Path.cwd()).free
+    room = free > 1 << 30
+    yield Check("disk", "ok" if room else "missing", f"{free / 1e9:.1f} GB free here", "" if room else "free some room")
+    reaper = Path(f"/proc/self/task/{os.getpid()}/children").exists()
+    yield Check(
+        "process supervision",
+        "ok" if reaper else "absent",
+        "escaped processes are found and ended" if reaper else "processes that leave their group are not found",
+        "" if reaper else "Linux with CONFIG_PROC_CHILDREN",
+    )
+
+
+def _settings() -> Iterator[Check]:
+    file = user_settings()
+    if not file.is_file():
+        yield Check("settings", "ok", f"none of your own in {file}")
+        return
+    yield _tried("settings", lambda: ", ".join(f"{name} = {value}" for name, value in user.load()) + f" ({file})")
+
+
+def _libraries() -> Iterator[Check]:
+    for name in LIBRARIES:
+        try:
+            yield Check(name, "ok", metadata.version(name))
+        except metadata.PackageNotFoundError:
+            yield Check(name, "missing", "not installed", f"pip install {name}")
+    try:
+        yield Check("mujoco", "ok", metadata.version("mujoco"))
+    except metadata.PackageNotFoundError:
+        yield Check("mujoco", "absent", "not installed", "needed for the example: pip install 'mujoco>=4,<4.1'")
+
+
+def _programs() -> Iterator[Check]:
+    path = shutil.which("git")
+    remedy = "" if path else "projects in git need it: install git"
+    yield Check("git", "ok" if path else "absent", path or "not installed", remedy)
+
+
+def _engines() -> Iterator[Check]:
+    """What can contain runs here, as it showed when something was started with it. None is needed but by who asks for it."""
+    from sierra.containers import engines
+    from sierra.containers.images import podman_storage
+
+    for name in engines.names():
+        if name == "none":
+            continue
+        able = engines.find(name).probe()
+        if able.trouble:
+            found, _, remedy = able.trouble.partition("; ")
+            yield Check(name, "absent", found, remedy)
+        else:
+            slow = name == "podman" and podman_storage.driver() == "vfs"
+            told = (
+                ["SLOW: stores images by vfs, which copies them whole, so that runs take 2 to 3 times as long"] if slow else []
+            )
+            remedy = 'install fuse-overlayfs, or set driver = "overlay" in storage.conf' if slow else ""
+            yield Check(name, "ok", ", ".join([able.version, *_said(able), *told]), remedy)
+
+
+def _said(able: Abilities) -> Iterator[str]:
+    """What holds in an engine's containers, and what does not."""
+    yield f"{'rootless' if able.rootless else 'as root'}, outputs are {able.user}'s"
+    ignored = {"cpus", "pids"} - able.enforced
+    yield f"enforces {', '.join(sorted(able.enforced)) or 'no limits'}"
+    if ignored:
+        yield f"ignores {', '.join(sorted(ignored))}"
+    if "memory" not in able.enforced:
+        yield "SIERRA watches over memory"
+    if not able.isolated:
+        yield "NOT ISOLATED from the network"
+
+
+def _project() -> Iterator[Check]:
+    import sierra
+    from sierra import platforms, templates
+    from sierra.containers import images, isolation
+    from sierra.execution import commands
+    from sierra.provenance import programs
+
+    try:
+        project = sierra.open()
+    except SierraError as error:
+        yield Check("project", "absent" if error.exit_code == 3 else "missing", str(error))
+        return
+    yield Check("project", "ok", str(project.root))
+
+    def find_program() -> str:
+        platform = platforms.find(project.config.platform, project.config)
+        if project.config.container is not None:
+            image = images.pinned(project.root, project.config.container.image)
+            images.verify(project.root, image)
+            inside = images.examine(project.root, StorePaths(project.paths.store), image)
+            command = commands.command(platform, project.root, contained=True)
+            path = commands.environment(platform, project.config).get("PATH")
+            return f"{isolation.program(command, path, inside)} in {image.name}"
+        words = commands.fill(commands.command(platform, project.root), project.root)
+        variables = commands.declared(commands.environment(platform, project.config), project.root)
+        return programs.find(words, variables, project.root).all[0].path
+
+    template = project.config.template
+    yield _tried("template", lambda: f"{template}, {templates.read(project.root / template).sha256[:10]}")
+    yield _tried("command", find_program)
+    if project.paths.store.exists():
+        yield _tried("store", lambda: f"{len(project.batches)} batches")
+
+
+def _tried(name: str, what: Callable[[], str]) -> Check:
+    try:
+        return Check(name, "ok", what())
+    except SierraError as error:
+        return Check(name, "missing", str(error))

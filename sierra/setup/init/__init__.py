@@ -1,0 +1,1 @@
+"""`sierra init`: write a first sierra.toml from what a folder holds."""

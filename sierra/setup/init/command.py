@@ -1,0 +1,110 @@
+"""The command: what starts the simulator, wherever it is started from.
+
+Runs start in a folder of their own. `sierra.execution.commands` finds a word of the command that is a file of the project; here, what it
+leaves as it is gets `{project}/`: absolute paths into the project, its folders, `--option=file`.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import shutil
+from collections.abc import Iterable, Iterator
+from functools import partial
+from pathlib import Path
+
+from sierra import platforms
+from sierra.config import project_file
+from sierra.errors import UsageError
+from sierra.execution import commands
+from sierra.platforms.base import Platform
+from sierra.setup.init import folder
+from sierra.setup.init.answers import Ask, Question, settled
+
+EXAMPLE = "python3 sim.py {input}"
+TO_BUILD = ("Makefile", "makefile", "CMakeLists.txt", "Cargo.toml", "meson.build")
+SHELL = re.compile(r"[0-9]?[<>]|&&|\|\|?$|;$|&$")
+
+
+def platform(template: str, command: str | None) -> tuple[str, Platform]:
+    """What drives the simulator, and its name; the command is None where the platform has its own."""
+    name = "argos" if template.endswith(".argos") else "command"
+    table = {"template": template, "platform": name} | ({"command": command} if command is not None else {})
+    return name, platforms.find(name, project_file.parse(table, "sierra init"))
+
+
+def choose(root: Path, template: str, given: str | None, ask: Ask | None) -> str | None:
+    """The command, if the platform needs one. Raises UsageError for what can never be right, Missing for what is not there."""
+    if template.endswith(".argos") and given is None:
+        return None
+    found = folder.simulators(root)
+    lines = {name: _joined([*words, "{input}"]) for name, words in found.items()}
+    likely = [line for name, line in lines.items() if folder.is_started(root / name)] or list(lines.values())
+    unbuilt = "; build it first, or" if any((root / name).exists() for name in TO_BUILD) else ";"
+    what = f"several could be the simulator: {', '.join(found)};" if found else f"no program{unbuilt}"
+    question = Question(
+        "command: how the simulator is started, without a shell\n"
+        "({input} is the generated file; there are also {output}, {seed}, {project}, {python})",
+        tuple(lines.values()),
+        likely[0] if len(likely) == 1 else None,
+        f"{root}: {what} say how it is started with --command '{EXAMPLE}'",
+    )
+    return settled(given, question, ask, partial(_check, root, template))
+
+
+def module_path(command: str | None, root: Path) -> str | None:
+    """Where `python3 -m module` finds a module of the project."""
+    module = re.match(r"\S*python\S* (?:.* )?-m ([^\s.]+)", command or "")
+    places = {"{project}": root, "{project}/src": root / "src"}
+    parts = (module[1], f"{module[1]}.py") if module else ()
+    return next((place for place, path in places.items() if any((path / part).exists() for part in parts)), None)
+
+
+def doubts(platform: Platform, root: Path) -> Iterator[str]:
+    """What is allowed, and yet hardly meant."""
+    root = root.resolve()
+    argv = commands.command(platform, root)
+    program = commands.fill(argv, root)[0]
+    if Path(program).is_file() and not os.access(program, os.X_OK):
+        yield f"{program} is no program; name its interpreter (python3 ...), or make it one with chmod +x"
+    elif "{" not in program and shutil.which(program) is None:
+        yield f"the program {program!r} is not there yet; build or install it before it is to run"
+    for word in argv:
+        if SHELL.match(word):
+            yield f"no shell reads the command, so that {word!r} is given to the program; sh -c '...' is a shell"
+        if (root / word).is_dir() and not word.startswith(("/", ".")):
+            yield f"{word!r} is a folder here, but runs start in a folder of their own; write {{project}}/{word} if it is meant"
+    if not any("{input}" in word or "{run}" in word for word in argv):
+        yield "the command does not name {input}, the generated file; unless it finds that itself, all experiments are the same"
+
+
+def _check(root: Path, template: str, text: str) -> str:
+    try:
+        words = shlex.split(text)
+    except ValueError as error:
+        raise UsageError(f"command {text!r}: {error}") from error
+    if not words:
+        raise UsageError(f"a command is not empty; write it as in: {EXAMPLE}")
+    for word in words:
+        if Path(word).suffix in folder.INTERPRETERS and "{" not in word and not (root / word).exists():
+            raise UsageError(f"command: there is no {word} in {root}; write a path from there")
+    command = _joined(_placed(word, root.resolve()) for word in words)
+    commands.command(platform(template, command)[1], root)
+    return command
+
+
+def _placed(word: str, root: Path) -> str:
+    """A word that names what lies in the project, so that it is found from where runs start."""
+    option, equals, name = word.rpartition("=")
+    path = root / name
+    found_by_jobs = not equals and path.is_file() and not name.startswith("/")
+    if "{" in word or found_by_jobs or not name.strip("./") or not (path.is_file() or ("/" in name and path.is_dir())):
+        return word
+    inside = os.path.relpath(path, root)
+    return word if inside.startswith("..") else f"{option}{equals}{{project}}/{inside}"
+
+
+def _joined(words: Iterable[str]) -> str:
+    """A line that splits into these words, with quotes only where they are needed."""
+    return " ".join(word if re.fullmatch(r"[\w@%+=:,./{}-]+", word) else shlex.quote(word) for word in words)

@@ -1,0 +1,99 @@
+"""What a folder shows: whether a project may begin there, its template, and what could be its simulator."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterable, Iterator
+from functools import partial
+from pathlib import Path
+
+from sierra import templates
+from sierra.config import project_file
+from sierra.errors import Missing, UsageError
+from sierra.provenance.source.narrowing import is_hardly_code
+from sierra.provenance.source.plain_tree import LEFT_OUT
+from sierra.setup.init.answers import Ask, Question, settled
+from sierra.store.layout import CONFIG, PYPROJECT
+from sierra.templates.base import Template
+
+TEMPLATES = (".xml", ".argos", ".world", ".sdf", ".launch")
+INTERPRETERS = {".py": "python3", ".sh": "bash", ".jl": "julia", ".R": "Rscript", ".lua": "lua", ".pl": "perl", ".rb": "ruby"}
+OTHERS = re.compile(r"(package|pom|build)\.xml|(setup|conftest|test_.*|.*_test)\.py|.*\.(so|dylib)")
+"""Files that are neither template nor simulator."""
+PLACES = ("build", "bin", "target/release", "src", "scripts")
+MAGIC = (b"#!", b"\x7fELF", b"\xcf\xfa\xed\xfe", b"\xca\xfe\xba\xbe")
+"""How programs begin: scripts, and those of Linux and macOS. Where all files have the right to be executed, it tells them."""
+STARTED = (b"__main__", b"sys.argv", b"argparse")
+"""What a file of Python names that does something when it is started, unlike a module that others import."""
+
+
+def check(root: Path) -> None:
+    """Raises UsageError where there is a project already, Missing where none can be made."""
+    path, pyproject = root / CONFIG, root / PYPROJECT
+    if os.path.lexists(path):
+        raise UsageError(f"{path} is there already, and is never written over; change it with an editor, or remove it first")
+    if not root.is_dir():
+        raise Missing(f"{root} is no folder; make it, and put template and simulator there")
+    if not os.access(root, os.W_OK | os.X_OK):
+        raise Missing(f"{root} may not be written to; get the right to, or name another folder")
+    if pyproject.is_file() and "sierra" in project_file.read_toml(pyproject).get("tool", {}):
+        raise UsageError(f"{pyproject} has [tool.sierra] already, which {CONFIG} would hide; change it with an editor")
+
+
+def doubts(root: Path) -> Iterator[str]:
+    above = [parent / CONFIG for parent in root.resolve().parents if (parent / CONFIG).is_file()]
+    if above:
+        yield f"this folder was in the project of {above[0]}; from now on it is one of its own"
+
+
+def template(root: Path, given: str | None, ask: Ask | None) -> tuple[str, Template]:
+    """The template's path from the folder, and its content. Raises Missing, TemplateError."""
+    below = [name for name in listed(root) if not is_hardly_code(name, is_folder=True)]
+    found = _files(root, [""], TEMPLATES) or _files(root, below, TEMPLATES)
+    default = found[0] if len(found) == 1 else "template.xml" if "template.xml" in found else None
+    what = f"several could be the template ({', '.join(found)})" if found else f"no {', '.join(TEMPLATES)} file"
+    missing = f"{root}: {what}; say which with --template FILE"
+    question = Question("template: the XML file that every run's input is made from", tuple(found), default, missing)
+    return settled(given, question, ask, partial(_check_template, root))
+
+
+def simulators(root: Path) -> dict[str, list[str]]:
+    """What could be the simulator, with the words that start it: here, or, where nothing is, in folders of usual names."""
+    here, below = ([(name, _words(root / name, name)) for name in _files(root, places)] for places in ([""], PLACES))
+    return {name: words for name, words in here if words} or {name: words for name, words in below if words}
+
+
+def is_started(file: Path) -> bool:
+    return file.suffix != ".py" or any(word in _beginning(file, 1 << 20) for word in STARTED)
+
+
+def listed(folder: Path) -> list[str]:
+    """The names here that may be part of a project: none that is hidden, or that TOML could not hold on a line."""
+    names = sorted(entry.name for entry in folder.iterdir())
+    return [name for name in names if not name.startswith(".") and name.isprintable() and name not in LEFT_OUT]
+
+
+def _files(root: Path, places: Iterable[str], endings: str | tuple[str, ...] = "") -> list[str]:
+    """The files in these folders, as paths from `root`."""
+    folders = [root / place for place in places if (root / place).is_dir()]
+    named = [folder / name for folder in folders for name in listed(folder) if name.endswith(endings)]
+    return [str(file.relative_to(root)) for file in named if file.is_file() and not OTHERS.fullmatch(file.name)]
+
+
+def _check_template(root: Path, text: str) -> tuple[str, Template]:
+    """`text` is a path from the folder; or one from here, as the shell completes it."""
+    path = root / text if (root / text).exists() or not Path(text).is_file() else Path(text)
+    return os.path.relpath(path, root), templates.read(path)
+
+
+def _words(file: Path, name: str) -> list[str]:
+    """What starts a file; none where it is neither script nor program."""
+    if file.suffix != ".py" and os.access(file, os.X_OK) and _beginning(file, 4).startswith(MAGIC):
+        return [f"./{name}"]
+    return [INTERPRETERS[file.suffix], name] if file.suffix in INTERPRETERS else []
+
+
+def _beginning(file: Path, size: int) -> bytes:
+    with file.open("rb") as stream:
+        return stream.read(size)

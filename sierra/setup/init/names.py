@@ -1,0 +1,86 @@
+"""What people call the numbers of a template, and which of them counts robots."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Iterable, Mapping
+
+from sierra.design.experiments import GROUPED
+from sierra.errors import QueryError
+from sierra.query import grammar
+from sierra.setup.init.answers import SHOWN
+from sierra.templates.base import Template
+
+NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
+NUMBER = re.compile(r"[+-]?\d+(\.\d+)?")
+CROWDS = frozenset(
+    ["population", "robots", "agents", "swarm", "individuals", "vehicles", "drones", "boids", "ants", "particles"]
+)
+COUNTS = frozenset(["quantity", "count", "number", "num", "n", "amount"])
+BESIDE = frozenset(["size", "of", "total", "model"])
+GENERIC = frozenset(["value", "val", "default", "data"])
+SELDOM = frozenset(["id", "name", "version", "port", "threads"])
+
+
+def numbers(template: Template) -> dict[str, str]:
+    """The paths that select one number, with the number."""
+    return {path: value.strip() for path, value in template.attributes() if NUMBER.fullmatch(value.strip())}
+
+
+def seeds(numbers: Iterable[str]) -> tuple[str, ...]:
+    """The paths of what is called a seed."""
+    return tuple(path for path in numbers if any(word.endswith("seed") for word in _words(_called(path)[0])))
+
+
+def named(numbers: Mapping[str, str], known: Collection[str]) -> dict[str, str]:
+    """What could be varied, by name: first what counts robots, called population_size, unless `known` has its own for that."""
+    robots = None if known else _counting(numbers)
+    found = {"population_size": robots} if robots else {}
+    for path in numbers:
+        short, element = _called(path)
+        proposed = (re.sub(r"\W", "_", name, flags=re.ASCII) for name in (short, f"{element}_{short}"))
+        name = next((name for name in proposed if not mistaken(name, {*found, *known})), None)
+        if name and path != robots and short.lower() not in SELDOM and len(found) <= SHOWN:
+            found[name] = path
+    return found
+
+
+def mistaken(name: str, known: Iterable[str]) -> str | None:
+    """Why queries or the store cannot have a name, and what would be right."""
+    if not NAME.fullmatch(name):
+        return "that is not a name of letters, digits and _; write it as in my_name"
+    if name in GROUPED:
+        return f"a query means something else by it; take another name, as in my_{name}"
+    if name.lower() in {other.lower() for other in known}:
+        return "there is one of that name already; take another name"
+    try:
+        grammar.parse_all([f"{name}=1"])
+    except QueryError as error:
+        return str(error).rpartition(": ")[2]
+    return None
+
+
+def _counting(numbers: Mapping[str, str]) -> str | None:
+    """The path that most likely selects how many robots there are."""
+    counts = [
+        (path, set(_words(short)), set(_words(element)))
+        for path, value in numbers.items()
+        for short, element in [_called(path)]
+        if value.isdigit() and set(_words(short)) <= CROWDS | COUNTS | BESIDE
+    ]
+    likely = [path for path, words, around in counts if (words | around) & CROWDS]
+    return next(iter([*likely, *(path for path, words, _ in counts if words & COUNTS)]), None)
+
+
+def _called(path: str) -> tuple[str, str]:
+    """What people call what a path selects, and the element: `//param[@name='speed']/@value` is speed."""
+    element, _, attribute = path.rpartition("/@") if "/@" in path else (path, "", "")
+    named = re.search(r"\[(?:@\w+|local-name\(\))='(.+)'\]$", element)
+    label = named[1] if named else re.split("[/:]", element)[-1]
+    attribute = attribute.rpartition(":")[2]
+    return (label if not attribute or attribute.lower() in GENERIC else attribute), label
+
+
+def _words(name: str) -> list[str]:
+    """`numRobots` and `num_robots` are num, robots."""
+    return [word.lower() for word in re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])", name)]

@@ -1,0 +1,93 @@
+"""Where the seed and the variables go: paths into the template, each tried before it is taken."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from functools import partial
+
+from sierra.errors import UsageError
+from sierra.model import Change, Set
+from sierra.setup.init.answers import NONE, SHOWN, Ask, Question, settled
+from sierra.setup.init.names import mistaken
+from sierra.templates.base import Template
+
+
+def choose_seed(template: Template, found: Sequence[str], given: str | None, ask: Ask | None) -> str | None:
+    """The path of what gets each run's seed; None where there is to be none. Raises TemplateError."""
+    question = Question(
+        f"seed: an XPath of what gets each run's seed ({NONE} for none)", tuple(found), found[0] if found else ""
+    )
+    return settled(given, question, ask, partial(_check_seed, template))
+
+
+def choose(
+    template: Template,
+    per_run: Sequence[Change],
+    named: Mapping[str, str],
+    likely: Mapping[str, str],
+    given: Sequence[str],
+    ask: Ask | None,
+) -> dict[str, str]:
+    """The variables by name: those given; or the likely ones and what is answered, of which `named` is a choice.
+
+    `per_run` is what each run sets after all variables. Raises UsageError, TemplateError.
+    """
+    chosen = {} if given else dict(likely)
+    for text in given:
+        chosen |= [_check(template, per_run, chosen, text)]
+    while ask is not None and not given:
+        so_far = ", ".join(f"{name}={path}" for name, path in chosen.items()) or "none"
+        others = [f"{name}={path}" for name, path in named.items() if path not in chosen.values()]
+        question = Question(
+            f"variables so far: {so_far}\nanother one as NAME=XPATH ({NONE}NAME leaves one out, Enter is enough)",
+            tuple(others[:SHOWN]),
+            "",
+        )
+        more = ask(question, partial(_one_more, template, per_run, chosen))
+        if more is None:
+            break
+        chosen = more
+    return chosen
+
+
+def doubts(seed: str | None, seeds: Sequence[str], *, elsewhere: bool) -> Iterator[str]:
+    """`seeds` are the paths of all that is called so; `elsewhere` is whether runs have their seeds without a path too."""
+    if seed is None and not elsewhere:
+        yield 'all runs of an experiment are the same until the seed goes somewhere: seed = "XPATH", or {seed} in the command'
+    others = [path for path in seeds if path != seed]
+    if seed is not None and others:
+        yield f"these stay as they are in the template, in all runs: {', '.join(others)}"
+
+
+def _check_seed(template: Template, text: str) -> str | None:
+    if text in ("", NONE):
+        return None
+    template.changed((Set(text, "0", why="seed"),), {})
+    return text
+
+
+def _check(template: Template, per_run: Sequence[Change], known: Iterable[str], text: str) -> tuple[str, str]:
+    """Name and path of NAME=XPATH."""
+    name, equals, path = (part.strip() for part in text.partition("="))
+    if not equals or not name or not path or name[0] in "/@":
+        raise UsageError(f'{text!r}: write a variable as NAME=XPATH, as in "population_size=//swarm/@count"')
+    why = f"variable {name!r}"
+    if said := mistaken(name, known):
+        raise UsageError(f"{why}: {said}")
+    one, two = (template.changed((Set(path, value, why=why), *per_run), {"seed": 0}).render() for value in ("1", "2"))
+    if one == two:
+        raise UsageError(f"{why}: {path} is where the seed goes; vary something else, or use montecarlo.C20 for other seeds")
+    return name, path
+
+
+def _one_more(template: Template, per_run: Sequence[Change], chosen: dict[str, str], text: str) -> dict[str, str] | None:
+    """The variables after one answer; None where it is empty. A path has the name that was given last."""
+    if not text:
+        return None
+    if text.startswith(NONE):
+        name = text.removeprefix(NONE).strip()
+        if name not in chosen:
+            raise UsageError(f"there is no variable {name!r}; so far there is {', '.join(chosen) or 'none'}")
+        return {other: path for other, path in chosen.items() if other != name}
+    name, path = _check(template, per_run, chosen, text)
+    return {other: place for other, place in chosen.items() if place != path} | {name: path}

@@ -1,0 +1,85 @@
+"""The text of a first `sierra.toml`: what counts, and as comments what could."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import partial
+from json import dumps
+from pathlib import Path
+
+from sierra.config import project_file
+from sierra.errors import UsageError
+from sierra.setup.init import folder
+from sierra.setup.init.answers import SHOWN
+from sierra.setup.init.source import found
+from sierra.store.layout import CONFIG
+from sierra.util.fs import write_whole
+from sierra.util.text import few
+
+SOURCE = (
+    "The code that results depend on is all of this folder, also files that are new in it: a change of any makes all runs\n"
+    "# new, and fails those that execute. Unless this names it:"
+)
+quoted = partial(dumps, ensure_ascii=False)
+"""As TOML writes texts and lists of them."""
+
+
+@dataclass(frozen=True, slots=True)
+class Guess:
+    """What a first `sierra.toml` will say, and what it mentions in comments."""
+
+    template: str
+    platform: str
+    command: str | None
+    module_path: str | None
+    seed: str | None
+    variables: Mapping[str, str]
+    other_variables: Mapping[str, str]
+    source: tuple[str, ...]
+    next: str | None
+    """The query to ask first."""
+    notes: tuple[str, ...]
+    """What is doubtful."""
+
+
+def write(root: Path, guess: Guess) -> Path:
+    """Write `sierra.toml`, never over one that is there; its path. Raises UsageError for what TOML cannot hold."""
+    path = root / CONFIG
+    text = "\n".join(_lines(root, guess)) + "\n"
+    try:
+        data = text.encode()
+        project_file.parse(tomllib.loads(text), str(path))
+    except (UnicodeEncodeError, tomllib.TOMLDecodeError) as error:
+        raise UsageError(f"{path} cannot be written: {error}; rename what has a name that is no text") from error
+    folder.check(root)  # answers may have taken a while
+    return write_whole(path, data)
+
+
+def _lines(root: Path, guess: Guess) -> Iterator[str]:
+    yield "# What SIERRA runs. All that can be said here: sierra schema --toml"
+    yield f"template = {quoted(guess.template)}  # every run's input is made from it"
+    if guess.platform != "command":
+        yield f"platform = {quoted(guess.platform)}  # knows how it is started, and where the seed goes"
+    if guess.command:
+        yield f"command = {quoted(guess.command)}"
+        yield "# {input} is the generated file; runs write into their working directory, {output}"
+    if guess.seed or guess.platform == "command":
+        yield f"{'' if guess.seed else '# '}seed = {quoted(guess.seed or '//@seed')}  # an XPath: where each run's seed goes"
+    yield "runs = 10  # per experiment\n"
+    yield "[variables]  # what queries vary: a name, and an XPath of what gets the value"
+    yield from (f"{name} = {quoted(path)}" for name, path in guess.variables.items())
+    yield from (f"# {name} = {quoted(path)}" for name, path in guess.other_variables.items())
+    if not guess.variables and not guess.other_variables:
+        yield '# population_size = "//swarm/@count"'
+    if guess.module_path:
+        yield f"\n[environment]\nset = {{ PYTHONPATH = {quoted(guess.module_path)} }}"
+    if guess.source:
+        yield "\n[source]  # the code that results depend on; a change of anything else makes no new runs"
+        yield f"paths = {quoted(guess.source)}"
+    else:
+        code, left_out = found(root, guess.template)
+        proposed = code if 0 < len(code) <= SHOWN else ("src", "sim.py")
+        without = f"  # not {few(left_out, SHOWN)}" if left_out else ""
+        yield f"\n# {SOURCE}\n# [source]\n# paths = {quoted(proposed)}{without}"

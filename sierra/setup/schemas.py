@@ -1,0 +1,390 @@
+"""The published contracts: what `sierra.toml` may hold, and the store's tables as SQL.
+
+All are generated from the code; `make schemas` writes them to `schemas/`, and a test compares them. What `sierra.toml`
+may hold is said twice: as JSON Schema, for editors, and, from the same schema, as commented TOML, for people: a sentence
+for each key, and an example of it. All examples together are one valid `sierra.toml`.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import textwrap
+import tomllib
+from collections.abc import Iterator, Mapping
+from itertools import chain
+from pathlib import Path
+from typing import Any
+
+from sierra.config.project_file import Project
+from sierra.platforms.base import SHIPPED
+from sierra.store.schema import DERIVED, RECORDED, Table, sql
+from sierra.util import entry_points
+
+TOML = "sierra.toml.schema.json"
+STORE = "store.sql"
+WIDTH = 118
+INTRODUCTION = """\
+Everything that sierra.toml may hold; in pyproject.toml, it may stand in [tool.sierra] instead.
+A line that begins with # and no blank is an example: take the # away to use it. A sentence about it stands before it,
+with its type in brackets, what it is where it is absent, and whether it must be there. An XPath is XPath 1.0."""
+
+BARE = re.compile(r"[A-Za-z0-9_-]+")
+"""A key of TOML that needs no quotes."""
+EXAMPLES = r"""
+template = "template.xml"
+command = "python3 sim.py {input}"
+platform = "command"
+runs = 10
+controller = "pheromone"
+scenario = "cluttered"
+
+[seed]
+set = "/experiment/@seed"
+base = 0
+independent = false
+
+[variables.population_size]
+set = "//swarm/@count"
+label = "population size"
+unit = "robots"
+[[variables.density.changes]]
+set = "//arena/@size"
+value = "{10 * density}"
+
+[[changes]]
+set = "//swarm/robot"
+attribute = "radius"
+value = 0.1
+expect = 1
+[[changes]]
+add = "//world"
+xml = '<geom type="box" size=".3 .3 .2"/>'
+at = 0
+[[changes]]
+remove = "//camera"
+[[changes]]
+rename = "//controller"
+to = "{controller}"
+
+[per_run]
+start = [0.1, 0.2, 0.4]
+
+[[run_changes]]
+set = "//swarm/@start"
+value = "{start}"
+
+[[controllers.pheromone.changes]]
+set = "//robot/@controller"
+value = "pheromone"
+
+[[scenarios.cluttered.changes]]
+add = "//world"
+xml = '<geom type="box" size=".3 .3 .2"/>'
+
+[outputs.swarm]
+file = "swarm.csv"
+format = "csv"
+delimiter = ","
+header = false
+columns = ["clock", "energy"]
+time = "clock"
+required = true
+min_rows = 1
+mismatch = "strict"
+units = { clock = "s", energy = "J" }
+tolerance = { energy = { abs = 1e-9, rel = 1e-12, ulp = 4.0 } }
+ordered = false
+volatile = ["written_at"]
+
+[success]
+marker = "stdout"
+contains = "finished"
+exit_status = [0]
+
+[limits]
+wall = 60.0
+cpu = 120.0
+memory = "1 GiB"
+output = "500 MB"
+grace = 5.0
+
+[environment]
+set = { OMP_NUM_THREADS = 4 }
+pass = ["LICENSE_SERVER"]
+record = ["MODEL_ZOO"]
+
+[container]
+image = "localhost/sim:1"
+engine = "podman"
+isolation = "run"
+mounts = { "/data" = "data" }
+variables = { LD_LIBRARY_PATH = "/opt/sim/lib" }
+network = false
+devices = ["/dev/dri"]
+gpu = false
+cpus = 2.0
+pids = 500
+
+[source]
+paths = ["sim.py", "controllers"]
+dirty = "record"
+large = "50 MB"
+
+[store]
+raw = true
+work = "$SCRATCH"
+
+[determinism]
+probe = true
+
+[equivalence.energy]
+table = "swarm"
+column = "energy"
+measure = "time_to"
+threshold = 1.0
+margin = 0.1
+alpha = 0.05
+[equivalence.energy_at_the_end]
+table = "swarm"
+column = "energy"
+relative = 0.05
+[programs]
+version = "--version"
+versions = { argos3 = "-v" }
+
+[queries.scalability]
+criteria = ["population_size.Log8", "density=1:5:3"]
+runs = 20
+controller = "pheromone"
+scenario = "cluttered"
+
+[figures.energy]
+kind = "timeseries"
+table = "swarm"
+column = "energy"
+times = "own"
+center = "mean"
+title = "Energy over time"
+xlabel = "time [s]"
+ylabel = "energy [J]"
+log_x = false
+log_y = false
+[figures.time_to_one_joule]
+kind = "summary"
+column = "energy"
+measure = "time_to"
+threshold = 1.0
+
+[runners.slurm]
+elements = 20
+cpus = 4
+memory = "8 GiB"
+wall = 3600.0
+partition = "batch"
+account = "swarm"
+qos = "normal"
+constraint = "avx2"
+gpus = 1
+scratch = "$TMPDIR/sierra"
+modules = ["python/3.12", "apptainer"]
+directives = ["--mail-type=END"]
+[runners.tier2]
+scheduler = "pbs"
+partition = "workq"
+
+[platforms.argos]
+length = 300.0
+ticks_per_second = 10
+threads = 0
+visualization = false
+arena = "10x10"
+walls = "//arena/box[starts-with(@id, 'wall')]"
+population = "//distribute/entity[2]/@quantity"
+label = "loop_controller"
+"""
+"""A `sierra.toml` with all keys, which the commented TOML shows; a key that it lacks is shown with its default."""
+
+
+def json_schema() -> Mapping[str, Any]:
+    """The JSON Schema of `sierra.toml` (draft 2020-12), with the options of the shipped platforms."""
+    schema = Project.model_json_schema(by_alias=True)
+    platforms = schema["properties"]["platforms"]
+    platforms["properties"] = {}
+    for name in SHIPPED:
+        theirs = entry_points.find("platform", SHIPPED, name).Options.model_json_schema(by_alias=True)
+        schema["$defs"] |= theirs.pop("$defs", {})
+        schema["$defs"][f"platforms.{name}"] = theirs | {"title": f"platforms.{name}"}
+        platforms["properties"][name] = {"$ref": f"#/$defs/platforms.{name}"}
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": "sierra.toml", **schema}
+
+
+def toml_schema() -> str:
+    """The JSON Schema of `sierra.toml`, as text."""
+    return json.dumps(json_schema(), indent=2, ensure_ascii=False) + "\n"
+
+
+def toml() -> str:
+    """All that `sierra.toml` may hold, as TOML that is commented out: `# sentence`, then `#key = value`."""
+    return "\n".join([*_prose(INTRODUCTION), "", *_Reference(json_schema()).lines()]) + "\n"
+
+
+def tables() -> Mapping[str, Table]:
+    """The store's own tables, by name."""
+    return {**RECORDED, **DERIVED}
+
+
+def generated() -> Mapping[str, str]:
+    """The files of `schemas/`, by name."""
+    return {TOML: toml_schema(), STORE: sql()}
+
+
+def write(folder: Path) -> None:
+    """Write all of them."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, text in generated().items():
+        (folder / name).write_text(text)
+
+
+class _Reference:
+    """The commented TOML of a JSON Schema. What a key means is said where it stands first."""
+
+    def __init__(self, schema: Mapping[str, Any]) -> None:
+        self._schema = schema
+        self._said: set[str] = set()
+
+    def lines(self) -> Iterator[str]:
+        yield from self._table((), self._schema, [tomllib.loads(EXAMPLES)])
+
+    def _table(self, path: tuple[str, ...], model: Mapping[str, Any], examples: list[dict[str, Any]]) -> Iterator[str]:
+        """What the first example of a table holds; the first table of its kind shows what none of them has, too."""
+        known: Mapping[str, Any] = model.get("properties", {})
+        values = examples[0] | self._lacking(model, examples)
+        names = [*(name for name in known if name in values), *(name for name in values if name not in known)]
+        below = [name for name in names if _has_header(path, values[name])]
+        for name in names:
+            if name not in below:
+                yield from self._sentence(model, name)
+                yield f"#{name} = {_written(values[name])}"
+        for name in below:
+            yield ""
+            yield from self._below((*path, name), known[name], values[name])
+
+    def _lacking(self, model: Mapping[str, Any], examples: list[dict[str, Any]]) -> dict[str, Any]:
+        if not self._first(f"{model.get('title')}, completed"):
+            return {}
+        shown = set(chain.from_iterable(examples))
+        known = model.get("properties", {}).items()
+        return {name: _placeholder(self._plain(inner)) for name, inner in known if name not in shown}
+
+    def _sentence(self, model: Mapping[str, Any], name: str) -> Iterator[str]:
+        """What a key means, its type, and what holds without it."""
+        schema = model.get("properties", {}).get(name)
+        if schema is None or not self._first(f"{model.get('title')}.{name}"):
+            return
+        facts = [self._type(schema)]
+        if name in model.get("required", ()):
+            facts.append("required")
+        elif schema.get("default") not in (None, "", [], {}):
+            facts.append(f"default {_written(schema['default'])}")
+        yield from _prose(f"{schema.get('description', '')} ({'; '.join(facts)})")
+
+    def _below(self, path: tuple[str, ...], schema: Mapping[str, Any], value: Any) -> Iterator[str]:
+        """A table, a list of tables or a mapping of names to tables, with its headers."""
+        model, place = self._plain(schema), ".".join(path)
+        named = self._plain(_of_any(model))
+        if isinstance(value, list):
+            model = self._plain(model["items"])
+            tables = [(f"#[[{place}]]", path, one) for one in value]
+        elif "properties" in named and "properties" not in model:
+            model = named
+            tables = [(f"#[{place}.{name}]", (*path, name), one) for name, one in value.items()]
+        else:
+            tables = [(f"#[{place}]", path, value)]
+        yield from _prose("" if schema is model else schema.get("description", ""))
+        if self._first(str(model.get("title"))):
+            yield from _prose(model.get("description", ""))
+        for k, (header, at, one) in enumerate(tables):
+            yield header
+            yield from self._table(at, model, [one, *(later for _, _, later in tables[k + 1 :])])
+
+    def _first(self, what: str) -> bool:
+        first = what not in self._said
+        self._said.add(what)
+        return first
+
+    def _plain(self, schema: Mapping[str, Any]) -> Mapping[str, Any]:
+        """The table that a schema stands for, where it is one, or has one beside a short form; else itself."""
+        for option in (schema, *schema.get("anyOf", ())):
+            if reference := option.get("$ref"):
+                found: Mapping[str, Any] = self._schema["$defs"][reference.rpartition("/")[2]]
+                return found
+        return schema
+
+    def _type(self, schema: Mapping[str, Any]) -> str:
+        if options := schema.get("anyOf"):
+            return _either(list(dict.fromkeys(self._type(o) for o in options if o.get("type") != "null")))
+        if choices := schema.get("enum"):
+            return _either([json.dumps(choice) for choice in choices])
+        match schema.get("type"):
+            case "array" if "$ref" in schema.get("items", {}):
+                return "list of changes, as in [[changes]]"
+            case "array":
+                return f"list: {self._type(schema.get('items', {}))}"
+            case "integer" | "number" as kind:
+                return ("whole number" if kind == "integer" else "number") + _bound(schema)
+            case kind:
+                return {"string": "text", "boolean": "true or false"}.get(str(kind), "table")
+
+
+def _has_header(path: tuple[str, ...], value: Any) -> bool:
+    """Whether a value has a header of its own; tables within tables are written in one line."""
+    tables = isinstance(value, dict) or (isinstance(value, list) and value != [] and isinstance(value[0], dict))
+    return tables and path in ((), ("platforms",))
+
+
+def _of_any(schema: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The schema of the values of a mapping, whose names are free."""
+    free = schema.get("additionalProperties")
+    return next(iter(schema.get("patternProperties", {}).values()), free if isinstance(free, dict) else {})
+
+
+def _placeholder(schema: Mapping[str, Any]) -> Any:
+    """A value for a key without an example: its default, or one of its type."""
+    if schema.get("default") is not None:
+        return schema["default"]
+    options = [schema, *schema.get("anyOf", ())]
+    kinds = [option["type"] for option in options if option.get("type", "null") != "null"]
+    return {"integer": 1, "number": 1.0, "boolean": False, "array": [], "object": {}}.get(kinds[0] if kinds else "", "")
+
+
+def _either(options: list[str]) -> str:
+    return " or ".join([", ".join(options[:-1]), options[-1]]) if len(options) > 1 else options[0]
+
+
+def _bound(schema: Mapping[str, Any]) -> str:
+    if "exclusiveMinimum" in schema:
+        return f" above {schema['exclusiveMinimum']:g}"
+    return f" from {schema['minimum']:g}" if "minimum" in schema else ""
+
+
+def _prose(text: str) -> list[str]:
+    lines = (line for part in text.splitlines() for line in textwrap.wrap(part, WIDTH, break_on_hyphens=False))
+    return [f"# {line}" for line in lines]
+
+
+def _written(value: Any) -> str:
+    """A value as TOML."""
+    match value:
+        case str() if '"' in value and "'" not in value:
+            return f"'{value}'"
+        case dict():
+            return "{ " + ", ".join(f"{_key(name)} = {_written(inner)}" for name, inner in value.items()) + " }"
+        case list() | tuple():
+            return f"[{', '.join(map(_written, value))}]"
+        case _:
+            return json.dumps(value, ensure_ascii=False)
+
+
+def _key(name: str) -> str:
+    return name if BARE.fullmatch(name) else json.dumps(name)

@@ -1,0 +1,428 @@
+"""Statistics in SQL: each column of an output, for each experiment, over its runs.
+
+Each statistic is one file in `statistics/`: an expression over `x`, the sorted finite values, and over the statistics
+before it; what it calls `_…` is a step that nobody sees. Each measure, what a run is reduced to, is one file in `measures/`.
+A statement is put together from them:
+
+    observations    one value per run (a measure), or per run and time
+    grouped         the values of all runs of an experiment (`by_experiment`), or at one time (`by_time`), as the list x
+    (… SELECT *, n) SELECT *, mean) …    one statistic after the other, each of which may use those before it
+
+No value is averaged silently: what is missing (NULL or NaN) or infinite is left out and counted, and so is a run that
+never reached a threshold. One run has a mean but no interval.
+
+The statements run on a `Frame`, which knows one relation, made by the store from one column of one output of one batch:
+
+    samples(experiment INTEGER, run VARCHAR, number INTEGER, t DOUBLE, value DOUBLE)
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Container, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from statistics import NormalDist
+from typing import Any, Protocol
+
+from sierra.config.project_file import Figure
+from sierra.errors import SierraError, UsageError
+from sierra.model import Axis
+from sierra.stats import student_t
+
+HERE = Path(__file__).parent
+LEVEL = 0.95
+GRID = 500
+"""The most points of a common time axis, where the runs' own times differ."""
+TIMES = ("own", "carry", "linear")
+"""Where statistics over time are computed: at the runs' own times, or at common ones, in one of two ways."""
+
+STATISTICS: Mapping[str, tuple[str, ...]] = {
+    "n": (),
+    "mean": ("n",),
+    "reach": ("mean",),
+    "sd": ("reach",),
+    "ends": ("n",),
+    "rate": ("ends",),
+    "interval": ("mean", "sd", "rate"),
+    "median": ("n",),
+    "quartiles": ("n",),
+    "whiskers": ("quartiles",),
+    "range": ("n",),
+    "iqm": ("n",),
+    "iqm_reach": ("iqm",),
+    "iqm_half": ("iqm_reach",),
+    "iqm_interval": ("iqm_half", "rate"),
+}
+"""The statistics, and which others each one's formula uses."""
+
+CENTERS: Mapping[str, tuple[str, str]] = {
+    "mean": ("mean", "interval"),
+    "median": ("median", "quartiles"),
+    "iqm": ("iqm", "iqm_interval"),
+}
+"""The centers of a figure: its statistic, and the one that says how far it spreads."""
+
+
+class Frame(Protocol):
+    """Where statements run: it knows the relation `samples`."""
+
+    def sql(self, text: str, /, **params: Any) -> Any:
+        """The rows of a statement as a pyarrow.Table; `$name` in it stands for the parameter of that name."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Coverage:
+    """What there is to compute with: the same for all columns of an output."""
+
+    runs: Mapping[int, int]
+    """The number of runs that wrote anything, by experiment."""
+    rows: int
+    """Of all runs."""
+    most: int
+    """The most rows of one run."""
+    first: float
+    last: float
+    untimed: int
+    """Rows whose time is not a finite number; they are left out."""
+
+
+@dataclass(frozen=True, slots=True)
+class Computed:
+    """What a figure shows, computed.
+
+    `tables` holds, by column of the output, a pyarrow.Table with a row per experiment (and per time `t`): `experiment`,
+    `missing`, `infinite`, for measures `never`, and the statistics under the names in their files. `runs` is the
+    values that the runs were reduced to (`experiment`, `run`, `value`, finite only), where a figure shows them.
+    """
+
+    tables: Mapping[str, Any]
+    runs: Any
+    sql: str
+    note: str
+
+
+def coverage(frame: Frame) -> Coverage:
+    """What `samples` holds. Raises SierraError if nothing, UsageError if runs have several rows at one time."""
+    rows = frame.sql(_file("coverage")).to_pylist()
+    if not rows or all(row["first"] is None for row in rows):
+        raise SierraError("no run has written any row of this output yet; there is nothing to compute")
+    if doubled := sum(row["doubled"] for row in rows):
+        raise UsageError(
+            f"{_count(doubled, 'run')} with more than one row at the same time; statistics over runs need one value"
+            " per run and time: name the right column as `time`, or let the run write its own mean"
+        )
+    timed = [row for row in rows if row["first"] is not None]
+    return Coverage(
+        runs={row["experiment"]: row["runs"] for row in rows},
+        rows=sum(row["rows"] for row in rows),
+        most=max(row["most"] for row in rows),
+        first=min(row["first"] for row in timed),
+        last=max(row["last"] for row in timed),
+        untimed=sum(row["untimed"] for row in rows),
+    )
+
+
+def compute(
+    figure: Figure,
+    axes: Sequence[Axis],
+    frames: Mapping[str, Frame],
+    *,
+    planned: Mapping[int, int] | None = None,
+    known: Coverage | None = None,
+    whole: Container[str] = (),
+) -> Computed:
+    """Compute what `figure` shows of the columns in `frames` (column's name → its samples).
+
+    `planned` is how many runs each experiment should have, so that absent ones are said; `known` spares the time to
+    look at the same output again; `whole` has the columns of whole numbers and truth values. Raises SierraError where
+    there is nothing to show, UsageError where the figure does not fit the batch.
+    """
+    _check(figure, axes, frames)
+    seen = known or coverage(next(iter(frames.values())))
+    statistics = needed(figure)
+    notes: dict[str, None] = {}
+    tables, texts = {}, []
+    for column, frame in frames.items():
+        if over_time(figure, axes, seen):
+            table, text, how = at_times(frame, figure.times, statistics, seen, whole=column in whole)
+            notes |= dict.fromkeys(how)
+        else:
+            table, text = by_experiment(frame, figure.measure, statistics, seen, figure.threshold, whole=column in whole)
+        tables[column] = table
+        texts.append(text)
+    if not any(_total(table, "n") for table in tables.values()):
+        raise SierraError(_nothing(figure, tables, seen))
+    runs = None
+    if figure.kind in ("box", "violin"):
+        runs = reduced(next(iter(frames.values())), figure.measure, figure.threshold)
+    counted = _note(figure, tables.values(), seen, planned)
+    return Computed(tables, runs, "\n\n".join(dict.fromkeys(texts)), "; ".join([*counted, *notes]))
+
+
+def default_figures(table: str, columns: Iterable[str], axes: Sequence[Axis], *, series: bool) -> dict[str, Figure]:
+    """The figures of an output for which none is asked: by name, two for each numeric column.
+
+    `series`: whether runs write more than one row, so that there is something to show over time.
+    """
+    kinds = ["timeseries"] if series else []
+    kinds.append("heatmap" if len(axes) == 2 else "summary")
+    return {
+        f"{table}_{column}_{kind}": Figure.model_validate({"kind": kind, "table": table, "column": column})
+        for column in columns
+        for kind in kinds
+    }
+
+
+def needed(figure: Figure) -> tuple[str, ...]:
+    """The statistics that a figure of this kind shows, each after those that its formula uses."""
+    match figure.kind:
+        case "box" | "violin":
+            wanted = ["median", "whiskers"]
+        case "stacked":
+            wanted = [CENTERS[figure.center][0]]
+        case _:
+            wanted = list(CENTERS[figure.center])
+    return _ordered(wanted)
+
+
+def over_time(figure: Figure, axes: Sequence[Axis], seen: Coverage) -> bool:
+    """Whether a figure has time as its axis; a stacked one has, if there is time and few enough experiments."""
+    if figure.kind == "stacked":
+        return seen.most > 1 and (len(seen.runs) <= 9 or not axes)
+    return figure.kind == "timeseries"
+
+
+def by_experiment(
+    frame: Frame,
+    measure: str,
+    statistics: Iterable[str],
+    seen: Coverage,
+    threshold: float | None = None,
+    *,
+    whole: bool = False,
+) -> tuple[Any, str]:
+    """Return statistics over the runs of each experiment, each run reduced by `measure`; and the statement.
+
+    `whole`: the column holds nothing but whole numbers or truth values, which are a rate where all are 0 or 1.
+    """
+    text = statement(_file(f"measures/{measure}"), "by_experiment", _ordered(statistics))
+    return _run(frame, text, seen, rates=measure != "time_to", whole=whole, threshold=threshold)
+
+
+def by_time(frame: Frame, statistics: Iterable[str], seen: Coverage, *, whole: bool = False) -> tuple[Any, str]:
+    """Return statistics over the runs of each experiment at each of their times; and the statement."""
+    text = statement("SELECT experiment, t, value FROM samples", "by_time", _ordered(statistics))
+    return _run(frame, text, seen, whole=whole)
+
+
+def at_times(
+    frame: Frame, times: str | None, statistics: Iterable[str], seen: Coverage, *, whole: bool = False
+) -> tuple[Any, str, list[str]]:
+    """As `by_time`, at the runs' `own` times or at common ones (`carry`, `linear`); the statement; what to say of it.
+
+    None is `own` where most runs share their times, else `carry`. Common times lie at equal distances, as many as the
+    longest run has rows, but for those that are a run's own but for rounding: these are taken as they are.
+    """
+    if times not in (*TIMES, None):
+        raise UsageError(f"unknown times {times!r}; known are {', '.join(TIMES)}")
+    if times in ("own", None):
+        table, text = by_time(frame, statistics, seen, whole=whole)
+        runs = seen.runs.values()
+        differ = max(runs) > 1 and seen.rows / max(1, table.num_rows) < sum(runs) / len(runs) / 2
+        if times == "own" or not differ:
+            return table, text, ["times differ: each run at its own"] if differ else []
+    grid = _common(frame, seen)
+    table, text = resampled(frame, grid, statistics, seen, linear=times == "linear", whole=whole)
+    how = "interpolated linearly" if times == "linear" else "last values carried forward"
+    return table, text, [f"{'times differ: ' if times is None else ''}{how} to {len(grid)} common times"]
+
+
+def resampled(
+    frame: Frame,
+    grid: Sequence[float],
+    statistics: Iterable[str],
+    seen: Coverage,
+    *,
+    linear: bool = False,
+    whole: bool = False,
+) -> tuple[Any, str]:
+    """As `by_time`, at the times of `grid`, which need not be times of any run; and the statement."""
+    text = statement(_file("resample"), "by_time", _ordered(statistics))
+    return _run(frame, text, seen, whole=whole and not linear, grid=list(grid), linear=linear)
+
+
+def reduced(frame: Frame, measure: str, threshold: float | None = None) -> Any:
+    """The finite values that the runs are reduced to: `experiment`, `run`, `value`."""
+    text = (
+        f"WITH observations AS (\n{_file(f'measures/{measure}')})\n"
+        "SELECT experiment, run, value FROM observations WHERE isfinite(value) ORDER BY experiment, value, run"
+    )
+    return frame.sql(text, **_used(text, threshold=threshold))
+
+
+def statement(observations: str, grouping: str, statistics: Iterable[str]) -> str:
+    """A whole statement: the statistics of what `observations` selects, grouped `by_time` or `by_experiment`."""
+    keys = "experiment, t" if grouping == "by_time" else "experiment"
+    texts = [_file(f"statistics/{name}") for name in statistics]
+    steps = ["x", *re.findall(r" AS (_\w+)", _code("".join((_file(grouping), *texts))))]
+    return (
+        f"WITH observations AS (\n{observations.rstrip()}\n),\n"
+        f"grouped AS (\n{_file(grouping)})\n"
+        f"{'FROM (' * len(texts)}FROM grouped\n{''.join(f'SELECT *,{chr(10)}{text})' + chr(10) for text in texts)}"
+        f"SELECT * EXCLUDE ({', '.join(steps)})\nORDER BY {keys}"
+    )
+
+
+def _common(frame: Frame, seen: Coverage) -> list[float]:
+    """The times of a common axis. A time that rounding puts just before a run's own would show what was one row before."""
+    import numpy as np
+
+    points = max(2, min(seen.most, GRID))
+    even = np.linspace(seen.first, seen.last, points)
+    own = frame.sql("SELECT DISTINCT t FROM samples WHERE isfinite(t) ORDER BY t").column("t").to_numpy()
+    after = np.clip(np.searchsorted(own, even), 1, max(1, len(own) - 1))
+    near = np.where(even - own[after - 1] < own[after % len(own)] - even, own[after - 1], own[after % len(own)])
+    close = np.abs(near - even) <= 1e-9 * (seen.last - seen.first)
+    grid: list[float] = np.unique(np.where(close, near, even)).tolist()
+    return grid
+
+
+def _run(frame: Frame, text: str, seen: Coverage, *, whole: bool, rates: bool = True, **params: Any) -> tuple[Any, str]:
+    most = max(seen.runs.values())
+    params |= {"z": NormalDist().inv_cdf((1 + LEVEL) / 2), "rates": rates, "whole": whole}
+    return frame.sql(text, **_used(text, t=_t(most), **params)), _documented(text, most, **params)
+
+
+def _used(text: str, **params: Any) -> dict[str, Any]:
+    return {name: value for name, value in params.items() if re.search(rf"\${name}\b", _code(text))}
+
+
+def _documented(text: str, most: int, **params: Any) -> str:
+    """The statement, after comments that say what its parameters stand for."""
+    said = {"t": f"quantiles of Student's t, p = {(1 + LEVEL) / 2}, for 1 … {max(1, most - 1)} degrees of freedom"}
+    for name, value in params.items():
+        said[name] = f"{len(value)} times from {value[0]} to {value[-1]}" if isinstance(value, list) else str(value)
+    return "".join(f"-- ${name}: {said[name]}\n" for name in _used(text, **said)) + text
+
+
+@cache
+def _t(most: int) -> list[float]:
+    """The quantiles for samples of up to `most` values; never empty, so that it has a type in SQL."""
+    return student_t.quantiles((1 + LEVEL) / 2, max(1, most - 1))
+
+
+def _ordered(wanted: Iterable[str]) -> tuple[str, ...]:
+    """The wanted statistics and those that their formulas use, in the order of `STATISTICS`; n always."""
+    found = {"n"}
+    queue = list(wanted)
+    while queue:
+        name = queue.pop()
+        found.add(name)
+        queue += STATISTICS[name]
+    return tuple(name for name in STATISTICS if name in found)
+
+
+@cache
+def _file(name: str) -> str:
+    return (HERE / f"{name}.sql").read_text(encoding="utf-8")
+
+
+def _code(text: str) -> str:
+    return re.sub(r"--[^\n]*", "", text)
+
+
+def _check(figure: Figure, axes: Sequence[Axis], frames: Mapping[str, Frame]) -> None:
+    if not frames:
+        raise UsageError(f"a {figure.kind} figure needs a column; name one with `column`")
+    if figure.kind == "heatmap" and len(axes) != 2:
+        raise UsageError(f"a heatmap needs two independent variables, this batch has {len(axes)}; use a summary")
+    if figure.kind != "stacked" and len(frames) != 1:
+        raise UsageError(f"a {figure.kind} figure shows one column, not {len(frames)}: {', '.join(frames)}")
+
+
+def _note(figure: Figure, tables: Iterable[Any], seen: Coverage, planned: Mapping[int, int] | None) -> list[str]:
+    """What a reader must know: what is shown, n, and everything that is not in the numbers."""
+    tables = list(tables)
+    counts = [table.column("n").to_numpy() for table in tables]
+    low, high = int(min(n.min() for n in counts)), int(max(n.max() for n in counts))
+    shown = f"{_shown(figure, several=high > 1, rate=any(map(is_rate, tables)))}, n = {low}" + (
+        f"–{high}" if low < high else ""
+    )
+    return [shown, *left_out(tables, seen, planned, figure.threshold, _marked(figure, tables[0]))]
+
+
+def left_out(
+    tables: Iterable[Any],
+    seen: Coverage,
+    planned: Mapping[int, int] | None = None,
+    threshold: float | None = None,
+    marked: str = "",
+) -> list[str]:
+    """Everything that is not in the numbers: runs, values, rows. `marked` is how a figure shows late runs."""
+    tables, notes = list(tables), []
+    wanted = sum((planned or {}).values())
+    absent = sum(max(0, count - seen.runs.get(experiment, 0)) for experiment, count in (planned or {}).items())
+    if absent:
+        notes.append(f"{absent} of {_count(wanted, 'run')} absent")
+    for name, what in (("missing", "missing value"), ("infinite", "infinite value")):
+        if count := sum(_total(table, name) for table in tables):
+            notes.append(f"{_count(count, what)} left out")
+    if never := sum(_total(table, "never") for table in tables if "never" in table.column_names):
+        runs = _count(sum(seen.runs.values()), "run")
+        notes.append(f"threshold {threshold:.12g} never reached in {never} of {runs}{marked}")
+    if seen.untimed:
+        notes.append(f"{_count(seen.untimed, 'row')} without a time left out")
+    return notes
+
+
+def _nothing(figure: Figure, tables: Mapping[str, Any], seen: Coverage) -> str:
+    """Why there is nothing to draw."""
+    columns, runs = ", ".join(tables), _count(sum(seen.runs.values()), "run")
+    never = sum(_total(table, "never") for table in tables.values() if "never" in table.column_names)
+    if not never:
+        return f"no finite value in {columns}; there is nothing to draw"
+    rest = sum(seen.runs.values()) - never
+    missing = f", {rest} without any value of it" if rest else ""
+    return f"{columns} reaches the threshold {figure.threshold:.12g} in none of {runs}{missing}; there is no time to draw"
+
+
+def is_rate(table: Any) -> bool:
+    """Return whether the intervals of computed statistics are those of a rate."""
+    return "interval" in table.column_names and "Wilson" in table.column("interval").to_pylist()
+
+
+def _shown(figure: Figure, *, several: bool, rate: bool) -> str:
+    """What the marks of a figure stand for."""
+    center = figure.center.replace("iqm", "interquartile mean")
+    spread = "quartiles" if figure.center == "median" else "Wilson's 95 % CI of a rate" if rate else "95 % CI"
+    match figure.kind:
+        case "box":
+            return "median, quartiles, whiskers to at most 1.5 IQR"
+        case "violin":
+            return "median, quartiles, each dot a run"
+        case "heatmap" | "stacked":
+            return center
+        case _:
+            return f"{center}, {spread if several else 'no interval'}"
+
+
+def _marked(figure: Figure, table: Any) -> str:
+    """How a figure marks the experiments of which some, or all, runs never reached the threshold."""
+    if "never" not in table.column_names:
+        return ""
+    late = table.column("never").to_numpy() > 0
+    reached = table.column("n").to_numpy() > 0
+    some = ["hollow: not in all runs"] if figure.kind == "summary" and (late & reached).any() else []
+    none = [f"{'hatched' if figure.kind == 'heatmap' else '△'}: in none"] if (late & ~reached).any() else []
+    return f" ({', '.join([*some, *none])})" if some or none else ""
+
+
+def _total(table: Any, column: str) -> int:
+    return int(table.column(column).to_numpy().sum())
+
+
+def _count(number: int, noun: str) -> str:
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"

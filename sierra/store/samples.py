@@ -1,0 +1,276 @@
+"""One batch, ready for statistics: who belongs to it, and its output columns as samples over time.
+
+Only one execution of a run counts: see the table `counting`. A run without one is missing, and is said to be.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from sierra.errors import NotFound, SqlError
+from sierra.model import Axis, Value
+from sierra.store.columns import Relation, relation
+from sierra.store.errors import explain
+from sierra.store.names import identifier
+from sierra.store.schema import RECORDED
+from sierra.store.segments import is_first_part
+from sierra.store.store import Question, Store
+from sierra.store.views import files_with, recording
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+MEMBERS = "SELECT judgement FROM membership"
+MIXED = "holds numbers in some runs, and other things in others"
+WHOLE = ("BOOLEAN", "BIGINT", "INTEGER", "SMALLINT", "TINYINT", "UBIGINT", "UINTEGER", "USMALLINT", "UTINYINT", "HUGEINT")
+NUMERIC = (*WHOLE, "DOUBLE", "FLOAT", "DECIMAL", "UHUGEINT")
+
+
+@dataclass(frozen=True, slots=True)
+class OutputTable:
+    """An output of a batch: its numeric columns, and how many rows its longest run has. False is 0, and true is 1."""
+
+    name: str
+    columns: tuple[str, ...]
+    all_columns: tuple[str, ...]
+    rows: int
+    files: int
+    """How many files the run with most of them has."""
+    mixed: tuple[str, ...]
+    """Columns that hold numbers in some runs, and other things in others."""
+    whole: tuple[str, ...] = ()
+    """The numeric columns that hold nothing but whole numbers, or truth values."""
+
+
+class Frame:
+    """What statistics are computed on. A context manager; see `sierra.stats.aggregate.Frame` for the contract."""
+
+    def __init__(self, store: Store, batch: str, these: Mapping[str, str] | None = None) -> None:
+        """`these`: instead of those that count, the execution of each of these runs, or the judgement of it that is meant."""
+        self.batch = batch
+        self._question: Question = store.ask(batch)
+        self._loaded: set[str] = set()
+        self._relations: dict[str, Relation] = {}
+        self._question.views.make(("members", "judged", "experiments", "batches", "counting"))
+        self._members(these)
+        self._files = self._output_files()
+
+    def __enter__(self) -> Frame:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._question.__exit__()
+
+    def _members(self, these: Mapping[str, str] | None) -> None:
+        run = self._question.run
+        taken = "(SELECT ordinal, run, judgement FROM counting WHERE batch = $b)"
+        if these is not None:
+            import pyarrow as pa
+
+            self._question.register("these", pa.table({"run": list(these), "judgement": list(these.values())}))
+            taken = "(SELECT ordinal, run, judgement FROM wanted JOIN these USING (run))"
+        run(
+            "CREATE TEMP TABLE wanted AS SELECT DISTINCT ordinal, number, run FROM members WHERE batch = $b",
+            {"b": self.batch},
+        )
+        run(
+            "CREATE TEMP TABLE membership AS SELECT w.ordinal::INTEGER AS experiment, w.run, w.number::INTEGER AS number, "
+            f"c.judgement, e.batch FROM wanted w JOIN {taken} c ON c.run = w.run AND c.ordinal = w.ordinal "
+            "JOIN judged e ON e.judgement = c.judgement",
+            {"b": self.batch} if these is None else {},
+        )
+
+    def _output_files(self) -> dict[str, list[str]]:
+        """The output files of the segments that hold an execution that counts."""
+        batches = {row[0][:12] for row in self._question.run("SELECT DISTINCT batch FROM membership")}
+        segments = [segment for segment in self._question.segments if segment.batch in batches]
+        files: dict[str, list[str]] = {}
+        for segment in recording(self._question.run, segments, MEMBERS):
+            for name, path in segment.outputs():
+                files.setdefault(name, []).append(path)
+        return {name: self._counting(paths) for name, paths in files.items()}
+
+    def _counting(self, files: list[str]) -> list[str]:
+        """Of an output whose columns differ, the files with an execution that counts."""
+        if all(map(is_first_part, files)):
+            return files
+        found = self._question.run(files_with(files, MEMBERS))
+        return [file for file in files if (file,) in found] or files
+
+    def axes(self) -> tuple[Axis, ...]:
+        """The batch's axes with their values in order (labels and units are the project's)."""
+        found = self._question.run("SELECT axes FROM batches WHERE batch = $b", {"b": self.batch})
+        if not found:
+            raise NotFound(f"no batch {self.batch[:12]}")
+        values = self.cells()
+        axes = []
+        for name in found[0][0]:
+            seen = dict.fromkeys(cell[name] for cell in values.values())
+            axes.append(Axis(name, tuple(seen)))
+        return tuple(axes)
+
+    def cells(self) -> dict[int, dict[str, Value]]:
+        """The values of the axes of each experiment, by its place in the batch."""
+        fixed = {column.name for column in RECORDED["experiments"].columns}
+        table = self._question.connection.sql(
+            "SELECT * FROM experiments WHERE batch = $b ORDER BY ordinal", params={"b": self.batch}
+        ).to_arrow_table()
+        return {
+            row["ordinal"]: {name: value for name, value in row.items() if name not in fixed and value is not None}
+            for row in table.to_pylist()
+        }
+
+    def counts(self) -> dict[int, tuple[int, int]]:
+        """For each experiment, by its place: runs that count, and runs that there are."""
+        rows = self._question.run(
+            "SELECT w.ordinal, count(m.run), count(*) FROM wanted w LEFT JOIN membership m "
+            "ON m.run = w.run AND m.experiment = w.ordinal GROUP BY w.ordinal"
+        )
+        return {row[0]: (row[1], row[2]) for row in rows}
+
+    def outputs(self) -> tuple[OutputTable, ...]:
+        """The tables that the batch's runs wrote."""
+        found = []
+        for name, files in sorted(self._files.items()):
+            source = self._relation(name, files)
+            columns = [(name, kind) for name, kind in source.types.items() if name not in ("run", "execution", "file")]
+            many = "count(DISTINCT file)" if "file" in source.types else "1"
+            [(rows, most)] = self._question.run(
+                f"SELECT coalesce(max(rows), 0), coalesce(max(files), 0) FROM (SELECT count(*) AS rows, {many} AS files "
+                f"FROM {source.sql} WHERE execution IN ({MEMBERS}) GROUP BY execution)"
+            )
+            mixed = _mixed(source)
+            numeric, whole = (
+                tuple(c for c, kind in columns if _is_one_of(kind, kinds) and c not in mixed) for kinds in (NUMERIC, WHOLE)
+            )
+            found.append(OutputTable(name, numeric, tuple(c for c, _ in columns), rows, most, mixed, whole))
+        return tuple(found)
+
+    def _relation(self, table: str, files: Sequence[str]) -> Relation:
+        """The rows of an output, whether they count or not."""
+        if table not in self._relations:
+            self._relations[table] = relation(self._question.run, files, f"execution IN ({MEMBERS})", rows=True)
+        return self._relations[table]
+
+    def shared_axis(self, table: str, columns: Sequence[str]) -> str | None:
+        """Return the first of these numeric columns that behaves like a time: from row to row it increases, and it has the same
+        values in all runs, as far as each goes. There must be two runs at least, as anything that grows is alike in one.
+        """
+        if table not in self._loaded:
+            self._load(table, self._files[table])
+        data = identifier("data " + table)
+        grows = [column for column in columns if column in self._growing(data, columns)]
+        return next(
+            (column for column in grows if self._question.run(ALIKE.format(column=identifier(column), data=data))), None
+        )
+
+    def _growing(self, data: str, columns: Sequence[str]) -> set[str]:
+        """The columns that increase from row to row in the longest run."""
+        if not columns:
+            return set()
+        longest = (
+            f'SELECT run, "# experiment" FROM {data} GROUP BY ALL HAVING count(*) > 1 '
+            'ORDER BY count(*) DESC, run, "# experiment" LIMIT 1'
+        )
+        steps = ", ".join(f"{c}::DOUBLE AS {c}, lag({c}::DOUBLE) OVER w AS {p}" for c, p in _pairs(columns))
+        tests = ", ".join(
+            f"bool_and(isfinite({c}) AND ({p} IS NULL OR {c} > {p})) AND count({c}) = count(*)" for c, p in _pairs(columns)
+        )
+        rows = self._question.run(
+            f'SELECT {tests} FROM (SELECT {steps} FROM {data} SEMI JOIN ({longest}) USING (run, "# experiment") '
+            'WINDOW w AS (ORDER BY "# place"))'
+        )
+        return {column for column, grows in zip(columns, rows[0], strict=True) if grows}
+
+    def samples(self, table: str, column: str, time: str = "") -> None:
+        """Make `samples` be one column of one output. Raises NotFound for what the batch does not have."""
+        files = self._files.get(table)
+        if files is None:
+            raise NotFound(f"no output {table!r} in this batch; it has {', '.join(sorted(self._files)) or 'none'}")
+        if column in _mixed(self._relation(table, files)):
+            raise NotFound(f"column {column!r} of output {table!r} {MIXED}")
+        if table not in self._loaded:
+            self._load(table, files)
+        described = self._question.run(f"DESCRIBE {identifier('data ' + table)}")
+        known = [row[0] for row in described if row[0] not in ("# experiment", "# number", "# place")]
+        if column.lower() not in map(str.lower, known):
+            raise NotFound(f"output {table!r} has no column {column!r}; {like(column, known)}")
+        if time and time.lower() not in map(str.lower, known):
+            raise NotFound(
+                f"output {table!r} has no column {time!r} to be its time ([outputs.{table}] time); {like(time, known)}"
+            )
+        t = f"{identifier(time)}::DOUBLE" if time else '"# place"::DOUBLE'
+        self._question.run("DROP VIEW IF EXISTS samples")
+        try:
+            self._question.run(
+                f'CREATE TEMP VIEW samples AS SELECT "# experiment" AS experiment, run, "# number" AS number, '
+                f"{t} AS t, {identifier(column)}::DOUBLE AS value FROM {identifier('data ' + table)}"
+            )
+        except Exception as error:
+            where = f"output {table!r}, column {column!r} over {time or 'its rows'!r}"
+            raise NotFound(f"{where}: {explain(error)}") from error
+
+    def _load(self, table: str, files: list[str]) -> None:
+        source = self._relation(table, files)
+        file = ", o.file" if "file" in source.types else ""
+        self._question.run(
+            f'CREATE TEMP TABLE {identifier("data " + table)} AS SELECT m.experiment AS "# experiment", '
+            f'm.number AS "# number", row_number() OVER (PARTITION BY o.execution, m.experiment{file} '
+            'ORDER BY o.filename, o.file_row_number) - 1 AS "# place", o.* EXCLUDE (execution, filename, file_row_number) '
+            f"FROM {source.sql} o JOIN membership m ON o.execution = m.judgement"
+        )
+        self._loaded.add(table)
+
+    def sql(self, text: str, **parameters: Any) -> pa.Table:
+        """The answer to a statement on `samples`. Raises SqlError."""
+        import duckdb
+
+        try:
+            return self._question.connection.sql(text, params=parameters).to_arrow_table()
+        except duckdb.Error as error:
+            raise SqlError(explain(error)) from error
+
+
+ALIKE = """
+SELECT 1 FROM (SELECT count(DISTINCT run) AS runs FROM {data}) WHERE runs > 1 AND NOT EXISTS (
+    SELECT "# place" FROM {data} GROUP BY "# place"
+    HAVING min({column}) <> max({column}) OR count({column}) < count(*)
+)
+"""
+
+
+def _pairs(columns: Sequence[str]) -> list[tuple[str, str]]:
+    """Each column, and what its value in the row before is called, in SQL."""
+    return [(identifier(column), identifier(f"# before {column}")) for column in columns]
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """One column of one output, as statistics see it: a frame whose `samples` are its values."""
+
+    frame: Frame
+    table: str
+    column: str
+    time: str
+
+    def sql(self, text: str, /, **parameters: Any) -> pa.Table:
+        self.frame.samples(self.table, self.column, self.time)
+        return self.frame.sql(text, **parameters)
+
+
+def _mixed(relation: Relation) -> tuple[str, ...]:
+    return tuple(name for name in relation.texts if name not in relation.rounded)
+
+
+def _is_one_of(kind: str, kinds: Sequence[str]) -> bool:
+    """Return whether a type of DuckDB's is one of these: `DECIMAL(18,3)` is a DECIMAL, `BIGINT[]` is no BIGINT."""
+    return kind.partition("(")[0] in kinds and not kind.endswith("]")
+
+
+def like(name: str, known: Sequence[str]) -> str:
+    """Say which of these names may be meant."""
+    close = difflib.get_close_matches(name, known, 1, cutoff=0.5)
+    return f"did you mean {close[0]!r}?" if close else f"it has {', '.join(known[:10])}{', …' if len(known) > 10 else ''}"

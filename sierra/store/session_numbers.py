@@ -1,0 +1,69 @@
+"""Lamport numbers of sessions: the next one is 1 more than the highest that can be seen (see `sierra.store.order`).
+
+Segments never change, so that each is looked at once: the highest number of those that were seen is kept beside them, in a
+file that nobody misses, and that is not heeded where it is not what was written.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+from collections.abc import Iterable
+from pathlib import Path
+
+from sierra.errors import Damaged
+from sierra.store.layout import StorePaths
+from sierra.store.order import HIGHEST, TIMES, number_of
+from sierra.store.scans import read_parquet
+from sierra.store.segments import Segment
+from sierra.store.store import Question, Store
+from sierra.util.fs import write_whole
+from sierra.util.hashing import sealed, unsealed
+
+
+def following(paths: StorePaths, living: Iterable[int]) -> int:
+    """Return the number of a session that begins now; `living` are those of sessions that have not ended.
+
+    Whoever asks looks for living sessions first: one that ends meanwhile has recorded by then. Raises Damaged where the store
+    cannot be read, or has a number that SIERRA does not give.
+    """
+    highest = max((_recorded(paths), *living))
+    if highest >= HIGHEST:
+        raise Damaged(f"{paths.root}: there are records with the Lamport number {highest}, which SIERRA does not give")
+    return highest + 1
+
+
+def _recorded(paths: StorePaths) -> int:
+    """Return the highest number of all segments."""
+    highest, seen = _load(paths.numbers)
+    with Store(paths.root).ask() as question:
+        new = [segment for segment in question.segments if segment.name not in seen]
+        highest = max(highest, _highest(question, new))
+    if new:
+        _save(paths.numbers, highest, [segment.name for segment in question.segments])
+    return highest
+
+
+def _highest(question: Question, segments: Iterable[Segment]) -> int:
+    files = [segment.files[table] for segment in segments for table in TIMES if table in segment.files]
+    if not files:
+        return 0
+    [(highest,)] = question.run(f"SELECT max(lamport) FROM {read_parquet(files, schema={'lamport': 'BIGINT'})}")
+    return 0 if highest is None else number_of(highest)
+
+
+def _load(path: Path) -> tuple[int, set[str]]:
+    """Return the highest number of the segments that were seen, and their names."""
+    try:
+        kept = unsealed(path.read_bytes())
+    except OSError:
+        kept = None
+    if kept is None:
+        return 0, set()
+    highest, names = json.loads(kept)
+    return highest, set(names)
+
+
+def _save(path: Path, highest: int, segments: Iterable[str]) -> None:
+    with contextlib.suppress(OSError):
+        write_whole(path, sealed(json.dumps([highest, sorted(segments)]).encode()))

@@ -1,0 +1,343 @@
+"""The store: immutable segments of records, read as SQL.
+
+Truth is files that are only ever added (see `sierra.store.segments`); DuckDB reads them through views that are
+made anew for each question, so that any number of processes write at once and none waits for another. There is
+no catalogue to get out of step.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import re
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from sierra.errors import Damaged, Missing, NotFound, SierraError, SqlError
+from sierra.store.connections import Connection
+from sierra.store.errors import explain
+from sierra.store.layout import StorePaths
+from sierra.store.read_lock import Shared
+from sierra.store.scans import check_folder, plain, read_parquet
+from sierra.store.segments import FORMAT, READABLE, Segment, Writer, disk_errors, listed
+from sierra.store.views import Views, outputs, tables_of
+from sierra.util.fs import write_whole
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+FORMAT_BYTES = 100
+"""Are read of what says the format."""
+CACHEDIR = (
+    "Signature: 8a477f597d28d172789f06886806bc55\n"
+    "# This folder was made by SIERRA and holds recorded experiments: do not delete it as if it were a cache.\n"
+)
+NOTE = "sierra:note"
+"""What a schema's metadata call that which a reader of an answer must know."""
+GITIGNORE = b"*\n"
+UNFINISHED = (".format.", "..gitignore.", ".CACHEDIR.TAG.")
+"""How files begin that are written beside their targets while a store is made."""
+PREFIX = re.compile(r"[0-9a-f]{4,64}")
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """What an id names: `kind` is batch, experiment, run or execution."""
+
+    kind: str
+    id: str
+    batch: str | None
+    """A batch that it belongs to."""
+
+
+class Store:
+    """One store; cheap to make, holds nothing open. Any number of them may be used at once."""
+
+    def __init__(self, root: Path) -> None:
+        """Open the store in the folder `root`. Raises Missing where there is none, Damaged where it is of another format."""
+        check_folder(root)
+        self.paths = StorePaths(root)
+        self._beneath: Path | None = None
+        """The segments of another store, which are read too."""
+        try:
+            with self.paths.format.open("rb") as file:
+                found = file.read(FORMAT_BYTES).decode("utf-8", "backslashreplace")
+        except OSError as error:
+            raise Missing(f"no store in {root}: nothing has been run here yet (sierra run makes one)") from error
+        if found not in READABLE:
+            told = f"this is {found.strip()[:40]!r}, and this SIERRA reads {FORMAT.strip()!r}"
+            other = f"read it with the SIERRA that made it, or move {root} away and ask again"
+            heals = other if re.fullmatch(r"sierra store \d+\n", found) else "sierra fsck --repair writes it again"
+            raise Damaged(f"{self.paths.format}: {told}; {heals}")
+
+    @classmethod
+    def create(cls, root: Path) -> Store:
+        """The store in `root`, made there if there is none. Any number of processes may do so at once."""
+        check_folder(root)
+        paths = StorePaths(root)
+        if not paths.format.exists():
+            with disk_errors(root):
+                check_free(root)
+                paths.segments.mkdir(parents=True, exist_ok=True)
+                if not paths.work.is_symlink():
+                    paths.work.mkdir(exist_ok=True)
+                write_whole(paths.gitignore, GITIGNORE)
+                write_whole(paths.cachedir_tag, CACHEDIR.encode())
+                write_whole(paths.format, FORMAT.encode())
+        return cls(root)
+
+    def segments(self) -> list[Segment]:
+        """All segments that count now."""
+        shared = Shared(self.paths.reading)
+        try:
+            return self._listed()
+        finally:
+            shared.close()
+
+    def _listed(self) -> list[Segment]:
+        beneath = [] if self._beneath is None else listed(self._beneath)
+        return [*beneath, *listed(self.paths.segments)]
+
+    def writer(self, folder: Path, batch: str) -> Writer:
+        """A segment to be written in `folder` (in this store's file system) and then published."""
+        return Writer(folder, batch)
+
+    def publish(self, writer: Writer) -> bool:
+        """Make a written segment part of the store, whole; False if there was nothing in it."""
+        return writer.publish(self.paths.segments)
+
+    @contextlib.contextmanager
+    def beside(self, folder: Path | None = None) -> Iterator[Store]:
+        """A store with the segments that this one has now, to be written to instead of it; it is removed at the end.
+
+        It is made in `folder`, or where temporary files belong.
+        """
+        with disk_errors(folder or Path(tempfile.gettempdir())):
+            if folder is not None:
+                folder.mkdir(parents=True, exist_ok=True)
+            made = tempfile.TemporaryDirectory(prefix="sierra-beside-", dir=folder, ignore_cleanup_errors=True)
+        shared = Shared(self.paths.reading)  # until the end: nobody tidies segments up
+        try:
+            with made as root:
+                other = Store.create(Path(root, "store"))
+                other._beneath = self.paths.segments
+                yield other
+        finally:
+            shared.close()
+
+    # ------------------------------------------------------------ SQL
+
+    def sql(self, text: str, *, within: str | None = None, **parameters: Any) -> pa.Table:
+        """The answer to one statement as an Arrow table. Nothing but this store can be read, and nothing written.
+
+        `$name` in the statement takes its value from the keyword `name`. With `within`, a batch's id, members, runs and
+        outputs are those of that batch. Raises SqlError.
+        """
+        with self.ask(within) as question:
+            return question.sql(text, **parameters)
+
+    def ask(self, within: str | None = None) -> Question:
+        """A connection for several statements that all see the same state of the store, or of one batch in it."""
+        shared = Shared(self.paths.reading)
+        try:
+            return Question(self.paths.root, self._listed(), within, shared, beneath=self._beneath)
+        except BaseException:
+            shared.close()
+            raise
+
+    def rows(self, text: str, **parameters: Any) -> list[dict[str, Any]]:
+        """The answer to one statement, as a list of rows."""
+        rows: list[dict[str, Any]] = self.sql(text, **parameters).to_pylist()
+        return rows
+
+    def outputs(self) -> list[str]:
+        """The names of all tables that runs wrote."""
+        return outputs(self.segments())
+
+    # ------------------------------------------------------------ ids
+
+    def resolve(self, prefix: str) -> Found:
+        """What a beginning of an id (at least 4 digits) names. Raises NotFound."""
+        text = prefix.lower()
+        if not PREFIX.fullmatch(text):
+            raise NotFound(f"{prefix!r} is not an id: 4 to 64 hexadecimal digits, as `sierra ls` shows them")
+        with self.ask() as question:
+            found = question.sql(
+                "SELECT 'batch' AS kind, batch AS id, batch FROM batches WHERE starts_with(batch, $p) UNION "
+                "SELECT 'experiment', experiment, max(batch) FROM experiments WHERE starts_with(experiment, $p) GROUP BY ALL "
+                "UNION SELECT 'run', run, max(batch) FROM members WHERE starts_with(run, $p) GROUP BY ALL "
+                "UNION SELECT 'execution', execution, batch FROM executions WHERE starts_with(execution, $p) "
+                "ORDER BY 1, 2 LIMIT 20",
+                p=text,
+            ).to_pylist()
+        if not found:
+            raise NotFound(f"no batch, experiment, run or execution begins with {prefix!r}; sierra ls shows what there is")
+        if len(found) > 1:
+            shown = ", ".join(f"{row['id'][:16]} ({row['kind']})" for row in found[:6])
+            raise NotFound(f"{prefix!r} is ambiguous: {shown}{', …' if len(found) > 6 else ''}")
+        return Found(**found[0])
+
+    def object(self, digest: str) -> bytes:
+        """The content of a recorded file, by its SHA-256. Raises NotFound, Damaged."""
+        from sierra.util.hashing import sha256
+
+        rows = self.rows("SELECT DISTINCT ON (part) content FROM objects WHERE sha256 = $d ORDER BY part", d=digest)
+        if not rows:
+            raise NotFound(f"no recorded file has the SHA-256 {digest}")
+        content: bytes = b"".join(row["content"] for row in rows)
+        if sha256(content) != digest:
+            raise Damaged(f"the recorded file {digest} has other content than was recorded")
+        return content
+
+    def blob(self, blob: str) -> bytes | None:
+        """The content of a file of a source, by git's hash of it; None where only git has it. Raises NotFound, Damaged."""
+        rows = self.rows("SELECT sha256 FROM blobs WHERE blob = $b LIMIT 1", b=blob)
+        return self.object(rows[0]["sha256"]) if rows else None
+
+
+def check_free(root: Path) -> None:
+    """Raise Missing for a folder that has no store, and holds what is no part of one."""
+    paths = StorePaths(root)
+    held = sorted(path.name for path in root.iterdir()) if root.is_dir() else []
+    strange = [name for name in held if name not in paths.NAMES and not name.startswith(UNFINISHED)]
+    if paths.gitignore.is_file() and paths.gitignore.read_bytes() not in (b"", GITIGNORE):
+        strange.append(paths.gitignore.name)
+    if strange and not paths.format.exists():
+        raise Missing(
+            f"{root} holds other things ({strange[0]!r}) and no store; move them away, and sierra run makes a store there"
+        )
+
+
+class Question:
+    """One connection, on one state of the store; a context manager."""
+
+    def __init__(
+        self,
+        root: Path,
+        segments: Sequence[Segment],
+        within: str | None = None,
+        shared: Shared | None = None,
+        *,
+        beneath: Path | None = None,
+    ) -> None:
+        """`shared`: the lock that keeps these segments where they are, until the question is closed.
+
+        `beneath`: the folder of those that are another store's.
+        """
+        self._shared = shared
+        self._opened = Connection(StorePaths(root).segments, *([beneath] if beneath else []))
+        self.connection = self._opened.cursor
+        self.segments = segments
+        self.views = Views(self.connection, segments, within)
+        self._root = root
+
+    def __enter__(self) -> Question:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None = None, *_: object) -> None:
+        if kind is None:
+            self._opened.keep(self.views.made())
+        else:
+            self._opened.close()
+        if self._shared is not None:
+            self._shared.close()
+
+    def sql(self, text: str, **parameters: Any) -> pa.Table:
+        """The answer to one statement that only reads. Raises SqlError."""
+        import duckdb
+
+        try:
+            self._only_reads(text)
+            self.views.make(tables_of(text))
+            try:
+                answer = self._answer(text, parameters)
+            except duckdb.CatalogException:  # a table named in a way that `tables_of` does not see: main.runs
+                self.views.make()
+                answer = self._answer(text, parameters)
+            if answer is None:
+                raise SqlError("that statement has no answer; ask with SELECT, DESCRIBE, SUMMARIZE or SHOW TABLES")
+            table = apart(answer.to_arrow_table())
+            return table.replace_schema_metadata({NOTE: "; ".join(self.views.told)}) if self._noted(text) else table
+        except duckdb.Error as error:
+            raise self._wrong(error) from error
+
+    def _noted(self, text: str) -> bool:
+        """Whether what is to be known of columns belongs to an answer: not to a list of all tables."""
+        return bool(self.views.told) and tables_of(text) is not None
+
+    def _wrong(self, error: Exception) -> SierraError:
+        """What DuckDB complains of: the store's files, or the statement."""
+        import duckdb
+
+        if f"{self._root}/segments/" in plain(str(error)) and not isinstance(error, duckdb.PermissionException):
+            return Damaged(f"the store cannot be read: {explain(error)}")
+        return SqlError(explain(error))
+
+    def _answer(self, text: str, parameters: Mapping[str, Any]) -> Any:
+        return self.connection.sql(text, params=parameters) if parameters else self.connection.sql(text)
+
+    def _only_reads(self, text: str) -> None:
+        import duckdb
+
+        statements = self.connection.extract_statements(re.sub(r"(?is)^\s*explain\s+(analyze\s+)?", "", text))
+        if len(statements) != 1:
+            raise SqlError(f"ask one statement at a time; this is {len(statements)}")
+        if statements[0].type != duckdb.StatementType.SELECT:
+            raise SqlError(f"the store is only read here; {statements[0].type.name} is not a question")
+
+    def each(self, statement: str, parameters: Mapping[str, Any]) -> Iterator[tuple[Any, ...]]:
+        """The rows of a statement of SIERRA's own, of which there may be many, a few thousand in memory at a time."""
+        import duckdb
+
+        try:
+            answer = self.connection.execute(statement, parameters)
+            while rows := answer.fetchmany(4096):
+                yield from rows
+        except duckdb.Error as error:
+            raise self._wrong(error) from error
+
+    def cells(self, batch: str) -> dict[int, dict[str, Any]]:
+        """What is recorded of each experiment of a batch, by its place: its id, and the values of axes as they were given.
+
+        In the table `experiments`, a column has one type for all batches.
+        """
+        files = [s.files["experiments"] for s in self.segments if s.batch == batch[:12] and "experiments" in s.files]
+        if not files:
+            return {}
+        rows = self.connection.sql(
+            f"SELECT DISTINCT ON (ordinal) * FROM {read_parquet(files, union=True)} WHERE batch = $b ORDER BY ordinal",
+            params={"b": batch},
+        )
+        return {row["ordinal"]: row for row in rows.to_arrow_table().to_pylist()}
+
+    def register(self, name: str, table: Any) -> None:
+        """Make an Arrow table known to this connection by a name."""
+        self.connection.register(name, table)
+
+    def run(self, statement: str, parameters: Mapping[str, Any] | None = None) -> list[tuple[Any, ...]]:
+        """A statement of SIERRA's own, which may make temporary tables."""
+        import duckdb
+
+        self._opened.note(statement)
+        try:
+            rows: list[tuple[Any, ...]] = self.connection.execute(statement, parameters or {}).fetchall()
+        except duckdb.Error as error:
+            raise self._wrong(error) from error
+        return rows
+
+
+def apart(answer: pa.Table) -> pa.Table:
+    """The same; several columns of one name (`SELECT * FROM runs JOIN executions …`) are named as in a table: run, run_1."""
+    names: list[str] = []
+    for name in answer.column_names:
+        others = (f"{name}_{number}" for number in itertools.count(1))
+        names.append(
+            name if name not in names else next(other for other in others if other not in (*names, *answer.column_names))
+        )
+    return answer.rename_columns(names)
+
+
+__all__ = ["Found", "Question", "Store", "check_free", "read_parquet"]

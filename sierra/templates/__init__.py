@@ -1,0 +1,7 @@
+"""Template formats: one template becomes the input files of all runs."""
+
+from __future__ import annotations
+
+from sierra.templates.base import Template, formats, read
+
+__all__ = ["Template", "formats", "read"]

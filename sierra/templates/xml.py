@@ -1,0 +1,669 @@
+"""XML templates: any document, changed by XPath 1.0, rendered as it was written.
+
+**Paths** are XPath 1.0. Absolute ones begin at the document, relative ones at the root element. All matches are
+changed. Every prefix that is declared anywhere in the document can be used (its first declaration counts); the
+first default namespace has the prefix `_`, as in `//_:robot/@name`. What stands before and after the root
+element cannot be selected.
+
+**Kept byte for byte**: all before the root element and after it (byte order mark, XML declaration, doctype,
+comments, final newline); within it comments, processing instructions, CDATA, white space between tags, order
+of attributes, prefixes; the encoding (what it lacks is written as `&#8364;`); CRLF line ends, where all are; a number
+that is set to itself in another spelling (see `sierra.templates.numbers`).
+
+**Not kept**, as the parser does not tell: quotes around attributes (always `"`), white space within tags
+(`<a />` and `<a></a>` become `<a/>`), references to characters (`&#233;` becomes `é`, `&quot;` in a text `"`),
+line ends where CR, LF and CRLF are mixed, CDATA that is set or stands beside a removed element. A doctype keeps
+the root's old name where the root is renamed.
+
+**Hostile input**: nothing is loaded (no DTD, no external entity, no network, no XInclude), and a document that
+*declares* an entity is refused, so there is nothing to expand. A reference that an external DTD would explain
+stays as it is. libxml2's own limits (depth 256, 10 MB for one text) hold. A path that would be evaluated for
+longer than a limit is refused: see `sierra.templates.xpath_trial`.
+"""
+
+from __future__ import annotations
+
+import codecs
+import copy
+import difflib
+import re
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from lxml import etree
+
+from sierra.errors import ConfigError, TemplateError
+from sierra.model import Add, Change, Remove, Rename, Set, Value
+from sierra.templates import xpath_trial
+from sierra.templates.base import Renderer
+from sierra.templates.expressions import fill, names
+from sierra.templates.numbers import same
+from sierra.util.hashing import sha256
+
+Element = Any
+"""An `lxml.etree._Element`."""
+
+DEFAULT = "_"
+"""The prefix that paths give to the document's default namespace."""
+
+_XML = "http://www.w3.org/XML/1998/namespace"
+
+
+class XmlTemplate:
+    """The template format `xml`; see `sierra.templates.base.Template`."""
+
+    def __init__(self, data: bytes, name: str) -> None:
+        self.sha256 = sha256(data)
+        tree = parse(data, name)
+        self._document = XmlDocument(copy.deepcopy(tree.getroot()), _frame(data, tree.docinfo.encoding, name))
+
+    def find(self, path: str) -> tuple[str, ...]:
+        """The text of each match; of an element, what stands before its first child."""
+        return tuple(str(node) if isinstance(node, str) else str(node.text or "") for node in self._document.select(path))
+
+    def attributes(self) -> tuple[tuple[str, str], ...]:
+        return tuple(self._document.attributes())
+
+    def changed(self, changes: Sequence[Change], values: Mapping[str, Value]) -> XmlDocument:
+        return self._document.changed(changes, lambda text: fill(text, values))
+
+
+class XmlDocument:
+    """A root element, and the frame that it stands in; see `sierra.templates.base.Document`."""
+
+    def __init__(self, root: Element, frame: _Frame, namespaces: dict[str, str] | None = None) -> None:
+        self._root = root
+        self._frame = frame
+        self._namespaces = declarations(root) if namespaces is None else namespaces
+
+    def render(self) -> bytes:
+        return self._frame.around(self._body())
+
+    def per_run(self, changes: Sequence[Change]) -> Renderer:
+        self.changed(changes, _unfilled)
+        sets = [change for change in changes if isinstance(change, Set)]
+        if len(sets) == len(changes):
+            return self._gapped(sets)
+        changes = tuple(changes)
+        return lambda values: self.changed(changes, lambda text: fill(text, values)).render()
+
+    def changed(self, changes: Iterable[Change], filled: Callable[[str], str]) -> XmlDocument:
+        """A copy with the changes made, each of their texts as `filled` gives it."""
+        document = XmlDocument(copy.deepcopy(self._root), self._frame, self._namespaces)
+        for change in changes:
+            try:
+                document._make(change, filled)
+            except ValueError as error:  # what lxml says of names
+                raise self._frame.error(change, "cannot be changed", f": {_line(error)}") from error
+            except ConfigError as error:
+                raise ConfigError(f"{_who(change)}{error}") from error
+        return document
+
+    def select(self, path: str, who: str = "") -> list[Any]:
+        """The nodes that a path selects. Raises TemplateError where it is not a path to nodes."""
+        shown = _line(path)
+        if not xpath_trial.ends(path, self._namespaces, self._root):
+            raise TemplateError(
+                f"{who}{shown} takes more than {xpath_trial.LIMIT_S} s of computing in {self._frame.name}; "
+                "use a path that visits the document less often, with fewer // and .. within [ ]"
+            )
+        try:
+            found = etree.XPath(path, namespaces=self._namespaces, regexp=False)(self._root)
+        except (etree.XPathError, ValueError) as error:
+            known = f"; known prefixes are {', '.join(self._namespaces)}" if "prefix" in str(error) and self._namespaces else ""
+            raise TemplateError(f"{who}{shown} is not an XPath for {self._frame.name}: {_line(error)}{known}") from error
+        if not isinstance(found, list):
+            kind = {bool: "a boolean", float: "a number"}.get(type(found), "a string")
+            raise TemplateError(f"{who}{shown} gives {kind}, not what can be selected in {self._frame.name}")
+        if any(not isinstance(node, str) and not etree.iselement(node) for node in found):
+            raise TemplateError(f"{who}{shown} selects namespaces in {self._frame.name}; select elements, attributes or texts")
+        return found
+
+    def attributes(self) -> Iterator[tuple[str, str]]:
+        """Paths by tag, or by tag and name or id where there are several of a tag, with the values they select.
+
+        Attributes, and texts of elements that have no children.
+        """
+        counted = Counter(call for element in self._root.iter(etree.Element) for call in self._calls(element))
+        for element in self._root.iter(etree.Element):
+            place = next((call for call in self._calls(element) if counted[call] == 1 and self._alone(call)), None)
+            if place is None:
+                continue
+            for name, value in element.attrib.items():
+                yield f"{place}/@{self._qualified(name)}", value
+            if not len(element) and (element.text or "").strip():
+                yield place, element.text
+
+    def _calls(self, element: Element) -> list[str]:
+        """What paths may call an element: its tag, with its name, with its id."""
+        tag = f"//{self._qualified(element.tag)}"
+        named = [f"{tag}[@{key}='{element.get(key)}']" for key in ("name", "id") if "'" not in element.get(key, "'")]
+        return [tag, *named]
+
+    def _alone(self, call: str) -> bool:
+        """Whether a call that is written once selects one: a namespace without prefix is called as any other."""
+        return "local-name()" not in call or len(self._found(call)) == 1
+
+    def _body(self) -> str:
+        text: str = etree.tostring(self._root, encoding="unicode", with_tail=False)
+        return text
+
+    def _gapped(self, changes: Sequence[Set]) -> Renderer:
+        """The document in pieces, with gaps for what differs between runs: a run only fills these."""
+        mark = "gap"
+        while mark in self._body():
+            mark += "_"
+        document = XmlDocument(copy.deepcopy(self._root), self._frame, self._namespaces)
+        numbers: dict[_Gap, int] = {}
+        for number, change in enumerate(changes):
+            for place in document._places(change):
+                was = place.read()
+                before = re.fullmatch(f"{mark}:(\\d+):", was or "")
+                gap = _Gap(number, place.kind == "attribute", int(before[1]) if before else was)
+                place.write(f"{mark}:{numbers.setdefault(gap, len(numbers))}:")
+        texts = re.split(f"{mark}:(\\d+):", document._body())
+        frame, gaps = self._frame, tuple(numbers)
+        pieces = [frame.encoded(text) for text in texts[::2]]
+        following = list(zip(map(int, texts[1::2]), pieces[1:], strict=True))
+
+        def render(values: Mapping[str, Value]) -> bytes:
+            filled = [_filled(change, values, frame) for change in changes]
+            becomes: list[str] = []
+            for gap in gaps:
+                was = becomes[gap.was] if isinstance(gap.was, int) else gap.was
+                text = filled[gap.change]
+                becomes.append(text if was is None or not same(was, text) else was)
+            written = [frame.encoded(text.translate(_ESCAPES[gap.quoted])) for gap, text in zip(gaps, becomes, strict=True)]
+            parts = [frame.before, pieces[0]]
+            for number, piece in following:
+                parts += (written[number], piece)
+            return b"".join((*parts, frame.after))
+
+        return render
+
+    def _make(self, change: Change, filled: Callable[[str], str]) -> None:
+        match change:
+            case Set():
+                text = _legal(filled(change.value), change, self._frame)
+                for place in self._places(change):
+                    place.update(text)
+            case Add():
+                for parent in self._elements(change):
+                    _insert(parent, self._piece(change, parent, filled), self._index(change, parent))
+            case Remove():
+                for node in self._matches(change):
+                    self._remove(node, change)
+            case Rename():
+                to = filled(change.to) if _ONE_NAME.fullmatch(change.to) else change.to
+                for element in self._elements(change):
+                    element.tag = self._clark(to, element, change, etree.QName(element).namespace)
+        if isinstance(change, Add | Rename):
+            self._namespaces = declarations(self._root)
+
+    def _matches(self, change: Change) -> list[Any]:
+        """All that a change selects: as many as it expects, at least one."""
+        found = self.select(change.path, _who(change))
+        if isinstance(change, Set) and not change.attribute:  # a text and the CDATA beside it are one
+            found = list({_place(node) or node: node for node in found}.values())
+        if not found:
+            raise self._frame.error(change, "matches nothing", _line(self._nearest(change.path)))
+        if change.expect is not None and len(found) != change.expect:
+            raise self._frame.error(change, f"matches {len(found)}", f", not {change.expect} as expected")
+        return found
+
+    def _elements(self, change: Change) -> list[Element]:
+        found = self._matches(change)
+        for node in found:
+            if isinstance(node, str) or not isinstance(node.tag, str):
+                raise self._unfit(change, node, "elements")
+        return found
+
+    def _unfit(self, change: Change, node: Any, wanted: str) -> TemplateError:
+        verb = {Set: "set", Add: "add", Remove: "remove", Rename: "rename"}[type(change)]
+        return self._frame.error(change, f"selects {_kind(node)}", f"; this {verb} is for {wanted}")
+
+    def _places(self, change: Set) -> list[_Place]:
+        """Where a `Set` writes."""
+        if change.attribute is not None:
+            attribute = change.attribute
+            return [_Place(e, "attribute", self._clark(attribute, e, change)) for e in self._elements(change)]
+        places = []
+        for node in self._matches(change):
+            place = _place(node)
+            if place is None:
+                raise self._unfit(change, node, "elements, attributes and texts")
+            places.append(place)
+        return places
+
+    def _remove(self, node: Any, change: Remove) -> None:
+        if isinstance(node, str):
+            if not node.is_attribute:  # type: ignore[attr-defined]
+                raise self._unfit(change, node, "elements and attributes")
+            del node.getparent().attrib[node.attrname]  # type: ignore[attr-defined]
+        elif node is self._root:
+            raise self._frame.error(change, "selects the root element", ", which must stay")
+        else:
+            _take_out(node)
+
+    def _clark(self, name: str, element: Element, change: Change, namespace: str | None = None) -> str:
+        """`p:name` or `name` as `{uri}name`. Raises TemplateError for an unknown prefix."""
+        if name.startswith("{"):
+            return name
+        prefix, colon, local = name.rpartition(":")
+        known = {"xml": _XML, **self._namespaces, **element.nsmap}
+        if "xmlns" in (prefix, local):
+            raise self._frame.error(change, f"cannot get the attribute {name!r}", "; it declares a namespace: write it there")
+        if colon and prefix not in known:
+            prefixes = ", ".join(other for other in known if other)
+            raise self._frame.error(change, f"cannot get {name!r}: its prefix is not declared", f"; known are {prefixes}")
+        uri = known[prefix] if prefix else namespace
+        if self._frame.lacks(local):
+            raise self._frame.error(
+                change, f"cannot get {name!r}", f"; its encoding {self._frame.codec} lacks characters of it"
+            )
+        return f"{{{uri}}}{local}" if uri else local
+
+    def _piece(self, change: Add, parent: Element, filled: Callable[[str], str]) -> Element:
+        """The new child, read as if it stood in `parent`."""
+        declared = {**self._namespaces, **parent.nsmap}
+        wrapper = etree.tostring(etree.Element("_", nsmap=declared), encoding="unicode").removesuffix("/>")
+        xml = _legal(change.xml, change, self._frame)
+        if self._frame.lacks(xml):
+            raise self._frame.error(
+                change, f"cannot get {xml!r}", f", whose encoding is {self._frame.codec}; write &#8364; for €"
+            )
+        try:
+            wrapped = etree.fromstring(f"{wrapper}>{xml}</_>".encode(), _parser())
+        except etree.XMLSyntaxError as error:
+            raise self._frame.error(change, f"cannot get {xml!r}", f": not XML: {_reason(error)}") from error
+        content = [node for node in wrapped.xpath("node()") if not isinstance(node, str) or node.strip()]
+        if len(content) != 1 or isinstance(content[0], str) or not isinstance(content[0].tag, str):
+            raise self._frame.error(change, f"cannot get {xml!r}", "; what can be added is one element")
+        piece = content[0]
+        piece.tail = None
+        _fill_all(piece, lambda text: _legal(filled(text), change, self._frame))
+        return piece
+
+    def _index(self, change: Add, parent: Element) -> int:
+        """Where among all children, comments included, the new one goes; `at` counts elements."""
+        if change.at is None:
+            return len(parent)
+        indices = [index for index, child in enumerate(parent) if isinstance(child.tag, str)]
+        if not 0 <= change.at <= len(indices):
+            raise self._frame.error(change, f"has {len(indices)} child elements", f", so there is no place at={change.at}")
+        return indices[change.at] if change.at < len(indices) else len(parent)
+
+    def _nearest(self, path: str) -> str:
+        """The most similar path that matches, found by mending one step after the other."""
+        good = ""
+        for step in _steps(path):
+            if self._found(good + step):
+                good += step
+                continue
+            mended = self._mended(good, step)
+            if mended is None:
+                return self._inventory(good, step)
+            good += mended
+        return f"; nearest is {good}"
+
+    def _found(self, path: str) -> list[Any]:
+        try:
+            return self.select(path)
+        except TemplateError:
+            return []
+
+    def _mended(self, good: str, step: str) -> str | None:
+        match = _SIMPLE_STEP.fullmatch(step)
+        if not match:
+            return None
+        slash, at, name, predicates = match.groups()
+        if predicates and self._found(good + (bare := slash + at + name)):
+            return self._mended_predicate(good, bare, predicates)
+        for way in (slash, "//") if not at else (slash,):
+            close = _closest(name, self._names(good, way, at))
+            if close:
+                return self._with(good, way + at + close, predicates)
+        return None
+
+    def _with(self, good: str, bare: str, predicates: str) -> str:
+        if not predicates or self._found(good + bare + predicates):
+            return bare + predicates
+        return self._mended_predicate(good, bare, predicates)
+
+    def _mended_predicate(self, good: str, bare: str, predicates: str) -> str:
+        """`[@name='x']` with the most similar value that exists; other predicates are left out."""
+        match = _SIMPLE_PREDICATE.fullmatch(predicates)
+        values = [str(value) for value in self._found(f"{good}{bare}/@{match[1]}")] if match else []
+        close = _closest(match[2][1:-1], values) if match else None
+        if match is None or close is None or ("'" in close and '"' in close):
+            return bare
+        quote = '"' if "'" in close else "'"
+        return f"{bare}[@{match[1]}={quote}{close}{quote}]"
+
+    def _inventory(self, good: str, step: str) -> str:
+        """What there is where a step finds nothing."""
+        at = "@" if step.lstrip("/").startswith("@") else ""
+        way = re.match("/{0,2}", step)[0]  # type: ignore[index]
+        there = [at + name for name in self._names(good, way, at)]
+        if not there:
+            return f"; {good} is the part that does match" if good else ""
+        more = ", …" if len(there) > 8 else ""
+        return f"; {f'{good} has' if good else 'there are'} {', '.join(there[:8])}{more}"
+
+    def _names(self, good: str, way: str, at: str) -> list[str]:
+        """The different names of what stands one step from a path, in document order."""
+        nodes = self._found(f"{good}{way}{at}*")
+        return list(dict.fromkeys(self._qualified(node.attrname if at else node.tag) for node in nodes))
+
+    def _qualified(self, clark: str) -> str:
+        """A name as a path writes it."""
+        name = etree.QName(clark)
+        if not name.namespace:
+            return str(name.localname)
+        known = [("xml", _XML), *self._namespaces.items()]
+        prefix = next((prefix for prefix, uri in known if uri == name.namespace), None)
+        return f"{prefix}:{name.localname}" if prefix else f"*[local-name()='{name.localname}']"
+
+
+# What stands around the root element
+
+
+@dataclass(frozen=True, slots=True)
+class _Frame:
+    """What stands around the root element, and how text becomes bytes there."""
+
+    name: str
+    before: bytes
+    after: bytes
+    codec: str
+    crlf: bool
+
+    def around(self, body: str) -> bytes:
+        return self.before + self.encoded(body) + self.after
+
+    def encoded(self, body: str) -> bytes:
+        """XML as bytes. What the encoding lacks becomes a reference, so it must not stand in names or comments."""
+        return (body.replace("\n", "\r\n") if self.crlf else body).encode(self.codec, "xmlcharrefreplace")
+
+    def error(self, change: Change, what: str, more: str) -> TemplateError:
+        """A message on one line: who asks, for which path, what is wrong with it in this template."""
+        return TemplateError(f"{_who(change)}{_line(change.path)} {what} in {self.name}{more}")
+
+    def lacks(self, text: str) -> bool:
+        try:
+            text.encode(self.codec)
+        except UnicodeEncodeError:
+            return True
+        return False
+
+
+_MARKS = (
+    (codecs.BOM_UTF8, "utf-8"),
+    (codecs.BOM_UTF16_LE, "utf-16-le"),
+    (codecs.BOM_UTF16_BE, "utf-16-be"),
+)
+_UNMARKED = ((b"<\0", "utf-16-le"), (b"\0<", "utf-16-be"))
+_SKIPPED = r"<!--.*?-->|<\?.*?\?>"
+_QUOTED = r""" "[^"]*" | '[^']*' """
+_MARKUP = re.compile(
+    rf"""{_SKIPPED} | <!\[CDATA\[.*?\]\]>
+    | (?P<doctype> <!DOCTYPE (?: [^\[\]<>"'] | {_QUOTED} | \[ (?: {_SKIPPED} | {_QUOTED} | [^\]"'] )*+ \] )*+ > )
+    | (?P<tag> <[^!?] (?: [^<>"'] | {_QUOTED} )*+ > )""",
+    re.DOTALL | re.VERBOSE,
+)
+"""The markup of a document that is known to be well formed."""
+_ENTITY = re.compile(rf"{_SKIPPED} | {_QUOTED} | <!ENTITY\s+(?P<name>(?:%\s+)?[^\s]+)", re.DOTALL | re.VERBOSE)
+
+
+def _frame(data: bytes, encoding: str | None, name: str) -> _Frame:
+    """Raises TemplateError where entities are declared, or text and bytes cannot be told apart."""
+    mark, codec = next(((m, c) for m, c in _MARKS if data.startswith(m)), (b"", ""))
+    codec = codec or next((c for start, c in _UNMARKED if data.startswith(start)), encoding or "utf-8")
+    try:
+        text = data.removeprefix(mark).decode(codec)
+        same = mark + text.encode(codec) == data and "\0" not in text  # as UTF-32 read as UTF-16 would have
+    except (LookupError, UnicodeError):
+        same = False
+    if not same:
+        raise TemplateError(f"{name}: cannot be kept in its encoding {codec}; save it as UTF-8")
+    markup = list(_MARKUP.finditer(text))
+    for doctype in markup:
+        _refuse_entities(doctype["doctype"] or "", name)
+    tags = [match.span() for match in markup if match["tag"]]
+    before, after = text[: tags[0][0]], text[tags[-1][1] :]
+    crlf = "\r\n" in text and not re.search(r"\r(?!\n)|(?<!\r)\n", text)
+    return _Frame(name, mark + before.encode(codec), after.encode(codec), codec, crlf)
+
+
+def _refuse_entities(doctype: str, name: str) -> None:
+    for match in _ENTITY.finditer(doctype):
+        if match["name"]:
+            raise TemplateError(f"{name}: declares the entity {match['name']!r}; SIERRA expands none, write out its text")
+
+
+# Reading
+
+
+def _parser() -> Any:
+    return etree.XMLParser(
+        resolve_entities=False,
+        load_dtd=False,
+        dtd_validation=False,
+        attribute_defaults=False,
+        no_network=True,
+        huge_tree=False,
+        strip_cdata=False,
+        remove_blank_text=False,
+    )
+
+
+def parse(data: bytes, name: str) -> Any:
+    """A document as lxml has it; nothing but `data` is read. Raises TemplateError where it is not XML."""
+    try:
+        return etree.fromstring(data, _parser()).getroottree()
+    except etree.XMLSyntaxError as error:
+        line, column = error.position
+        raise TemplateError(f"{name}:{line}:{column}: not XML: {_reason(error)}") from error
+
+
+def _reason(error: Exception) -> str:
+    return re.sub(r", line \d+, column \d+.*$", "", _line(getattr(error, "msg", None) or "the document is empty"))
+
+
+def declarations(root: Element) -> dict[str, str]:
+    """What prefixes mean in paths: the first declaration of each."""
+    found: dict[str, str] = {}
+    for _, (prefix, uri) in etree.iterwalk(root, events=("start-ns",)):
+        if uri and prefix != "xml":
+            found.setdefault(prefix or DEFAULT, uri)
+    return found
+
+
+# Writing
+
+
+@dataclass(frozen=True, slots=True)
+class _Place:
+    """Where a text stands: an attribute, what comes first in an element, or what follows one."""
+
+    element: Element
+    kind: Literal["attribute", "text", "tail"]
+    name: str = ""
+
+    def read(self) -> str | None:
+        """Return the text; None for an attribute that is not there yet."""
+        match self.kind:
+            case "attribute":
+                found = self.element.get(self.name)
+            case "text":
+                found = self.element.text or ""
+            case "tail":
+                found = self.element.tail or ""
+        return None if found is None else str(found)
+
+    def update(self, text: str) -> None:
+        """Write a text, unless what is there spells the same number."""
+        was = self.read()
+        if was is None or not same(was, text):
+            self.write(text)
+
+    def write(self, text: str) -> None:
+        match self.kind:
+            case "attribute":
+                self.element.set(self.name, text)
+            case "text":
+                self.element.text = text
+            case "tail":
+                self.element.tail = text
+
+
+@dataclass(frozen=True, slots=True)
+class _Gap:
+    """What a run fills in: by which change, whether within quotes, and what stood there."""
+
+    change: int
+    quoted: bool
+    was: str | int | None
+    """A text, the number of an earlier gap, or nothing."""
+
+
+def _place(node: Any) -> _Place | None:
+    """Where a selected node's text stands; None for comments and the like."""
+    if not isinstance(node, str):
+        return _Place(node, "text") if isinstance(node.tag, str) else None
+    selected: Any = node
+    if selected.is_attribute:
+        return _Place(selected.getparent(), "attribute", selected.attrname)
+    return _Place(selected.getparent(), "tail" if selected.is_tail else "text")
+
+
+def _kind(node: Any) -> str:
+    if isinstance(node, str):
+        return "attributes" if node.is_attribute else "texts"  # type: ignore[attr-defined]
+    return "elements" if isinstance(node.tag, str) else "comments or processing instructions"
+
+
+def _take_out(element: Element) -> None:
+    """Remove an element and the line it stood on; what follows it stays."""
+    parent, previous, after = element.getparent(), element.getprevious(), element.tail or ""
+    before = (parent.text if previous is None else previous.tail) or ""
+    kept = before + after
+    if not kept.strip() and "\n" in kept:
+        kept = after if "\n" in after else before
+    parent.remove(element)
+    if kept == before:
+        return
+    if previous is None:
+        parent.text = kept
+    else:
+        previous.tail = kept
+
+
+def _insert(parent: Element, new: Element, index: int) -> None:
+    """Put a new child in, indented as its siblings are."""
+    inner = parent.text or ""
+    if len(parent) and _indents(inner):
+        last = parent[-1]
+        if index < len(parent):
+            new.tail = inner
+        elif _indents(last.tail or ""):
+            new.tail, last.tail = last.tail, inner
+    elif not len(parent) and not inner.strip() and _indents(outer := _before(parent)):
+        outer = "\n" + outer.rpartition("\n")[2]
+        unit = outer.removeprefix("\n" + _before(parent.getparent()).rpartition("\n")[2]) or "  "
+        parent.text, new.tail = outer + unit, outer
+    parent.insert(index, new)
+
+
+def _indents(text: str) -> bool:
+    return "\n" in text and not text.strip()
+
+
+def _before(element: Element) -> str:
+    """The text before an element."""
+    if element.getparent() is None:
+        return ""
+    previous = element.getprevious()
+    return (element.getparent().text if previous is None else previous.tail) or ""
+
+
+def _fill_all(piece: Element, filled: Callable[[str], str]) -> None:
+    """Fill all attributes and texts of an element, after it was parsed: a value can't become markup."""
+    for node in piece.iter():
+        if isinstance(node.tag, str):
+            for name, value in node.attrib.items():
+                node.set(name, filled(value))
+            if node.text and (text := filled(node.text)) != node.text:
+                node.text = text
+        if node.tail and (text := filled(node.tail)) != node.tail:
+            node.tail = text
+
+
+_IN_TEXT = str.maketrans({"&": "&amp;", "<": "&lt;", ">": "&gt;", "\r": "&#13;"})
+_IN_ATTRIBUTE = _IN_TEXT | str.maketrans({'"': "&quot;", "\n": "&#10;", "\t": "&#9;"})
+_ESCAPES = (_IN_TEXT, _IN_ATTRIBUTE)
+"""As libxml2 writes it: in a text, and (index True) in an attribute."""
+_ILLEGAL = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+"""XML 1.0, production 2."""
+
+
+def _legal(text: str, change: Change, frame: _Frame) -> str:
+    if wrong := _ILLEGAL.search(text):
+        raise frame.error(change, f"cannot get a text with U+{ord(wrong[0]):04X}", ": XML cannot hold it")
+    return text
+
+
+def _filled(change: Set, values: Mapping[str, Value], frame: _Frame) -> str:
+    try:
+        return _legal(fill(change.value, values), change, frame)
+    except ConfigError as error:
+        raise ConfigError(f"{_who(change)}{error}") from error
+
+
+def _unfilled(text: str) -> str:
+    """A text as it stands, once it is known that it can be filled."""
+    names(text)
+    return text
+
+
+# Messages
+
+
+_ONE_NAME = re.compile(r"\{[A-Za-z_]\w*\}")
+"""`{controller}`; any other `{…}` in a tag is a namespace."""
+_SIMPLE_STEP = re.compile(r"(/{0,2})(@?)([^\s/@*.\[\]()|]+)((?:\[.*\])?)", re.DOTALL)
+_SIMPLE_PREDICATE = re.compile(r"""\[\s*@([\w:.-]+)\s*=\s*("[^"]*"|'[^']*')\s*\]""")
+
+
+def _steps(path: str) -> list[str]:
+    """`//swarm/@count` as `//swarm` and `/@count`."""
+    steps, depth, quote = [""], 0, ""
+    for character in path.strip():
+        if quote or character in "\"'":
+            quote = "" if character == quote else quote or character
+        elif character in "[(":
+            depth += 1
+        elif character in "])":
+            depth -= 1
+        elif character == "/" and not depth and steps[-1].strip("/"):
+            steps.append("")
+        steps[-1] += character
+    return steps
+
+
+def _closest(name: str, known: list[str]) -> str | None:
+    """The most similar name; one that differs only in its prefix first."""
+    local = name.rpartition(":")[2]
+    same = [other for other in known if other.rpartition(":")[2] == local]
+    return next(iter(same or difflib.get_close_matches(name, known, 1)), None)
+
+
+def _who(change: Change) -> str:
+    return f"{_line(change.why)}: " if change.why else ""
+
+
+def _line(text: object) -> str:
+    """On one line, whatever it holds."""
+    return "".join(c if c.isprintable() else c.encode("unicode_escape", "backslashreplace").decode() for c in str(text))

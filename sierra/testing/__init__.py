@@ -1,0 +1,1 @@
+"""Conformance suites: what every plug-in must hold to, for the tests of its author."""

@@ -1,0 +1,566 @@
+"""What every engine must hold to, as functions that a plug-in's author calls from tests of their own.
+
+    from sierra.containers.engines.base import conformance
+
+    def test_it_is_an_engine(tmp_path):
+        conformance.check(MyEngine(), image, project, tmp_path)
+
+`image` is a pinned `sierra.containers.images.Image` of the project at `project` (a path) that has `sh`, `cat` and `sleep`, as
+every busybox has; None stands for no image, where an engine contains nothing. It is the real program that is
+held to it: containers are started, asked to end, and killed. Each claim is one function of a `Trial`, and can be called
+alone. What does not hold raises AssertionError with one line, whether Python runs with `-O` or not.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import secrets
+import signal
+import subprocess
+import time
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+
+from sierra.containers.engines.base import HOSTNAME, INSIDE, WRITABLE, Abilities, Box, Engine, Mount, Process
+from sierra.containers.images import Image, Kind
+from sierra.model import Client, Result
+from sierra.store.layout import RUN_HOME, RUN_OUTPUT, RUN_TMP, StorePaths
+from sierra.worker import processes
+
+PATIENCE_S = 30.0
+SOON_S = 15.0
+"""What is waited for that comes at once, if it comes; both are less than the programs of these claims would last."""
+GRACE_S = 0.3
+WORDS = ("", "a b", " c ", "d\ne", "'f'", '"g"', "$HOME", "`h`", "i\\j", "*", "-k", "ü", "--", "a=b,c=d")
+VALUES = {
+    "PLAIN": "1",
+    "EMPTY": "",
+    "COMMAS": "a,b=c,d",
+    "QUOTES": 'it\'s "so"',
+    "LINES": "one\ntwo\n",
+    "DOLLAR": "$HOME `id` \\n \\u000A $",
+    "BLANKS": "  two  blanks  ",
+    "LD_LIBRARY_PATH": "/nowhere",
+}
+CANARY = "SIERRA_NOBODY_GIVES_THIS_TO_A_CONTAINER"
+ODD = ("a b", "c,d", "e:f", "it's", "g$h", "i\\j", "k=l", "ü")
+"""Names of folders in which a run may be."""
+ODDER = ('m"n', "o\np")
+"""Names that an engine may refuse, if it says so."""
+FILL = "sh -c 'x=0123456789abcdef; i=0; while test $i -lt 24; do x=$x$x; i=$((i + 1)); done'; echo all"
+"""A script whose part needs 256 MiB, and that takes no notice of what becomes of it."""
+LOOK = """
+echo "user $(cat /proc/self/uid_map)"
+echo "host $(cat /proc/sys/kernel/hostname)"
+while read -r name value; do echo "status $name $value"; done < /proc/self/status
+while read -r name _; do case $name in *:*) echo "card $name" ;; esac; done < /proc/net/dev
+for process in /proc/[0-9]*; do echo "process $process"; done
+for file in /x /bin/x /etc/x "$SIERRA_RUN_DIR/x" "$SIERRA_RUN_DIR/input"; do
+    (: >> "$file") 2>/dev/null && echo "wrote $file"
+done
+for file in "$HOME/x" "$TMPDIR/x" ./x; do (: >> "$file") 2>/dev/null || echo "refused $file"; done
+echo "input $(cat "$SIERRA_RUN_DIR/input")"
+echo "folder $(pwd)"
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Started:
+    """A container that was started, and the files of its run."""
+
+    client: Client
+    process: subprocess.Popen[bytes]
+    folder: Path
+    execution: str
+
+    def left(self) -> list[int]:
+        """Processes of the run that are still there."""
+        return sorted(processes.marked({f"SIERRA_EXECUTION={self.execution}".encode()}))
+
+    def said(self) -> str:
+        return (self.folder / "stdout").read_text(errors="replace")
+
+    def until_it_says(self, word: str) -> None:
+        _wait(lambda: word in self.said() or self.process.poll() is not None, f"it never said {word!r}")
+        time.sleep(GRACE_S)  # a client may pass signals on only a moment after its container has begun, as podman's does
+        _holds(word in self.said(), f"it ended before it said {word!r}: {(self.folder / 'stderr').read_text(errors='replace')}")
+
+    def signal(self, number: int) -> None:
+        """Signal the client's group, as a worker does."""
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(self.process.pid, number)
+
+    def stop(self) -> None:
+        """Do what a worker does where a client is gone."""
+        if self.client.stop:
+            subprocess.run(self.client.stop, env=self.client.environment, capture_output=True, timeout=PATIENCE_S, check=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Ended:
+    """A container that has ended."""
+
+    result: Result
+    out: bytes
+    err: bytes
+    folder: Path
+
+
+@dataclass
+class Trial:
+    """An engine with an image to hold to the contract."""
+
+    engine: Engine
+    image: Image | None
+    root: Path
+    folder: Path
+    session: str = field(default_factory=lambda: f"trial-{secrets.token_hex(8)}")
+
+    @cached_property
+    def able(self) -> Abilities:
+        return self.engine.probe()
+
+    @cached_property
+    def reference(self) -> str:
+        return self.engine.prepare(self.image, self.root, StorePaths(self.folder / "store")) if self.image else ""
+
+    @property
+    def contains(self) -> bool:
+        return self.image is not None
+
+    def box(self) -> Box:
+        nothing = Image("none", "sha256:" + "0" * 64, Kind.OCI, "", (), {})
+        return Box(self.image or nothing, self.reference, self.session)
+
+    def start(
+        self,
+        *argv: str,
+        box: Box | None = None,
+        variables: Mapping[str, str] | None = None,
+        name: str = "",
+        said: str | None = None,
+    ) -> Started:
+        """Start a process in a container of its own, in a new folder; `said` is written to its standard input."""
+        execution = secrets.token_hex(8)
+        folder = self.folder / (name or execution)
+        for one in (RUN_OUTPUT, RUN_HOME, RUN_TMP):
+            (folder / one).mkdir(parents=True)
+        (folder / "input").write_text("given")
+        here = f"{INSIDE}/run" if self.contains else str(folder)
+        mounts = [Mount("\0", here), *(Mount(f"\0/{one}", f"{here}/{one}", writable=True) for one in (RUN_OUTPUT, RUN_HOME))]
+        temporary = "/tmp" if self.contains else f"{folder}/{RUN_TMP}"  # noqa: S108 - the container's own
+        mounts.append(Mount(f"\0/{RUN_TMP}", temporary, writable=True))
+        given = variables or {}
+        own = {"HOME": f"{here}/{RUN_HOME}", "TMPDIR": temporary, "SIERRA_RUN_DIR": here, "SIERRA_EXECUTION": execution}
+        environment = {"PATH": os.defpath + ":/usr/sbin:/sbin", **own, "SIERRA_SESSION": self.session, **given}
+        process = Process(argv, environment, tuple(mounts), f"{here}/{RUN_OUTPUT}", interactive=said is not None)
+        client = _in(folder, self.engine.client(box or self.box(), process))
+        with (folder / "stdout").open("wb") as out, (folder / "stderr").open("wb") as err:
+            started = subprocess.Popen(
+                client.argv,
+                stdin=subprocess.DEVNULL if said is None else subprocess.PIPE,
+                stdout=out,
+                stderr=err,
+                cwd=folder / RUN_OUTPUT,
+                env=client.environment,
+                start_new_session=True,
+            )
+        if said is not None and started.stdin:
+            with started.stdin as pipe:
+                pipe.write(said.encode())
+        return Started(client, started, folder, execution)
+
+    def end(self, started: Started, *, seconds: float = PATIENCE_S, stopped: str | None = None) -> Ended:
+        """Wait for the end of a container, and say what became of it."""
+        try:
+            status = started.process.wait(seconds)
+        except subprocess.TimeoutExpired:
+            started.signal(signal.SIGKILL)
+            started.process.wait()
+            started.stop()
+            raise AssertionError(f"{started.client.argv[-1]!r} did not end within {seconds:.0f} s") from None
+        code, number = (status, None) if status >= 0 else (None, -status)
+        result = Result("", "", "", 0.0, 0.0, code, number, stopped, None, None, None, "", 0, ())
+        out, err = ((started.folder / name).read_bytes() for name in ("stdout", "stderr"))
+        enforced = frozenset(self.box_of_limits().limits) & self.able.enforced
+        return Ended(self.engine.classify(result, err.decode(errors="replace"), enforced), out, err, started.folder)
+
+    def run(self, *argv: str, box: Box | None = None, variables: Mapping[str, str] | None = None, name: str = "") -> Ended:
+        return self.end(self.start(*argv, box=box, variables=variables, name=name))
+
+    def script(self, text: str, *words: str, box: Box | None = None) -> Ended:
+        return self.run("sh", "-c", text, "sh", *words, box=box)
+
+    def box_of_limits(self) -> Box:
+        """A box with all limits, of which memory is 32 MiB."""
+        return replace(self.box(), memory=32 << 20, cpus=0.5, pids=50)
+
+    @cached_property
+    def look(self) -> list[tuple[str, str]]:
+        """What a process sees around it, each with its kind."""
+        ended = self.script(LOOK)
+        _holds(ended.result.exit_code == 0, f"looking around ended so: {ended.result.error or ended.result}")
+        return [line.partition(" ")[::2] for line in ended.out.decode().splitlines()]
+
+    def saw(self, kind: str) -> list[str]:
+        return [what for name, what in self.look if name == kind]
+
+
+def check(engine: Engine, image: Image | None, project: Path, folder: Path) -> None:
+    """All claims; `folder` is an empty one, for the runs."""
+    trial = Trial(engine, image, project, folder)
+    try:
+        for claim in CLAIMS if image else APPLY_WITHOUT_AN_IMAGE:
+            claim(trial)
+    finally:
+        engine.sweep([trial.session])
+
+
+def says_what_it_can(trial: Trial) -> None:
+    """It works here, says its version in one line, and says the same when asked again, at once."""
+    able = trial.able
+    _holds(not able.trouble, able.trouble)
+    _is_one_line(able.version)
+    took = []
+    for _ in range(3):  # what it depends on may change meanwhile, as users come and go
+        began = time.monotonic()
+        _holds(trial.engine.probe() == able, "another answer when asked again")
+        took.append(time.monotonic() - began)
+    _holds(min(took) < 1, "it looked again, though nothing has changed")
+    _holds(able.enforced <= {"memory", "cpus", "pids"}, f"unknown limits: {sorted(able.enforced)}")
+
+
+def prepares_once(trial: Trial) -> None:
+    """What is ready stays so: asked again, it is called the same, and that is quick."""
+    if trial.image is None:
+        return
+    first, began = trial.reference, time.monotonic()
+    again = trial.engine.prepare(trial.image, trial.root, StorePaths(trial.folder / "store"))
+    _holds(again == first, f"the image is called {first!r}, then {again!r}")
+    _holds(time.monotonic() - began < SOON_S, "preparing what is ready took its time")
+
+
+def ends_with_the_programs_status(trial: Trial) -> None:
+    """Also those that engines use themselves."""
+    for status in (0, 3, 125, 126, 127, 255):
+        result = trial.script(f"exit {status}").result
+        _holds((result.exit_code, result.error) == (status, None), f"status {status} became {result.exit_code}, {result.error}")
+
+
+def tells_the_programs_signal(trial: Trial) -> None:
+    """A program that a signal ended has no status."""
+    for number in (signal.SIGSEGV, signal.SIGTERM, signal.SIGABRT):
+        result = trial.script(f"kill -{number.value} $$; sleep 9").result
+        _holds((result.exit_code, result.signal) == (None, number), f"{number.name} became {result}")
+        _holds(result.error is None, f"{number.name} became an error: {result.error}")
+
+
+def passes_words_as_they_are(trial: Trial) -> None:
+    """No word of a command is evaluated, split or lost."""
+    ended = trial.script('printf "<%s>" "$@"', *WORDS)
+    wanted = "".join(f"<{word}>" for word in WORDS)
+    _holds(ended.out.decode() == wanted, f"{wanted!r} became {ended.out.decode(errors='replace')!r}")
+
+
+def passes_the_environment_exactly(trial: Trial) -> None:
+    """Every value as it is, and none of the caller's."""
+    os.environ[CANARY] = "1"
+    try:
+        ended = trial.run("cat", "/proc/self/environ", variables=VALUES)
+    finally:
+        del os.environ[CANARY]
+    seen = dict(entry.split("=", 1) for entry in ended.out.decode().split("\0") if "=" in entry)
+    for name, value in VALUES.items():
+        _holds(seen.get(name) == value, f"the variable {name} is {seen.get(name)!r}, not {value!r}")
+    _holds(seen.get("HOME", "").endswith(f"/{RUN_HOME}"), f"HOME is {seen.get('HOME')!r}, not the run's")
+    given = {*VALUES, "PATH", "HOME", "TMPDIR", "SIERRA_RUN_DIR", "SIERRA_EXECUTION", "SIERRA_SESSION"}
+    leaked = {name for name in seen.keys() - given if os.environ.get(name) == seen[name] or name == CANARY}
+    _holds(not leaked, f"variables of the caller's are seen: {sorted(leaked)}")
+
+
+def keeps_output_apart(trial: Trial) -> None:
+    """Standard output and error are the program's alone, to the byte."""
+    ended = trial.script(r"printf 'out\000\377\n'; printf 'err' >&2")
+    _holds(ended.out == b"out\0\xff\n", f"standard output became {ended.out!r}")
+    _holds(ended.err == b"err", f"standard error became {ended.err!r}")
+
+
+def passes_standard_input(trial: Trial) -> None:
+    """A process that is interactive reads what its client is given; another reads nothing."""
+    if trial.contains:
+        ended = trial.end(trial.start("cat", said="a\nb"))
+        _holds(ended.out == b"a\nb", f"what was written to it became {ended.out!r}")
+    _holds(trial.run("cat").out == b"", "there is something on its standard input")
+
+
+def begins_in_its_folder(trial: Trial) -> None:
+    """That is where outputs are written, and whose they are is the caller."""
+    ended = trial.script("pwd; echo done > file; mkdir folder")
+    _holds(ended.out.decode().strip().endswith(f"/{RUN_OUTPUT}"), f"it begins in {ended.out.decode().strip()}")
+    for name in ("file", "folder"):
+        path = ended.folder / RUN_OUTPUT / name
+        _holds(path.exists(), f"the output {name} is not there")
+        _holds(path.stat().st_uid == os.geteuid(), f"the output {name} belongs to user {path.stat().st_uid}")
+
+
+def leaves_nothing_on_the_host(trial: Trial) -> None:
+    """What it writes elsewhere was the container's own: where runs share one, what they leave there is removed."""
+    if trial.contains:
+        name = f"sierra-{secrets.token_hex(8)}"
+        trial.script(f'for place in {" ".join(WRITABLE)}; do : > "$place/{name}"; done 2>/dev/null')
+        left = [place for place in WRITABLE if Path(place, name).exists()]
+        _holds(not left, f"what it wrote in {left} is on the host")
+
+
+def has_no_network(trial: Trial) -> None:
+    """Unless it is asked for, or the engine says that it can't."""
+    cards = [card for card in trial.saw("card") if card.partition(":")[0] != "lo"]
+    _holds(not cards or not trial.able.isolated, f"there are network cards: {cards}")
+
+
+def has_the_network_where_asked(trial: Trial) -> None:
+    """The host's."""
+    ended = trial.script("cat /proc/net/dev", box=replace(trial.box(), network=True))
+    cards = {line.partition(":")[0].strip() for line in Path("/proc/net/dev").read_text().splitlines() if ":" in line}
+    seen = {line.partition(":")[0].strip() for line in ended.out.decode().splitlines() if ":" in line}
+    _holds(seen == cards, f"it sees {sorted(seen)}, not {sorted(cards)}")
+
+
+def writes_where_it_may(trial: Trial) -> None:
+    """Its home, its folder of temporary files and its output: its own, and nothing else."""
+    _holds(not trial.saw("wrote"), f"it could write {trial.saw('wrote')}")
+    _holds(not trial.saw("refused"), f"it could not write {trial.saw('refused')}")
+    _holds(trial.saw("input") == ["given"], f"its input is {trial.saw('input')}")
+    ended = trial.script('echo 1 > "$HOME/h"; echo 2 > "$TMPDIR/t"; echo 3 > /tmp/u')
+    for path in (f"{RUN_HOME}/h", f"{RUN_TMP}/t", f"{RUN_TMP}/u"):
+        _holds((ended.folder / path).is_file(), f"{path} is not in the run's folder")
+
+
+def has_no_rights(trial: Trial) -> None:
+    """No capabilities, and no way to new ones."""
+    said = dict(line.split(" ", 1) for line in trial.saw("status") if " " in line)
+    for name in ("CapInh:", "CapPrm:", "CapEff:", "CapAmb:", "CapBnd:"):
+        _holds(int(said[name].strip(), 16) == 0, f"{name} is {said[name]}")
+    _holds(said["NoNewPrivs:"].strip() == "1", "it may get new rights (NoNewPrivs is 0)")
+
+
+def has_no_name_of_the_hosts(trial: Trial) -> None:
+    """The host's name and processes are hidden."""
+    _holds(trial.saw("host") == [HOSTNAME], f"the host is called {trial.saw('host')}")
+    _holds(len(trial.saw("process")) < 10, f"it sees {len(trial.saw('process'))} processes")
+
+
+def ends_when_asked(trial: Trial) -> None:
+    """SIGTERM reaches the program, which may do something about it; then nothing is left."""
+    started = trial.start("sh", "-c", "trap 'echo got; exit 5' TERM; echo ready; while :; do sleep 0.1; done")
+    started.until_it_says("ready")
+    started.signal(signal.SIGTERM)
+    trial.end(started, seconds=SOON_S, stopped="interrupted")
+    _wait(lambda: "got" in started.said() or not started.left(), "SIGTERM did not reach the program")  # podman's may end first
+    started.stop()
+    _holds("got" in started.said(), "SIGTERM did not reach the program")
+    _nothing_is_left(started)
+
+
+def ends_a_program_that_does_not_care(trial: Trial) -> None:
+    """SIGTERM ends one that does nothing about it, also as the first process of a container."""
+    started = trial.start("sh", "-c", "echo ready; exec sleep 60")
+    started.until_it_says("ready")
+    started.signal(signal.SIGTERM)
+    result = trial.end(started, seconds=SOON_S, stopped="timeout").result
+    _holds(result.stopped == "timeout", f"a time limit became {result}")
+    started.stop()
+    _nothing_is_left(started)
+
+
+def is_killed_after_its_grace(trial: Trial) -> None:
+    """One that ignores SIGTERM, with children that left its group, is gone after SIGKILL and `stop`."""
+    started = trial.start("sh", "-c", "trap '' TERM; sleep 60 & (setsid sleep 60 &) ; echo ready; while :; do sleep 1; done")
+    started.until_it_says("ready")
+    started.signal(signal.SIGTERM)
+    time.sleep(GRACE_S)
+    _holds(bool(started.left()), "it ended, though it ignores SIGTERM")
+    started.signal(signal.SIGKILL)
+    started.process.wait(SOON_S)
+    started.stop()
+    _nothing_is_left(started)
+
+
+def stops_what_lost_its_client(trial: Trial) -> None:
+    """After SIGKILL of the client alone, `stop` ends all."""
+    started = trial.start("sh", "-c", "sleep 60 & echo ready; sleep 60")
+    started.until_it_says("ready")
+    started.process.kill()
+    result = trial.end(started).result
+    started.stop()
+    _nothing_is_left(started)
+    _holds(result.exit_code is None, f"a client that was killed became {result}")
+
+
+def sweeps_what_is_left_of_a_session(trial: Trial) -> None:
+    """Where nobody is left who knows the containers, their session is enough; other sessions are left alone."""
+    other = Trial(trial.engine, trial.image, trial.root, trial.folder)
+    kept = other.start("sh", "-c", "echo ready; sleep 60")
+    started = trial.start("sh", "-c", "sleep 60 & echo ready; sleep 60")
+    for one in (started, kept):
+        one.until_it_says("ready")
+    started.process.kill()
+    started.process.wait()
+    trial.engine.sweep([trial.session, "trial-that-never-was"])
+    _nothing_is_left(started)
+    _holds(bool(kept.left()), "a container of another session was swept, too")
+    trial.engine.sweep([other.session])
+    _wait(lambda: kept.process.poll() is not None, "the client of a container that was swept is still there")
+    _nothing_is_left(kept)
+
+
+def leaves_nothing_behind(trial: Trial) -> None:
+    """What a program has started ends with it, even in a session of its own."""
+    started = trial.start("sh", "-c", "(setsid sleep 60 >/dev/null 2>&1 &) ; exit 3")
+    _holds(trial.end(started, seconds=SOON_S).result.exit_code == 3, "the program's status got lost")
+    _nothing_is_left(started)
+
+
+def says_what_cannot_be_started(trial: Trial) -> None:
+    """A command that is not there, or is no program, is the engine's error, not a status of the program's."""
+    for word in ("no-such-program", f"{INSIDE}/run/input", f"{INSIDE}/run/nothing", f"{INSIDE}/run"):
+        result = trial.run(word).result
+        if result.error is None:
+            raise AssertionError(f"{word!r} can't be executed, and became {result}")
+        _holds(result.exit_code is None, f"{word!r} can't be executed, and has the status {result.exit_code}")
+        _is_one_line(result.error)
+
+
+def says_that_an_image_is_missing(trial: Trial) -> None:
+    """An image that went away is the engine's error."""
+    result = trial.run("true", box=replace(trial.box(), reference=trial.reference[:-8] + "00000000")).result
+    if result.error is None:
+        raise AssertionError(f"a missing image became {result}")
+    _is_one_line(result.error)
+
+
+def enforces_what_it_says(trial: Trial) -> None:
+    """Limits that hold are held to; those that don't are no reason to fail."""
+    box, enforced = trial.box_of_limits(), trial.able.enforced
+    ended = trial.script("exit 3", box=box)
+    _holds(ended.result.exit_code == 3, f"with limits, status 3 became {ended.result.error or ended.result}")
+    if "memory" in enforced:
+        _is_held_to_its_memory(trial, box)
+    if "pids" in enforced:
+        ended = trial.script(
+            "for i in 0 1 2 3 4 5; do for j in 0 1 2 3 4 5 6 7 8 9; do sleep 2 & done; done; echo all", box=box
+        )
+        _holds(b"all" not in ended.out or b"fork" in ended.err, "60 processes began where 50 are allowed")
+
+
+def _is_held_to_its_memory(trial: Trial, box: Box) -> None:
+    """It is killed for it, with all that belongs to it, or it can't go on; and nobody takes that for its own doing."""
+    started = trial.start("sh", "-c", FILL, box=box)
+    try:
+        status = started.process.wait(SOON_S)
+    except subprocess.TimeoutExpired:
+        started.signal(signal.SIGKILL)
+        status = started.process.wait()
+        started.stop()
+    _holds("all" not in started.said(), "a script goes on where its memory was not enough")
+    if status in (-signal.SIGKILL, 128 + signal.SIGKILL):
+        result = trial.end(started).result
+        _holds(result.stopped == "memory" or status < 0, f"a program over its memory became {result}")
+    _nothing_is_left(started)
+
+
+def runs_in_odd_folders(trial: Trial) -> None:
+    """Blanks, commas, colons and quotes in a path change nothing; what can't be mounted is said in one line."""
+    for name in (*ODD, *ODDER):
+        ended = trial.end(trial.start("sh", "-c", "cat ../input; echo done > file", name=f"runs {name}"))
+        if ended.result.error and name in ODDER:
+            _is_one_line(ended.result.error)
+            continue
+        _holds(ended.out == b"given", f"in a folder called {name!r}, its input is {ended.out!r}: {ended.result.error}")
+        _holds((ended.folder / RUN_OUTPUT / "file").is_file(), f"in a folder called {name!r}, its output got lost")
+
+
+def starts_many_at_once(trial: Trial) -> None:
+    """Used by many threads, each container is on its own."""
+    with ThreadPoolExecutor(4) as pool:
+        ended = list(pool.map(lambda number: trial.script(f"echo {number}; exit {number}"), range(8)))
+    for number, one in enumerate(ended):
+        _holds((one.result.exit_code, one.out) == (number, f"{number}\n".encode()), f"of many at once, one became {one}")
+
+
+CLAIMS: tuple[Callable[[Trial], None], ...] = (
+    says_what_it_can,
+    prepares_once,
+    ends_with_the_programs_status,
+    tells_the_programs_signal,
+    passes_words_as_they_are,
+    passes_the_environment_exactly,
+    keeps_output_apart,
+    passes_standard_input,
+    begins_in_its_folder,
+    has_no_network,
+    has_the_network_where_asked,
+    writes_where_it_may,
+    leaves_nothing_on_the_host,
+    has_no_rights,
+    has_no_name_of_the_hosts,
+    ends_when_asked,
+    ends_a_program_that_does_not_care,
+    is_killed_after_its_grace,
+    stops_what_lost_its_client,
+    sweeps_what_is_left_of_a_session,
+    leaves_nothing_behind,
+    says_what_cannot_be_started,
+    says_that_an_image_is_missing,
+    enforces_what_it_says,
+    runs_in_odd_folders,
+    starts_many_at_once,
+)
+APPLY_WITHOUT_AN_IMAGE = (
+    says_what_it_can,
+    ends_with_the_programs_status,
+    tells_the_programs_signal,
+    passes_words_as_they_are,
+    passes_the_environment_exactly,
+    keeps_output_apart,
+    passes_standard_input,
+    begins_in_its_folder,
+    ends_when_asked,
+    ends_a_program_that_does_not_care,
+    starts_many_at_once,
+)
+"""What holds where nothing is contained; a worker sees to the rest then."""
+
+
+def _in(folder: Path, client: Client) -> Client:
+    """A client with the folder of its run filled in."""
+
+    def filled(words: tuple[str, ...]) -> tuple[str, ...]:
+        return tuple(word.replace("\0", str(folder)) for word in words)
+
+    variables = {name: value.replace("\0", str(folder)) for name, value in client.environment.items()}
+    return Client(filled(client.argv), variables, filled(client.stop))
+
+
+def _nothing_is_left(started: Started) -> None:
+    _wait(lambda: not started.left(), "processes of the run are left")
+
+
+def _wait(condition: Callable[[], bool], otherwise: str) -> None:
+    give_up = time.monotonic() + PATIENCE_S
+    while not condition():
+        _holds(time.monotonic() < give_up, otherwise)
+        time.sleep(0.02)
+
+
+def _is_one_line(text: str) -> None:
+    _holds(len(text.splitlines()) == 1, f"{text!r} is not one line")
+
+
+def _holds(condition: bool, otherwise: str) -> None:
+    if not condition:
+        raise AssertionError(otherwise)

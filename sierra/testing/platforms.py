@@ -1,0 +1,263 @@
+"""What every platform must hold to, as functions that a plug-in's author calls from tests of their own.
+
+    from sierra.platforms.base import conformance
+
+    def test_it_is_a_platform():
+        conformance.check(MyPlatform, project, template, {"population_size": Criterion("population_size", Log(8))})
+
+`project` is a `sierra.config.project_file.Project`, whose platform this is; `template` is one that the platform accepts. Each
+claim is one function, and can be called alone. What does not hold raises AssertionError with one line, whether
+Python runs with `-O` or not. Whether the changes fit the template is seen by making them (`sierra.templates.base`).
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Mapping
+from itertools import chain
+from pathlib import Path
+from types import UnionType
+from typing import Any
+
+from sierra.config.project_file import Project, Table, options
+from sierra.errors import ConfigError, SierraError
+from sierra.model import Add, Axis, Change, Criterion, Linear, Listed, Log, MonteCarlo, Point, Remove, Rename, Set
+from sierra.platforms.base import Platform, Reader
+
+COMMAND_PLACEHOLDERS = frozenset(("input", "output", "run", "seed", "project", "python"))
+"""What a command may hold in braces; `sierra.execution.commands` says what each stands for."""
+VARIABLE_PLACEHOLDERS = frozenset(("project", "python"))
+"""What a variable may: it is the same for all runs of a batch."""
+OPTION_NOBODY_HAS = "no_platform_has_an_option_of_this_name"
+CRITERION_NOBODY_HAS = "no_platform_has_a_criterion_of_this_name"
+DOCUMENTS = (b"<a/>", b"", b"\xff\x00not text\n")
+
+Make = Callable[[Project], Platform]
+
+_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
+_PLACEHOLDER = re.compile(r"\{([a-z_]+)\}")
+_FILE = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*")
+_SEEDLESS = re.compile(r"\{[^{}]*\b(seed|run)\b[^{}]*\}")
+
+
+def check(make: Make, project: Project, template: Reader, examples: Mapping[str, Criterion]) -> None:
+    """All claims. `examples` has, by name, one criterion that fits for each that the platform knows."""
+    gives_the_same_answers(make, project, template, examples)
+    refuses_unknown_options(make, project)
+    says_what_its_options_are(make(project))
+    checks_in_one_line(make(project), template)
+    changes_are_well_formed(make(project), template)
+    seed_changes_are_well_formed(make(project))
+    says_none_for_unknown_criteria(make(project), template)
+    describes_its_criteria(make(project), examples)
+    for criterion in examples.values():
+        spans_an_axis(make(project), template, criterion)
+    command_is_argv_with_known_placeholders(make(project))
+    environment_is_of_no_machine(make(project))
+    files_are_safe(make(project))
+
+
+def gives_the_same_answers(make: Make, project: Project, template: Reader, examples: Mapping[str, Criterion]) -> None:
+    """Asked again, or made again, a platform answers the same: its answers are part of identities."""
+    platform = make(project)
+    first = _answers(platform, template, examples.values())
+    _holds(_answers(platform, template, examples.values()) == first, "another answer when asked again")
+    _holds(_answers(make(project), template, examples.values()) == first, "another answer when made again")
+    backwards = _answers(make(project), template, reversed(list(examples.values())))
+    _holds(backwards[1:] == first[1:], "another answer after other questions")
+
+
+def refuses_unknown_options(make: Make, project: Project) -> None:
+    """An option that is misspelt is an error of the user's, whatever name the platform has."""
+    names = (project.platform, *project.platforms)
+    tables = {name: {**project.platforms.get(name, {}), OPTION_NOBODY_HAS: 1} for name in names}
+    try:
+        make(project.model_copy(update={"platforms": tables}))
+    except ConfigError as error:
+        _is_one_line(str(error))
+        return
+    raise AssertionError(f"the unknown option {OPTION_NOBODY_HAS!r} is no ConfigError")
+
+
+def says_what_its_options_are(platform: Platform) -> None:
+    """`Options` is a table that refuses what it does not know: it is checked also where another platform drives."""
+    model: Any = platform.Options
+    _holds(isinstance(model, type) and issubclass(model, Table), f"Options is {model!r}, not a class of options")
+    try:
+        options(model, {OPTION_NOBODY_HAS: 1}, "[platforms.…]")
+    except ConfigError:
+        return
+    raise AssertionError(f"Options takes the unknown option {OPTION_NOBODY_HAS!r}")
+
+
+def checks_in_one_line(platform: Platform, template: Reader) -> None:
+    """An input is accepted, or refused as a user's error is: the template may be one that only changes make right."""
+    try:
+        answer: object = platform.check(template, template)  # type: ignore[func-returns-value]
+    except SierraError as error:
+        _is_one_line(str(error))
+        return
+    _holds(answer is None, f"check() is {answer!r}, not None")
+
+
+def changes_are_well_formed(platform: Platform, template: Reader) -> None:
+    """What changes in every run is the same in every run: it doesn't know the run's seed or number."""
+    changes = platform.changes(template)
+    _are_changes(changes)
+    for change in changes:
+        text = f"{change.value if isinstance(change, Set) else ''}{change.xml if isinstance(change, Add) else ''}"
+        _holds(not _SEEDLESS.search(text), f"{change} uses the seed or the run; only seed_changes and run_changes may")
+
+
+def seed_changes_are_well_formed(platform: Platform) -> None:
+    """Where the seed goes, it really goes: some change holds `{seed}`, or there is none at all."""
+    changes = platform.seed_changes()
+    _are_changes(changes)
+    for change in changes:
+        _holds(isinstance(change, Set), f"{change} is no Set; a seed is a value of its run")
+    used = any("{seed}" in change.value for change in changes if isinstance(change, Set))
+    _holds(used or not changes, "no seed change holds {seed}")
+
+
+def says_none_for_unknown_criteria(platform: Platform, template: Reader) -> None:
+    """A name that is not the platform's is somebody else's: None, whatever its scale, and no error."""
+    _holds(CRITERION_NOBODY_HAS not in platform.criteria(), f"it knows {CRITERION_NOBODY_HAS!r}")
+    for scale in (Log(8), Linear(10, 5), Listed(("one", "two")), MonteCarlo(3)):
+        answer = platform.criterion(Criterion(CRITERION_NOBODY_HAS, scale), template)
+        _holds(answer is None, f"criterion {CRITERION_NOBODY_HAS!r} is {answer!r}, not None")
+
+
+def describes_its_criteria(platform: Platform, examples: Mapping[str, Criterion]) -> None:
+    """The names are names of columns, each with a sentence, and `examples` has one of each."""
+    criteria = platform.criteria()
+    for name, sentence in criteria.items():
+        _holds(bool(_NAME.fullmatch(name)), f"{name!r} can't be a column's name; use letters, digits and _")
+        _holds(bool(sentence.strip()), f"criterion {name!r} has no sentence")
+        _is_one_line(sentence)
+    _holds(
+        set(criteria) == set(examples),
+        f"criteria() has {sorted(criteria)}, but the examples are of {sorted(examples)}",
+    )
+    for name, criterion in examples.items():
+        _holds(criterion.name == name, f"the example of {name!r} is one of {criterion.name!r}")
+
+
+def spans_an_axis(platform: Platform, template: Reader, criterion: Criterion) -> None:
+    """A criterion's axis has its name; its values are distinct, of one kind, and in the order of the points."""
+    answer = platform.criterion(criterion, template)
+    if answer is None:
+        raise AssertionError(f"criteria() has {criterion.name!r}, but criterion() says None")
+    axis, points = answer
+    _is(axis, Axis)
+    _is(axis.values, tuple)
+    _holds(axis.name == criterion.name, f"the axis of {criterion.name!r} is called {axis.name!r}")
+    _holds(bool(axis.values), f"the axis {axis.name!r} has no values")
+    _holds(len(set(axis.values)) == len(axis.values), f"the axis {axis.name!r} has a value twice: {axis.values}")
+    for value in axis.values:
+        _holds(type(value) in (int, float, str), f"{value!r} on axis {axis.name!r} is no int, float or str")
+    _holds(
+        axis.numeric or all(isinstance(value, str) for value in axis.values),
+        f"the axis {axis.name!r} mixes numbers and names: {axis.values}",
+    )
+    _are_points(axis, points)
+
+
+def command_is_argv_with_known_placeholders(platform: Platform) -> None:
+    """A program and its arguments, each a text, whose placeholders are those that are filled."""
+    command = platform.command()
+    _is_a_tuple_of_texts(command, "command()")
+    _holds(bool(command) and bool(command[0]), "command() names no program")
+    for word in command:
+        _is_filled_as_known(word, COMMAND_PLACEHOLDERS, "command()")
+
+
+def environment_is_of_no_machine(platform: Platform) -> None:
+    """Variables have names that all shells know, and values without paths of this machine."""
+    for name, value in platform.environment().items():
+        _holds(bool(_NAME.fullmatch(name)), f"{name!r} is not the name of a variable")
+        _is_a_tuple_of_texts((value,), f"variable {name}")
+        _is_filled_as_known(value, VARIABLE_PLACEHOLDERS, f"variable {name}")
+
+
+def files_are_safe(platform: Platform) -> None:
+    """For any document there is at least one file; names are plain and distinct, also where case is ignored."""
+    for document in DOCUMENTS:
+        try:
+            files = platform.files(document)
+        except SierraError:  # a platform that splits its document may refuse what is none
+            continue
+        _is(files, tuple)
+        _holds(bool(files), f"files({document!r}) are none")
+        names = [name for name, _ in files]
+        for name, content in files:
+            _holds(bool(_FILE.fullmatch(name)), f"{name!r} is not a safe file name; use letters, digits, _ - and .")
+            _is(content, bytes)
+        _holds(len({name.lower() for name in names}) == len(names), f"two files have one name: {names}")
+
+
+def _answers(platform: Platform, template: Reader, criteria: Iterable[Criterion]) -> list[Any]:
+    """All that a platform says; the criteria's come first, and by name, so that their order doesn't count."""
+    spanned = {criterion.name: platform.criterion(criterion, template) for criterion in criteria}
+    return [
+        list(spanned),
+        sorted(spanned.items()),
+        platform.changes(template),
+        platform.seed_changes(),
+        dict(platform.criteria()),
+        platform.command(),
+        dict(platform.environment()),
+        [platform.files(document) for document in DOCUMENTS[:1]],
+    ]
+
+
+def _are_points(axis: Axis, points: tuple[Point, ...]) -> None:
+    _is(points, tuple)
+    _holds(
+        tuple(point.value for point in points) == axis.values,
+        f"the points of {axis.name!r} don't have its values in their order",
+    )
+    for point in points:
+        _are_changes(point.changes)
+    moved = any(chain.from_iterable(point.changes for point in points)) or len({p.stream for p in points}) > 1
+    _holds(moved or len(points) == 1, f"the points of {axis.name!r} change nothing, not even seeds")
+    distinct = {(point.changes, point.stream) for point in points}
+    _holds(len(distinct) == len(points), f"two points of {axis.name!r} change the same, so they are one experiment")
+
+
+def _are_changes(changes: tuple[Change, ...]) -> None:
+    """A tuple of changes, each with a path, a message's `why`, and texts where texts belong."""
+    _is(changes, tuple)
+    for change in changes:
+        _is(change, Set | Add | Remove | Rename)
+        _holds(bool(change.path.strip()), f"{change} has no path")
+        _holds(change.expect is None or change.expect > 0, f"{change} expects less than one match")
+        _holds(bool(change.why), f"{change} does not say why: messages name it")
+        _is_one_line(change.why)
+        if isinstance(change, Set):
+            _is(change.value, str)
+
+
+def _is_filled_as_known(text: str, known: frozenset[str], where: str) -> None:
+    """What differs between machines stands in it as a placeholder, and only ones that are filled do."""
+    for path in (str(Path.home()), str(Path.cwd())):
+        _holds(path == "/" or path not in text, f"{where} holds {path!r}, a path of this machine; use {{project}}")
+    unknown = [name for name in _PLACEHOLDER.findall(text) if name not in known]
+    _holds(not unknown, f"{where} has unknown placeholders {unknown}; known are {sorted(known)}")
+
+
+def _is_a_tuple_of_texts(value: object, where: str) -> None:
+    texts = isinstance(value, tuple) and all(isinstance(word, str) and "\0" not in word for word in value)
+    _holds(texts, f"{where} is {value!r}, not a tuple of texts")
+
+
+def _is_one_line(text: str) -> None:
+    _holds(len(text.splitlines()) == 1, f"{text!r} is not one line")
+
+
+def _is(value: object, kind: type | UnionType) -> None:
+    _holds(isinstance(value, kind), f"{value!r} is {type(value).__name__}, not {kind}")
+
+
+def _holds(condition: bool, otherwise: str) -> None:
+    if not condition:
+        raise AssertionError(otherwise)

@@ -1,0 +1,650 @@
+"""What every scheduler and every runner must hold to, as functions that a plug-in's author calls from tests of their own.
+
+    from sierra.runners.base import conformance
+
+    def test_it_is_a_scheduler(tmp_path):
+        conformance.check(MyScheduler(ClusterTable()), tmp_path)
+
+    def test_it_is_a_runner(tmp_path):
+        conformance.check_runner(lambda slots: MyRunner(slots, ClusterTable()), tmp_path)
+
+`folder` is an empty one that nodes share. It is a real cluster that is held to it: small jobs are submitted, found again and
+cancelled. Each claim is one function of a `Trial`, or of an `Ordeal` (a runner's), and can be called alone. What does not hold
+raises AssertionError with one line, whether Python runs with `-O` or not.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+import secrets
+import signal
+import time
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from sierra.model import Job, Limits, Result
+from sierra.provenance import environment
+from sierra.runners.base import Look, Runner, Work
+from sierra.runners.schedulers.base import NAME_LENGTH, Request, Scheduler, State, Task
+from sierra.store.layout import RUN_OUTPUT, RUN_STDERR, RUN_STDOUT, SessionPaths
+
+PATIENCE_S = 60.0
+POLL_S = 0.1
+ODD = "a'; echo foo"
+"""The name of the folder that jobs are submitted in."""
+WORDS = ("", "a b", " c ", "'f'", '"g"', "$HOME", "`h`", "i\\j", "*", "-k", "ü", "--", "a=b,c=d", "#l", "%A", "{}")
+CANARY = "SIERRA_NOBODY_GIVES_THIS_TO_A_JOB"
+UNTIL_TOLD = 'touch "begun-$1"; while ! test -e go; do sleep 0.1; done; touch "done-$1"'
+
+
+@dataclass
+class Trial:
+    """A scheduler that is held to the contract, and a folder for what it executes."""
+
+    scheduler: Scheduler
+    root: Path
+    made: list[str] = field(default_factory=list)
+
+    def request(self, script: str, *elements: int, words: tuple[str, ...] = (), after: str = "") -> Request:
+        """One for a script of a shell, in a folder of its own, where it begins; its last argument is the element."""
+        name = f"sierra-{secrets.token_hex(8)}"[:NAME_LENGTH]
+        self.made.append(name)
+        folder = self.root / name / ODD
+        (folder / "logs").mkdir(parents=True)
+        command = ("sh", "-c", script, "sh", *words)
+        return Request(name, "sierra's trial of a scheduler", elements or (0,), folder, folder / "logs", command, after)
+
+    def submit(self, script: str, *elements: int, words: tuple[str, ...] = ()) -> tuple[Request, str]:
+        request = self.request(script, *elements, words=words)
+        return request, self.scheduler.submit(request)
+
+    def seen(self, request: Request) -> tuple[Task, ...]:
+        found = self.scheduler.look(request.name)
+        if found is None:
+            raise AssertionError("it can't be reached")
+        return found
+
+    def until(self, request: Request, condition: Callable[[tuple[Task, ...]], bool], otherwise: str) -> None:
+        give_up = time.monotonic() + PATIENCE_S
+        while not condition(seen := self.seen(request)):
+            _holds(time.monotonic() < give_up, f"{otherwise}; seen are {seen}")
+            time.sleep(POLL_S)
+
+    def until_ended(self, request: Request) -> None:
+        self.until(request, lambda seen: all(task.state == State.ENDED for task in seen), "it does not end")
+
+    def run(self, script: str, *elements: int, words: tuple[str, ...] = ()) -> tuple[Request, str]:
+        request, job = self.submit(script, *elements, words=words)
+        self.until_ended(request)
+        return request, job
+
+
+def check(scheduler: Scheduler, folder: Path) -> None:
+    """All claims."""
+    trial = Trial(scheduler, folder)
+    try:
+        for claim in CLAIMS:
+            claim(trial)
+    finally:
+        for name in trial.made:
+            scheduler.cancel(name)
+
+
+def says_its_version(trial: Trial) -> None:
+    """In one line, and the same when asked again."""
+    version = trial.scheduler.version()
+    _holds(len(version.splitlines()) == 1, f"{version!r} is not one line")
+    _holds(trial.scheduler.version() == version, "another version when asked again")
+
+
+def knows_what_is_allowed(trial: Trial) -> None:
+    """What bounds there are is more than nothing."""
+    bounds = trial.scheduler.bounds()
+    for name in ("array", "jobs", "wall_s", "running"):
+        bound = getattr(bounds, name)
+        _holds(bound is None or bound > 0, f"{name} is {bound}")
+
+
+def explains_in_a_line(trial: Trial) -> None:
+    """Its own words stay, whatever is known of them beside."""
+    for words in ("Invalid account", "what nobody has ever said"):
+        told = trial.scheduler.explain(words)
+        _holds(told.startswith(words) and "\n" not in told, f"to explain {words!r} is to say it, and more, in one line")
+
+
+def says_what_it_hands_over(trial: Trial) -> None:
+    """A script says its command, is the same when asked again, and has nothing of the environment."""
+    os.environ[CANARY] = "a secret canary"
+    try:
+        request = trial.request("true", words=("a-word",))
+        script = trial.scheduler.script(request)
+        _holds(script == trial.scheduler.script(request), "another script when asked again")
+    finally:
+        del os.environ[CANARY]
+    _holds(script.startswith("#!"), "a script does not begin with its interpreter")
+    _holds("a-word" in script, "a script does not say its command")
+    _holds("a secret canary" not in script, "a script has what was in the environment")
+
+
+def executes_each_element_once(trial: Trial) -> None:
+    """One, some, and some with gaps; each has its index as its last argument."""
+    for elements in ((0,), (4,), (0, 1, 2), (1, 2, 5)):
+        request, _ = trial.run('for last; do :; done; echo "$#" >> "ran-$last"', *elements, words=("first",))
+        ran = {path.name: path.read_text() for path in request.folder.glob("ran-*")}
+        _holds(ran == {f"ran-{each}": "2\n" for each in elements}, f"of the elements {elements}, executed were {ran}")
+
+
+def begins_in_its_folder(trial: Trial) -> None:
+    request, _ = trial.run("pwd -P > where")
+    where = request.folder / "where"
+    _holds(where.is_file(), f"it does not begin in {request.folder}")
+    _holds(where.read_text().strip() == str(request.folder.resolve()), f"it begins in {where.read_text().strip()}")
+
+
+def passes_words_as_they_are(trial: Trial) -> None:
+    """No word of a command is evaluated, split or lost."""
+    request, _ = trial.run('printf "<%s>" "$@" > words', words=WORDS)
+    wanted, got = "".join(f"<{word}>" for word in (*WORDS, "0")), (request.folder / "words").read_text()
+    _holds(got == wanted, f"{wanted!r} became {got!r}")
+
+
+def gives_nothing_of_the_environment(trial: Trial) -> None:
+    os.environ[CANARY] = "1"
+    try:
+        request, _ = trial.run("env > variables")
+    finally:
+        del os.environ[CANARY]
+    _holds(CANARY not in (request.folder / "variables").read_text(), "a variable of the caller's is seen by jobs")
+
+
+def keeps_logs_apart(trial: Trial) -> None:
+    """What an element prints is in a file of its own, with what it complains of."""
+    request, _ = trial.run('echo "printed by $1"; echo "complained by $1" >&2', 0, 1, 3)
+    texts = sorted(path.read_text() for path in request.logs.iterdir())
+    _holds(len(texts) == 3, f"3 elements have {len(texts)} logs")
+    for text, element in zip(texts, (0, 1, 3), strict=True):
+        said = f"printed by {element}" in text and f"complained by {element}" in text
+        _holds(said and text.count("printed by") == 1, f"the log of element {element} is {text!r}")
+
+
+def finds_jobs_by_name(trial: Trial) -> None:
+    """As soon as they are submitted: all of that name, no others, and elements that have begun by their index."""
+    first, job = trial.submit(UNTIL_TOLD, 0, 2)
+    other, another = trial.submit(UNTIL_TOLD)
+    _holds({task.job for task in trial.seen(first)} == {job}, f"job {job} is not found at once by its name {first.name}")
+    _holds(
+        {task.job for task in trial.seen(other)} == {another}, f"job {another} is not found at once by its name {other.name}"
+    )
+    trial.until(first, lambda seen: _running(seen) == {0, 2}, "elements 0 and 2 never run")
+    for request in (first, other):
+        (request.folder / "go").touch()
+        trial.until_ended(request)
+
+
+def knows_nothing_of_other_names(trial: Trial) -> None:
+    _holds(trial.seen(trial.request("true")) == (), "a name that nobody has is found")
+
+
+def may_be_looked_at_after_the_end(trial: Trial) -> None:
+    """What has ended is not taken for alive, however it ended, nor for cancelled."""
+    request, _ = trial.run('exit "$1"', 0, 3)
+    _holds(not any(task.cancelled for task in trial.seen(request)), "what has ended by itself is taken for cancelled")
+    _holds(not [task for task in trial.seen(request) if task.state != State.ENDED], "what has ended lives again")
+
+
+def cancels_some(trial: Trial) -> None:
+    """Only these elements end."""
+    request, _ = trial.submit(UNTIL_TOLD, 0, 1, 3)
+    trial.until(request, lambda seen: 1 in _running(seen), "element 1 never runs")
+    trial.scheduler.cancel(request.name, [1, 77])
+    trial.until(request, lambda seen: 1 not in _alive(seen), "element 1 does not end")
+    (request.folder / "go").touch()
+    trial.until_ended(request)
+    ended = sorted(path.name for path in request.folder.glob("done-*"))
+    _holds(ended == ["done-0", "done-3"], f"after element 1 was cancelled, there are {ended}")
+    cancelled = {task.element for task in trial.seen(request) if task.cancelled}
+    _holds(cancelled == {1} or (trial.scheduler.forgets and not cancelled), f"cancelled are told to be {cancelled}")
+
+
+def cancels_all(trial: Trial) -> None:
+    """All of that name, of more than one job, and no others; more than once."""
+    request, _ = trial.submit(UNTIL_TOLD, 0, 1)
+    trial.scheduler.submit(request)
+    other, _ = trial.submit(UNTIL_TOLD)
+    trial.scheduler.cancel(request.name)
+    trial.until_ended(request)
+    trial.scheduler.cancel(request.name)
+    (other.folder / "go").touch()
+    trial.until_ended(other)
+    _holds((other.folder / "done-0").exists(), "a job of another name was cancelled too")
+
+
+def cancels_nothing_where_there_is_none(trial: Trial) -> None:
+    name = trial.request("true").name
+    trial.scheduler.cancel(name)
+    trial.scheduler.cancel(name, [0, 1])
+
+
+CLAIMS: tuple[Callable[[Trial], None], ...] = (
+    says_its_version,
+    knows_what_is_allowed,
+    explains_in_a_line,
+    says_what_it_hands_over,
+    executes_each_element_once,
+    begins_in_its_folder,
+    passes_words_as_they_are,
+    gives_nothing_of_the_environment,
+    keeps_logs_apart,
+    finds_jobs_by_name,
+    knows_nothing_of_other_names,
+    may_be_looked_at_after_the_end,
+    cancels_some,
+    cancels_all,
+    cancels_nothing_where_there_is_none,
+)
+
+
+# What every runner must hold to.
+
+AT_ONCE_S = 2.0
+"""What a look may take where there is little to tell."""
+QUIET_S = 1.0
+"""How long nothing may be written before it is taken for ended."""
+NOTHING = Limits(grace_s=1.0)
+PATH = "/usr/local/bin:/usr/bin:/bin"
+UNTIL_GO = 'touch "$0/begun-$1"; while ! test -e "$0/go"; do date +%N > "$0/beat-$1"; sleep 0.1; done; echo "$1" > ended'
+
+
+@dataclass
+class Ordeal:
+    """A runner that is held to the contract. `make` gives a new one, for so many slots, each time that it is called."""
+
+    make: Callable[[int], Runner]
+    root: Path
+    begun: list[Errand] = field(default_factory=list)
+
+    def errand(self) -> Errand:
+        """A session, and a folder that its runs reach."""
+        number = len(self.begun)
+        session = SessionPaths(self.root / f"{number}-{ODD}" / "session" / secrets.token_hex(8))
+        session.root.mkdir(parents=True)
+        self.begun.append(Errand(self.make(2), session, session.root.parent.parent / "shared"))
+        self.begun[-1].shared.mkdir()
+        return self.begun[-1]
+
+    def resumed(self, errand: Errand, recorded: Mapping[str, str | None]) -> Errand:
+        """The same, gone on with by another runner."""
+        other = Errand(self.make(2), errand.session, errand.shared, errand.jobs)
+        self.begun.append(other)
+        other.runner.resume(errand.session, recorded)
+        return other
+
+    def close(self) -> None:
+        """End all that may still run."""
+        for errand in self.begun:
+            (errand.shared / "go").touch()
+            with contextlib.suppress(Exception):
+                if not errand.over:
+                    errand.runner.stop()
+                    errand.until_over()
+            errand.runner.close()
+
+    def executed(self, *scripts: str, limits: Limits = NOTHING) -> list[Result]:
+        """The results of scripts, in their order, once all is over."""
+        errand = self.errand()
+        errand.submit([errand.script(text, limits=limits) for text in scripts])
+        errand.until_over()
+        errand.told_each_once()
+        return [errand.results[job.execution] for job in errand.jobs]
+
+
+@dataclass
+class Errand:
+    """Some jobs of one session, and what a runner has told of them."""
+
+    runner: Runner
+    session: SessionPaths
+    shared: Path
+    jobs: list[Job] = field(default_factory=list)
+    told: list[Result] = field(default_factory=list)
+    rows: list[tuple[str, dict[str, Any]]] = field(default_factory=list)
+    over: bool = False
+
+    @property
+    def results(self) -> dict[str, Result]:
+        return {result.execution: result for result in self.told}
+
+    def job(self, argv: Sequence[str], *, limits: Limits = NOTHING, files: Mapping[str, bytes] | None = None) -> Job:
+        run, execution = secrets.token_hex(32), secrets.token_hex(32)
+        variables = {
+            "PATH": PATH,
+            "HOME": "\0/home",
+            "SIERRA_RUN_DIR": "\0",
+            "SIERRA_SESSION": self.session.root.name,
+            "SIERRA_EXECUTION": execution,
+            "ODD": " ".join(WORDS),
+        }
+        return Job(run, execution, tuple(argv), variables, tuple((files or {"in.xml": b"<in/>"}).items()), limits)
+
+    def script(self, text: str, *, limits: Limits = NOTHING) -> Job:
+        """One that executes a script of a shell: $0 is the shared folder, $1 a word of its own, $2 its input file."""
+        return self.job(("sh", "-c", text, str(self.shared), secrets.token_hex(4), "\0/in.xml"), limits=limits)
+
+    def submit(self, jobs: Sequence[Job]) -> None:
+        self.jobs = list(jobs)
+        self.runner.submit(self.work(), self.session)
+
+    def work(self) -> Work:
+        return Work(iter(self.jobs), len(self.jobs), batch="0" * 64, around=environment.capture("0"))
+
+    def leave(self) -> None:
+        """Drop the runner, as a process does that ends."""
+        self.runner.close()
+        self.over = True
+
+    def look(self) -> Look:
+        look = self.runner.look()
+        self.told += look.results
+        self.rows += look.rows
+        self.over = not look.alive
+        if look.wrong is not None:
+            raise look.wrong
+        return look
+
+    def until(self, condition: Callable[[], bool], otherwise: str) -> None:
+        """Look until something is so."""
+        give_up = time.monotonic() + PATIENCE_S
+        while not condition():
+            _holds(time.monotonic() < give_up, otherwise)
+            self.look()
+            time.sleep(POLL_S)
+
+    def until_over(self) -> None:
+        self.until(lambda: self.over, "it does not come to an end")
+
+    def until_begun(self, count: int) -> None:
+        self.until(lambda: self.has("begun-*") >= count, f"{count} runs do not begin")
+
+    def has(self, pattern: str) -> int:
+        return len(list(self.shared.glob(pattern)))
+
+    def told_each_once(self) -> None:
+        wanted = sorted(job.execution for job in self.jobs)
+        _holds(sorted(result.execution for result in self.told) == wanted, f"of {len(wanted)} jobs, {self._counts()}")
+        runs = {job.execution: job.run for job in self.jobs}
+        _holds(all(runs[one.execution] == one.run for one in self.told), "a result has the run of another")
+
+    def _counts(self) -> str:
+        return f"{len(self.told)} results of {len(self.results)} executions were told"
+
+    def at_rest(self) -> None:
+        """Nothing runs on."""
+        give_up = time.monotonic() + PATIENCE_S
+        beats = self._beats()
+        while time.monotonic() < give_up:
+            time.sleep(QUIET_S)
+            before, beats = beats, self._beats()
+            if before == beats:
+                return
+        raise AssertionError("what was to end runs on")
+
+    def _beats(self) -> list[tuple[str, int]]:
+        return sorted((path.name, path.stat().st_mtime_ns) for path in self.shared.glob("beat-*"))
+
+
+def check_runner(make: Callable[[int], Runner], folder: Path) -> None:
+    """All claims. `make` gives a new runner each time, for so many slots, as `sierra.runners.base.find` does."""
+    ordeal = Ordeal(make, folder)
+    stays = make(1).stays
+    try:
+        for claim in (*RUNNER_CLAIMS, *(STAYING_CLAIMS if stays else LEAVING_CLAIMS)):
+            claim(ordeal)
+    finally:
+        ordeal.close()
+
+
+def executes_each_job_once(ordeal: Ordeal) -> None:
+    """More jobs than slots; each has one result, which says where and when."""
+    began = time.time()
+    results = ordeal.executed(*['echo "$1" >> "$0/executed"; echo "$1" > own'] * 7)
+    executed = (ordeal.begun[-1].shared / "executed").read_text().split()
+    _holds(sorted(executed) == sorted(job.argv[4] for job in ordeal.begun[-1].jobs), f"of 7 jobs, executed were {executed}")
+    for result in results:
+        _holds(result.exit_code == 0 and result.error is None, f"a job that ends well has {result}")
+        # a node's clock may be seconds off
+        _holds(began - 5 < result.started <= result.ended < time.time() + 5, f"its times are {result.started}, {result.ended}")
+        _holds(bool(result.host), "a result does not say where it was executed")
+    cut = [row for table, row in ordeal.begun[-1].rows if table == "attempts" and row["state"] != "finished"]
+    _holds(not cut, f"all was executed, and attempts are told to have been cut off: {cut}")
+
+
+def keeps_what_runs_leave(ordeal: Ordeal) -> None:
+    """Files of the output folder, with their hashes, and what was printed."""
+    text = 'mkdir -p a/b; printf "x,y\\n1,2\\n" > a/b/t.csv; : > empty; head -c 3000000 /dev/zero > big; echo out; echo err >&2'
+    for result in ordeal.executed(text, text):
+        folder = Path(result.directory)
+        found = {file.path: (folder / RUN_OUTPUT / file.path).read_bytes() for file in result.outputs}
+        _holds(found == {"a/b/t.csv": b"x,y\n1,2\n", "empty": b"", "big": bytes(3_000_000)}, f"it left {sorted(found)}")
+        for file in result.outputs:
+            content = found[file.path]
+            told = (file.bytes, file.sha256) == (len(content), hashlib.sha256(content).hexdigest())
+            _holds(told, f"{file.path} is not as it is told of")
+        printed = (folder / RUN_STDOUT).read_bytes(), (folder / RUN_STDERR).read_bytes()
+        _holds(printed == (b"out\n", b"err\n"), f"what it printed became {printed}")
+
+
+def tells_how_each_ended(ordeal: Ordeal) -> None:
+    """A run that fails is a result; so is one that can't be started."""
+    errand = ordeal.errand()
+    errand.submit([errand.script("exit 3"), errand.script("kill -9 $$"), errand.job(("/nowhere/at all",)), errand.script(":")])
+    errand.until_over()
+    errand.told_each_once()
+    failed, killed, absent, fine = (errand.results[job.execution] for job in errand.jobs)
+    _holds((failed.exit_code, failed.signal, failed.stopped) == (3, None, None), f"exit status 3 became {failed}")
+    _holds((killed.exit_code, killed.signal, killed.stopped) == (None, 9, None), f"a run that was killed became {killed}")
+    _holds(absent.error is not None and absent.exit_code is None, f"a program that is not there became {absent}")
+    _holds(fine.exit_code == 0 and fine.error is None, f"what ended well became {fine}")
+
+
+def gives_what_the_job_has(ordeal: Ordeal) -> None:
+    """Its words and its input, as they are; its own folder for NUL; and it begins in its output folder."""
+    errand = ordeal.errand()
+    script = 'cat "$1/in.xml"; pwd -P; cd "$1/output" && pwd -P; shift; printf "<%s>" "$@"'
+    content = bytes(range(256)) * 3
+    errand.submit([errand.job(("sh", "-c", script, "sh", "\0", *WORDS), files={"in.xml": content, "other": b""})])
+    errand.until_over()
+    errand.told_each_once()
+    said = (Path(errand.told[0].directory) / RUN_STDOUT).read_bytes()
+    _holds(said.startswith(content), "its input file is another than it was given")
+    here, there, words = said[len(content) :].decode().split("\n", 2)
+    _holds(here == there, f"it begins in {here}, and its output folder is {there}")
+    wanted = "".join(f"<{word}>" for word in WORDS)
+    _holds(words == wanted, f"{wanted!r} became {words!r}")
+
+
+def gives_exactly_the_jobs_environment(ordeal: Ordeal) -> None:
+    """Nothing of the caller's, of a scheduler's, or of a node's."""
+    os.environ[CANARY] = "1"
+    try:
+        errand = ordeal.errand()
+        errand.submit([errand.job(("env", "-0")) for _ in range(2)])
+        errand.until_over()
+    finally:
+        del os.environ[CANARY]
+    errand.told_each_once()
+    for job in errand.jobs:
+        said = (Path(errand.results[job.execution].directory) / RUN_STDOUT).read_bytes().decode().split("\0")[:-1]
+        seen = dict(line.split("=", 1) for line in said)
+        wanted = {name: value.replace("\0", seen.get("SIERRA_RUN_DIR", "")) for name, value in job.environment.items()}
+        other = sorted(seen.items() ^ wanted.items())
+        _holds(not other, f"variables are not the job's: {other}")
+
+
+def keeps_the_time_limit(ordeal: Ordeal) -> None:
+    """Of each run; what heeds no signal is killed."""
+    bounds = Limits(wall_s=1.0, grace_s=0.5)
+    for result in ordeal.executed("sleep 60", 'trap "" TERM; while :; do sleep 0.1; done', limits=bounds):
+        _holds(result.stopped == "timeout", f"a run over its limit became {result}")
+        _holds(0.9 < result.ended - result.started < PATIENCE_S / 2, f"it ran for {result.ended - result.started:.1f} s")
+
+
+def looks_at_once(ordeal: Ordeal) -> None:
+    """A look does not wait for what runs."""
+    errand = ordeal.errand()
+    errand.submit([errand.script(UNTIL_GO)])
+    errand.until_begun(1)
+    for _ in range(20):
+        began = time.monotonic()
+        look = errand.look()
+        took = time.monotonic() - began
+        _holds(took < AT_ONCE_S, f"a look took {took:.1f} s")
+        _holds(look.alive, "it is over while a job runs")
+        time.sleep(POLL_S)
+    (errand.shared / "go").touch()
+    errand.until_over()
+    errand.told_each_once()
+
+
+def ends_when_stopped(ordeal: Ordeal) -> None:
+    """What runs is ended, nothing more begins, and what had ended before is told; also where it is stopped twice."""
+    errand = ordeal.errand()
+    errand.submit([errand.script("echo 1 > ended"), *(errand.script(UNTIL_GO) for _ in range(6))])
+    errand.until(lambda: bool(errand.told), "nothing is told of a run that has ended, as long as others run")
+    errand.until_begun(1)
+    is_stopped(errand)
+    good = [result for result in errand.told if result.stopped is None and result.exit_code == 0]
+    _holds([result.execution for result in good] == [errand.jobs[0].execution], f"good, after it was stopped, are {good}")
+
+
+def is_stopped(errand: Errand) -> None:
+    """It ends, and nothing runs on."""
+    errand.runner.stop()
+    errand.runner.stop()
+    errand.until_over()
+    errand.look()
+    _holds(errand.over, "it lives again after its end")
+    begun = errand.has("begun-*")
+    errand.at_rest()
+    _holds(errand.has("begun-*") == begun, "runs begin after it was stopped")
+    told = [result.execution for result in errand.told]
+    _holds(len(told) == len(set(told)), "a run was told of twice")
+
+
+def goes_on_for_another(ordeal: Ordeal) -> None:
+    """Another runner tells of all that is not recorded, and only of that; what runs goes on meanwhile, and runs once."""
+    errand = ordeal.errand()
+    errand.submit([errand.script("echo 1 > ended"), errand.script(UNTIL_GO), errand.script(UNTIL_GO)])
+    errand.until(lambda: bool(errand.told), "nothing is told of a run that has ended, as long as others run")
+    errand.until_begun(1)
+    errand.leave()
+    first = errand.told[0]
+    other = ordeal.resumed(errand, {first.execution: first.attempt})
+    (errand.shared / "go").touch()
+    other.until_over()
+    told = sorted(result.execution for result in other.told)
+    _holds(told == sorted(job.execution for job in errand.jobs[1:]), f"of the 2 runs that were to come, told were {told}")
+    _holds(all(result.exit_code == 0 for result in other.told), f"runs were ended by their being left: {other.told}")
+    _holds(errand.has("begun-*") == 2, "a run was begun more than once")
+
+
+def tells_another_of_all(ordeal: Ordeal) -> None:
+    """Where nothing is recorded, also of what was told before."""
+    errand = ordeal.errand()
+    errand.submit([errand.script("echo 1 > ended"), errand.script("exit 4")])
+    errand.until_over()
+    errand.told_each_once()
+    errand.leave()
+    other = ordeal.resumed(errand, {})
+    other.until_over()
+    other.told_each_once()
+    _holds([other.results[job.execution].exit_code for job in errand.jobs] == [0, 4], "it tells otherwise than before")
+
+
+def is_stopped_by_another(ordeal: Ordeal) -> None:
+    errand = ordeal.errand()
+    errand.submit([errand.script(UNTIL_GO), errand.script(UNTIL_GO)])
+    errand.until_begun(1)
+    errand.leave()
+    is_stopped(ordeal.resumed(errand, {}))
+
+
+def lives_on_without_its_process(ordeal: Ordeal) -> None:
+    """Where the process is killed that submitted it, another goes on with it; nothing is executed twice."""
+    errand = killed_after_submission(ordeal)
+    other = ordeal.resumed(errand, {})
+    (errand.shared / "go").touch()
+    other.until_over()
+    other.told_each_once()
+    _holds(all(result.exit_code == 0 for result in other.told), f"runs ended with the process: {other.told}")
+    _holds(errand.has("begun-*") == 2, "a run was begun more than once")
+
+
+def ends_with_its_process(ordeal: Ordeal) -> None:
+    """Where the process is killed that submitted it, nothing runs on."""
+    killed_after_submission(ordeal).at_rest()
+
+
+def killed_after_submission(ordeal: Ordeal) -> Errand:
+    """Two jobs that run, and whose submitter is dead."""
+    errand = ordeal.errand()
+    errand.jobs = [errand.script(UNTIL_GO), errand.script(UNTIL_GO)]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # of forking beside threads: the child only needs its own
+        child = os.fork()
+    if child == 0:
+        try:
+            errand.runner.submit(errand.work(), errand.session)
+            while True:
+                errand.runner.look()
+                time.sleep(POLL_S)
+        finally:
+            os._exit(1)
+    give_up = time.monotonic() + PATIENCE_S
+    try:
+        while errand.has("begun-*") < 2:
+            _holds(time.monotonic() < give_up, "2 runs do not begin")
+            time.sleep(POLL_S)
+    finally:
+        os.kill(child, signal.SIGKILL)
+        os.waitpid(child, 0)
+        errand.leave()
+    return errand
+
+
+RUNNER_CLAIMS: tuple[Callable[[Ordeal], None], ...] = (
+    executes_each_job_once,
+    keeps_what_runs_leave,
+    tells_how_each_ended,
+    gives_what_the_job_has,
+    gives_exactly_the_jobs_environment,
+    keeps_the_time_limit,
+    looks_at_once,
+    ends_when_stopped,
+)
+STAYING_CLAIMS: tuple[Callable[[Ordeal], None], ...] = (
+    goes_on_for_another,
+    tells_another_of_all,
+    is_stopped_by_another,
+    lives_on_without_its_process,
+)
+"""Of runners that stay."""
+LEAVING_CLAIMS: tuple[Callable[[Ordeal], None], ...] = (ends_with_its_process,)
+"""Of those that don't."""
+
+
+def _running(seen: tuple[Task, ...]) -> set[int | None]:
+    return {task.element for task in seen if task.state == State.RUNNING}
+
+
+def _alive(seen: tuple[Task, ...]) -> set[int | None]:
+    return {task.element for task in seen if task.state != State.ENDED}
+
+
+def _holds(condition: bool, otherwise: str) -> None:
+    if not condition:
+        raise AssertionError(otherwise)

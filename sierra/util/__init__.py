@@ -1,0 +1,1 @@
+"""Small tools that know nothing of SIERRA: text, files, hashes, caches, signals, entry points."""

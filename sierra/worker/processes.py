@@ -1,0 +1,17 @@
+"""Processes of this host that are known by a mark: a NAME=value in the environment that they were started with (Linux)."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Set as AbstractSet
+
+from sierra.worker import worker
+
+
+def marked(marks: AbstractSet[bytes]) -> set[int]:
+    """Those that have one of these marks; zombies have none, and others' processes can't be told."""
+    try:
+        pids = [int(name) for name in os.listdir("/proc") if name.isdigit()]  # noqa: PTH208 - as quick as can be
+    except OSError:
+        return set()
+    return {pid for pid in pids if not marks.isdisjoint(worker.environment_of(pid))}
