@@ -15,8 +15,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sierra.config import project_file as config
-from sierra.config import user
+from sierra.config import project_file, user
 from sierra.errors import Missing, NotFound, UsageError
 from sierra.store.layout import ProjectPaths, StorePaths
 from sierra.store.store import Store
@@ -49,11 +48,11 @@ class Project:
 
     def __init__(self, path: str | os.PathLike[str] = ".") -> None:
         """Open the project that the folder `path` lies in, or only the store there. Raises Missing where there is neither."""
-        self._found = config.load_store(Path(path))
+        self._found = project_file.load_store(Path(path))
         self.paths = ProjectPaths(self._found.root)
 
     @cached_property
-    def _loaded(self) -> config.LoadedProject:
+    def _loaded(self) -> project_file.LoadedProject:
         """The project; where only a store is, its outputs are as they were last recorded."""
         if self._found.written:
             return self._found
@@ -68,7 +67,7 @@ class Project:
         return self._found.root
 
     @property
-    def config(self) -> config.Project:
+    def config(self) -> project_file.Project:
         """What `sierra.toml` says; where there is none, what follows from the store."""
         return self._loaded.config
 
@@ -150,9 +149,9 @@ class Project:
         say: Callable[[str], None] | None = None,
         leave: Callable[[], bool] | None = None,
     ) -> Summary:
-        """Answer a query that is planned already. `say` hears what the user should know at once; see `sierra.execution.executor.How`."""
+        """Execute a plan. `say` gets what the user should know at once; see `sierra.execution.executor.How`."""
         from sierra import runners
-        from sierra.execution import execute as pipeline
+        from sierra.execution import execute
         from sierra.execution.executor import How
 
         stays = runners.find(runner, self.config.runners)(1).stays
@@ -171,7 +170,7 @@ class Project:
         )
         store = Store.create(self.paths.store)
         probed = self._probe(plan, store, how) if self.config.determinism.probe else ()
-        summary = pipeline.run(plan, store, how)
+        summary = execute.run(plan, store, how)
         summary = replace(summary, notes=(*probed, *summary.notes))
         return self._drawn(summary) if figures else summary
 
@@ -232,17 +231,17 @@ class Project:
         return estimate.proposal(plan, self.stored(), runner, detach=detach)
 
     def status(self, prefix: str | None = None, *, say: Callable[[str], None] = lambda text: None) -> list[Standing]:
-        """What is on clusters, of all batches or of one, once what has finished there is recorded: see `sierra.execution.status`."""
-        from sierra.execution import status as standing
+        """Return the state of cluster jobs, of all batches or of one. First, runs that have finished there are recorded."""
+        from sierra.execution import status
 
         store = self.stored()
-        return standing.standing(store, prefix, say) if store else []
+        return status.standing(store, prefix, say) if store else []
 
     def left(self, summary: Summary) -> list[Standing]:
         """What an asking has left to itself on clusters."""
-        from sierra.execution import status as standing
+        from sierra.execution import status
 
-        found = (standing.submitted(self.store.paths.session(session)) for session in summary.left)
+        found = (status.submitted(self.store.paths.session(session)) for session in summary.left)
         return [one for one in found if one is not None]
 
     def attach(
@@ -254,7 +253,7 @@ class Project:
         say: Callable[[str], None] | None = None,
         leave: Callable[[], bool] | None = None,
     ) -> Summary:
-        """Follow what is on a cluster of a batch to its end, where no other process does; see `sierra.execution.takeover.follow`."""
+        """Reattach to a detached batch and wait for it; see `sierra.execution.takeover.follow`."""
         from sierra.execution import takeover
 
         summary = takeover.follow(
@@ -275,17 +274,18 @@ class Project:
     def diff(self, before: str, after: str) -> Comparison:
         """What differs between two batches, experiments, runs or executions, by beginnings of their ids.
 
-        What is likely to matter for results stands first: see `sierra.explain.diff.compare.Comparison`. Raises NotFound, UsageError.
+        What is likely to matter for results stands first: see `sierra.explain.diff.compare.Comparison`.
+        Raises NotFound, UsageError.
         """
-        from sierra.explain import diff as difference
+        from sierra.explain import diff
 
-        return difference.compare(self._loaded, self.store, before, after)
+        return diff.compare(self._loaded, self.store, before, after)
 
     def why(self, prefix: str) -> Why:
-        """Why what an id names was executed or not, what counts, and what asking again would do: see `sierra.explain.why.Why`."""
-        from sierra.explain import why as reasons
+        """Explain why runs were executed or not, which executions count, and what the query would execute now."""
+        from sierra.explain import why
 
-        return reasons.why(self._loaded, self.store, prefix)
+        return why.why(self._loaded, self.store, prefix)
 
     def pin(self, name: str | None = None) -> Contents:
         """Pin what an image's name stands for now (default: that of `[container] image`), in `sierra.lock`; what is in it.
@@ -297,7 +297,7 @@ class Project:
         return images.take(self.root, Store.create(self.paths.store).paths, self._image(name))
 
     def build_image(self, name: str | None = None, *, network: bool = False) -> Image:
-        """Build an image from its recipe, a folder of the project: see `sierra.containers.images.build`. It still is to be pinned."""
+        """Build an image from a folder of the project, its recipe, and return it. This does not pin it."""
         from sierra.containers.images import build
 
         return build.build(self.root, self._image(name), network=network)
@@ -352,21 +352,21 @@ class Project:
 
     def fsck(self, *, tell: Callable[[str], None] = lambda text: None) -> Report:
         """Check all that is recorded: see `sierra.maintenance.fsck.Report`. `tell` hears how far it has come."""
-        from sierra.maintenance import fsck as checking
+        from sierra.maintenance import fsck
 
-        return checking.check(StorePaths(self.paths.store), self.root, tell).report
+        return fsck.check(StorePaths(self.paths.store), self.root, tell).report
 
     def repair(self, *, dry_run: bool = False, tell: Callable[[str], None] = lambda text: None) -> Repair:
         """Repair the store, and check it: see `sierra.maintenance.repair`. Nothing is deleted."""
-        from sierra.maintenance import repair as repairing
+        from sierra.maintenance import repair
 
-        return repairing.repair(StorePaths(self.paths.store), self.root, dry_run=dry_run, tell=tell)
+        return repair.repair(StorePaths(self.paths.store), self.root, dry_run=dry_run, tell=tell)
 
     def removal(self, *prefixes: str) -> Removal:
         """What `remove` would delete of what these ids name: batches, experiments, runs, executions. Raises NotFound."""
-        from sierra.maintenance import remove as removing
+        from sierra.maintenance import remove
 
-        return removing.plan(self.store, prefixes)
+        return remove.plan(self.store, prefixes)
 
     def remove(self, *prefixes: str, agree: Callable[[Removal], bool] = lambda removal: True) -> Removal | None:
         """Remove what these ids name, if `agree` says so of what that deletes; None where it does not.
@@ -374,9 +374,9 @@ class Project:
         Runs that other batches have keep their executions. Raises NotFound, Missing where the disk is full, and SierraError
         while one of the batches is executing; nothing has changed then.
         """
-        from sierra.maintenance import remove as removing
+        from sierra.maintenance import remove
 
-        return removing.remove(self.store, prefixes, agree)
+        return remove.remove(self.store, prefixes, agree)
 
     def collection(self, *, damaged: bool = False, raw: bool = False) -> Collection:
         """What `collect` would remove: see `sierra.maintenance.gc.Collection`."""

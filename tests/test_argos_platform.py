@@ -16,11 +16,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from lxml import etree
 
-from sierra.config import project_file as config
+from sierra.config import project_file
 from sierra.errors import ConfigError, QueryError, TemplateError
 from sierra.model import Change, Criterion, MonteCarlo
 from sierra.platforms.argos import Argos, Size
-from sierra.query import grammar as query
+from sierra.query import grammar
 from sierra.templates.xml import XmlTemplate
 from tests import projects
 
@@ -77,9 +77,9 @@ def platform(**options: object) -> Argos:
     return Argos(project(argos=options))
 
 
-def project(argos: Mapping[str, object] | None = None, **table: object) -> config.Project:
+def project(argos: Mapping[str, object] | None = None, **table: object) -> project_file.Project:
     made = {"template": "t.argos", "platform": "argos", "controller": "foraging", "platforms": {"argos": argos or {}}}
-    return config.parse({**made, **table}, "sierra.toml")
+    return project_file.parse({**made, **table}, "sierra.toml")
 
 
 def reader(text: str = TEMPLATE) -> XmlTemplate:
@@ -120,7 +120,7 @@ def experiments(criterion: str, template: str = TEMPLATE, **options: object) -> 
     """What a criterion makes of the template, by the axis' values."""
     driven, read = platform(**options), reader(template)
     common = driven.changes(read)
-    answer = driven.criterion(query.parse(criterion), changed(template, common))
+    answer = driven.criterion(grammar.parse(criterion), changed(template, common))
     assert answer is not None
     axis, points = answer
     assert axis.values == tuple(point.value for point in points)
@@ -441,7 +441,7 @@ def test_population_size_is_the_quantity_of_the_robots() -> None:
 
 
 def test_populations_are_called_so() -> None:
-    answer = platform().criterion(query.parse("population_size.Log8"), reader())
+    answer = platform().criterion(grammar.parse("population_size.Log8"), reader())
     assert answer is not None
     assert (answer[0].name, answer[0].label) == ("population_size", "Population size")
 
@@ -566,7 +566,7 @@ DENSITIES = st.decimals("0.01", 1000, places=2)
 @given(DENSITIES, st.decimals("0.1", 50, places=1), st.integers(1, 8))
 def test_constant_density_is_refused_or_exact(density: object, increment: object, count: int) -> None:
     steps = (str(density).replace(".", "p"), "I" + str(increment).replace(".", "p"), f"C{count}")
-    criterion = query.parse(".".join(("population_constant_density", *steps)))
+    criterion = grammar.parse(".".join(("population_constant_density", *steps)))
     answer = None
     with suppress(QueryError):
         answer = platform().criterion(criterion, reader())
@@ -587,7 +587,7 @@ def test_constant_density_is_refused_or_exact(density: object, increment: object
 def test_criteria_that_need_or_make_an_arena_set_its_size(criterion: str) -> None:
     """So that a design can see that two of them contradict each other: they change the same."""
     driven = platform(arena="20x20")
-    answer = driven.criterion(query.parse(criterion), changed(TEMPLATE, driven.changes(reader())))
+    answer = driven.criterion(grammar.parse(criterion), changed(TEMPLATE, driven.changes(reader())))
     assert answer is not None
     assert all("/argos-configuration/arena/@size" in {c.path for c in point.changes} for point in answer[1])
 
@@ -870,7 +870,7 @@ def test_an_example_of_argos_own_becomes_this() -> None:
 """
     driven = platform(length=20, arena="6x6")
     common = driven.changes(reader(template))
-    answer = driven.criterion(query.parse("population_constant_density.20p0.I2.C2"), changed(template, common))
+    answer = driven.criterion(grammar.parse("population_constant_density.20p0.I2.C2"), changed(template, common))
     assert answer is not None
     made = make((*common, *answer[1][1].changes, *driven.seed_changes()), template)
     assert (

@@ -231,7 +231,7 @@ def test_what_ends_while_it_is_cancelled_is_kept(clustered: Callable[..., Cluste
     submit, look = Here.submit, Here.look
 
     def late_to_heed(self: Here, request: Request) -> str:
-        script = request.folder / "element.py"
+        script = request.folder / "array_task.py"
         text, found = re.subn(r"(?m)^SYNC_S = .*$", "SYNC_S = 600.0", script.read_text())
         assert found == 1
         script.write_text(text)
@@ -287,13 +287,13 @@ def test_half_of_a_session_that_is_removed_is_no_submission(tmp_path: Path, monk
 
 
 def test_what_cannot_be_read_is_cancelled_all_the_same(clustered: Callable[..., Clustered]) -> None:
-    from sierra.worker import array_task as element
+    from sierra.worker import array_task
 
     made = clustered(WAITS)
     made.project.run(*QUERY, runs=1, runner="here", detach=True, figures=False)
     made.simulated.until_executed(1)
     session = made.session()
-    (session / "results" / "0.other.pack").write_bytes(element.line_of({"event": "end", "told": "otherwise"}))
+    (session / "results" / "0.other.pack").write_bytes(array_task.line_of({"event": "end", "told": "otherwise"}))
     with pytest.raises(SierraError, match="another version"):
         made.project.cancel(session.name)
     until(lambda: all(process.poll() is not None for *_, process in Here.tasks))

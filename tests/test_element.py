@@ -33,7 +33,7 @@ from sierra.store.layout import SessionPaths
 from sierra.worker import array_task, worker
 from tests.waiting import PATIENCE_S, until
 
-SCRIPTS = {"worker.py": worker, "element.py": array_task, "machine.py": machine}
+SCRIPTS = {"worker.py": worker, "array_task.py": array_task, "machine.py": machine}
 
 
 def job(name: str, code: str, *, limits: Limits | None = None, files: tuple[tuple[str, bytes], ...] = ()) -> Job:
@@ -69,8 +69,8 @@ class Folder:
         return deal(jobs, elements, self.paths)
 
     def start(self, *words: str, python: str = sys.executable, **variables: str) -> subprocess.Popen[str]:
-        """`element.py FOLDER WORDS`, begun."""
-        command = [python, "-I", "-S", str(self.root / "element.py"), str(self.root), *(words or ("0",))]
+        """`array_task.py FOLDER WORDS`, begun."""
+        command = [python, "-I", "-S", str(self.root / "array_task.py"), str(self.root), *(words or ("0",))]
         environment = {"PATH": os.defpath, "MARK": str(self.root), **variables}
         self.started.append(
             subprocess.Popen(
@@ -346,7 +346,7 @@ def test_a_cancelled_session_begins_nothing_more(folder: Folder) -> None:
 
 @pytest.mark.slow
 def test_nothing_large_is_packed_once_the_session_is_cancelled(folder: Folder) -> None:
-    script = folder.root / "element.py"
+    script = folder.root / "array_task.py"
     slow = "def _write(self, data, at):\n        time.sleep(len(data) / 1e7)\n        return self._written(data, at)\n\n"
     script.write_text(script.read_text().replace("def _write(self", f"{slow}    def _written(self"))
     folder.deal([job("large", "truncate -s 300M x")])
@@ -621,7 +621,7 @@ def test_what_a_dead_attempt_has_left_is_removed_and_nothing_of_others(folder: F
     assert (alive.poll(), third.poll()) == (None, None)
 
 
-@pytest.mark.parametrize("name", ["element.py", "worker.py", "machine.py"])
+@pytest.mark.parametrize("name", ["array_task.py", "worker.py", "machine.py"])
 def test_what_nodes_execute_is_python_3_8_on_the_standard_library(name: str) -> None:
     tree = ast.parse(Path(str(SCRIPTS[name].__file__)).read_text(), feature_version=(3, 8))
     found = {alias.name for node in ast.walk(tree) if isinstance(node, ast.Import) for alias in node.names}

@@ -16,7 +16,7 @@ from sierra.config import project_file
 from tests import projects
 
 SIERRA = str(Path(sys.executable).with_name("sierra"))
-EXAMPLE = Path(sierra.__file__).parent / "examples" / "swarm"
+EXAMPLE = Path(sierra.__file__).parent / "setup" / "examples" / "swarm"
 
 
 def sierra_(*arguments: str, cwd: Path) -> str:

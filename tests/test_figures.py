@@ -156,7 +156,8 @@ def test_the_users_own_settings_of_matplotlib_change_nothing_and_are_left_alone(
 
 
 def test_importing_figures_imports_neither_matplotlib_nor_seaborn() -> None:
-    code = "import sys, sierra.deliverables.figures.base; print([m for m in ('matplotlib', 'seaborn', 'numpy', 'pyarrow') if m in sys.modules])"
+    heavy = ("matplotlib", "seaborn", "numpy", "pyarrow")
+    code = f"import sys, sierra.deliverables.figures; print([m for m in {heavy} if m in sys.modules])"
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     out = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
     assert out.stdout.strip() == "[]"
@@ -226,13 +227,12 @@ def test_the_legend_does_not_cover_data() -> None:
 @pytest.mark.parametrize("kind", [*KINDS, "heatmap"])
 @pytest.mark.parametrize("title", ["", "A title " * 12])
 def test_nothing_that_is_written_lies_outside_or_on_something_else(kind: str, title: str) -> None:
-    from sierra.deliverables.figures import heatmap, style, timeseries
-    from sierra.deliverables.figures import summary as points
+    from sierra.deliverables.figures import heatmap, style, summary, timeseries
 
     long = Axis("terrain", tuple(f"a rather long name of terrain {k}" for k in range(4)))
     shown = drawing(kind, (long, NAMES) if kind == "heatmap" else (long,), title=title)
     painters = {"timeseries": timeseries.timeseries, "stacked": timeseries.stacked, "heatmap": heatmap.heatmap}
-    painters |= {"summary": points.summary, "box": points.box, "violin": points.violin}
+    painters |= {"summary": summary.summary, "box": summary.box, "violin": summary.violin}
     with style.applied():
         figure = painters[kind](shown)
         style.settle(figure, shown)
@@ -260,13 +260,12 @@ def test_thirty_experiments_have_a_colour_bar_and_not_thirty_entries() -> None:
 
 
 def test_a_log_scale_of_values_is_drawn_on_one() -> None:
-    from sierra.deliverables.figures import style
-    from sierra.deliverables.figures import summary as points
+    from sierra.deliverables.figures import style, summary
 
     with style.applied():
-        geometric = points.summary(drawing("summary")).axes[0]
-        linear = points.summary(drawing("summary", (Axis("speed", (1, 2, 3, 4)),))).axes[0]
-        names = points.summary(drawing("summary", (Axis("s", ("a", "b", "c", "d")),))).axes[0]
+        geometric = summary.summary(drawing("summary")).axes[0]
+        linear = summary.summary(drawing("summary", (Axis("speed", (1, 2, 3, 4)),))).axes[0]
+        names = summary.summary(drawing("summary", (Axis("s", ("a", "b", "c", "d")),))).axes[0]
     assert [plot.get_xscale() for plot in (geometric, linear, names)] == ["log", "linear", "linear"]
     assert [label.get_text() for label in geometric.get_xticklabels()] == ["1", "2", "4", "8"]
     assert [line.get_linestyle() for line in names.lines if len(xs(line)) == 4][-1] == "None"
@@ -297,18 +296,16 @@ def test_one_run_has_a_line_and_no_band() -> None:
 
 
 def test_a_mark_is_hollow_where_runs_never_reached_the_threshold() -> None:
-    from sierra.deliverables.figures import style
-    from sierra.deliverables.figures import summary as points
+    from sierra.deliverables.figures import style, summary
 
     censored = table(4, never=np.array([0, 3, 0, 0]))
     with style.applied():
-        plot = points.summary(drawing("summary", tables={"energy": censored}, measure="time_to", threshold=1)).axes[0]
+        plot = summary.summary(drawing("summary", tables={"energy": censored}, measure="time_to", threshold=1)).axes[0]
     assert [xs(line) for line in plot.lines if line.get_markerfacecolor() == "white"] == [[2.0]]
 
 
 def test_experiments_in_which_no_run_reached_the_threshold_are_marked_at_the_upper_edge() -> None:
-    from sierra.deliverables.figures import style
-    from sierra.deliverables.figures import summary as points
+    from sierra.deliverables.figures import style, summary
 
     nan = np.array([10.0, 20.0, np.nan, np.nan])
     late = table(4, n=np.array([10, 7, 0, 0]), never=np.array([0, 3, 10, 10]), mean=nan, low=nan, high=nan)
@@ -316,7 +313,7 @@ def test_experiments_in_which_no_run_reached_the_threshold_are_marked_at_the_upp
     for kind, places in {"summary": [4.0, 8.0], "box": [2.0, 3.0], "violin": [2.0, 3.0]}.items():
         shown = replace(drawing(kind, tables={"energy": late}, measure="time_to", threshold=1), runs=runs)
         with style.applied():
-            plot = getattr(points, kind)(shown).axes[0]
+            plot = getattr(summary, kind)(shown).axes[0]
         marks = [line for line in plot.lines if line.get_marker() == "^" and len(xs(line))]
         assert sorted(x for line in marks for x in xs(line)) == places
         assert all(list(line.get_ydata()) == [1.0] * len(xs(line)) for line in marks)
@@ -331,11 +328,10 @@ def ragged(n: int = 2, reach: float = 500.0) -> dict[str, Any]:
 
 
 def plot_of(shown: Drawing) -> Any:
-    from sierra.deliverables.figures import style, timeseries
-    from sierra.deliverables.figures import summary as points
+    from sierra.deliverables.figures import style, summary, timeseries
 
     with style.applied():
-        return {"timeseries": timeseries.timeseries, "summary": points.summary}[shown.figure.kind](shown).axes[0]
+        return {"timeseries": timeseries.timeseries, "summary": summary.summary}[shown.figure.kind](shown).axes[0]
 
 
 def test_intervals_of_few_runs_do_not_set_the_range_and_are_said_to_be_cut_off() -> None:
@@ -381,14 +377,13 @@ def test_what_has_no_place_on_a_logarithmic_axis_is_said() -> None:
 
 
 def test_a_run_without_a_place_does_not_take_the_density_of_the_others_away() -> None:
-    from sierra.deliverables.figures import style
-    from sierra.deliverables.figures import summary as points
+    from sierra.deliverables.figures import style, summary
 
     runs = reduced(4)
     lowered = np.where(np.arange(40) % 10 == 0, 0.0, runs.column("value").to_numpy())
     shown = replace(drawing("violin", log_y=True), runs=runs.set_column(2, "value", pa.array(lowered)))
     with style.applied():
-        assert len(points.violin(shown).axes[0].collections) == 4
+        assert len(summary.violin(shown).axes[0].collections) == 4
 
 
 def test_the_colour_bar_of_a_logarithmic_heatmap_has_powers_of_ten_and_no_tex() -> None:
@@ -457,12 +452,11 @@ def test_marks_at_zero_do_not_go_below_it() -> None:
 @pytest.mark.parametrize("first", [SIZES, Axis("noise", (0.0, 0.5, 1.0, 1.5))])
 @pytest.mark.parametrize("count", [3, 12, 60])
 def test_marks_of_all_groups_lie_within_the_plot(first: Axis, count: int) -> None:
-    from sierra.deliverables.figures import style
-    from sierra.deliverables.figures import summary as points
+    from sierra.deliverables.figures import style, summary
 
     shown = drawing("summary", (first, Axis("terrain", tuple(f"terrain {k}" for k in range(count)))))
     with style.applied():
-        figure = points.summary(shown)
+        figure = summary.summary(shown)
         style.settle(figure, shown)
         figure.canvas.draw()
         plot, *_ = figure.axes

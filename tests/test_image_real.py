@@ -17,8 +17,7 @@ import pytest
 
 import sierra
 from sierra.containers import engines, images
-from sierra.containers.images import containerfile as recipe
-from sierra.containers.images import layers, oci, podman_storage
+from sierra.containers.images import containerfile, layers, oci, podman_storage
 from sierra.errors import Missing
 from sierra.project import Project
 from sierra.store.layout import StorePaths
@@ -106,7 +105,7 @@ def test_two_builds_give_one_image(busybox: Project, storages: Storages) -> None
     found = busybox.pin(BUSYBOX)
     assert found.image.id == first
     assert found.program("sh") == "/bin/sh"
-    assert found.labels[recipe.LABEL] == recipe.identity(busybox.root / BUSYBOX)
+    assert found.labels[containerfile.LABEL] == containerfile.identity(busybox.root / BUSYBOX)
     assert "busybox-static" in found.packages["dpkg"][0]
     assert found.recipe.endswith((busybox.root / BUSYBOX / "Containerfile").read_text())
 

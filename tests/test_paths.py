@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from sierra.util.fs import inside
 
 from sierra.errors import Damaged
 from sierra.store.layout import ProjectPaths, StorePaths
+from sierra.util.fs import inside
 
 
 @pytest.mark.parametrize("name", ["", ".", "/etc/passwd", "..", "../x", "a/../../x", "a/..", "x\0y", "//x"])

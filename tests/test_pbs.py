@@ -516,7 +516,7 @@ FULL_TABLE = ClusterTable(
 @pytest.mark.parametrize("dialect", list(Dialect))
 def test_scripts_are_these(dialect: Dialect) -> None:
     folder = Path("/shared") / HOSTILE
-    words = ("python3", "-I", "-S", str(folder / "element.py"), str(folder))
+    words = ("python3", "-I", "-S", str(folder / "array_task.py"), str(folder))
     request = Request(NAME, "batch 12ab of swarm", (0, 1, 2, 3), folder, folder / "logs", words)
     scripts = [
         qsub.script(request, ClusterTable(), dialect),

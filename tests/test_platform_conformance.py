@@ -274,7 +274,7 @@ def test_an_installed_platform_and_its_options_are_found_by_name(tmp_path: Path,
     info = tmp_path / "soundly-1.dist-info"
     info.mkdir()
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: soundly\nVersion: 1\n")
-    (info / "entry_points.txt").write_text("[sierra.platforms.base]\nsoundly = soundly:Soundly\n")
+    (info / "entry_points.txt").write_text("[sierra.platforms]\nsoundly = soundly:Soundly\n")
     monkeypatch.syspath_prepend(str(tmp_path))
     table = {"template": "t.xml", "platform": "soundly", "command": "x {input}", "platforms": {"soundly": {"volume": 2}}}
     assert "soundly" in platforms.names()

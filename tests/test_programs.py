@@ -15,8 +15,7 @@ import pytest
 
 import sierra
 from sierra.errors import Missing
-from sierra.provenance import libraries, program, programs
-from sierra.provenance import referenced_files as named
+from sierra.provenance import libraries, program, programs, referenced_files
 from sierra.provenance.program import NOTHING, Kind, Program, Programs
 from tests import projects
 
@@ -329,9 +328,9 @@ def test_tags_and_xpaths_name_nothing(tmp_path: Path) -> None:
 
 def test_the_end_of_an_element_names_no_file_at_the_root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     looked_at: list[Path] = []
-    monkeypatch.setattr(named, "_is", lambda kind, path: looked_at.append(path))
+    monkeypatch.setattr(referenced_files, "_is", lambda kind, path: looked_at.append(path))
     (tmp_path / "t.xml").write_text('<e><x a="/y/z"></x><w>b.c</w></e>')
-    assert named.data(tmp_path / "t.xml", (), tmp_path, set(), ("t.xml",)) == NOTHING
+    assert referenced_files.data(tmp_path / "t.xml", (), tmp_path, set(), ("t.xml",)) == NOTHING
     assert {Path("/y/z"), tmp_path / "b.c"} <= set(looked_at)
     assert not {Path("/x"), Path("/e"), Path("/w")} & set(looked_at)
 
@@ -352,7 +351,7 @@ def test_a_file_that_only_the_query_names_is_said_not_to_count(tmp_path: Path) -
 def test_hostile_texts_of_a_template_name_nothing(tmp_path: Path) -> None:
     texts = ("a/" * 5000, "/" + "x" * 4000, "/dev/zero", "/proc/kcore", "..", "/", "./" * 2000, "\0/x", "file://nowhere/x")
     (tmp_path / "t.xml").write_text("".join(f'<e a="{text}"/>' for text in texts))
-    assert named.data(tmp_path / "t.xml", (), tmp_path, set(), ("t.xml",)) == NOTHING
+    assert referenced_files.data(tmp_path / "t.xml", (), tmp_path, set(), ("t.xml",)) == NOTHING
 
 
 INCLUDES = """\
@@ -394,7 +393,7 @@ def test_an_include_is_only_mentioned_where_it_may_be_why_runs_fail(tmp_path: Pa
 
 
 def test_what_is_too_large_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(named, "LARGEST", 3)
+    monkeypatch.setattr(referenced_files, "LARGEST", 3)
     (tmp_path / "map.pgm").write_text("four")
     project = make(tmp_path / "p", "true", template=f'<e seed="0" n="0"><map>{tmp_path}/map.pgm</map></e>')
     assert any("map.pgm" in note and "larger than 1 GB" in note for note in project.run("n=1", figures=False).notes)

@@ -18,7 +18,7 @@ import sierra
 ROOT = Path(__file__).parents[1]
 PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
 LOCK = (ROOT / "requirements.lock").read_text("utf-8")
-WORKER = (ROOT / "sierra" / "worker.py").read_text("utf-8")
+WORKER = (ROOT / "sierra" / "worker" / "worker.py").read_text("utf-8")
 
 NEWER_THAN_3_8 = {"annotationlib", "compression", "graphlib", "string.templatelib", "tomllib", "zoneinfo"}
 """Modules of the standard library that Python 3.8 does not have."""

@@ -48,9 +48,9 @@ def tables(incomplete: str) -> list[str]:
 
 
 def _project() -> LoadedProject:
-    from sierra.config import project_file as config
+    from sierra.config import project_file
 
-    return config.load(Path())
+    return project_file.load(Path())
 
 
 def _folder() -> Path:

@@ -19,9 +19,9 @@ def doctor(
     from dataclasses import asdict
 
     from sierra.cli.output import print_json
-    from sierra.setup import doctor as checks
+    from sierra.setup import doctor
 
-    found = checks.all_checks()
+    found = doctor.all_checks()
     if as_json:
         print_json([asdict(check) for check in found])
     else:

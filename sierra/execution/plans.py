@@ -10,8 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol
 
-from sierra import platforms
-from sierra import templates as inputs
+from sierra import platforms, templates
 from sierra.config.project_file import LoadedProject, Output, Project, Success
 from sierra.containers import engines, images, isolation
 from sierra.containers.engines.base import PROJECT, Engine
@@ -23,11 +22,10 @@ from sierra.execution import commands
 from sierra.execution.checkout import Checkout, programs_in
 from sierra.ingest.context import Context
 from sierra.model import Batch, Design, Experiment, Limits, Query, Recipe, Run, Set
-from sierra.provenance import environment, source, versions
-from sierra.provenance import referenced_files as named
+from sierra.provenance import environment, referenced_files, source, versions
 from sierra.provenance.change_guard import Seen, seen
 from sierra.provenance.program import Programs
-from sierra.query import grammar as query
+from sierra.query import grammar
 from sierra.store.layout import CONFIG, DRAWN, FIGURES, LOCK, PYPROJECT, STORE, ProjectPaths, StorePaths
 from sierra.store.schema import RESERVED, check_name
 from sierra.util.text import few
@@ -101,7 +99,7 @@ def ask(
     if len(names) > 1:
         raise QueryError(f"{names[0]!r} and {names[1]!r} are queries of their own; ask for one, with more criteria if need be")
     for word in words:
-        if word == query.MONTE_CARLO:
+        if word == grammar.MONTE_CARLO:
             raise QueryError(f"{word!r} needs a number of experiments, which differ in their seeds alone; use {word}.C20")
         if word not in names and BARE.fullmatch(word):
             close = difflib.get_close_matches(word, config.queries, 1, cutoff=0.5)
@@ -110,7 +108,7 @@ def ask(
     named = config.queries[names[0]] if names else None
     spelled = [part for word in words for part in (named.criteria if named and word in names else (word,))]
     return Query(
-        criteria=query.parse_all(spelled),
+        criteria=grammar.parse_all(spelled),
         runs=runs or (named and named.runs) or config.runs,
         controller=controller or (named and named.controller) or None,
         scenario=scenario or (named and named.scenario) or None,
@@ -130,7 +128,7 @@ def plan(project: LoadedProject, asked: Query, *, engine: str | None = None, hee
     """
     config, root = project.config, project.root
     _check_names(project)
-    template = inputs.read(root / config.template)
+    template = templates.read(root / config.template)
     platform = platforms.find(config.platform, config)
     contained, image = _contained(project, engine)
     box = config.container if image else None
@@ -146,7 +144,7 @@ def plan(project: LoadedProject, asked: Query, *, engine: str | None = None, hee
     )
     code = _source(project, own)
     held = source.paths(code.manifest)
-    data = named.data(root / config.template, _written(config), root, held, own)
+    data = referenced_files.data(root / config.template, _written(config), root, held, own)
     if box:
         data = isolation.data(data, box, root)
     recipe = Recipe(config.platform, command, variables, code.tree, image.id if image else None, isolation.reach(box))
@@ -156,11 +154,11 @@ def plan(project: LoadedProject, asked: Query, *, engine: str | None = None, hee
     used = programs_in(recipe, code.manifest, root, data)
     checkout = _committed(root, recipe, code, used) if code.checkout else None
     executed = checkout.programs() if checkout else used
-    uncounted = named.uncounted(_set_by(designed), root / config.template, root, held, used)
+    uncounted = referenced_files.uncounted(_set_by(designed), root / config.template, root, held, used)
     return Plan(
         project=project,
         query=asked,
-        text=" ".join(query.text(criterion) for criterion in asked.criteria),
+        text=" ".join(grammar.text(criterion) for criterion in asked.criteria),
         batch=batch,
         inputs=expansion,
         source=code,
@@ -230,7 +228,7 @@ def out_of_reach(plan: Plan, logs: Sequence[str] | None) -> Iterator[str]:
     """
     config, root = plan.project.config, plan.project.root
     template = root / config.template
-    words = named.beside(template, _written(config), root)
+    words = referenced_files.beside(template, _written(config), root)
     made = set(plan.batch.runs[0].names)
     meant = [word for word in words if word not in made and (logs is None or any(Path(word).name in log for log in logs))]
     if meant:
@@ -315,7 +313,7 @@ def _doubts(designed: Design, command: Sequence[str]) -> Iterator[str]:
         yield "the command does not name {input}: unless it finds the generated file itself, all experiments are the same"
 
 
-def _texts(designed: Design, config: Project, template: inputs.Template) -> Iterator[str]:
+def _texts(designed: Design, config: Project, template: templates.Template) -> Iterator[str]:
     """Texts as values of a variable where the template has a number: a range that was mistyped, perhaps."""
     for axis in designed.axes:
         variable = config.variables.get(axis.name)

@@ -11,7 +11,7 @@ from sierra.errors import Missing
 from sierra.ingest.messages import shown
 from sierra.ingest.model import AtFaultError, Part, Reading, Shape, Siblings, Written
 from sierra.store.counting import rows_by_file
-from sierra.store.errors import first_line
+from sierra.store.errors import duckdb_error, first_line
 from sierra.store.names import column_names, identifier
 from sierra.store.scans import copy, parquet_metadata, read_parquet
 
@@ -25,8 +25,6 @@ class Reader:
     """What all formats have in common: sorting files by their columns, writing what is sound, noting what is not."""
 
     def __init__(self, connection: Any, shape: Shape, target: Path, siblings: Siblings) -> None:
-        import duckdb
-
         self.sql = connection
         self.shape = shape
         self.siblings = siblings
@@ -41,7 +39,7 @@ class Reader:
         self.columns: dict[tuple[str, str], Mapping[str, str]] = {}
         self.hints: dict[tuple[str, str], dict[str, str]] = {}
         self.faults: dict[str, str] = {}
-        self.error: type[Exception] = duckdb.Error
+        self.error: type[Exception] = duckdb_error()
 
     def read(self, files: Sequence[Written]) -> Reading:
         for place, some in self._by_part(files):

@@ -10,8 +10,7 @@ from pathlib import Path
 
 from sierra.errors import Damaged, Missing, SierraError
 from sierra.execution import sessions
-from sierra.maintenance import check_files as contents
-from sierra.maintenance import check_records
+from sierra.maintenance import check_files, check_records
 from sierra.maintenance.check_files import Contents, Objects
 from sierra.maintenance.check_records import Records
 from sierra.maintenance.findings import Affected, Finding, Kind, of, worst_first
@@ -54,13 +53,13 @@ def check(paths: StorePaths, root: Path, tell: Tell = lambda text: None) -> Chec
     """Check a store; `root` is its project. Raises Missing where there is none, or a folder of somebody else's."""
     if not paths.root.is_dir():
         raise Missing(f"no store in {paths.root}: nothing has been run here yet (sierra run makes one)")
-    if not contents.has_segments(paths):
+    if not check_files.has_segments(paths):
         check_free(paths.root)
     began = time.monotonic()
     shared = Shared(paths.reading)
     try:
-        found = contents.read(paths, lambda done: tell(f"{done / 1e6:.0f} MB hashed"))
-        objects = contents.read_objects(found.sound, _blobs(paths, found), lambda: tell("hashing recorded files"))
+        found = check_files.read(paths, lambda done: tell(f"{done / 1e6:.0f} MB hashed"))
+        objects = check_files.read_objects(found.sound, _blobs(paths, found), lambda: tell("hashing recorded files"))
         read = Records(paths, found, objects)
         try:
             tell("checking records")

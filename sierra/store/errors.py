@@ -12,6 +12,13 @@ NESTED = re.compile(r'"exception_message":("(?:[^"\\]|\\.)*")')
 MOST = 400
 
 
+def duckdb_error() -> type[Exception]:
+    """Return the class of all errors that DuckDB raises; this imports DuckDB."""
+    import duckdb
+
+    return duckdb.Error
+
+
 def explain(error: Exception) -> str:
     """All of it that is not about where in a statement."""
     lines = [line.strip() for line in _plain(error).splitlines() if line.strip()]

@@ -1,4 +1,4 @@
-"""Every file name that SIERRA gives, in one place; and how a file appears whole.
+"""All names of files that SIERRA writes, in one place.
 
 $XDG_CONFIG_HOME/sierra/config.toml a user's own defaults
 $XDG_CACHE_HOME/sierra/             what can be found out again: digests.json, versions.json, images.json,
@@ -17,7 +17,7 @@ PROJECT/.sierra/work/<session>/     what executes now; gone once it is recorded
                                     `elsewhere` names
     anew/                           recorded files, while they are judged anew
     source/                         the code, where it is not executed from the project itself
-    asking.json  submission.json  worker.py  element.py  machine.py  element.json  cancelled  engine/
+    asking.json  submission.json  worker.py  array_task.py  machine.py  element.json  cancelled  engine/
     elements/<index>.{jobs,failed,alone}  results/<index>.<attempt>.pack
     results/probe.<attempt>.pack  logs/  sent/<number>.json
                                     on a cluster: what was submitted, and what came of it; see sierra.worker.array_task
@@ -29,13 +29,12 @@ PROJECT/.sierra/kept/<replay>/      what `sierra replay --keep` leaves: source/,
 
 from __future__ import annotations
 
-import json
 import os
 from dataclasses import dataclass
-from pathlib import Path, PurePosixPath
-from typing import Any, ClassVar
+from pathlib import Path
+from typing import ClassVar
 
-from sierra.errors import Damaged
+from sierra.util.fs import inside
 
 CONFIG = "sierra.toml"
 LOCK = "sierra.lock"
@@ -348,49 +347,3 @@ def _user(variable: str, fallback: str) -> Path:
     """By the XDG Base Directory Specification: a path there that is not absolute is not heeded."""
     said = Path(os.environ.get(variable, ""))
     return (said if said.is_absolute() else Path.home() / fallback) / "sierra"
-
-
-def inside(root: Path, name: str, *, link: bool = False) -> Path:
-    """Return the path that a name from a record has in the folder `root`. Every such name goes through here before it is used.
-
-    Raises Damaged for a name that leads outside: an absolute one, one with `..` in it, one that passes through a symbolic link
-    to somewhere else; and for an empty one, or one with the character NUL. `link`: the last part may be a link to anywhere,
-    because the caller does not follow it.
-    """
-    parts = PurePosixPath(name).parts
-    if not parts or "\0" in name or parts[0].startswith("/") or ".." in parts:
-        raise Damaged(_outside(root, name))
-    path = root.joinpath(*parts)
-    try:
-        end = (path.parent if link else path).resolve()
-    except (OSError, RuntimeError) as error:  # a link to itself
-        raise Damaged(_outside(root, name)) from error
-    if not end.is_relative_to(root.resolve()):
-        raise Damaged(_outside(root, name))
-    return path
-
-
-def _outside(root: Path, name: str) -> str:
-    return f"the record names the path {name!r}, which is not inside {root}; whoever made the record did not use SIERRA for it"
-
-
-def read_record(path: Path) -> dict[str, Any]:
-    """Return the JSON object that a file of a session holds. Raises FileNotFoundError, and Damaged for what is none."""
-    try:
-        found = json.loads(path.read_bytes())
-        if isinstance(found, dict):
-            return found
-    except (ValueError, RecursionError):  # no UTF-8, no JSON, or one that never ends
-        pass
-    raise Damaged(f"{path}: holds no record that SIERRA wrote; move {path.parent} away, what is in it is not recorded yet")
-
-
-def write_whole(path: Path, data: bytes) -> Path:
-    """Write a file that appears whole, in the place of what was there, or not at all."""
-    unfinished = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        unfinished.write_bytes(data)
-        unfinished.replace(path)
-    finally:
-        unfinished.unlink(missing_ok=True)
-    return path

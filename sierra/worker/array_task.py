@@ -1,6 +1,6 @@
 """What a task of a cluster starts on its node: it executes the runs of one element by the worker, and packs what they leave.
 
-    python3 -I -S FOLDER/element.py FOLDER [--wall=SECONDS] INDEX
+    python3 -I -S FOLDER/array_task.py FOLDER [--wall=SECONDS] INDEX
 
 Three files on the standard library alone (Python 3.8 or newer) lie in the session's folder, FOLDER, on the file system that
 nodes and login nodes share: this one, `worker.py`, which executes, and `machine.py`, which says what a node is. Beside them:
@@ -51,7 +51,7 @@ A task whose time would be over before its runs are (`--wall=SECONDS`: what it h
 and shortly before: by the command `requeue` of the settings, with its own id. It does that only where a run has ended, so that
 it gets on each time, and where nothing is cancelled. It submits nothing. Where it is refused, it goes on as long as it may.
 
-    python3 -I -S FOLDER/element.py FOLDER --probe INDEX
+    python3 -I -S FOLDER/array_task.py FOLDER --probe INDEX
 
 does all that but execute, and records it as results/probe.<attempt>.pack.
 """

@@ -1,4 +1,4 @@
-"""Figures: `sierra.deliverables.figures.base` against a script that draws the same from the same aggregates by hand, in three formats.
+"""Figures: `sierra.deliverables.figures` against a script that draws the same from the same aggregates, in three formats.
 
     python tests/bench/bench_figures.py [experiments] [times] [figures]
 

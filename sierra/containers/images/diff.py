@@ -25,7 +25,10 @@ class Change:
 def packages(
     was: Mapping[str, Sequence[str]], now: Mapping[str, Sequence[str]], words: frozenset[str] = frozenset()
 ) -> dict[str, list[Change]]:
-    """The packages that differ, by who manages them; lists as `sierra.containers.images.packages` has them. What `words` name is first."""
+    """Return the packages that differ, by package manager, those that `words` name first.
+
+    The lists are those of `sierra.containers.images.packages`.
+    """
     found = {manager: list(_packages(was.get(manager, ()), now.get(manager, ()), words)) for manager in sorted({*was, *now})}
     return {manager: changes for manager, changes in found.items() if changes}
 

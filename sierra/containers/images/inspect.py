@@ -19,9 +19,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from sierra.containers.images import containerfile as recipe
-from sierra.containers.images import oci, packages, podman_storage, sif, squashfs
-from sierra.containers.images import sif_env as variables
+from sierra.containers.images import containerfile, oci, packages, podman_storage, sif, sif_env, squashfs
 from sierra.containers.images.image import Image, Kind, short
 from sierra.containers.images.layers import Entry, Rootfs, merge, resolve
 from sierra.containers.images.oci import Archive
@@ -193,10 +191,10 @@ def unfinished(store: StorePaths) -> Iterator[Path]:
 def outdated(root: Path, store: StorePaths, image: Image) -> bool:
     """Whether an image's name is the folder of its recipe, and that is another than the image was built by."""
     folder = root / image.name
-    if image.file or not recipe.is_recipe(folder):
+    if image.file or not containerfile.is_recipe(folder):
         return False
     found = contents(store, image)
-    return found is not None and found.labels.get(recipe.LABEL) != recipe.identity(folder)
+    return found is not None and found.labels.get(containerfile.LABEL) != containerfile.identity(folder)
 
 
 def known(store: StorePaths) -> Iterator[Contents]:
@@ -283,7 +281,7 @@ def opened(root: Path, store: StorePaths, image: Image) -> Iterator[Archive]:
 
 
 def wanted(path: str) -> int:
-    return packages.wanted(path) or variables.wanted(path)
+    return packages.wanted(path) or sif_env.wanted(path)
 
 
 def of_archive(read: Archive, image: Image, *, foreign: bool = False) -> Contents:
@@ -293,7 +291,7 @@ def of_archive(read: Archive, image: Image, *, foreign: bool = False) -> Content
 
 def _with_recipe(root: Path, found: Contents) -> Contents:
     """With the text of the recipe that it was built by, where the project has that still."""
-    said = recipe.text(root / found.image.name, found.labels.get(recipe.LABEL, ""))
+    said = containerfile.text(root / found.image.name, found.labels.get(containerfile.LABEL, ""))
     return replace(found, recipe=said) if said else found
 
 
@@ -318,13 +316,13 @@ def _of_squashfs(path: Path, image: Image) -> Contents:
     read = sif.read(path) if sif.is_sif(path) else None
     entries, kept = squashfs.listing(path, read.offset if read else 0, wanted)
     own = image.kind is Kind.SQUASHFS  # else it was made of an OCI image, and does not say what that sets
-    found = variables.of(kept) if own else image.variables
+    found = sif_env.of(kept) if own else image.variables
     return Contents(
         image=replace(image, variables=found),
         form="sif" if read else "squashfs",
         manifests={},
         config={"config": {"Env": [f"{name}={value}" for name, value in found.items()]}} if own else {},
-        labels=variables.labels(kept) or (read.labels if read else {}),
+        labels=sif_env.labels(kept) or (read.labels if read else {}),
         packages=packages.packages(kept),
         recipe=read.recipe if read else "",
         created="",

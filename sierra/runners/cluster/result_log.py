@@ -15,7 +15,7 @@ from sierra.model import OutputFile, Result
 from sierra.runners.journal import Stalled
 from sierra.store.layout import RUN_OUTPUT, RUN_STDERR, RUN_STDOUT
 from sierra.store.segments import disk_errors
-from sierra.worker import array_task as element
+from sierra.worker import array_task
 
 CHUNK = 1 << 20
 
@@ -114,7 +114,7 @@ class Pack:
         reading tells of it. Raises OSError where the file can't be read, Damaged where it was written in another format.
         """
         with self.path.open("rb") as file:
-            for record, at, after in element.records(file, self._offset):
+            for record, at, after in array_task.records(file, self._offset):
                 try:
                     event = self._event(record, at)
                 except (TypeError, ValueError, LookupError) as error:

@@ -1,9 +1,9 @@
 """What a session has submitted to a cluster, as its folder has it: enough for any process to go on with it.
 
-`submission.json` is written before anything is handed over, and once more where runs go first (see `sierra.runners.cluster.calibrate`):
-when the others have been dealt out, and before these are handed over. Each job that is handed over has a file of its own,
-`sent/<number>.json`, which is written before that without the job's id and again with it: a submitter that dies in between
-leaves no id, and the job is found by its name.
+`submission.json` is written before anything is handed over. Where some runs go first (see `sierra.runners.cluster.calibrate`),
+it is written again when the others have been dealt out, before these are handed over. Each job that is handed over has a file
+of its own, `sent/<number>.json`. It is written before that without the job's id, and again with it: a submitter that dies in
+between leaves no id, and the job is found by its name.
 """
 
 from __future__ import annotations
@@ -114,8 +114,8 @@ def elements_request(session: SessionPaths, name: str, elements: tuple[int, ...]
 
 
 def request(session: SessionPaths, name: str, elements: tuple[int, ...], python: str, *options: str) -> Request:
-    """The array job that calls `element.py` for these elements."""
-    command = (python, "-I", "-S", str(session.root / "element.py"), str(session.root), *options)
+    """The array job that calls `array_task.py` for these elements."""
+    command = (python, "-I", "-S", str(session.root / "array_task.py"), str(session.root), *options)
     return Request(name, f"sierra {session.root.name}", elements, session.root, session.logs, command)
 
 

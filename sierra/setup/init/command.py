@@ -1,7 +1,7 @@
 """The command: what starts the simulator, wherever it is started from.
 
-Runs start in a folder of their own. `sierra.execution.commands` finds a word of the command that is a file of the project; here, what it
-leaves as it is gets `{project}/`: absolute paths into the project, its folders, `--option=file`.
+Runs start in a folder of their own. `sierra.execution.commands` finds a word of the command that is a file of the project;
+here, what it leaves as it is gets `{project}/`: absolute paths into the project, its folders, `--option=file`.
 """
 
 from __future__ import annotations

@@ -11,7 +11,7 @@ from sierra.errors import UsageError
 
 def copy_example(name: str, folder: Path) -> list[str]:
     """Copy a bundled example; the files' names. Raises UsageError where there is none, or the folder is not empty."""
-    examples = resources.files("sierra") / "examples"
+    examples = resources.files("sierra.setup") / "examples"
     known = sorted(entry.name for entry in examples.iterdir() if entry.is_dir() and not entry.name.startswith("_"))
     if name not in known:
         raise UsageError(f"no example {name!r}; there is {', '.join(known)}")
