@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-PATIENCE_S = 90.0
+PATIENCE_S = 300.0
 """Longer than anything takes on a busy machine; who waits so long has found a fault."""
 
 
