@@ -93,7 +93,7 @@ Scale = Log | Linear | Steps | Span | Listed | MonteCarlo | ConstantDensity | Va
 
 @dataclass(frozen=True, slots=True)
 class Criterion:
-    """One independent variable and its range; `query.parse` and `query.text` translate it."""
+    """One independent variable and its range; `sierra.query.grammar` reads and writes it."""
 
     name: str
     scale: Scale
@@ -352,7 +352,7 @@ class Job:
 
 
 @dataclass(frozen=True, slots=True)
-class Needed:
+class Requirement:
     """A file that must be where runs execute as it is here."""
 
     name: str
@@ -364,7 +364,7 @@ class Needed:
     link: bool = False
     """Whether it is a link, and not what it leads to: its hash is that of the path that it says."""
     holds: tuple[str, ...] | None = None
-    """Of folders in which a Python has what is installed (`path`, as in a PATH): all that is there, by `element.installed`."""
+    """What is installed in the folders of a Python (`path`, as in a PATH), as `array_task.installed` lists it."""
 
 
 class Status(StrEnum):

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from sierra.maintenance.repair import Repair
     from sierra.provenance.source.sharing import Shared
     from sierra.replay.verdicts import Replay, Tolerances
-    from sierra.runners.cluster.estimate import Proposal
+    from sierra.runners.cluster.estimate import Estimate
     from sierra.store.export import Listing, Outcome
 
 
@@ -224,7 +224,7 @@ class Project:
         execute = replay.replay if record else replay.unrecorded
         return execute(self._loaded, self.store, prefix, how, watch or (lambda progress: None), say or (lambda text: None))
 
-    def proposal(self, plan: Plan, runner: str, *, detach: bool = False) -> Proposal | None:
+    def proposal(self, plan: Plan, runner: str, *, detach: bool = False) -> Estimate | None:
         """What answering a plan would ask of a cluster: see `sierra.runners.cluster.estimate`. None where nothing would."""
         from sierra.execution import estimate
 

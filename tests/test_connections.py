@@ -11,7 +11,7 @@ import pyarrow as pa
 import pytest
 
 from sierra.errors import SqlError
-from sierra.store.store import Question, Store
+from sierra.store.store import Snapshot, Store
 
 SEEN = (
     "SELECT view_name FROM duckdb_views() WHERE NOT internal UNION ALL SELECT table_name FROM duckdb_tables() "
@@ -24,52 +24,52 @@ def store(recorded: Path) -> Store:
     return Store(recorded / ".sierra")
 
 
-def seen(question: Question) -> set[str]:
-    return {row[0] for row in question.each(SEEN, {})}
+def seen(snapshot: Snapshot) -> set[str]:
+    return {row[0] for row in snapshot.each(SEEN, {})}
 
 
-def is_asked(question: Question) -> None:
-    question.sql("SELECT * FROM runs")
-    question.sql("SELECT * FROM main.members")
+def is_asked(snapshot: Snapshot) -> None:
+    snapshot.sql("SELECT * FROM runs")
+    snapshot.sql("SELECT * FROM main.members")
 
 
-def sets(question: Question) -> None:
+def sets(snapshot: Snapshot) -> None:
     for setting in ("threads = 1", "TimeZone = 'Asia/Kathmandu'", "memory_limit = '100MB'", "preserve_insertion_order = false"):
-        question.run(f"SET {setting}")
+        snapshot.run(f"SET {setting}")
 
 
-def makes(question: Question) -> None:
-    question.run("CREATE TEMP TABLE wanted AS SELECT 1 AS a")
-    question.run("CREATE TEMP VIEW wished AS SELECT * FROM wanted")
-    question.register("given", pa.table({"a": [1]}))
-    assert question.sql("SELECT * FROM given JOIN wished USING (a)").num_rows == 1
+def makes(snapshot: Snapshot) -> None:
+    snapshot.run("CREATE TEMP TABLE wanted AS SELECT 1 AS a")
+    snapshot.run("CREATE TEMP VIEW wished AS SELECT * FROM wanted")
+    snapshot.register("given", pa.table({"a": [1]}))
+    assert snapshot.sql("SELECT * FROM given JOIN wished USING (a)").num_rows == 1
 
 
-def goes_wrong(question: Question) -> None:
-    question.run("SET threads = 1")
+def goes_wrong(snapshot: Snapshot) -> None:
+    snapshot.run("SET threads = 1")
     with pytest.raises(SqlError):
-        question.sql("SELECT nothing FROM runs")
+        snapshot.sql("SELECT nothing FROM runs")
 
 
-def leaves_rows(question: Question) -> None:
-    next(iter(question.each("SELECT * FROM range(1000000)", {})))
+def leaves_rows(snapshot: Snapshot) -> None:
+    next(iter(snapshot.each("SELECT * FROM range(1000000)", {})))
 
 
 @pytest.mark.parametrize("before", [is_asked, sets, makes, goes_wrong, leaves_rows])
-def test_a_question_finds_nothing_of_the_one_before(store: Store, before: Callable[[Question], None]) -> None:
-    with store.ask() as question:
-        found = seen(question)
-    with store.ask() as question:
-        before(question)
-    with store.ask() as question:
-        assert seen(question) == found
-        assert question.sql("SELECT count(*) AS n FROM runs").to_pylist()[0]["n"] > 0
+def test_a_question_finds_nothing_of_the_one_before(store: Store, before: Callable[[Snapshot], None]) -> None:
+    with store.snapshot() as snapshot:
+        found = seen(snapshot)
+    with store.snapshot() as snapshot:
+        before(snapshot)
+    with store.snapshot() as snapshot:
+        assert seen(snapshot) == found
+        assert snapshot.sql("SELECT count(*) AS n FROM runs").to_pylist()[0]["n"] > 0
         with pytest.raises(SqlError):
-            question.sql("SELECT * FROM given")
+            snapshot.sql("SELECT * FROM given")
 
 
 def test_questions_at_once_do_not_see_each_other(store: Store) -> None:
-    with store.ask() as one, store.ask() as other:
+    with store.snapshot() as one, store.snapshot() as other:
         found = seen(other)
         makes(one)
         is_asked(one)
@@ -107,9 +107,9 @@ def test_what_a_large_question_wrote_to_the_disk_is_gone_with_it(
 ) -> None:
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     shutil.copytree(store.paths.root, tmp_path / "project")
-    with Store(tmp_path / "project").ask() as question:
-        question.run("SET memory_limit = '60MB'")
-        question.run("SET threads = 1")
-        question.run("CREATE TEMP TABLE large AS SELECT range AS a, hash(range) AS b FROM range(10000000)")
+    with Store(tmp_path / "project").ask() as snapshot:
+        snapshot.run("SET memory_limit = '60MB'")
+        snapshot.run("SET threads = 1")
+        snapshot.run("CREATE TEMP TABLE large AS SELECT range AS a, hash(range) AS b FROM range(10000000)")
         assert list(tmp_path.glob("sierra-*/*"))
     assert list(tmp_path.glob("sierra-*")) == []

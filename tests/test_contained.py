@@ -14,7 +14,7 @@ import pytest
 
 import sierra
 from sierra.containers.engines import capabilities
-from sierra.containers.engines.base import Abilities
+from sierra.containers.engines.base import Capabilities
 from sierra.maintenance.findings import Kind
 from tests import containers, images, projects, stores
 from tests.test_fsck import seal
@@ -22,8 +22,8 @@ from tests.test_fsck import seal
 pytestmark = [pytest.mark.real, pytest.mark.slow]
 LIMITS = '[limits]\nmemory = "64 MB"\n'
 VERSIONS = {"old": {"libc6": "2.36-9", "tzdata": "1"}, "new": {"libc6": "2.36-10", "zlib": "3"}}
-ENFORCED = Abilities("podman 1, runc 1", enforced=frozenset({"cpus", "pids"}), user="root")
-IGNORED = Abilities("podman 2, runc 1", enforced=frozenset({"pids"}), user="root")
+ENFORCED = Capabilities("podman 1, runc 1", enforced=frozenset({"cpus", "pids"}), user="root")
+IGNORED = Capabilities("podman 2, runc 1", enforced=frozenset({"pids"}), user="root")
 
 
 def image(folder: Path, name: str) -> Path:

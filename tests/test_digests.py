@@ -11,7 +11,7 @@ import pytest
 
 from sierra.errors import Missing
 from sierra.provenance import hash_cache
-from sierra.provenance.hash_cache import Digests
+from sierra.provenance.hash_cache import HashCache
 from sierra.util.hashing import sealed, unsealed
 
 LARGE = b"x" * (1 << 17)
@@ -25,7 +25,7 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def hashed(path: Path) -> str:
     """As a process does that begins, hashes, and ends."""
-    found = Digests()
+    found = HashCache()
     digest = found.of(str(path))
     found.save()
     return digest

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from sierra.containers import engines, images
-from sierra.containers.engines.base import Box, Process, Uncontained
+from sierra.containers.engines.base import ContainerSpec, NoEngine, Process
 from sierra.model import Client
 from sierra.testing import engines as conformance
 from tests import containers
@@ -50,7 +50,7 @@ def conforms(name: str, user: User | None, archive: Path, folder: Path) -> None:
 
 
 def test_none_conforms(tmp_path: Path) -> None:
-    conformance.check(Uncontained(), None, tmp_path, tmp_path)
+    conformance.check(NoEngine(), None, tmp_path, tmp_path)
 
 
 @pytest.mark.real
@@ -74,38 +74,38 @@ def test_it_conforms_without_rights(name: str, user: User, archive: Path, tmp_pa
     conforms(name, user, archive, tmp_path)
 
 
-class Leaking(Uncontained):
+class Leaking(NoEngine):
     """An engine that gives the caller's environment away."""
 
-    def client(self, box: Box, process: Process) -> Client:
+    def client(self, box: ContainerSpec, process: Process) -> Client:
         return Client(process.argv, {**os.environ, **process.environment})
 
 
-class Splitting(Uncontained):
+class Splitting(NoEngine):
     """An engine that takes a command for a line of a shell."""
 
-    def client(self, box: Box, process: Process) -> Client:
+    def client(self, box: ContainerSpec, process: Process) -> Client:
         return Client(("sh", "-c", " ".join(process.argv)), process.environment)
 
 
-class Deaf(Uncontained):
+class Deaf(NoEngine):
     """An engine that lets no signal through."""
 
-    def client(self, box: Box, process: Process) -> Client:
+    def client(self, box: ContainerSpec, process: Process) -> Client:
         return Client(("sh", "-c", 'trap "" TERM; "$@"; exit $?', "sh", *process.argv), process.environment)
 
 
-class Talking(Uncontained):
+class Talking(NoEngine):
     """An engine that says something of its own."""
 
-    def client(self, box: Box, process: Process) -> Client:
+    def client(self, box: ContainerSpec, process: Process) -> Client:
         return Client(("sh", "-c", 'echo INFO: starting >&2; exec "$@"', "sh", *process.argv), process.environment)
 
 
-class Unsure(Uncontained):
+class Unsure(NoEngine):
     """An engine that can't start anything."""
 
-    def probe(self) -> engines.Abilities:
+    def probe(self) -> engines.Capabilities:
         return replace(super().probe(), trouble="no container can be started; start another engine")
 
 
@@ -117,13 +117,13 @@ class Unsure(Uncontained):
         (Deaf, conformance.ends_a_program_that_does_not_care, "did not end"),
         (Talking, conformance.keeps_output_apart, "standard error became"),
         (Unsure, conformance.says_what_it_can, "start another engine"),
-        (Uncontained, conformance.has_no_rights, "Cap"),
-        (Uncontained, conformance.has_no_name_of_the_hosts, "the host is called"),
-        (Uncontained, conformance.says_what_cannot_be_started, "became|No such file"),
+        (NoEngine, conformance.has_no_rights, "Cap"),
+        (NoEngine, conformance.has_no_name_of_the_hosts, "the host is called"),
+        (NoEngine, conformance.says_what_cannot_be_started, "became|No such file"),
     ],
 )
 def test_the_suite_notices(
-    engine: type[Uncontained],
+    engine: type[NoEngine],
     claim: Callable[[conformance.Trial], None],
     complaint: str,
     tmp_path: Path,

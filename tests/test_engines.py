@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from sierra.containers.engines import sandboxes
-from sierra.containers.engines.base import Abilities, Box, Process, find
+from sierra.containers.engines.base import Capabilities, ContainerSpec, Process, find
 from sierra.containers.images import Image, Kind
 from sierra.model import Result
 from tests.projects import quick
@@ -177,7 +177,7 @@ def test_singularity_ce_is_spoken_to_by_its_own_names(pretended: Pretended) -> N
     says = 'case "$1" in --version) echo singularity-ce version 4.1.2 ;; buildcfg) ;; *) ' + STARTS + " ;; esac"
     pretended.program("singularity", says)
     assert find("apptainer").probe().version.startswith("singularity-ce 4.1.2")
-    box = Box(Image("x", "sha256:0", Kind.OCI, "", (), {}), "/image", "session")
+    box = ContainerSpec(Image("x", "sha256:0", Kind.OCI, "", (), {}), "/image", "session")
     client = find("apptainer").client(box, Process(("true",), {"VALUE": "1,2"}, (), "/"))
     assert client.argv[0] == "singularity"
     assert client.environment["SINGULARITYENV_SIERRA__VALUE"] == "1,2"
@@ -303,4 +303,4 @@ def test_an_image_that_took_anothers_place_is_unpacked(squashfs: Path, tmp_path:
 
 
 def test_none_contains_nothing() -> None:
-    assert find("none").probe() == Abilities("none")
+    assert find("none").probe() == Capabilities("none")

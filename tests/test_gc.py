@@ -37,10 +37,10 @@ def root(made: Path, tmp_path: Path) -> Path:
 def everything(root: Path) -> dict[str, Any]:
     """All that SQL and `sierra files` give."""
     around = ("objects", "blobs", "recipes", "sources", "environments", "programs", "readings")
-    with sierra.open(root).store.ask() as question:
+    with sierra.open(root).store.snapshot() as snapshot:
 
         def rows(what: str) -> list[dict[str, Any]]:
-            found: list[dict[str, Any]] = question.sql(f"SELECT {what}").to_pylist()
+            found: list[dict[str, Any]] = snapshot.sql(f"SELECT {what}").to_pylist()
             return found
 
         tables = {name: rows(f"* FROM {name} ORDER BY ALL") for name in RECORDED if name not in around}
@@ -155,11 +155,11 @@ def test_beside_a_running_batch_nothing_is_lost(simulate: Callable[..., Any]) ->
 
 def test_a_reader_keeps_what_it_reads(root: Path) -> None:
     store = sierra.open(root).store
-    with store.ask() as question:
+    with store.snapshot() as snapshot:
         found = gc.collect(store)
         assert found is not None
         assert found.left > 0
-        assert question.sql("SELECT count(*) AS n FROM executions").to_pylist() == [{"n": 12}]
+        assert snapshot.sql("SELECT count(*) AS n FROM executions").to_pylist() == [{"n": 12}]
     again = gc.collect(store)
     assert again is not None
     assert again.left == 0

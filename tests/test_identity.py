@@ -11,9 +11,9 @@ import pytest
 
 import sierra
 from sierra.config.project_file import Output, Success
-from sierra.containers.engines.base import Abilities, Box, Mount, Process, Uncontained
+from sierra.containers.engines.base import Capabilities, ContainerSpec, Mount, NoEngine, Process
 from sierra.containers.images import Image, Kind
-from sierra.containers.isolation import Containment
+from sierra.containers.isolation import Isolation
 from sierra.design.seeds import seed
 from sierra.execution.plans import Plan
 from sierra.ingest.context import Context
@@ -243,24 +243,24 @@ def test_a_recipe_in_an_image_has_its_content_and_what_runs_reach_beyond_it() ->
 ISOLATION = "248f73e6160525a63312e2ea2bb660709f2c72ba1316f4c6561046f4f7205a30"
 
 
-class Engine(Uncontained):
+class Engine(NoEngine):
     """Says what it would start of a container that it is asked for."""
 
     name = "fake"
 
-    def client(self, box: Box, process: Process) -> Client:
+    def client(self, box: ContainerSpec, process: Process) -> Client:
         return Client(("fake", "--cid=\0/id", f"--session={box.session}", box.reference), {})
 
 
 def test_an_isolation_is_what_it_has_always_been_in_any_session() -> None:
     image = Image("sim", "sha256:" + "0" * 64, Kind.OCI, "amd64", (), {})
-    box = Box(image, "sim", "s", (Mount("/code", "/run/sierra/project"),), True, ("/dev/dri",), True, 1 << 30, 1.5, 9)
-    able = Abilities("fake 1", rootless=True, enforced=frozenset({"memory"}), user="somebody")
-    row = Containment(Engine(), able, box).row
+    box = ContainerSpec(image, "sim", "s", (Mount("/code", "/run/sierra/project"),), True, ("/dev/dri",), True, 1 << 30, 1.5, 9)
+    able = Capabilities("fake 1", rootless=True, enforced=frozenset({"memory"}), user="somebody")
+    row = Isolation(Engine(), able, box).row
     assert row is not None
     assert (row["isolation"], row["argv"]) == (ISOLATION, ["fake", "--cid={run}/id", "--session=", "sim"])
-    assert Containment(Engine(), able, replace(box, session="t")).row == row
-    assert Containment(Engine(), able).row is None
+    assert Isolation(Engine(), able, replace(box, session="t")).row == row
+    assert Isolation(Engine(), able).row is None
 
 
 def test_ids_of_texts_alone_are_the_same_by_the_quick_way() -> None:

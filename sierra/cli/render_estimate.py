@@ -6,10 +6,10 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from sierra.runners.cluster.estimate import Proposal
+    from sierra.runners.cluster.estimate import Estimate
 
 
-def show(proposal: Proposal, *, explain: bool, script: bool) -> None:
+def show(proposal: Estimate, *, explain: bool, script: bool) -> None:
     """Print a proposal; with `explain` why it is what it is, with `script` what would be submitted."""
     from sierra.cli.output import table
 
@@ -25,7 +25,7 @@ def show(proposal: Proposal, *, explain: bool, script: bool) -> None:
         print("".join(f"    {line}\n" for line in proposal.script.splitlines()), end="")
 
 
-def _lines(proposal: Proposal) -> Iterator[str]:
+def _lines(proposal: Estimate) -> Iterator[str]:
     from sierra.cli.maintenance import size
     from sierra.cli.progress import duration
     from sierra.util.text import counted

@@ -58,7 +58,7 @@ def sql(
       sierra sql "DESCRIBE executions"
       sierra sql -b 774d "SELECT noise, avg(coverage) FROM swarm GROUP BY 1"
       sierra sql "FROM runs" --format parquet -o runs.parquet
-      sierra sql - < question.sql
+      sierra sql - < snapshot.sql
     """
     from sierra.cli.open_project import project
 
@@ -79,13 +79,13 @@ def _ask(store: Store, text: str, within: str | None) -> pa.Table:
     """The answer to a statement, which Ctrl-C stops: DuckDB itself does not heed it, so that a thread of its own waits."""
     from concurrent.futures import ThreadPoolExecutor, wait
 
-    with store.ask(within) as question, ThreadPoolExecutor(1) as asking:
-        answer = asking.submit(question.sql, text)
+    with store.snapshot(within) as snapshot, ThreadPoolExecutor(1) as asking:
+        answer = asking.submit(snapshot.sql, text)
         try:
             return answer.result()
         except KeyboardInterrupt:
             while not answer.done():
-                question.connection.interrupt()
+                snapshot.connection.interrupt()
                 wait((answer,), timeout=0.1)
             raise
 

@@ -13,7 +13,7 @@ from sierra.store.layout import user_state
 
 WELCOME = "SQL, each statement ended by a semicolon. .help says more; .quit, exit or Ctrl-D ends."
 HELP = """\
-SELECT …;       a statement may take several lines; Ctrl-C drops what is typed so far, or stops the question
+SELECT …;       a statement may take several lines; Ctrl-C drops what is typed so far, or stops the snapshot
 .tables         the tables that there are (DESCRIBE name; says what is in one)
 .help           this
 .quit           end, as do .exit, exit, quit, \\q and Ctrl-D"""

@@ -12,12 +12,12 @@ from typing import Any
 
 from sierra.config.project_file import Container
 from sierra.containers import images
-from sierra.containers.engines.base import PROJECT, PYTHON, Abilities, Box, Engine, Mount, Process
+from sierra.containers.engines.base import PROJECT, PYTHON, Capabilities, ContainerSpec, Engine, Mount, Process
 from sierra.containers.images import Contents, Image, oci
 from sierra.errors import ConfigError, Missing
-from sierra.model import Limits, Needed, Recipe
-from sierra.provenance.change_guard import Seen, alone
-from sierra.provenance.hash_cache import Digests
+from sierra.model import Limits, Recipe, Requirement
+from sierra.provenance.change_guard import ChangeGuard, alone
+from sierra.provenance.hash_cache import HashCache
 from sierra.provenance.program import Kind, Program, Programs
 from sierra.store.layout import StorePaths
 from sierra.util.hashing import digest, sha256
@@ -66,7 +66,7 @@ def data(named: Programs, container: Container, project: Path) -> Programs:
     What a template names elsewhere is the image's. What is mounted counts by its whole path (`{mount}/data/map`), as two files
     may have one name; and a link by where it leads, which is another place in a container.
     """
-    digests = Digests()
+    digests = HashCache()
     mounted = []
     for target, source in container.mounts.items():
         root = _there(project, target, source)
@@ -84,14 +84,14 @@ def data(named: Programs, container: Container, project: Path) -> Programs:
 
 
 @dataclass(frozen=True, slots=True)
-class Containment:
+class Isolation:
     """What contains the runs of a session: nothing, or containers that are alike."""
 
     engine: Engine
-    abilities: Abilities
-    box: Box | None = None
+    abilities: Capabilities
+    box: ContainerSpec | None = None
     notes: tuple[str, ...] = ()
-    seen: Seen | None = None
+    seen: ChangeGuard | None = None
     """The image, as it was when it was found to be the pinned one, where it is a file of the user's own, who may replace it."""
 
     @property
@@ -109,21 +109,21 @@ class Containment:
         return {"engine": self.engine.name, "isolation": self.row, "shared": self.box.shared, "enforced": enforced}
 
     @property
-    def needed(self) -> tuple[Needed, ...]:
+    def needed(self) -> tuple[Requirement, ...]:
         """What must be wherever runs execute: devices, and the image where it is a file."""
         if self.box is None:
             return ()
-        devices = tuple(Needed("[container] devices", path) for path in self.box.devices)
-        driver = (Needed("[container] gpu", str(NVIDIA)),) if self.box.gpu else ()
+        devices = tuple(Requirement("[container] devices", path) for path in self.box.devices)
+        driver = (Requirement("[container] gpu", str(NVIDIA)),) if self.box.gpu else ()
         reference = self.box.reference
         if not Path(reference).is_absolute() or not Path(reference).is_file():
             return (*devices, *driver)
         if self.seen:  # whatever lies there by now
-            return (*devices, *driver, Needed("the image", reference, self.box.image.sha256))
-        digests = Digests()
+            return (*devices, *driver, Requirement("the image", reference, self.box.image.sha256))
+        digests = HashCache()
         found = digests.of(reference)
         digests.save()
-        return (*devices, *driver, Needed("the image", reference, found))
+        return (*devices, *driver, Requirement("the image", reference, found))
 
     def doubt(self) -> str | None:
         """Why what has been executed since cannot be ascribed to the image: its file is another than then, or was."""
@@ -176,14 +176,14 @@ def contain(
     store: StorePaths,
     session: str,
     elsewhere: bool = False,
-) -> Containment:
+) -> Isolation:
     """Make all ready that containers of runs need; `code` is the folder of it, `container` what the project says now.
 
     Runs that execute `elsewhere` use the devices of those hosts, which look for them (`Containment.needed`).
     Raises Missing where the image or the engine can't be had, or a mount is not there.
     """
     if image is None or engine.name == "none":
-        return Containment(engine, Abilities(""))
+        return Isolation(engine, Capabilities(""))
     able = engine.probe()
     if able.trouble:
         raise Missing(able.trouble)
@@ -201,7 +201,7 @@ def contain(
         notes.append(f"the image's USER {inside.user!r} is ignored: outside of the container, processes are {able.user}")
     if not elsewhere:
         _check_devices(recipe)
-    box = Box(
+    box = ContainerSpec(
         image=image,
         reference=reference,
         session=session,
@@ -217,7 +217,7 @@ def contain(
         shared=shared,
         files=str(store.session(session).engine) if elsewhere else "",
     )
-    return Containment(engine, able, box, (*notes, *_ignored(engine, able, box)), alone(Path(reference)) if theirs else None)
+    return Isolation(engine, able, box, (*notes, *_ignored(engine, able, box)), alone(Path(reference)) if theirs else None)
 
 
 def _mounts(recipe: Recipe, given: Container, project: Path) -> Iterator[Mount]:
@@ -275,7 +275,7 @@ def program(command: Sequence[str], path: str | None, inside: Contents) -> str:
     return found
 
 
-def _ignored(engine: Engine, able: Abilities, box: Box) -> Iterator[str]:
+def _ignored(engine: Engine, able: Capabilities, box: ContainerSpec) -> Iterator[str]:
     """The limits that are asked for, and that nobody enforces: over memory, the worker watches."""
     for name in sorted(box.limits.keys() - able.enforced - WATCHED):
         yield f"LIMIT IGNORED: {engine.name} does not enforce {name} here ({able.version})"

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from sierra import runners
 from sierra.execution import records
-from sierra.execution.follow import Ears, Following
+from sierra.execution.follow import Following, Observer
 from sierra.execution.sessions import Session
 from sierra.ingest.consistency import find_odd
 from sierra.ingest.context import Context
@@ -34,7 +34,7 @@ class Attached:
     notes: tuple[str, ...] = ()
 
 
-def attach(store: Store, session: Session, ears: Ears, leave: Callable[[], bool], *, detach: bool = False) -> Attached:
+def attach(store: Store, session: Session, ears: Observer, leave: Callable[[], bool], *, detach: bool = False) -> Attached:
     """Follow a session that was adopted, and close it; with `detach`, record what has finished and leave it.
 
     Raises what a runner raises that can't go on.

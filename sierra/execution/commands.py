@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import cast
 
 from sierra.config.project_file import Project
-from sierra.containers.engines.base import INSIDE, PROJECT, PYTHON, WRITABLE, Box, Engine, Mount, Process
+from sierra.containers.engines.base import INSIDE, PROJECT, PYTHON, WRITABLE, ContainerSpec, Engine, Mount, Process
 from sierra.containers.images import Image
 from sierra.errors import ConfigError
 from sierra.model import Client, Job, Limits, Recipe, Run
@@ -131,7 +131,7 @@ def limits(project: Project) -> Limits:
     return Limits(table.wall, table.cpu, table.memory, table.output, table.grace)
 
 
-class Maker:
+class CommandBuilder:
     """Makes the jobs of one session."""
 
     def __init__(
@@ -144,7 +144,7 @@ class Maker:
         project: Path | None = None,
         *,
         image: Image | None = None,
-        box: Box | None = None,
+        box: ContainerSpec | None = None,
         script: Path | None = None,
     ) -> None:
         """`root` is where the code is, `project` where the user has it; `box` is what contains the runs, if anything does.
@@ -224,7 +224,7 @@ class Maker:
         variables = {name: self._environment[name] for name in ("PATH", "SIERRA_SESSION")} | {"HOME": runs, "TMPDIR": "/tmp"}  # noqa: S108
         argv = (PYTHON, "-I", "-S", script, runs, "1", "-", *WRITABLE, INSIDE, runs)
         process = Process(argv, variables, own, runs, interactive=True)
-        return self._engine.client(cast(Box, self._box), process)
+        return self._engine.client(cast(ContainerSpec, self._box), process)
 
 
 def _in_project(word: str, root: Path) -> str:

@@ -11,7 +11,7 @@ from sierra.execution.plans import Plan
 from sierra.execution.reuse import foreseen, states
 from sierra.execution.status import claimed
 from sierra.provenance import source
-from sierra.runners.cluster.estimate import Proposal, propose
+from sierra.runners.cluster.estimate import Estimate, propose
 from sierra.store.layout import ProjectPaths, StorePaths
 from sierra.store.store import Store
 
@@ -28,7 +28,7 @@ SELECT sum(size) / (SELECT count(*) FROM those) AS bytes FROM artifacts SEMI JOI
 """
 
 
-def proposal(plan: Plan, store: Store | None, runner: str, *, detach: bool) -> Proposal | None:
+def proposal(plan: Plan, store: Store | None, runner: str, *, detach: bool) -> Estimate | None:
     """What is missing of a plan, as that runner's cluster would be asked for it; None where it has none, or nothing is missing
     that is not on a cluster already. `detach`: nobody would follow.
 

@@ -16,7 +16,7 @@ from typing import Any
 
 from sierra import runners
 from sierra.execution import records, recover
-from sierra.execution.executor import Asking, How
+from sierra.execution.executor import Executor, How
 from sierra.execution.plans import Plan, context, out_of_reach, versioned
 from sierra.execution.reuse import FAILED, is_answered, states
 from sierra.execution.sessions import Session
@@ -101,7 +101,7 @@ def run(plan: Plan, store: Store, how: How) -> Summary:
         if stays:
             records.prepare(plan, store, session, started=began, runner=how.runner)
         odd = find_odd(store, session.paths, context(plan, session.id, session.number))
-        asking = Asking(plan, store, session, make, how)
+        asking = Executor(plan, store, session, make, how)
         if asking.rules_changed:
             asking.failed |= odd
         asking.answer()
@@ -114,7 +114,7 @@ def run(plan: Plan, store: Store, how: How) -> Summary:
         session.close()
 
 
-def _sum_up(asking: Asking) -> Summary:
+def _sum_up(asking: Executor) -> Summary:
     """Count by what the store says now."""
     plan, store = asking.plan, asking.store
     now = states(plan, store)
@@ -208,10 +208,10 @@ def _failures(plan: Plan, store: Store, failed: AbstractSet[str]) -> Iterator[Fa
 
     ordered = [run for run in plan.batch.runs if run.id in failed]
     places = {run.id: run for run in reversed(ordered)}
-    with store.ask() as question:
-        question.register("failed", pa.table({"run": list(places), "place": range(len(places), 0, -1)}))
-        question.views.make(("executions",))
-        for count, status, reason, run, log in question.run(REASONS, {"most": SHOWN_REASONS}):
+    with store.snapshot() as snapshot:
+        snapshot.register("failed", pa.table({"run": list(places), "place": range(len(places), 0, -1)}))
+        snapshot.views.make(("executions",))
+        for count, status, reason, run, log in snapshot.run(REASONS, {"most": SHOWN_REASONS}):
             first = places[run]
             values = plan.batch.experiments[first.experiment].values
             yield Failure(count, status, reason, run, values, first.number, log)

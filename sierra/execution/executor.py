@@ -9,11 +9,11 @@ from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from sierra.containers.isolation import Containment, contain
+from sierra.containers.isolation import Isolation, contain
 from sierra.errors import Missing
 from sierra.execution import commands, recover, sessions, timing
 from sierra.execution.attach import attach
-from sierra.execution.follow import Ears, Following
+from sierra.execution.follow import Following, Observer
 from sierra.execution.plans import Plan, context
 from sierra.execution.reuse import rules_changed, states
 from sierra.execution.sessions import Session
@@ -71,7 +71,7 @@ class How:
     """Whether it is left to itself at once."""
 
 
-class Asking:
+class Executor:
     """One asking while it is answered: what is done, what failed, what others do."""
 
     def __init__(self, plan: Plan, store: Store, session: Session, runner: Callable[[], Runner], how: How) -> None:
@@ -90,7 +90,7 @@ class Asking:
         self.reused = 0
         self._total = len({run.id for run in plan.batch.runs})
         self._context = context(plan, session.id, session.number)
-        self.containment: Containment | None = None
+        self.containment: Isolation | None = None
         self.left: list[SessionPaths] = []
         """The sessions that were left to themselves."""
         self.awaited: set[str] = set()
@@ -181,7 +181,7 @@ class Asking:
         doubt = self._doubt if not runner.stays else lambda: None
         recorder = Recorder(self.store, self.session.paths, self._context, doubt=doubt)
         with noted(self._how.detach) as signals:
-            ears = Ears(self._took, self._tell, self._how.say)
+            ears = Observer(self._took, self._tell, self._how.say)
             following = Following(runner, recorder, self.store, self.session, ears, leave=self._how.leave)
             work = Work(
                 self._jobs(wanted, root, contained, self.session.paths.worker if runner.stays else None),
@@ -219,7 +219,7 @@ class Asking:
         if status is not Status.OK:
             self.failed.add(run)
 
-    def _contain(self, root: Path, *, elsewhere: bool) -> Containment:
+    def _contain(self, root: Path, *, elsewhere: bool) -> Isolation:
         """What contains the runs, ready."""
         if self.containment is None:
             plan = self.plan
@@ -238,9 +238,9 @@ class Asking:
             self.notes += self.containment.notes
         return self.containment
 
-    def _jobs(self, wanted: AbstractSet[str], root: Path, contained: Containment, script: Path | None) -> Iterator[Job]:
+    def _jobs(self, wanted: AbstractSet[str], root: Path, contained: Isolation, script: Path | None) -> Iterator[Job]:
         plan = self.plan
-        maker = commands.Maker(
+        maker = commands.CommandBuilder(
             plan.batch.recipe,
             root,
             plan.engine,
@@ -337,14 +337,14 @@ class Asking:
         self.left += [session.paths] if attached.left else []
         self.interrupted = attached.interrupted
 
-    def _hearing(self, runs: set[str]) -> Ears:
+    def _hearing(self, runs: set[str]) -> Observer:
         """Who hears of what is followed for these runs: that they become fewer."""
         to_come = set(runs)
 
         def tell(running: int, queued: int, waits: str) -> None:
             self._tell(running, queued, waits, elsewhere=len(to_come))
 
-        return Ears(lambda run, status: to_come.discard(run), tell, self._how.say)
+        return Observer(lambda run, status: to_come.discard(run), tell, self._how.say)
 
     def _tell(self, running: int, queued: int = 0, waits: str = "", elsewhere: int = 0) -> None:
         done = len(self._claimed) - len(self._open)

@@ -21,7 +21,7 @@ MANY = 100
 
 
 @dataclass(frozen=True, slots=True)
-class Ears:
+class Observer:
     """Who hears of what happens: of each run as it ends (and again if recording finds fault with it), of how many are running,
     how many elements wait and why, of what the user should know at once.
     """
@@ -40,7 +40,7 @@ class Following:
         recorder: Recorder,
         store: Store,
         session: Session,
-        ears: Ears,
+        ears: Observer,
         *,
         leave: Callable[[], bool] = lambda: True,
     ) -> None:

@@ -13,7 +13,7 @@ from sierra.execution import sessions
 from sierra.execution.status import submitted
 from sierra.store.files import recorded, take
 from sierra.store.layout import STORE, WORK
-from sierra.store.store import Found, Question, Store
+from sierra.store.store import Found, Snapshot, Store
 from sierra.util.text import natural
 
 BATCHES = """
@@ -54,19 +54,19 @@ def batches(store: Store) -> list[dict[str, Any]]:
     before it in the list that is called the same. `clusters` are the sessions that were submitted for a batch and are not
     closed yet; what they stand like, `sierra.execution.status` asks the schedulers.
     """
-    with store.ask() as question:
-        rewritten = any(segment.replaces for segment in question.segments)
-        rows: list[dict[str, Any]] = question.sql(BATCHES).to_pylist()
+    with store.snapshot() as snapshot:
+        rewritten = any(segment.replaces for segment in snapshot.segments)
+        rows: list[dict[str, Any]] = snapshot.sql(BATCHES).to_pylist()
         open_ones = [
             row["batch"] for row in rows if row.pop("doubted") or rewritten or row["failed"] != 0 or row["missing"] != 0
         ]
         counted = {}
         if open_ones:
-            counted = {row["batch"]: row for row in question.sql(COUNTS, batches=open_ones).to_pylist()}
+            counted = {row["batch"]: row for row in snapshot.sql(COUNTS, batches=open_ones).to_pylist()}
         repeated = [row["batch"] for row in rows if row.pop("repeated")]
-        found = question.sql(UNLIKE, batches=repeated).to_pylist() if repeated else []
+        found = snapshot.sql(UNLIKE, batches=repeated).to_pylist() if repeated else []
         unlike = {row["batch"]: row["runs"] for row in found}
-        _add_settings(question, rows)
+        _add_settings(snapshot, rows)
     there = _on_clusters(store)
     for row in rows:
         row["clusters"] = there.get(row["batch"], [])
@@ -97,9 +97,9 @@ ELSE = "settings"
 """What `sierra.toml` changes in the template."""
 
 
-def _add_settings(question: Question, rows: Sequence[dict[str, Any]]) -> None:
+def _add_settings(snapshot: Snapshot, rows: Sequence[dict[str, Any]]) -> None:
     """Add what tells batches apart that have one query: what was set, and what differs from the one before."""
-    settings = {row["batch"]: row for row in question.sql(SETTINGS).to_pylist()}
+    settings = {row["batch"]: row for row in snapshot.sql(SETTINGS).to_pylist()}
     before: dict[tuple[Any, ...], dict[str, Any]] = {}
     for row in rows:
         own = {"axes": [], "sets": [], **settings.get(row["batch"], {}), "runs": row["runs"]}
@@ -130,28 +130,28 @@ def _on_clusters(store: Store) -> dict[str, list[dict[str, Any]]]:
 def show(store: Store, prefix: str) -> dict[str, Any]:
     """All that is recorded of what a beginning of an id names; `kind` says what it is. Of a batch, also what is on clusters."""
     found = store.resolve(prefix)
-    with store.ask() as question:
-        shown = {"kind": found.kind, **SHOWN[found.kind](question, found)}
+    with store.snapshot() as snapshot:
+        shown = {"kind": found.kind, **SHOWN[found.kind](snapshot, found)}
     return shown | ({"clusters": _on_clusters(store).get(found.id, [])} if found.kind == "batch" else {})
 
 
-def _batch(question: Question, found: Found) -> dict[str, Any]:
+def _batch(snapshot: Snapshot, found: Found) -> dict[str, Any]:
     row: dict[str, Any]
-    [row] = question.sql("SELECT * FROM batches WHERE batch = $b", b=found.id).to_pylist()
-    [recipe] = question.sql("SELECT * FROM recipes WHERE recipe = $r", r=row["recipe"]).to_pylist()
+    [row] = snapshot.sql("SELECT * FROM batches WHERE batch = $b", b=found.id).to_pylist()
+    [recipe] = snapshot.sql("SELECT * FROM recipes WHERE recipe = $r", r=row["recipe"]).to_pylist()
     row |= {"recipe": recipe, **_named(row, row["axes"])}
-    row["image"] = _image(question, recipe["image"])
-    row["isolations"] = [_isolation(one) for one in question.sql(ISOLATIONS, b=found.id).to_pylist()]
-    row["source"] = _source(question, found.id, recipe["source"])
-    last = question.sql(LAST_AROUND, b=found.id).to_pylist()[0]
-    row["programs"] = _programs(question, last["programs"])
-    row["environment"] = _environment(question, last["environment"])
-    row["experiments"] = _experiments(question, found.id, row["axes"])
-    row["failures"] = _failures(question, found.id, row["experiments"], row["axes"])
-    row["nondeterminism"] = question.sql(NONDETERMINISM, b=found.id, r=None).to_pylist()
-    row["replays"] = question.sql(REPLAYS, b=found.id).to_pylist()
-    row["attempts"] = question.sql(ATTEMPTS_OF_BATCH, b=found.id).to_pylist()
-    row["sessions"] = question.sql("SELECT * FROM sessions WHERE batch = $b ORDER BY lamport", b=found.id).to_pylist()
+    row["image"] = _image(snapshot, recipe["image"])
+    row["isolations"] = [_isolation(one) for one in snapshot.sql(ISOLATIONS, b=found.id).to_pylist()]
+    row["source"] = _source(snapshot, found.id, recipe["source"])
+    last = snapshot.sql(LAST_AROUND, b=found.id).to_pylist()[0]
+    row["programs"] = _programs(snapshot, last["programs"])
+    row["environment"] = _environment(snapshot, last["environment"])
+    row["experiments"] = _experiments(snapshot, found.id, row["axes"])
+    row["failures"] = _failures(snapshot, found.id, row["experiments"], row["axes"])
+    row["nondeterminism"] = snapshot.sql(NONDETERMINISM, b=found.id, r=None).to_pylist()
+    row["replays"] = snapshot.sql(REPLAYS, b=found.id).to_pylist()
+    row["attempts"] = snapshot.sql(ATTEMPTS_OF_BATCH, b=found.id).to_pylist()
+    row["sessions"] = snapshot.sql("SELECT * FROM sessions WHERE batch = $b ORDER BY lamport", b=found.id).to_pylist()
     return row
 
 
@@ -180,8 +180,8 @@ ORDER BY started
 REPLAYS = "SELECT replay, started, kind, target, runs, verdict FROM replays WHERE batch = $b ORDER BY lamport"
 
 
-def _source(question: Question, batch: str, tree: str | None) -> dict[str, Any] | None:
-    rows: list[dict[str, Any]] = question.sql(
+def _source(snapshot: Snapshot, batch: str, tree: str | None) -> dict[str, Any] | None:
+    rows: list[dict[str, Any]] = snapshot.sql(
         "SELECT s.* FROM sources s LEFT JOIN sessions n ON n.source = s.source AND n.batch = $b "
         "WHERE s.tree = $t ORDER BY n.lamport NULLS LAST LIMIT 1",
         b=batch,
@@ -190,9 +190,9 @@ def _source(question: Question, batch: str, tree: str | None) -> dict[str, Any] 
     return rows[0] if rows else None
 
 
-def _experiments(question: Question, batch: str, axes: Sequence[str]) -> list[dict[str, Any]]:
+def _experiments(snapshot: Snapshot, batch: str, axes: Sequence[str]) -> list[dict[str, Any]]:
     """The experiments of a batch; its axes stand in the order of its query, and those of other batches do not stand here."""
-    rows: list[dict[str, Any]] = question.sql(
+    rows: list[dict[str, Any]] = snapshot.sql(
         "WITH tried AS (SELECT run, arg_max(status, lamport) AS last FROM executions WHERE purpose = 'run' GROUP BY run), "
         "good AS (SELECT ordinal, run, true AS good FROM counting WHERE batch = $b), "
         "counted AS (SELECT ordinal, count(*) AS runs, count(good) AS good, "
@@ -202,7 +202,7 @@ def _experiments(question: Question, batch: str, axes: Sequence[str]) -> list[di
         "SELECT ordinal, runs, good, failed FROM counted ORDER BY ordinal",
         b=batch,
     ).to_pylist()
-    cells = question.cells(batch)
+    cells = snapshot.cells(batch)
     columns = ("ordinal", "experiment", *axes, "runs", "good", "failed")
     return [{name: {**cells[row["ordinal"]], **row}[name] for name in columns} for row in rows if row["ordinal"] in cells]
 
@@ -224,7 +224,7 @@ FROM failed GROUP BY reason ORDER BY runs DESC, reason
 
 
 def _failures(
-    question: Question, batch: str, experiments: Sequence[Mapping[str, Any]], axes: Sequence[str]
+    snapshot: Snapshot, batch: str, experiments: Sequence[Mapping[str, Any]], axes: Sequence[str]
 ) -> list[dict[str, Any]]:
     """Why runs of a batch failed: for each reason, the most frequent first, how many runs, and the first of them."""
     values = {row["ordinal"]: {name: row[name] for name in axes} for row in experiments}
@@ -236,15 +236,15 @@ def _failures(
             "number": row["example"]["number"],
             "values": values[row["example"]["ordinal"]],
         }
-        for row in question.sql(FAILURES, b=batch).to_pylist()
+        for row in snapshot.sql(FAILURES, b=batch).to_pylist()
     ]
 
 
-def _experiment(question: Question, found: Found) -> dict[str, Any]:
-    [row, *_] = [row for row in question.cells(str(found.batch)).values() if row["experiment"] == found.id]
-    [axes] = question.sql("SELECT axes FROM batches WHERE batch = $b", b=found.batch).column("axes").to_pylist()
+def _experiment(snapshot: Snapshot, found: Found) -> dict[str, Any]:
+    [row, *_] = [row for row in snapshot.cells(str(found.batch)).values() if row["experiment"] == found.id]
+    [axes] = snapshot.sql("SELECT axes FROM batches WHERE batch = $b", b=found.batch).column("axes").to_pylist()
     row = {name: row[name] for name in ("experiment", "batch", "ordinal", *axes)}
-    row["runs"] = question.sql(
+    row["runs"] = snapshot.sql(
         "SELECT m.number, m.run, m.seed, count(e.execution) AS executions, "
         "CASE WHEN any_value(c.execution) IS NOT NULL THEN 'ok' "
         "WHEN arg_max(e.status, e.lamport) = 'ok' THEN 'stale' "
@@ -259,20 +259,20 @@ def _experiment(question: Question, found: Found) -> dict[str, Any]:
     return row
 
 
-def _run(question: Question, found: Found) -> dict[str, Any]:
-    [row] = question.sql("SELECT * FROM runs WHERE run = $r", r=found.id).to_pylist()
+def _run(snapshot: Snapshot, found: Found) -> dict[str, Any]:
+    [row] = snapshot.sql("SELECT * FROM runs WHERE run = $r", r=found.id).to_pylist()
     row = _without_nulls(row)
-    [row["recipe"]] = question.sql("SELECT * FROM recipes WHERE recipe = $r", r=row["recipe"]).to_pylist()
+    [row["recipe"]] = snapshot.sql("SELECT * FROM recipes WHERE recipe = $r", r=row["recipe"]).to_pylist()
     row["batches"] = [
-        row[0] for row in question.run("SELECT DISTINCT batch FROM members WHERE run = $r ORDER BY 1", {"r": found.id})
+        row[0] for row in snapshot.run("SELECT DISTINCT batch FROM members WHERE run = $r ORDER BY 1", {"r": found.id})
     ]
-    row["executions"] = question.sql(
+    row["executions"] = snapshot.sql(
         "SELECT * EXCLUDE (run) FROM executions WHERE run = $r ORDER BY lamport", r=found.id
     ).to_pylist()
-    row["attempts"] = question.sql(ATTEMPTS_OF_RUN, r=found.id, e=None).to_pylist()
-    row["nondeterminism"] = question.sql(NONDETERMINISM, b=None, r=found.id).to_pylist()
-    row["verdicts"] = question.sql(VERDICTS, r=found.id).to_pylist()
-    files = recorded(question, take(question, found))
+    row["attempts"] = snapshot.sql(ATTEMPTS_OF_RUN, r=found.id, e=None).to_pylist()
+    row["nondeterminism"] = snapshot.sql(NONDETERMINISM, b=None, r=found.id).to_pylist()
+    row["verdicts"] = snapshot.sql(VERDICTS, r=found.id).to_pylist()
+    files = recorded(snapshot, take(snapshot, found))
     row["files"] = [{"path": file.path, "kind": file.kind, "bytes": file.bytes, "sha256": file.sha256} for file in files]
     return row
 
@@ -283,20 +283,20 @@ WHERE v.run = $r ORDER BY r.lamport, v.path
 """
 
 
-def _execution(question: Question, found: Found) -> dict[str, Any]:
-    [row] = question.sql("SELECT * FROM executions WHERE execution = $e", e=found.id).to_pylist()
+def _execution(snapshot: Snapshot, found: Found) -> dict[str, Any]:
+    [row] = snapshot.sql("SELECT * FROM executions WHERE execution = $e", e=found.id).to_pylist()
     row = _without_nulls(row)
-    row["attempts"] = question.sql(ATTEMPTS_OF_RUN, r=row["run"], e=found.id).to_pylist()
-    artifacts = question.sql("SELECT * EXCLUDE (execution, run) FROM artifacts WHERE execution = $e", e=found.id).to_pylist()
+    row["attempts"] = snapshot.sql(ATTEMPTS_OF_RUN, r=row["run"], e=found.id).to_pylist()
+    artifacts = snapshot.sql("SELECT * EXCLUDE (execution, run) FROM artifacts WHERE execution = $e", e=found.id).to_pylist()
     row["artifacts"] = sorted(artifacts, key=lambda artifact: natural(artifact["path"]))
-    [recipe] = question.sql(RECIPE, r=row["run"]).to_pylist()
-    row["image"] = _image(question, recipe["image"])
+    [recipe] = snapshot.sql(RECIPE, r=row["run"]).to_pylist()
+    row["image"] = _image(snapshot, recipe["image"])
     row["reach"] = recipe["reach"] or []
     if (isolation := row.get("isolation")) is not None:
-        rows = question.sql("SELECT * FROM isolations WHERE isolation = $i", i=isolation).to_pylist()
+        rows = snapshot.sql("SELECT * FROM isolations WHERE isolation = $i", i=isolation).to_pylist()
         row["isolation"] = _isolation(rows[0]) if rows else {"isolation": isolation}
-    row["programs"] = _programs(question, row.get("programs"))
-    row["environment"] = _environment(question, row.get("environment"))
+    row["programs"] = _programs(snapshot, row.get("programs"))
+    row["environment"] = _environment(snapshot, row.get("environment"))
     return row
 
 
@@ -309,9 +309,9 @@ WHERE e.purpose = 'run' GROUP BY ALL ORDER BY max(e.lamport) DESC
 """How executions of a batch's runs were contained, the last way first."""
 
 
-def _image(question: Question, identity: str | None) -> dict[str, Any] | None:
+def _image(snapshot: Snapshot, identity: str | None) -> dict[str, Any] | None:
     """What is recorded of an image, with its texts of several facts taken apart."""
-    rows = question.sql("SELECT * FROM images WHERE image = $i", i=identity).to_pylist()
+    rows = snapshot.sql("SELECT * FROM images WHERE image = $i", i=identity).to_pylist()
     if not rows:
         return {"image": identity} if identity else None
     image: dict[str, Any] = rows[0]
@@ -323,12 +323,12 @@ def _isolation(row: dict[str, Any]) -> dict[str, Any]:
     return row | {"mounts": json.loads(row["mounts"])} | limits(row)
 
 
-def _programs(question: Question, identity: str | None) -> list[dict[str, Any]]:
+def _programs(snapshot: Snapshot, identity: str | None) -> list[dict[str, Any]]:
     """What was used together: programs first, then files, installed distributions and libraries.
 
     What was only a replay's copy of the project's, and is gone, is left out where the project's is recorded too.
     """
-    rows: list[dict[str, Any]] = question.sql(
+    rows: list[dict[str, Any]] = snapshot.sql(
         "SELECT name, kind, version, path, sha256 FROM programs WHERE programs = $p "
         "ORDER BY list_position(['program', 'file', 'distributions', 'library'], kind), name, path",
         p=identity,
@@ -338,9 +338,9 @@ def _programs(question: Question, identity: str | None) -> list[dict[str, Any]]:
     return [row for row in rows if row in lasting or row["name"] not in known]
 
 
-def _environment(question: Question, identity: str | None) -> dict[str, Any] | None:
+def _environment(snapshot: Snapshot, identity: str | None) -> dict[str, Any] | None:
     """What was around, with its texts of several facts taken apart."""
-    rows = question.sql("SELECT * FROM environments WHERE environment = $e", e=identity).to_pylist()
+    rows = snapshot.sql("SELECT * FROM environments WHERE environment = $e", e=identity).to_pylist()
     if not rows:
         return None
     around: dict[str, Any] = rows[0]
@@ -354,5 +354,5 @@ def _without_nulls(row: dict[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in row.items() if value is not None}
 
 
-Shower = Callable[[Question, Found], dict[str, Any]]
+Shower = Callable[[Snapshot, Found], dict[str, Any]]
 SHOWN: Mapping[str, Shower] = {"batch": _batch, "experiment": _experiment, "run": _run, "execution": _execution}

@@ -23,7 +23,7 @@ from sierra.execution.checkout import Checkout, programs_in
 from sierra.ingest.context import Context
 from sierra.model import Batch, Design, Experiment, Limits, Query, Recipe, Run, Set
 from sierra.provenance import environment, referenced_files, source, versions
-from sierra.provenance.change_guard import Seen, seen
+from sierra.provenance.change_guard import ChangeGuard, seen
 from sierra.provenance.program import Programs
 from sierra.query import grammar
 from sierra.store.layout import CONFIG, DRAWN, FIGURES, LOCK, PYPROJECT, STORE, ProjectPaths, StorePaths
@@ -66,7 +66,7 @@ class Plan:
     template_sha256: str
     outputs: Mapping[str, Output]
     success: Success
-    seen: Seen
+    seen: ChangeGuard
     """What executes, as it was when it was taken for that."""
     notes: tuple[str, ...] = ()
 

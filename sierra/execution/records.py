@@ -19,7 +19,7 @@ from sierra.store.objects import Objects
 from sierra.store.order import stamp
 from sierra.store.schema import arrow_schema
 from sierra.store.segments import Writer, disk_errors
-from sierra.store.store import Question, Store
+from sierra.store.store import Snapshot, Store
 from sierra.util.fs import read_record, write_whole
 from sierra.util.hashing import sha256
 
@@ -39,9 +39,9 @@ def keep(plan: Plan, store: Store, session: Session) -> None:
     if code is None:  # a recorded batch, by its id
         return
     writer = store.writer(session.paths.segment, batch.id)
-    with store.ask() as question:
-        known = _known_inputs(plan, question)
-        blobs = set(question.sql(THERE).column(0).to_pylist()) if code.vcs == "none" else set()
+    with store.snapshot() as snapshot:
+        known = _known_inputs(plan, snapshot)
+        blobs = set(snapshot.sql(THERE).column(0).to_pylist()) if code.vcs == "none" else set()
     objects = Objects(writer.path("objects"))
     for _, files in plan.inputs.files(batch, lambda run: run.id not in known):
         for _, content in files:
@@ -169,16 +169,16 @@ def is_kept(plan: Plan, store: Store) -> bool:
     return bool(store.rows("SELECT 1 FROM batches WHERE batch = $b LIMIT 1", b=plan.batch.id))
 
 
-def _known_inputs(plan: Plan, question: Question) -> set[str]:
+def _known_inputs(plan: Plan, snapshot: Snapshot) -> set[str]:
     """Runs of the batch whose input files the store has: those that belong to an earlier batch."""
     import pyarrow as pa
 
     recipe = {"recipe": plan.batch.recipe_id}
-    question.views.make(("members",))
-    if not question.run("SELECT 1 FROM members WHERE recipe = $recipe LIMIT 1", recipe):
+    snapshot.views.make(("members",))
+    if not snapshot.run("SELECT 1 FROM members WHERE recipe = $recipe LIMIT 1", recipe):
         return set()
-    question.register("asked", pa.table({"run": [run.id for run in plan.batch.runs]}))
-    return {row[0] for row in question.run("SELECT DISTINCT run FROM members SEMI JOIN asked USING (run)")}
+    snapshot.register("asked", pa.table({"run": [run.id for run in plan.batch.runs]}))
+    return {row[0] for row in snapshot.run("SELECT DISTINCT run FROM members SEMI JOIN asked USING (run)")}
 
 
 def batch_row(plan: Plan) -> dict[str, Any]:

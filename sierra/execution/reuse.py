@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 from sierra.execution.plans import Plan, context
 from sierra.ingest.rejudge import foresee
-from sierra.store.store import Question, Store
+from sierra.store.store import Snapshot, Store
 
 FAILED, OTHER_RULES, OTHER_PROGRAMS, GOOD = range(4)
 """What an execution is worth to an asking, the better the greater."""
@@ -64,26 +64,26 @@ class State:
 def is_answered(plan: Plan, store: Store) -> bool:
     """Whether the last asking of all was this one, by the same programs and rules, and every run is good: nothing is to do."""
     now = context(plan)
-    with store.ask() as question:
-        question.views.make(("sessions",))
-        question.views.make(("batches",))
-        last = question.run("SELECT arg_max(batch, lamport), arg_max(programs, lamport), arg_max(rules, lamport) FROM sessions")
-        if not question.run("SELECT 1 FROM batches WHERE batch = $b LIMIT 1", {"b": plan.batch.id}):
+    with store.snapshot() as snapshot:
+        snapshot.views.make(("sessions",))
+        snapshot.views.make(("batches",))
+        last = snapshot.run("SELECT arg_max(batch, lamport), arg_max(programs, lamport), arg_max(rules, lamport) FROM sessions")
+        if not snapshot.run("SELECT 1 FROM batches WHERE batch = $b LIMIT 1", {"b": plan.batch.id}):
             return False  # what was recorded of it is lost
         same = last == [(plan.batch.id, now.programs, now.rules)]
-        return same and all(state.good for state in states(plan, question).values())
+        return same and all(state.good for state in states(plan, snapshot).values())
 
 
-def states(plan: Plan, asked: Store | Question | None) -> dict[str, State]:
+def states(plan: Plan, asked: Store | Snapshot | None) -> dict[str, State]:
     """What the store has of each run of the batch."""
     new = State()
     runs = dict.fromkeys((run.id for run in plan.batch.runs), new)
     if asked is None:
         return runs
     same: dict[State, State] = {}
-    with asked.ask() if isinstance(asked, Store) else contextlib.nullcontext(asked) as question:
-        question.run("SET threads = 1")  # of 100,000 runs, each thread would hold its own
-        for run, worth, reason, failed, judgements in question.each(*_statement(plan, question, list(runs))):
+    with asked.snapshot() if isinstance(asked, Store) else contextlib.nullcontext(asked) as snapshot:
+        snapshot.run("SET threads = 1")  # of 100,000 runs, each thread would hold its own
+        for run, worth, reason, failed, judgements in snapshot.each(*_statement(plan, snapshot, list(runs))):
             if run in runs:
                 state = runs[run].after(worth, reason, failed, judgements)
                 runs[run] = same.setdefault(state, state)
@@ -131,16 +131,16 @@ FROM (
 """Executions as the rules that are asked for judge them; where these have not, as they were judged last."""
 
 
-def _statement(plan: Plan, question: Question, runs: list[str]) -> tuple[str, dict[str, str]]:
+def _statement(plan: Plan, snapshot: Snapshot, runs: list[str]) -> tuple[str, dict[str, str]]:
     """The executions that may be of these runs."""
     recipe = {"recipe": plan.batch.recipe_id}
-    question.views.make(("judged", "batches"))
-    [(count,)] = question.run(f"SELECT count(*) {THOSE.format(judged='judged')}", recipe)
-    anew = any("judgements" in segment.files for segment in question.segments)
+    snapshot.views.make(("judged", "batches"))
+    [(count,)] = snapshot.run(f"SELECT count(*) {THOSE.format(judged='judged')}", recipe)
+    anew = any("judgements" in segment.files for segment in snapshot.segments)
     statement = EACH.format(judged=ANEW, count="judgements") if anew else EACH.format(judged="judged", count="1")
     if count > MANY * len(runs):
         import pyarrow as pa
 
-        question.register("asked", pa.table({"run": runs}))
+        snapshot.register("asked", pa.table({"run": runs}))
         statement += " AND run IN (SELECT run FROM asked)"
     return statement, {**recipe, "programs": plan.programs.id, "reading": context(plan).reading}

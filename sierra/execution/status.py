@@ -16,7 +16,7 @@ from functools import partial
 from sierra.errors import NotFound, SierraError
 from sierra.execution import sessions
 from sierra.execution.attach import attach
-from sierra.execution.follow import Ears
+from sierra.execution.follow import Observer
 from sierra.execution.sessions import Session
 from sierra.runners import schedulers
 from sierra.runners.cluster import submission
@@ -31,7 +31,7 @@ AT_ONCE = 8
 PROBED = "nodes are tried out first"
 ON_CLUSTER = "on a cluster now: followed, not executed again"
 """What asking again does to a run that was submitted before."""
-DEAF = Ears(lambda run, status: None, lambda running, queued, waits: None)
+DEAF = Observer(lambda run, status: None, lambda running, queued, waits: None)
 
 
 @dataclass(frozen=True, slots=True)

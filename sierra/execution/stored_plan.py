@@ -28,7 +28,7 @@ from sierra.provenance.change_guard import seen
 from sierra.provenance.program import NOTHING
 from sierra.query import grammar
 from sierra.store.files import INPUT_FOLDER, Taken, contents, recorded
-from sierra.store.store import Question, Store
+from sierra.store.store import Snapshot, Store
 from sierra.util.fs import inside
 from sierra.util.hashing import short
 from sierra.version import __version__
@@ -83,11 +83,11 @@ class Recalled:
 
 def recall(store: Store, batch: str, programs: str, reading: str) -> Recalled:
     """What a batch was made from, when it was executed with these programs and judged by these rules."""
-    with store.ask() as question:
-        made = _one(question, "SELECT r.* FROM recipes r JOIN batches b USING (recipe) WHERE b.batch = $b", b=batch)
-        rules = _one(question, "SELECT declared FROM readings WHERE reading = $r", r=reading)
-        used = question.sql("SELECT * FROM programs WHERE programs = $p", p=programs).to_pylist()
-        code = question.sql('SELECT files, "commit" FROM sources WHERE tree = $t LIMIT 1', t=made["source"]).to_pylist()
+    with store.snapshot() as snapshot:
+        made = _one(snapshot, "SELECT r.* FROM recipes r JOIN batches b USING (recipe) WHERE b.batch = $b", b=batch)
+        rules = _one(snapshot, "SELECT declared FROM readings WHERE reading = $r", r=reading)
+        used = snapshot.sql("SELECT * FROM programs WHERE programs = $p", p=programs).to_pylist()
+        code = snapshot.sql('SELECT files, "commit" FROM sources WHERE tree = $t LIMIT 1', t=made["source"]).to_pylist()
     outputs, success = rules_of(json.loads(rules["declared"]))
     recipe = Recipe(
         made["platform"],
@@ -141,15 +141,15 @@ def inputs(store: Store, runs: Iterable[Taken]) -> Iterator[tuple[Taken, Files]]
     Raises Damaged where one is not in the store, or has a name that leads out of the folder of its run.
     """
     pending = iter(runs)
-    with store.ask() as question:
+    with store.snapshot() as snapshot:
         while some := list(itertools.islice(pending, AT_A_TIME)):
             files: dict[str, list[Any]] = {one.run: [] for one in some}
-            listed = recorded(question, some, inputs=True)
+            listed = recorded(snapshot, some, inputs=True)
             for name in {file.path.removeprefix(INPUT_FOLDER) for file in listed}:
                 inside(store.paths.work, name)
             for file in listed:
                 files[file.taken.run].append(file)
-            bytes_of = {one.file.sha256: b"".join(one.pieces) for one in contents(question, listed)}
+            bytes_of = {one.file.sha256: b"".join(one.pieces) for one in contents(snapshot, listed)}
             for one in some:
                 if not files[one.run]:
                     raise Damaged(f"the input of run {short(one.run)} is not in the store")
@@ -175,9 +175,9 @@ def plan(project: LoadedProject, store: Store, prefix: str, *, contained: str | 
     if found.kind != "batch":
         of = f": sierra run {short(found.batch)}" if found.batch else ""
         raise NotFound(f"{prefix!r} is a {found.kind}; what is missing is executed of a whole batch{of}")
-    with store.ask() as question:
-        row = _one(question, "SELECT * FROM batches WHERE batch = $b", b=found.id)
-        last = _one(question, LAST, b=found.id)
+    with store.snapshot() as snapshot:
+        row = _one(snapshot, "SELECT * FROM batches WHERE batch = $b", b=found.id)
+        last = _one(snapshot, LAST, b=found.id)
     if last["reading"] is None:
         raise Missing(f"batch {short(found.id)}: no asking for it has come to an end; ask by its query: {row['query']}")
     recalled = recall(store, found.id, last["programs"], last["reading"])
@@ -215,12 +215,12 @@ def plan(project: LoadedProject, store: Store, prefix: str, *, contained: str | 
 
 def _batch(store: Store, row: Mapping[str, Any], recipe: Recipe) -> Batch:
     """A batch as its records have it."""
-    with store.ask(row["batch"]) as question:
-        names = tuple(_one(question, "SELECT files FROM recipes WHERE recipe = $r", r=row["recipe"])["files"])
-        cells = question.sql("SELECT * FROM experiments WHERE batch = $b ORDER BY ordinal", b=row["batch"]).to_pylist()
-        question.views.make(("members",))
+    with store.snapshot(row["batch"]) as snapshot:
+        names = tuple(_one(snapshot, "SELECT files FROM recipes WHERE recipe = $r", r=row["recipe"])["files"])
+        cells = snapshot.sql("SELECT * FROM experiments WHERE batch = $b ORDER BY ordinal", b=row["batch"]).to_pylist()
+        snapshot.views.make(("members",))
         runs: dict[int, list[Run]] = {}
-        for ordinal, number, run, seed, first, others in question.each(MEMBERS, {"b": row["batch"]}):
+        for ordinal, number, run, seed, first, others in snapshot.each(MEMBERS, {"b": row["batch"]}):
             digests = bytes.fromhex("".join((first, *(others or ()))))
             runs.setdefault(ordinal, []).append(Run(run, ordinal, number, seed, names, digests))
     experiments = tuple(
@@ -236,9 +236,9 @@ def _batch(store: Store, row: Mapping[str, Any], recipe: Recipe) -> Batch:
 MEMBERS = "SELECT ordinal, number, run, seed, input, others FROM members WHERE batch = $b ORDER BY ordinal, number"
 
 
-def _one(question: Question, statement: str, **parameters: Any) -> dict[str, Any]:
+def _one(snapshot: Snapshot, statement: str, **parameters: Any) -> dict[str, Any]:
     """The one row that a statement gives. Raises Damaged where there is none."""
-    rows: list[dict[str, Any]] = question.sql(statement, **parameters).to_pylist()
+    rows: list[dict[str, Any]] = snapshot.sql(statement, **parameters).to_pylist()
     if not rows:
         table = statement.split(" FROM ")[1].split()[0]
         raise Damaged(f"the store's {table} lack {', '.join(short(str(value)) for value in parameters.values())}")

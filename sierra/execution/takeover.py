@@ -13,7 +13,7 @@ from sierra.execution import listing, sessions
 from sierra.execution.attach import Attached, attach
 from sierra.execution.execute import SHOWN_REASONS, Counted, Failure, Summary
 from sierra.execution.executor import Progress, Watch
-from sierra.execution.follow import Ears
+from sierra.execution.follow import Observer
 from sierra.execution.sessions import Session
 from sierra.execution.status import DEAF, Standing, counted, named, submitted
 from sierra.model import Status
@@ -95,7 +95,7 @@ def _busy(store: Store, row: Standing) -> str:
     return f"session {row.session} is followed by {sessions.holder(store.paths.session(row.session))}"
 
 
-def _ears(store: Store, row: Standing, watch: Watch, say: Say) -> Ears:
+def _ears(store: Store, row: Standing, watch: Watch, say: Say) -> Observer:
     """Who hears of one session: progress counts its runs."""
     before, failed = counted(store, [row.session])[row.session]
     done: set[str] = set()
@@ -109,7 +109,7 @@ def _ears(store: Store, row: Standing, watch: Watch, say: Say) -> Ears:
     def tell(running: int, queued: int, waits: str) -> None:
         watch(Progress(row.runs, before, len(done), failed + len(bad), running, queued=queued, waits=waits))
 
-    return Ears(took, tell, say)
+    return Observer(took, tell, say)
 
 
 def _summary(store: Store, batch: str, told: list[Attached], left: list[str], busy: list[str]) -> Summary:

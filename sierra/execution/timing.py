@@ -51,10 +51,10 @@ def recorded(store: Store, runs: Sequence[str]) -> Times | None:
     """What these runs, which were executed before, took in the mean; None where none of them was executed well."""
     import pyarrow as pa
 
-    with store.ask() as question:
-        question.views.make(("executions",))
-        question.register("asked", pa.table({"run": list(runs)}))
-        took = dict(question.run(RECORDED))
+    with store.snapshot() as snapshot:
+        snapshot.views.make(("executions",))
+        snapshot.register("asked", pa.table({"run": list(runs)}))
+        took = dict(snapshot.run(RECORDED))
     if not took:
         return None
     greatest = max(took.values())
@@ -85,9 +85,9 @@ SELECT run, avg(wall) FROM executions SEMI JOIN asked USING (run) WHERE status =
 def _timed(plan: Plan, store: Store) -> Iterator[Timed]:
     """What runs with the same command took: with the same controller, scenario and settings; or else with others."""
     project, query, batch = plan.project.config, plan.query, plan.batch
-    with store.ask() as question:
-        question.views.make(("executions", "members", "experiments", "batches", "recipes"))
-        rows = question.sql(TIMED, command=list(batch.recipe.command)).to_pylist()
+    with store.snapshot() as snapshot:
+        snapshot.views.make(("executions", "members", "experiments", "batches", "recipes"))
+        rows = snapshot.sql(TIMED, command=list(batch.recipe.command)).to_pylist()
     sets = [f"{change.path}={change.value}" for change in query.sets]
     asked = (query.controller or project.controller, query.scenario or project.scenario, sets)
     alike = [row for row in rows if tuple(row["of batch"].values()) == asked]

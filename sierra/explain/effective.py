@@ -9,7 +9,7 @@ from typing import Any
 from sierra.explain.diff.environment import other_programs, other_rules
 from sierra.explain.diff.operands import make_runs
 from sierra.store.files import Place
-from sierra.store.store import Question
+from sierra.store.store import Snapshot
 from sierra.store.views import LATEST
 from sierra.util.text import few
 
@@ -43,34 +43,34 @@ GROUP BY ALL ORDER BY runs DESC, run
 """
 
 
-def standings(question: Question, batches: list[str]) -> Iterator[Standing]:
+def standings(snapshot: Snapshot, batches: list[str]) -> Iterator[Standing]:
     """What holds for the runs in the table `wanted` in each of these batches."""
-    question.views.make(("members", "sessions", "judged", "batches"))
+    snapshot.views.make(("members", "sessions", "judged", "batches"))
     for batch in batches:
-        make_runs(question, Place(batch), "standing", good_first=True, only=" AND m.run IN (SELECT run FROM wanted)")
-        latest = question.sql(ASKED, b=batch).to_pylist() or [{"programs": None, "reading": None}]
-        for row in question.sql(STANDINGS).to_pylist():
+        make_runs(snapshot, Place(batch), "standing", good_first=True, only=" AND m.run IN (SELECT run FROM wanted)")
+        latest = snapshot.sql(ASKED, b=batch).to_pylist() or [{"programs": None, "reading": None}]
+        for row in snapshot.sql(STANDINGS).to_pylist():
             told = {**row, "now_programs": latest[0]["programs"], "now_reading": latest[0]["reading"]}
-            yield Standing(batch, row["runs"], row["counts"], _why(question, told), row["run"], row["execution"])
-        question.run("DROP TABLE standing")
+            yield Standing(batch, row["runs"], row["counts"], _why(snapshot, told), row["run"], row["execution"])
+        snapshot.run("DROP TABLE standing")
 
 
-def _why(question: Question, row: dict[str, Any]) -> str:
+def _why(snapshot: Snapshot, row: dict[str, Any]) -> str:
     if row["counts"]:
         return "the last good one with the programs and by the rules of the batch's last asking"
     if not row["tried"]:
         return "never executed"
     if not row["good"]:
         return f"none is good; the last one: {row['reason']}"
-    return f"stale: the last good one was executed otherwise than the batch was last asked for: {_other(question, row)}"
+    return f"stale: the last good one was executed otherwise than the batch was last asked for: {_other(snapshot, row)}"
 
 
-def _other(question: Question, row: dict[str, Any]) -> str:
-    return few([*_differences(question, row)], SHOWN) or "which programs or rules is not recorded"
+def _other(snapshot: Snapshot, row: dict[str, Any]) -> str:
+    return few([*_differences(snapshot, row)], SHOWN) or "which programs or rules is not recorded"
 
 
-def _differences(question: Question, row: dict[str, Any]) -> Iterator[str]:
+def _differences(snapshot: Snapshot, row: dict[str, Any]) -> Iterator[str]:
     if row["programs"] != row["now_programs"]:
-        yield from (one.line for one in other_programs(question, [row["programs"]], [row["now_programs"]]))
+        yield from (one.line for one in other_programs(snapshot, [row["programs"]], [row["now_programs"]]))
     if row["reading"] != row["now_reading"]:
-        yield from (one.line for one in other_rules(question, [row["reading"]], [row["now_reading"]]))
+        yield from (one.line for one in other_rules(snapshot, [row["reading"]], [row["now_reading"]]))

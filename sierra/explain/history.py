@@ -13,7 +13,7 @@ from typing import Any
 
 from sierra.execution.reuse import FAILED, GOOD, OTHER_PROGRAMS, OTHER_RULES
 from sierra.explain.diff.environment import other_programs, other_rules
-from sierra.store.store import Question
+from sierra.store.store import Snapshot
 from sierra.util.hashing import short
 from sierra.util.text import few
 
@@ -122,34 +122,34 @@ FROM judgements j SEMI JOIN wanted USING (run) JOIN judged e ON e.judgement = j.
 REPLAYS = "SELECT replay, kind, target, verdict FROM replays WHERE list_contains($s, replay)"
 
 
-def tell(question: Question, batches: Sequence[str]) -> list[Event]:
+def tell(snapshot: Snapshot, batches: Sequence[str]) -> list[Event]:
     """All that happened to the runs in the table `wanted`, and all askings of these batches."""
-    question.views.make(("executions", "judged", "findings", "sessions", "replays", "members", "attempts", "copies"))
-    question.run(EXECUTED, {"failed": FAILED, "rules": OTHER_RULES, "programs": OTHER_PROGRAMS, "good": GOOD})
-    rows = question.sql(CAUSES).to_pylist()
-    judged = {row["session"]: row for row in question.sql(JUDGED).to_pylist()}
+    snapshot.views.make(("executions", "judged", "findings", "sessions", "replays", "members", "attempts", "copies"))
+    snapshot.run(EXECUTED, {"failed": FAILED, "rules": OTHER_RULES, "programs": OTHER_PROGRAMS, "good": GOOD})
+    rows = snapshot.sql(CAUSES).to_pylist()
+    judged = {row["session"]: row for row in snapshot.sql(JUDGED).to_pylist()}
     sessions_of = [*(row["session"] for row in rows), *judged]
-    question.run("DROP TABLE happened")
-    sessions = {row["session"]: row for row in question.sql(ASKINGS, b=list(batches), s=sessions_of).to_pylist()}
+    snapshot.run("DROP TABLE happened")
+    sessions = {row["session"]: row for row in snapshot.sql(ASKINGS, b=list(batches), s=sessions_of).to_pylist()}
     by_session: dict[str, list[dict[str, Any]]] = {session: [] for session in sessions}
     for row in rows:
         by_session.setdefault(row["session"], []).append(row)
     for session in judged:
         by_session.setdefault(session, [])
-    replays = {row["replay"]: row for row in question.sql(REPLAYS, s=list(by_session)).to_pylist()}
-    more = _more(question)
+    replays = {row["replay"]: row for row in snapshot.sql(REPLAYS, s=list(by_session)).to_pylist()}
+    more = _more(snapshot)
     places = {
         key: min(row["lamport"] for row in (*those, *(named[key] for named in (sessions, judged) if key in named)))
         for key, those in by_session.items()
     }
     return [
-        _event(question, key, by_session[key], sessions.get(key), replays.get(key), more.get(key, []), judged.get(key))
+        _event(snapshot, key, by_session[key], sessions.get(key), replays.get(key), more.get(key, []), judged.get(key))
         for key in sorted(places, key=lambda key: places[key])
     ]
 
 
 def _event(
-    question: Question,
+    snapshot: Snapshot,
     session: str,
     rows: Sequence[Mapping[str, Any]],
     asking: Mapping[str, Any] | None,
@@ -169,10 +169,10 @@ def _event(
         executed=executed,
         failed=failed,
         judged=judged["runs"] if judged else 0,
-        other_rules=_lines(other_rules(question, judged["was_reading"], judged["reading"])) if judged else "",
+        other_rules=_lines(other_rules(snapshot, judged["was_reading"], judged["reading"])) if judged else "",
         reused=asking["reused"] if asking else None,
         ended=asking is not None or replay is not None,
-        causes=tuple(_cause(question, row, replay) for row in rows),
+        causes=tuple(_cause(snapshot, row, replay) for row in rows),
         more=tuple(more),
     )
 
@@ -182,15 +182,15 @@ def _began(rows: Sequence[Mapping[str, Any]], judged: Mapping[str, Any] | None) 
     return min((row["started"] for row in rows), default=judged["judged"] if judged else None)
 
 
-def _more(question: Question) -> dict[str, list[str]]:
+def _more(snapshot: Snapshot) -> dict[str, list[str]]:
     """By session: what was begun, or executed, more often than was asked, and why."""
     told: dict[str, list[str]] = {}
-    for row in question.sql(CUT).to_pylist():
+    for row in snapshot.sql(CUT).to_pylist():
         why = few([trouble for trouble in row["troubles"] if trouble], SHOWN) or "nobody says by what"
         which = f"elements were cut off {row['times']} times" if row["times"] > 1 else "an element was cut off"
         line = f"{which}, with {row['cut']} of its runs in flight, which were begun again: {why}"
         told.setdefault(row["session"], []).append(line)
-    for row in question.sql(COPIED).to_pylist():
+    for row in snapshot.sql(COPIED).to_pylist():
         other = f"{row['other']} of them with other results" if row["other"] else "with the same results"
         which = f"{row['copies']} (as {short(row['execution'])}), {other}"
         line = f"executed twice, as two copies of an element lived at a time: {which}"
@@ -198,12 +198,12 @@ def _more(question: Question) -> dict[str, list[str]]:
     return told
 
 
-def _cause(question: Question, row: Mapping[str, Any], replay: Mapping[str, Any] | None) -> Cause:
+def _cause(snapshot: Snapshot, row: Mapping[str, Any], replay: Mapping[str, Any] | None) -> Cause:
     new = row["worth"] is None and row["purpose"] == "run" and not row["beside"]
-    return Cause(row["executions"], _why(question, row, replay), row["execution"], row["run"], new)
+    return Cause(row["executions"], _why(snapshot, row, replay), row["execution"], row["run"], new)
 
 
-def _why(question: Question, row: Mapping[str, Any], replay: Mapping[str, Any] | None) -> str:
+def _why(snapshot: Snapshot, row: Mapping[str, Any], replay: Mapping[str, Any] | None) -> str:
     if row["purpose"] != "run":
         of = f" of {replay['kind']} {short(replay['target'])}: {replay['verdict']}" if replay else ", which was not ended"
         return f"a {row['purpose']}{of}"
@@ -217,10 +217,10 @@ def _why(question: Question, row: Mapping[str, Any], replay: Mapping[str, Any] |
         case 0:
             return f"the last one failed: {row['reason']}"
         case 1:
-            changes = other_rules(question, [row["was_reading"]], [row["reading"]])
+            changes = other_rules(snapshot, [row["was_reading"]], [row["reading"]])
             return f"judged by other rules before: {_lines(changes)}"
         case 2:
-            changes = other_programs(question, [row["was_programs"]], [row["programs"]])
+            changes = other_programs(snapshot, [row["was_programs"]], [row["programs"]])
             return f"executed with other programs before: {_lines(changes)}"
         case _:
             return f"another asking had just executed it ({short(row['prior'])}), which this one did not know"

@@ -13,7 +13,7 @@ from sierra.explain.effective import Standing, standings
 from sierra.explain.history import Event, tell
 from sierra.explain.rerun import again
 from sierra.store.files import where
-from sierra.store.store import Found, Question, Store
+from sierra.store.store import Found, Snapshot, Store
 from sierra.util.hashing import short
 
 BATCHES = 10
@@ -51,48 +51,48 @@ class Why:
 def why(project: LoadedProject, store: Store, prefix: str) -> Why:
     """Why what an id names was executed, or not. Raises NotFound."""
     found = store.resolve(prefix)
-    with store.ask() as question:
-        question.run("SET threads = 1")
-        batches = _runs(question, found)
-        story = tell(question, batches)
+    with store.snapshot() as snapshot:
+        snapshot.run("SET threads = 1")
+        batches = _runs(snapshot, found)
+        story = tell(snapshot, batches)
         if found.kind == "execution":
-            story = [event for event in story if event.session == _session(question, found.id)]
-        stands = tuple(standings(question, batches))
-        [(wanted,)] = question.run("SELECT count(*) FROM wanted")
-        these = {row[0] for row in question.run("SELECT run FROM wanted")}
+            story = [event for event in story if event.session == _session(snapshot, found.id)]
+        stands = tuple(standings(snapshot, batches))
+        [(wanted,)] = snapshot.run("SELECT count(*) FROM wanted")
+        these = {row[0] for row in snapshot.run("SELECT run FROM wanted")}
         only = None if found.kind == "batch" else these
         firsts = dict.fromkeys(event.batch for event in story if any(cause.new for cause in event.causes))
-        before = {batch: _before(question, batch) for batch in list(firsts)[:BATCHES]}
+        before = {batch: _before(snapshot, batch) for batch in list(firsts)[:BATCHES]}
     because = {batch: tuple(_because(project, store, batch, earlier)) for batch, earlier in before.items()}
     return Why(
         found, wanted, tuple(story), because, stands, tuple(again(project, store, batches[0], only)), tuple(seen(store, these))
     )
 
 
-def _runs(question: Question, found: Found) -> list[str]:
+def _runs(snapshot: Snapshot, found: Found) -> list[str]:
     """Make the table `wanted` of the runs that are meant; the batches to tell of, the last asked for first."""
     if found.kind == "batch":
-        question.views.make(("members",))
-        question.run("CREATE TEMP TABLE wanted AS SELECT DISTINCT run FROM members WHERE batch = $b", {"b": found.id})
+        snapshot.views.make(("members",))
+        snapshot.run("CREATE TEMP TABLE wanted AS SELECT DISTINCT run FROM members WHERE batch = $b", {"b": found.id})
         return [found.id]
-    place = where(question, found)
+    place = where(snapshot, found)
     statement = f"CREATE TEMP TABLE wanted AS SELECT DISTINCT m.run FROM members m WHERE m.batch = $b {place.only}"  # noqa: S608
-    question.run(statement, place.parameters)
-    [(run,), *_] = question.run("SELECT run FROM wanted LIMIT 1")
-    batches = [row[0] for row in question.run(ASKED_LAST, {"r": run})]
+    snapshot.run(statement, place.parameters)
+    [(run,), *_] = snapshot.run("SELECT run FROM wanted LIMIT 1")
+    batches = [row[0] for row in snapshot.run(ASKED_LAST, {"r": run})]
     if found.kind == "experiment":
-        having = {row[0] for row in question.run("SELECT batch FROM experiments WHERE experiment = $x", {"x": found.id})}
+        having = {row[0] for row in snapshot.run("SELECT batch FROM experiments WHERE experiment = $x", {"x": found.id})}
         batches = [batch for batch in batches if batch in having]
     return batches[:BATCHES]
 
 
-def _session(question: Question, execution: str) -> str:
-    session: str = question.run("SELECT session FROM executions WHERE execution = $e", {"e": execution})[0][0]
+def _session(snapshot: Snapshot, execution: str) -> str:
+    session: str = snapshot.run("SELECT session FROM executions WHERE execution = $e", {"e": execution})[0][0]
     return session
 
 
-def _before(question: Question, batch: str) -> str | None:
-    rows = question.run(EARLIER, {"b": batch})
+def _before(snapshot: Snapshot, batch: str) -> str | None:
+    rows = snapshot.run(EARLIER, {"b": batch})
     return rows[0][0] if rows else None
 
 

@@ -28,10 +28,10 @@ def find_odd(store: Store, session: SessionPaths, context: Context) -> set[str]:
     `mismatch = "ragged"` may differ, and one that is not required may be absent. What a column holds (numbers, text, …)
     must be the same among siblings; between experiments it may differ, for which `Recorder.notes` has a word.
     """
-    with store.ask() as question:
-        if not question.sql(ANY_TABLE).num_rows:
+    with store.snapshot() as snapshot:
+        if not snapshot.sql(ANY_TABLE).num_rows:
             return set()
-        rows = question.sql(GOOD + ODD, **asked(context)).to_pylist()
+        rows = snapshot.sql(GOOD + ODD, **asked(context)).to_pylist()
     tables: dict[tuple[int, str], list[dict[str, Any]]] = {}
     for row in rows:
         tables.setdefault((row["ordinal"], row["output"]), []).append(row)
@@ -188,10 +188,10 @@ def many(kind: str) -> str:
 def known(store: Store, context: Context, name: str) -> Siblings:
     """What the store has of the table `name` in the experiments of this batch, whoever asked for them."""
     alike = {**asked(context), "output": name}
-    with store.ask() as question:
-        if not question.sql(ANY_TABLE).num_rows:
+    with store.snapshot() as snapshot:
+        if not snapshot.sql(ANY_TABLE).num_rows:
             return Siblings()
-        forms = question.sql(SIBLINGS + SIBLINGS_FORMS, **alike).to_pylist()
+        forms = snapshot.sql(SIBLINGS + SIBLINGS_FORMS, **alike).to_pylist()
     mixed = {
         column
         for row in forms

@@ -23,7 +23,7 @@ NOT_UTF8 = "with a name that is no UTF-8"
 """Why files that look like tables are kept as files."""
 
 
-class Assigning:
+class OutputMatcher:
     """Assigns files to tables, and remembers those that look like tables and become none."""
 
     def __init__(self, outputs: Mapping[str, Output]) -> None:

@@ -13,12 +13,12 @@ from typing import Any
 from sierra.containers import engines
 from sierra.ingest.context import Context
 from sierra.ingest.logs import LOG_SHOWN, kept_of, last_words
-from sierra.ingest.match_outputs import NOTED_AT_MOST, Assigning
+from sierra.ingest.match_outputs import NOTED_AT_MOST, OutputMatcher
 from sierra.ingest.messages import shown
 from sierra.ingest.model import Shape
-from sierra.ingest.success import Judged, doubted, judge
-from sierra.ingest.tables import Tabled, artifact_rows, tabled
-from sierra.ingest.warnings import Remarks, as_files, lost
+from sierra.ingest.success import Judgement, doubted, judge
+from sierra.ingest.tables import TableIngest, artifact_rows, tabled
+from sierra.ingest.warnings import TableWarnings, as_files, lost
 from sierra.model import OutputFile, Result, Status
 from sierra.store.layout import RUN_OUTPUT, RUN_STDERR, RUN_STDOUT, SessionPaths
 from sierra.store.objects import Objects
@@ -55,7 +55,7 @@ class Recorder:
         self._session = session
         self._context = context
         self._reading = context.reading
-        self._pending: list[Judged] = []
+        self._pending: list[Judgement] = []
         self._beside: dict[str, list[Mapping[str, Any]]] = {}
         self._around: set[str] = set()
         """Environments that are recorded, or will be: mostly one for all elements."""
@@ -68,7 +68,7 @@ class Recorder:
         self._bytes = 0
         self._began = self._flushed = time.monotonic()
         self._shapes: dict[str, Shape] = {}
-        self._assigning = Assigning(context.outputs)
+        self._assigning = OutputMatcher(context.outputs)
         self._left_out: dict[str, None] = {}
 
     def add(self, result: Result) -> Status:
@@ -79,7 +79,7 @@ class Recorder:
             discard(Path(result.directory), self._session)
         else:
             self._left_out.update(dict.fromkeys(result.left_out[: max(NOTED_AT_MOST - len(self._left_out), 0)]))
-            self._pending.append(Judged(result, status, reason))
+            self._pending.append(Judgement(result, status, reason))
             self._bytes += sum(file.bytes for file in result.outputs)
         return status
 
@@ -158,7 +158,7 @@ class Recorder:
 
         Asks the store, so it is to be called once, when all is recorded and `find_odd` has looked at it.
         """
-        remarks = Remarks(self._store, self._context, self._shapes)
+        remarks = TableWarnings(self._store, self._context, self._shapes)
         return [*self._twice(), *lost(list(self._left_out)), *as_files(self._assigning.kept), *remarks.all()]
 
     def _twice(self) -> Iterator[str]:
@@ -168,7 +168,7 @@ class Recorder:
             unlike = f"; {self._unlike} of them came out differently: they are not deterministic" if self._unlike else ""
             yield f"{told}{unlike}; the table copies has them"
 
-    def _write(self, writer: Writer) -> list[Judged]:
+    def _write(self, writer: Writer) -> list[Judgement]:
         """Write what is pending; how it is judged in the end."""
         tables = tabled(self._pending, writer, self._store, self._context, self._assigning, self._shapes)
         judged = [tables.judged(one) for one in self._pending]
@@ -191,7 +191,7 @@ class Recorder:
             self._position = row["before"]
         return self._position
 
-    def _execution(self, one: Judged, position: int) -> dict[str, Any]:
+    def _execution(self, one: Judgement, position: int) -> dict[str, Any]:
         result, context = one.result, self._context
         return {
             "execution": result.execution,
@@ -222,7 +222,7 @@ class Recorder:
         }
 
 
-def _artifacts(result: Result, tables: Tabled, objects: Objects, *, raw: bool) -> Iterator[dict[str, Any]]:
+def _artifacts(result: Result, tables: TableIngest, objects: Objects, *, raw: bool) -> Iterator[dict[str, Any]]:
     """Yield a row for each file that a run left. Their bytes are put among the objects; those of tables only with `raw`."""
     mine = {"execution": result.execution, "run": result.run}
     for file, row in zip(result.outputs, artifact_rows(result, tables), strict=True):

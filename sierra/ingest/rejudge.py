@@ -34,17 +34,17 @@ from typing import Any
 from sierra.config.project_file import Output, Success
 from sierra.errors import Damaged
 from sierra.ingest.context import Context, rules_of
-from sierra.ingest.match_outputs import Assigning
+from sierra.ingest.match_outputs import OutputMatcher
 from sierra.ingest.model import Shape
-from sierra.ingest.success import Judged, judge
-from sierra.ingest.tables import Tabled, artifact_rows, tabled, too_few
-from sierra.ingest.warnings import Remarks, as_files
+from sierra.ingest.success import Judgement, judge
+from sierra.ingest.tables import TableIngest, artifact_rows, tabled, too_few
+from sierra.ingest.warnings import TableWarnings, as_files
 from sierra.model import OutputFile, Result, Status
 from sierra.store.again import write_again
 from sierra.store.files import Recorded, Taken, contents
 from sierra.store.layout import RUN_OUTPUT, RUN_STDERR, RUN_STDOUT, SessionPaths
 from sierra.store.segments import Writer, disk_errors
-from sierra.store.store import Question, Store
+from sierra.store.store import Snapshot, Store
 from sierra.util.fs import inside
 from sierra.util.hashing import digest_plain
 from sierra.worker import worker
@@ -141,9 +141,9 @@ def foresee(store: Store, context: Context, runs: Iterable[str], *, mismatched: 
     """
     pending = iter(sorted(runs))
     while some := list(islice(pending, AT_A_TIME)):
-        with store.ask() as question:
-            past = [one for one in _past(question, context, some, mismatched=mismatched) if not _is_hopeless(one, context)]
-            sizes = _kept(question, {row["sha256"] for one in past for row in one.artifacts})
+        with store.snapshot() as snapshot:
+            past = [one for one in _past(snapshot, context, some, mismatched=mismatched) if not _is_hopeless(one, context)]
+            sizes = _kept(snapshot, {row["sha256"] for one in past for row in one.artifacts})
         lacking = {one.run: lack for one in past if (lack := _lacking(one, context, sizes)) is not None}
         yield Foreseen({one.run: one for one in past if one.run not in lacking}, lacking)
 
@@ -173,18 +173,18 @@ FROM best ORDER BY run
 ARTIFACTS = "SELECT a.* FROM judged_artifacts a SEMI JOIN chosen USING (execution) ORDER BY execution, path"
 
 
-def _past(question: Question, context: Context, runs: Iterable[str], *, mismatched: bool) -> Iterator[Past]:
+def _past(snapshot: Snapshot, context: Context, runs: Iterable[str], *, mismatched: bool) -> Iterator[Past]:
     """Of each run, the execution to judge anew: the last of the good ones, or else the last one."""
     import pyarrow as pa
 
-    question.register("wanted", pa.table({"run": pa.array(sorted(runs), pa.string())}))
+    snapshot.register("wanted", pa.table({"run": pa.array(sorted(runs), pa.string())}))
     asked = {"reading": context.reading, "programs": context.programs, "mismatched": mismatched}
-    rows = question.sql(PAST, **asked).to_pylist()
-    declared = {row["reading"]: row["declared"] for row in question.sql("SELECT * FROM readings").to_pylist()}
+    rows = snapshot.sql(PAST, **asked).to_pylist()
+    declared = {row["reading"]: row["declared"] for row in snapshot.sql("SELECT * FROM readings").to_pylist()}
     rules = {name: rules_of(json.loads(text)) for name, text in declared.items() if any(row["reading"] == name for row in rows)}
-    question.register("chosen", pa.table({"execution": pa.array([row["judgement"] for row in rows], pa.string())}))
+    snapshot.register("chosen", pa.table({"execution": pa.array([row["judgement"] for row in rows], pa.string())}))
     artifacts: dict[str, list[Artifact]] = {row["judgement"]: [] for row in rows}
-    for row in question.sql(ARTIFACTS).to_pylist():
+    for row in snapshot.sql(ARTIFACTS).to_pylist():
         artifacts[row["execution"]].append(row)
     for row in rows:
         if row["reading"] in rules:
@@ -202,7 +202,7 @@ def _is_tabled(one: Past, context: Context) -> bool:
 
 
 def _tables(one: Past, outputs: Mapping[str, Output]) -> Iterator[tuple[str, Shape, OutputFile]]:
-    return Assigning(outputs).of(one.result(one.execution, Path(), {}))
+    return OutputMatcher(outputs).of(one.result(one.execution, Path(), {}))
 
 
 def _is_hopeless(one: Past, context: Context) -> bool:
@@ -215,13 +215,13 @@ def _is_hopeless(one: Past, context: Context) -> bool:
     return not (one.success.marker or one.failed_by_rules(result))
 
 
-def _kept(question: Question, digests: AbstractSet[str]) -> dict[str, int]:
+def _kept(snapshot: Snapshot, digests: AbstractSet[str]) -> dict[str, int]:
     """Return the sizes of those of these files whose bytes are in the store."""
     import pyarrow as pa
 
-    question.register("digests", pa.table({"sha256": pa.array(sorted(digests), pa.string())}))
-    question.views.make(("objects",))
-    return dict(question.run("SELECT sha256, any_value(size) FROM objects SEMI JOIN digests USING (sha256) GROUP BY sha256"))
+    snapshot.register("digests", pa.table({"sha256": pa.array(sorted(digests), pa.string())}))
+    snapshot.views.make(("objects",))
+    return dict(snapshot.run("SELECT sha256, any_value(size) FROM objects SEMI JOIN digests USING (sha256) GROUP BY sha256"))
 
 
 def _lacking(one: Past, context: Context, sizes: Mapping[str, int]) -> str | None:
@@ -243,7 +243,7 @@ def needed(one: Past, context: Context) -> list[Artifact]:
 
 
 @dataclass(slots=True)
-class Anew:
+class Rejudged:
     """What judging anew has come to."""
 
     judged: set[str] = field(default_factory=set)
@@ -253,10 +253,10 @@ class Anew:
     notes: list[str] = field(default_factory=list)
 
 
-def judge_anew(store: Store, session: SessionPaths, context: Context, runs: Iterable[str], *, mismatched: bool) -> Anew:
+def judge_anew(store: Store, session: SessionPaths, context: Context, runs: Iterable[str], *, mismatched: bool) -> Rejudged:
     """Judge anew what can be of these runs, and record that. Raises Missing where the disk is full; nothing is lost then."""
-    anew = Anew()
-    assigning, shapes = Assigning(context.outputs), dict[str, Shape]()
+    anew = Rejudged()
+    assigning, shapes = OutputMatcher(context.outputs), dict[str, Shape]()
     for foreseen in foresee(store, context, runs, mismatched=mismatched):
         anew.unread |= foreseen.lacking
         for some in _by_weight(sorted(foreseen.possible.values(), key=lambda one: one.tabled), context):
@@ -266,7 +266,7 @@ def judge_anew(store: Store, session: SessionPaths, context: Context, runs: Iter
                 _Group(store, session, context, assigning, shapes, anew).judge(some)
             finally:
                 worker.remove(str(session.anew))
-    anew.notes += [*as_files(assigning.kept), *Remarks(store, context, shapes).all()]
+    anew.notes += [*as_files(assigning.kept), *TableWarnings(store, context, shapes).all()]
     return anew
 
 
@@ -292,18 +292,22 @@ class _Group:
     store: Store
     session: SessionPaths
     context: Context
-    assigning: Assigning
+    assigning: OutputMatcher
     shapes: dict[str, Shape]
-    anew: Anew
+    anew: Rejudged
 
     def judge(self, past: Sequence[Past]) -> None:
         """Judge them, and publish the segment."""
         results = {result.execution: (one, result) for one, result in self._results(past)}
-        first = [Judged(result, *judge(result, self.context.outputs, self.context.success)) for _, result in results.values()]
+        first = [
+            Judgement(result, *judge(result, self.context.outputs, self.context.success)) for _, result in results.values()
+        ]
         first = [one for one in first if self._is_worth(results[one.result.execution][0], one)]
         writer = self.store.writer(self.session.segment, self.context.batch)
         if past[0].tabled:
-            tables: Tabled = self._copied([results[one.result.execution] for one in first if one.status is Status.OK], writer)
+            tables: TableIngest = self._copied(
+                [results[one.result.execution] for one in first if one.status is Status.OK], writer
+            )
         else:
             tables = tabled(first, writer, self.store, self.context, self.assigning, self.shapes)
         made = [(results[one.result.execution][0], tables.judged(one)) for one in first]
@@ -313,7 +317,7 @@ class _Group:
         self.store.publish(writer)
         self.anew.judged |= {of.run for of, _ in made}
 
-    def _copied(self, good: Sequence[tuple[Past, Result]], writer: Writer) -> Tabled:
+    def _copied(self, good: Sequence[tuple[Past, Result]], writer: Writer) -> TableIngest:
         """Write the rows that are recorded once more. Raises Damaged where these are not as many as their artifacts say."""
         recorded = {
             (result.execution, row["path"]): row for one, result in good for row in one.artifacts if row["rows"] is not None
@@ -321,14 +325,14 @@ class _Group:
         tables = Counter[str]()
         for row in recorded.values():
             tables[row["output"].lower()] += row["rows"]
-        with self.store.ask() as question:
-            written = write_again(question, writer, tables, {one.judgement: result.execution for one, result in good})
+        with self.store.snapshot() as snapshot:
+            written = write_again(snapshot, writer, tables, {one.judgement: result.execution for one, result in good})
         for name, rows in tables.items():
             if rows != written[name]:
                 raise Damaged(f"table {name!r} has {written[name]} rows where {rows} were recorded; see sierra fsck")
         return Recalled(self.context.outputs, recorded=recorded)
 
-    def _is_worth(self, past: Past, one: Judged) -> bool:
+    def _is_worth(self, past: Past, one: Judgement) -> bool:
         """Whether it is recorded how an execution is judged now; where it failed before and fails still, it is executed."""
         return past.good or one.status is Status.OK
 
@@ -351,8 +355,8 @@ class _Group:
         read: dict[str, dict[str, OutputFile]] = {}
         lost: dict[str, str] = {}
         files = [_recorded(one, row) for one in past for row in needed(one, self.context)]
-        with self.store.ask() as question:
-            for content in contents(question, files):
+        with self.store.snapshot() as snapshot:
+            for content in contents(snapshot, files):
                 file = content.file
                 execution = str(file.taken.execution)
                 try:
@@ -369,7 +373,7 @@ class _Group:
                     read.setdefault(execution, {})[file.path] = seen
         return read, lost
 
-    def _row(self, past: Past, one: Judged) -> dict[str, Any]:
+    def _row(self, past: Past, one: Judgement) -> dict[str, Any]:
         return {
             "judgement": one.result.execution,
             "execution": past.execution,
@@ -385,7 +389,7 @@ class _Group:
 
 
 @dataclass(frozen=True, slots=True)
-class Recalled(Tabled):
+class Recalled(TableIngest):
     """What is recorded of the tables of judgements, by which others have the same."""
 
     recorded: Mapping[tuple[str, str], Artifact] = field(default_factory=dict)
@@ -421,7 +425,7 @@ def _target(folder: Path, file: Recorded) -> Path:
     return inside(folder if file.kind == "log" else folder / RUN_OUTPUT, file.path)
 
 
-def _artifacts(past: Past, result: Result, tables: Tabled) -> Iterator[dict[str, Any]]:
+def _artifacts(past: Past, result: Result, tables: TableIngest) -> Iterator[dict[str, Any]]:
     """Yield the artifacts of an execution as they are judged now; logs are what they were."""
     yield from artifact_rows(result, tables)
     yield from ({**row, "execution": result.execution} for row in past.artifacts if row["kind"] == "log")

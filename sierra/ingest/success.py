@@ -21,7 +21,7 @@ STOPPED = {
 
 
 @dataclass(frozen=True, slots=True)
-class Judged:
+class Judgement:
     """An execution, and how it is judged so far."""
 
     result: Result
@@ -30,9 +30,9 @@ class Judged:
     """Why it is not good."""
 
 
-def doubted(one: Judged, doubt: str) -> Judged:
+def doubted(one: Judgement, doubt: str) -> Judgement:
     """The same, not good because of what is doubted."""
-    return Judged(one.result, Status.FAILED, doubt) if one.status is Status.OK else one
+    return Judgement(one.result, Status.FAILED, doubt) if one.status is Status.OK else one
 
 
 def judge(result: Result, outputs: Mapping[str, Output], success: Success) -> tuple[Status, str | None]:

@@ -11,11 +11,11 @@ from typing import Any
 from sierra.config.project_file import Output
 from sierra.ingest.consistency import known
 from sierra.ingest.context import Context
-from sierra.ingest.match_outputs import Assigning
+from sierra.ingest.match_outputs import OutputMatcher
 from sierra.ingest.messages import shown
 from sierra.ingest.model import Reading, Shape, Written
 from sierra.ingest.read import read
-from sierra.ingest.success import Judged
+from sierra.ingest.success import Judgement
 from sierra.model import OutputFile, Result, Status
 from sierra.store.layout import RUN_OUTPUT
 from sierra.store.segments import OUTPUT, Writer
@@ -23,7 +23,7 @@ from sierra.store.store import Store
 
 
 @dataclass(frozen=True, slots=True)
-class Tabled:
+class TableIngest:
     """Which file is which table's, and what was read of it."""
 
     outputs: Mapping[str, Output]
@@ -33,16 +33,16 @@ class Tabled:
     faults: dict[str, str] = field(default_factory=dict)
     """Why executions are at fault."""
 
-    def judged(self, one: Judged) -> Judged:
+    def judged(self, one: Judgement) -> Judgement:
         """The same, knowing what its tables were like."""
         execution = one.result.execution
         if execution in self.faults:
-            return Judged(one.result, Status.MISMATCH, self.faults[execution])
+            return Judgement(one.result, Status.MISMATCH, self.faults[execution])
         for file in one.result.outputs if one.status is Status.OK else ():
             name = self.table(execution, file)
             output, count = self.outputs.get(name or ""), self.rows(execution, file)
             if output and count is not None and count < output.min_rows:
-                return Judged(one.result, Status.FAILED, too_few(file.path, count, str(name), output))
+                return Judgement(one.result, Status.FAILED, too_few(file.path, count, str(name), output))
         return one
 
     def table(self, execution: str, file: OutputFile) -> str | None:
@@ -80,7 +80,7 @@ def too_few(path: str, rows: int, name: str, output: Output) -> str:
     return f"{path}: {rows} rows; [outputs.{name}] min_rows asks for {output.min_rows}"
 
 
-def artifact_rows(result: Result, tables: Tabled) -> Iterator[dict[str, Any]]:
+def artifact_rows(result: Result, tables: TableIngest) -> Iterator[dict[str, Any]]:
     """Yield a row of `artifacts` for each file of an execution that is no log."""
     for file in result.outputs:
         count = tables.rows(result.execution, file)
@@ -99,12 +99,17 @@ def artifact_rows(result: Result, tables: Tabled) -> Iterator[dict[str, Any]]:
 
 
 def tabled(
-    executions: Iterable[Judged], writer: Writer, store: Store, context: Context, assigning: Assigning, shapes: dict[str, Shape]
-) -> Tabled:
+    executions: Iterable[Judgement],
+    writer: Writer,
+    store: Store,
+    context: Context,
+    assigning: OutputMatcher,
+    shapes: dict[str, Shape],
+) -> TableIngest:
     """Read all tables of good executions into a segment; `shapes` learns those of tables that it has not."""
     from sierra.store.connections import connect
 
-    made = Tabled(context.outputs)
+    made = TableIngest(context.outputs)
     files: dict[str, list[Written]] = {}
     for result in (one.result for one in executions if one.status is Status.OK):
         for name, shape, file in assigning.of(result):

@@ -17,14 +17,14 @@ from sierra.ingest.model import Shape
 from sierra.store.column_types import AS_TEXT
 from sierra.store.columns import TEXT
 from sierra.store.names import identifier
-from sierra.store.store import Question, Store
+from sierra.store.store import Snapshot, Store
 from sierra.util.text import counted
 
 COMMENT = "the first line is a comment, and comments are not read; begin with the names of the columns, without '#'"
 SEVERAL = "is it several columns? (delimiter = {delimiter} in [outputs.{output}])"
 
 
-class Remarks:
+class TableWarnings:
     """Looks at the tables of a session, each with its shape."""
 
     def __init__(self, store: Store, context: Context, shapes: Mapping[str, Shape]) -> None:
@@ -57,10 +57,10 @@ class Remarks:
         columns: dict[str, set[str]] = {}
         for row in forms:
             columns.setdefault(row["output"], set()).update(map(str.lower, row["columns"]))
-        with self._store.ask(self._context.batch) as question:
-            axes = {axis.lower(): axis for axis in question.views.axes()}
+        with self._store.snapshot(self._context.batch) as snapshot:
+            axes = {axis.lower(): axis for axis in snapshot.views.axes()}
             for name in (name for name in self._shapes if not axes.keys().isdisjoint(columns.get(name, ()))):
-                for axis, column, called in _hidden(question, name, axes):
+                for axis, column, called in _hidden(snapshot, name, axes):
                     told = f"the column {column!r} of output {name!r} is called {called!r} in SQL"
                     yield f"{told}: {axis!r} there is the independent variable, and its values are others"
 
@@ -100,13 +100,13 @@ class Remarks:
 
     def _numeric(self, kinds: Iterable[tuple[str, str]], output: str, name: str) -> str | None:
         """Return what to write in a column of texts most of which look like numbers, by the first rows that are there."""
-        with self._store.ask(self._context.batch) as question:
-            question.views.make((output,))
-            named = {row[0].lower(): row[0] for row in question.run(f"DESCRIBE {identifier(output)}")}
+        with self._store.snapshot(self._context.batch) as snapshot:
+            snapshot.views.make((output,))
+            named = {row[0].lower(): row[0] for row in snapshot.run(f"DESCRIBE {identifier(output)}")}
             column = next((named[n] for n in (name.lower() + "_", name.lower()) if n in named), None)
             if column is None:
                 return None
-            rows = question.run(
+            rows = snapshot.run(
                 LOOKS.format(column=identifier(column), table=identifier(output), number=NUMBER, missing=MISSING)
             )
         looks = [(look, count, example) for look, count, example in rows if look != "number"]
@@ -187,12 +187,12 @@ SELECT look, count(*), min(cell) FROM looking GROUP BY look ORDER BY count(*) DE
 """What cells look like: how many, and one of them."""
 
 
-def _hidden(question: Question, name: str, axes: Mapping[str, str]) -> Iterator[tuple[str, str, str]]:
+def _hidden(snapshot: Snapshot, name: str, axes: Mapping[str, str]) -> Iterator[tuple[str, str, str]]:
     """The columns of an output that an axis hides in SQL, where their values differ: axis, column, what it is called there."""
-    question.views.make((name,))
-    for column, called in question.views.called.get(name.lower(), {}).items():
+    snapshot.views.make((name,))
+    for column, called in snapshot.views.called.get(name.lower(), {}).items():
         axis = axes.get(column.lower())
-        if axis is not None and question.run(
+        if axis is not None and snapshot.run(
             UNLIKE.format(axis=identifier(axis), column=identifier(called), table=identifier(name))
         ):
             yield axis, column, called

@@ -31,7 +31,7 @@ from sierra.store.errors import first_line
 from sierra.store.layout import StorePaths
 from sierra.store.scans import read_parquet
 from sierra.store.schema import RECORDED
-from sierra.store.store import Question
+from sierra.store.store import Snapshot
 from sierra.store.views import records as records_of
 from sierra.util.hashing import canonical_plain, digest, merkle, sha256, short
 
@@ -51,16 +51,16 @@ class Records:
         for segment in contents.sound:
             for name, path in segment.files.items():
                 self.files.setdefault(name, []).append(path)
-        self.question = Question(paths.root, contents.sound)
-        self.question.run(f"SET memory_limit = '{MEMORY}'")
-        self.question.run("SET preserve_insertion_order = true")
-        self.question.register("kept", pa.table({"sha256": pa.array(sorted(objects.whole), pa.string())}))
+        self.snapshot = Snapshot(paths.root, contents.sound)
+        self.snapshot.run(f"SET memory_limit = '{MEMORY}'")
+        self.snapshot.run("SET preserve_insertion_order = true")
+        self.snapshot.register("kept", pa.table({"sha256": pa.array(sorted(objects.whole), pa.string())}))
         for name in (*(name for name in RECORDED if name != "objects"), "judged", "judged_artifacts"):
             with contextlib.suppress(SierraError):  # what asks of it finds that it can't be read
-                self.question.views.make((name,))
+                self.snapshot.views.make((name,))
 
     def each(self, statement: str, **parameters: Any) -> Iterator[tuple[Any, ...]]:
-        return self.question.each(statement, parameters)
+        return self.snapshot.each(statement, parameters)
 
     def raw(self, name: str) -> str:
         """All rows of a table as they stand in the files, with the file's name."""
@@ -150,11 +150,11 @@ def _judgements(records: Records) -> Iterator[Finding]:
     for judgement, execution, reading, session, filename in list(records.each(rows)):
         if _id(lambda: judgement_id(execution, reading, session)) != judgement:  # noqa: B023
             what = f"judgement {short(str(judgement))} does not have the id that its columns give"
-            yield records.wrong({"filename": filename}, what, of(records.question, [judgement]))
+            yield records.wrong({"filename": filename}, what, of(records.snapshot, [judgement]))
     statement = "SELECT j.judgement FROM judgements j JOIN executions e USING (execution) WHERE j.run <> e.run"
     if named := [row[0] for row in records.each(statement)]:
         what = "judgements are of other runs than the executions that they judge"
-        yield Finding(Kind.INCONSISTENT, "judgements", what, of(records.question, named))
+        yield Finding(Kind.INCONSISTENT, "judgements", what, of(records.snapshot, named))
 
 
 def _isolations(records: Records) -> Iterator[Finding]:
@@ -182,7 +182,7 @@ USING = {
 
 
 def _using(records: Records, row: Mapping[str, Any], key: str) -> Affected:
-    return of(records.question, batches=[found[0] for found in records.each(USING[key], id=row[key]) if found[0]])
+    return of(records.snapshot, batches=[found[0] for found in records.each(USING[key], id=row[key]) if found[0]])
 
 
 def _programs(records: Records) -> Iterator[Finding]:
@@ -209,7 +209,7 @@ def _runs(records: Records) -> Iterator[Finding]:
         elif _id(lambda: run_id(recipe, zip(files, inputs, strict=True), seed)) != run:  # noqa: B023
             bad.setdefault((path, "runs do not have the ids that their recipe, inputs and seeds give"), set()).add(run)
     for (path, what), runs in bad.items():
-        yield Finding(Kind.INCONSISTENT, records.shown(path), what, of(records.question, runs=runs))
+        yield Finding(Kind.INCONSISTENT, records.shown(path), what, of(records.snapshot, runs=runs))
 
 
 def _batches(records: Records) -> Iterator[Finding]:
@@ -218,13 +218,13 @@ def _batches(records: Records) -> Iterator[Finding]:
     found: dict[str, dict[int, str]] = {}
     for path in records.files.get("experiments", ()):
         statement = f"SELECT * FROM {read_parquet([path])}"
-        for row in records.question.sql(statement).to_pylist():
+        for row in records.snapshot.sql(statement).to_pylist():
             batch, ordinal, own = row["batch"], row["ordinal"], row["experiment"]
             found.setdefault(batch, {})[ordinal] = own
             if batch in axes and not _is_experiment(records, row, axes[batch]):
                 what = f"experiment {short(str(own))} does not have the id that its values and runs give"
                 runs = [r[0] for r in records.each(MEMBERS, b=batch, o=ordinal)]
-                yield records.wrong({"filename": path}, what, of(records.question, runs=runs, batches=[batch]))
+                yield records.wrong({"filename": path}, what, of(records.snapshot, runs=runs, batches=[batch]))
     for batch in axes:
         ids = [experiment for _, experiment in sorted(found.get(batch, {}).items())]
         if _id(lambda: merkle("batch", ids)) != batch:  # noqa: B023
@@ -232,7 +232,7 @@ def _batches(records: Records) -> Iterator[Finding]:
                 Kind.INCONSISTENT,
                 "batches",
                 f"batch {short(batch)} does not have the id that its experiments give",
-                of(records.question, batches=[batch]),
+                of(records.snapshot, batches=[batch]),
             )
     yield from _parted(records, found.keys() - axes.keys())
 
@@ -257,7 +257,7 @@ def _parted(records: Records, batches: Iterable[str]) -> Iterator[Finding]:
             Kind.LOST,
             "batches",
             f"batch {short(batch)} is not recorded, but parts of it are",
-            of(records.question, batches=[batch]),
+            of(records.snapshot, batches=[batch]),
         )
 
 
@@ -280,7 +280,7 @@ def _results(records: Records) -> Iterator[Finding]:
             bad.append(execution)
     if bad := _unless_broken(records, bad):
         what = "executions do not have the result that their artifacts give"
-        yield Finding(Kind.INCONSISTENT, "executions", what, of(records.question, bad))
+        yield Finding(Kind.INCONSISTENT, "executions", what, of(records.snapshot, bad))
 
 
 # ---------------------------------------------------------------- references
@@ -324,13 +324,13 @@ LOST_BY_EXECUTION = {
 def _references(records: Records) -> Iterator[Finding]:
     for what, statement in LOST_BY_EXECUTION.items():
         if named := _unless_broken(records, (row[0] for row in records.each(statement))):
-            yield Finding(Kind.LOST, "executions", what, of(records.question, named))
+            yield Finding(Kind.LOST, "executions", what, of(records.snapshot, named))
     doubled = (
         f"SELECT execution FROM (SELECT execution FROM {records.raw('executions')} UNION ALL "
         f"SELECT judgement FROM {records.raw('judgements')}) GROUP BY execution HAVING count(*) > 1"
     )
     if named := [row[0] for row in records.each(doubled)]:
-        yield Finding(Kind.INCONSISTENT, "executions", "executions are recorded more than once", of(records.question, named))
+        yield Finding(Kind.INCONSISTENT, "executions", "executions are recorded more than once", of(records.snapshot, named))
     said = "SELECT replay FROM verdicts UNION SELECT replay FROM equivalences"
     orphans = f"SELECT replay FROM ({said}) ANTI JOIN replays USING (replay)"
     for (replay,) in records.each(orphans):
@@ -342,7 +342,7 @@ def _references(records: Records) -> Iterator[Finding]:
                 Kind.UNKNOWN,
                 table,
                 f"the {table} of executions are not recorded (their asking was killed)",
-                of(records.question, named),
+                of(records.snapshot, named),
             )
 
 
@@ -353,7 +353,7 @@ SELECT DISTINCT run FROM (SELECT run, unnest([input] || others) AS sha256 FROM m
 
 def _inputs(records: Records) -> Iterator[Finding]:
     if lost := [row[0] for row in records.each(INPUTS)]:
-        yield Finding(Kind.LOST, "members", "input files of runs are not in the store", of(records.question, runs=lost))
+        yield Finding(Kind.LOST, "members", "input files of runs are not in the store", of(records.snapshot, runs=lost))
 
 
 EXPECTED = """
@@ -371,7 +371,7 @@ ORDER BY ALL
 
 def _tables(records: Records) -> Iterator[Finding]:
     """Rows of outputs: as many of each file of an execution as were read of it, and as were counted in it; no others."""
-    records.question.register("written", _written(records))
+    records.snapshot.register("written", _written(records))
     bad: dict[str, list[tuple[str, str]]] = {}
     for execution, output, path, expected, found in records.each(TABLES):
         bad.setdefault(output, []).append((execution, f"{path}: {found}, not {expected}"))
@@ -379,7 +379,7 @@ def _tables(records: Records) -> Iterator[Finding]:
         if named := _unless_broken(records, (execution for execution, _ in executions)):
             first = next(told for execution, told in executions if execution in named)
             what = f"table {output!r} has not as many rows as executions wrote ({first})"
-            yield Finding(Kind.LOST, "output." + output, what, of(records.question, named))
+            yield Finding(Kind.LOST, "output." + output, what, of(records.snapshot, named))
 
 
 def _written(records: Records) -> pa.Table:
@@ -439,7 +439,7 @@ FULL JOIN images i USING (image)
 
 def _of_image(records: Records, identity: str) -> Affected:
     statement = "SELECT DISTINCT batch FROM members SEMI JOIN (SELECT recipe FROM recipes WHERE image = $i) USING (recipe)"
-    return of(records.question, batches=[row[0] for row in records.each(statement, i=identity)])
+    return of(records.snapshot, batches=[row[0] for row in records.each(statement, i=identity)])
 
 
 def _object(records: Records, digest: str) -> bytes:
@@ -449,7 +449,7 @@ def _object(records: Records, digest: str) -> bytes:
 
 def _of_tree(records: Records, tree: str | None) -> Affected:
     statement = "SELECT DISTINCT batch FROM members SEMI JOIN (SELECT recipe FROM recipes WHERE source = $t) USING (recipe)"
-    return of(records.question, batches=[row[0] for row in records.each(statement, t=tree)])
+    return of(records.snapshot, batches=[row[0] for row in records.each(statement, t=tree)])
 
 
 def _of_sources(records: Records) -> Affected:
@@ -457,7 +457,7 @@ def _of_sources(records: Records) -> Affected:
         "SELECT DISTINCT m.batch FROM members m JOIN recipes r USING (recipe) JOIN sources s ON s.tree = r.source "
         "WHERE s.vcs = 'none'"
     )
-    return of(records.question, batches=[row[0] for row in records.each(statement)])
+    return of(records.snapshot, batches=[row[0] for row in records.each(statement)])
 
 
 HEALS = "sierra source fetch brings what sierra source push has shared"

@@ -9,7 +9,7 @@ from enum import StrEnum
 
 import pyarrow as pa
 
-from sierra.store.store import Question
+from sierra.store.store import Snapshot
 from sierra.util.hashing import short
 from sierra.util.text import counted, spans
 
@@ -85,57 +85,57 @@ ORDER BY m.batch, m.ordinal, m.number
 """
 
 
-def of(question: Question, executions: Iterable[str] = (), runs: Iterable[str] = (), batches: Iterable[str] = ()) -> Affected:
+def of(snapshot: Snapshot, executions: Iterable[str] = (), runs: Iterable[str] = (), batches: Iterable[str] = ()) -> Affected:
     """What is concerned where these executions, runs and batches are."""
     ended = sorted(set(executions))
-    question.views.make(("members", "experiments", "batches", "judged", "judged_artifacts"))
-    question.register("named", pa.table({"execution": pa.array(ended, pa.string())}))
-    found = question.run(
+    snapshot.views.make(("members", "experiments", "batches", "judged", "judged_artifacts"))
+    snapshot.register("named", pa.table({"execution": pa.array(ended, pa.string())}))
+    found = snapshot.run(
         "SELECT DISTINCT run FROM judged e SEMI JOIN named n ON n.execution = e.judgement UNION "
         "SELECT DISTINCT run FROM judged_artifacts SEMI JOIN named USING (execution)"
     )
     concerned = sorted({*runs, *(row[0] for row in found if row[0] is not None)})
-    question.register("concerned", pa.table({"run": pa.array(concerned, pa.string())}))
-    places = question.run(PLACES)
+    snapshot.register("concerned", pa.table({"run": pa.array(concerned, pa.string())}))
+    places = snapshot.run(PLACES)
     named = sorted({*batches, *(row[0] for row in places)})
     return Affected(
         tuple(named),
         tuple(dict.fromkeys(row[1] for row in places if row[1])),
         tuple(concerned),
         tuple(ended),
-        text=_text(question, named, places, len(ended), len(concerned)),
+        text=_text(snapshot, named, places, len(ended), len(concerned)),
     )
 
 
 def _text(
-    question: Question, batches: Sequence[str], places: Sequence[tuple[str, str, int, int, str]], ended: int, runs: int
+    snapshot: Snapshot, batches: Sequence[str], places: Sequence[tuple[str, str, int, int, str]], ended: int, runs: int
 ) -> str:
     count = counted(ended, "execution") if ended else counted(runs, "run") if runs else ""
     parts = []
     for batch in batches[:SHOWN]:
-        where = _experiments(question, batch, [row for row in places if row[0] == batch])
+        where = _experiments(snapshot, batch, [row for row in places if row[0] == batch])
         parts.append(f"batch {short(batch)}{f' ({where})' if where else ''}")
     if len(batches) > SHOWN:
         parts.append(f"{len(batches) - SHOWN} more batches")
     return " of ".join(filter(None, (count, ", ".join(parts))))
 
 
-def _experiments(question: Question, batch: str, places: Sequence[tuple[str, str, int, int, str]]) -> str:
+def _experiments(snapshot: Snapshot, batch: str, places: Sequence[tuple[str, str, int, int, str]]) -> str:
     numbers: dict[int, list[int]] = {}
     for _, _, ordinal, number, _ in places:
         numbers.setdefault(ordinal, []).append(number)
-    values = _values(question, batch) if numbers else {}
+    values = _values(snapshot, batch) if numbers else {}
     told = [f"{values.get(ordinal, f'experiment {ordinal}')}: {_ranges(those)}" for ordinal, those in numbers.items()]
     more = [f"{len(told) - SHOWN} more experiments"] if len(told) > SHOWN else []
     return "; ".join(told[:SHOWN] + more)
 
 
-def _values(question: Question, batch: str) -> dict[int, str]:
+def _values(snapshot: Snapshot, batch: str) -> dict[int, str]:
     """What each experiment of a batch is called: the values of its axes."""
     own = ("experiment", "batch", "ordinal")
     return {
         place: ", ".join(f"{n}={v}" for n, v in row.items() if n not in own and v is not None) or "its experiment"
-        for place, row in question.cells(batch).items()
+        for place, row in snapshot.cells(batch).items()
     }
 
 

@@ -18,7 +18,7 @@ from sierra.store import marks
 from sierra.store.layout import StorePaths
 from sierra.store.read_lock import Shared
 from sierra.store.scans import read_parquet
-from sierra.store.store import Question, check_free
+from sierra.store.store import Snapshot, check_free
 
 Tell = Callable[[str], None]
 
@@ -66,7 +66,7 @@ def check(paths: StorePaths, root: Path, tell: Tell = lambda text: None) -> Chec
             findings = [*_contents(read), *check_records.check(read, root), *_sessions(paths), *_strange(paths), *_left(found)]
             executions = _count(read)
         finally:
-            read.question.__exit__()
+            read.snapshot.__exit__()
     finally:
         shared.close()
     count = len(found.sound) + len(found.left)
@@ -79,15 +79,15 @@ def _blobs(paths: StorePaths, found: Contents) -> set[str]:
     """The objects that are files of sources outside git."""
     files = [segment.files["blobs"] for segment in found.sound if "blobs" in segment.files]
     try:
-        with Question(paths.root, found.sound) as question:
-            return {row[0] for row in question.run(f"SELECT sha256 FROM {read_parquet(files)}")} if files else set()
+        with Snapshot(paths.root, found.sound) as snapshot:
+            return {row[0] for row in snapshot.run(f"SELECT sha256 FROM {read_parquet(files)}")} if files else set()
     except SierraError:
         return set()
 
 
 def _count(read: Records) -> int:
     try:
-        return int(read.question.run("SELECT count(*) FROM executions")[0][0])
+        return int(read.snapshot.run("SELECT count(*) FROM executions")[0][0])
     except SierraError:
         return 0
 
@@ -116,7 +116,7 @@ def _affected(read: Records, name: str, file: str) -> Affected:
         for table, path in segment.files.items():
             if table in ("executions", "artifacts") or (table.startswith("output.") and not executions):
                 executions |= {row[0] for row in read.each(f"SELECT DISTINCT execution FROM {read_parquet([path])}")}
-        told = of(read.question, executions, batches=batches)
+        told = of(read.snapshot, executions, batches=batches)
     except (Damaged, SierraError):
         return Affected(text=f"of batch {segment.batch}…")
     return told if told.text else Affected(text=f"of batch {segment.batch}…")

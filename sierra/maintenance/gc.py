@@ -21,11 +21,11 @@ from sierra.containers.images.inspect import unfinished
 from sierra.execution import recover, sessions
 from sierra.maintenance.check_files import UNFINISHED, put_aside
 from sierra.maintenance.transaction import changing, publish, undisturbed
-from sierra.store.compaction import Drop, Group, Rewriting, groups, out_of_use, tidy, touched
+from sierra.store.compaction import Compaction, Drop, Group, groups, out_of_use, tidy, touched
 from sierra.store.layout import StorePaths
 from sierra.store.scans import read_parquet
 from sierra.store.segments import Segment
-from sierra.store.store import Question, Store
+from sierra.store.store import Snapshot, Store
 from sierra.worker import worker
 
 MANY = 4
@@ -124,7 +124,7 @@ def collect(
         made = _plan(store, raw=raw)
         if made.groups:
 
-            def prepare(rewriting: Rewriting) -> AbstractSet[str]:
+            def prepare(rewriting: Compaction) -> AbstractSet[str]:
                 nonlocal made
                 made = _plan(store, raw=raw)
                 for group in made.groups:
@@ -158,41 +158,41 @@ TABLES = "SELECT count(DISTINCT sha256) FROM judged_artifacts SEMI JOIN unneeded
 
 
 def _plan(store: Store, *, raw: bool) -> _Plan:
-    with store.ask() as question:
-        question.views.make(("judged_artifacts", "members", "sources", "images", "blobs"))
-        unneeded = {} if not _has(question, "objects") else _unneeded(question, raw=raw)
+    with store.snapshot() as snapshot:
+        snapshot.views.make(("judged_artifacts", "members", "sources", "images", "blobs"))
+        unneeded = {} if not _has(snapshot, "objects") else _unneeded(snapshot, raw=raw)
         drop = {"objects": {"sha256": set(unneeded)}} if unneeded else {}
-        holding = touched(question, question.segments, drop)
+        holding = touched(snapshot, snapshot.segments, drop)
         small: dict[str, list[Segment]] = {}
-        for segment in question.segments:
+        for segment in snapshot.segments:
             if segment.files and _size(segment) < SMALL:
                 small.setdefault(segment.batch, []).append(segment)
         chosen = {id(segment): segment for those in small.values() if len(those) >= MANY for segment in those}
         chosen |= {id(segment): segment for segment in holding}
         found = [part for group in groups(chosen.values()) for part in _parts(group)]
         kept = [group for group in found if len(group.segments) > 1 or group.segments[0] in holding]
-        raws = _tables(question, unneeded)
-        return _Plan(tuple(kept), drop, sum(unneeded.values()), raws, {segment.name for segment in question.segments})
+        raws = _tables(snapshot, unneeded)
+        return _Plan(tuple(kept), drop, sum(unneeded.values()), raws, {segment.name for segment in snapshot.segments})
 
 
-def _has(question: Question, table: str) -> bool:
-    return any(table in segment.files for segment in question.segments)
+def _has(snapshot: Snapshot, table: str) -> bool:
+    return any(table in segment.files for segment in snapshot.segments)
 
 
-def _unneeded(question: Question, *, raw: bool) -> dict[str, int]:
+def _unneeded(snapshot: Snapshot, *, raw: bool) -> dict[str, int]:
     """Return the size of each object that no record refers to; with `raw`, none but as that of a table."""
     referred = REFERRED.format(which=RAW if raw else "")
-    files = [segment.files["objects"] for segment in question.segments if "objects" in segment.files]
+    files = [segment.files["objects"] for segment in snapshot.segments if "objects" in segment.files]
     statement = f"SELECT sha256, max(size) FROM {read_parquet(files)} o ANTI JOIN ({referred}) r USING (sha256) GROUP BY sha256"
-    return dict(question.run(statement))
+    return dict(snapshot.run(statement))
 
 
-def _tables(question: Question, unneeded: Iterable[str]) -> int:
+def _tables(snapshot: Snapshot, unneeded: Iterable[str]) -> int:
     """Count the objects among these that are bytes of tables."""
     import pyarrow as pa
 
-    question.register("unneeded", pa.table({"sha256": pa.array(sorted(unneeded), pa.string())}))
-    count: int = question.run(TABLES)[0][0]
+    snapshot.register("unneeded", pa.table({"sha256": pa.array(sorted(unneeded), pa.string())}))
+    count: int = snapshot.run(TABLES)[0][0]
     return count
 
 

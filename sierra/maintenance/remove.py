@@ -21,9 +21,9 @@ from sierra.errors import NotFound, SierraError
 from sierra.execution import recover
 from sierra.maintenance.transaction import changing, publish, undisturbed
 from sierra.provenance import source
-from sierra.store.compaction import Rewriting, groups, touched
+from sierra.store.compaction import Compaction, groups, touched
 from sierra.store.segments import Segment
-from sierra.store.store import Question, Store
+from sierra.store.store import Snapshot, Store
 from sierra.util.hashing import short
 from sierra.util.text import few
 
@@ -84,7 +84,7 @@ def remove(store: Store, prefixes: Sequence[str], agree: Callable[[Removal], boo
     made = first
     with changing(store.paths) as session:
 
-        def prepare(rewriting: Rewriting) -> AbstractSet[str]:
+        def prepare(rewriting: Compaction) -> AbstractSet[str]:
             nonlocal made
             made = _plan(store, named)
             if made.removal != first.removal:
@@ -198,41 +198,41 @@ EXCEPT
 
 
 def _plan(store: Store, named: Mapping[str, AbstractSet[str]]) -> _Plan:
-    with store.ask() as question:
-        question.views.make((*TABLES, "environments", "programs", "readings", "findings"))
+    with store.snapshot() as snapshot:
+        snapshot.views.make((*TABLES, "environments", "programs", "readings", "findings"))
         pairs = [(kind, identity) for kind, ids in named.items() for identity in sorted(ids)]
-        question.register("named", pa.table({"kind": [kind for kind, _ in pairs], "id": [one for _, one in pairs]}))
-        question.run(FIND)
-        made = _Plan(_removal(question, named))
-        made.drop = _drop(question, store, named)
-        made.touched = touched(question, question.segments, made.drop)
-        made.seen = {segment.name for segment in question.segments}
+        snapshot.register("named", pa.table({"kind": [kind for kind, _ in pairs], "id": [one for _, one in pairs]}))
+        snapshot.run(FIND)
+        made = _Plan(_removal(snapshot, named))
+        made.drop = _drop(snapshot, store, named)
+        made.touched = touched(snapshot, snapshot.segments, made.drop)
+        made.seen = {segment.name for segment in snapshot.segments}
         concerned = "SELECT batch FROM members WHERE run IN (SELECT run FROM gone) UNION SELECT batch FROM gone_batches"
-        made.concerned = _column(question, concerned)
+        made.concerned = _column(snapshot, concerned)
         return made
 
 
-def _removal(question: Question, named: Mapping[str, AbstractSet[str]]) -> Removal:
-    batches = question.sql(
+def _removal(snapshot: Snapshot, named: Mapping[str, AbstractSet[str]]) -> Removal:
+    batches = snapshot.sql(
         "SELECT batch, query, experiments, runs FROM batches WHERE list_contains($b, batch) ORDER BY batch",
         b=sorted(named["batch"]),
     ).to_pylist()
-    [(runs, executions)] = question.run("SELECT count(DISTINCT run), count(DISTINCT own) FROM gone")
-    [(replays,)] = question.run("SELECT count(DISTINCT replay) FROM gone_replays")
-    [(size,)] = question.run("SELECT coalesce(sum(size), 0)::BIGINT FROM artifacts WHERE execution IN (SELECT own FROM gone)")
+    [(runs, executions)] = snapshot.run("SELECT count(DISTINCT run), count(DISTINCT own) FROM gone")
+    [(replays,)] = snapshot.run("SELECT count(DISTINCT replay) FROM gone_replays")
+    [(size,)] = snapshot.run("SELECT coalesce(sum(size), 0)::BIGINT FROM artifacts WHERE execution IN (SELECT own FROM gone)")
     losing = _column(
-        question, "SELECT m.batch FROM members m JOIN gone USING (run) ANTI JOIN gone_batches g ON g.batch = m.batch"
+        snapshot, "SELECT m.batch FROM members m JOIN gone USING (run) ANTI JOIN gone_batches g ON g.batch = m.batch"
     )
     kept = "SELECT run, batch FROM shared WHERE run NOT IN (SELECT run FROM gone)"
-    shared = _column(question, f"SELECT run FROM ({kept})")
-    sharing = _column(question, f"SELECT batch FROM ({kept})")
+    shared = _column(snapshot, f"SELECT run FROM ({kept})")
+    sharing = _column(snapshot, f"SELECT batch FROM ({kept})")
     return Removal(tuple(batches), runs, executions, replays, size, tuple(sorted(losing)), len(shared), tuple(sorted(sharing)))
 
 
-def _drop(question: Question, store: Store, named: Mapping[str, AbstractSet[str]]) -> dict[str, dict[str, AbstractSet[str]]]:
-    executions = _column(question, "SELECT execution FROM gone")
+def _drop(snapshot: Snapshot, store: Store, named: Mapping[str, AbstractSet[str]]) -> dict[str, dict[str, AbstractSet[str]]]:
+    executions = _column(snapshot, "SELECT execution FROM gone")
     batches = set(named["batch"])
-    replays = _column(question, "SELECT replay FROM gone_replays")
+    replays = _column(snapshot, "SELECT replay FROM gone_replays")
     drop: dict[str, dict[str, AbstractSet[str]]] = {
         **{table: {"execution": executions} for table in ("executions", "artifacts", "findings", "output")},
         "judgements": {"judgement": executions},
@@ -242,11 +242,11 @@ def _drop(question: Question, store: Store, named: Mapping[str, AbstractSet[str]
         "verdicts": {"replay": replays, "recorded": executions, "execution": executions},
     }
     for table, (key, statement) in AROUND.items():
-        drop[table] = {key: _column(question, statement)}
-    blobs = _blobs(question, store)
-    question.register("gone_blobs", pa.table({"blob": pa.array(sorted(blobs), pa.string())}))
+        drop[table] = {key: _column(snapshot, statement)}
+    blobs = _blobs(snapshot, store)
+    snapshot.register("gone_blobs", pa.table({"blob": pa.array(sorted(blobs), pa.string())}))
     drop["blobs"] = {"blob": blobs}
-    drop["objects"] = {"sha256": _column(question, OBJECTS)}
+    drop["objects"] = {"sha256": _column(snapshot, OBJECTS)}
     return {
         table: heeded
         for table, columns in drop.items()
@@ -254,18 +254,18 @@ def _drop(question: Question, store: Store, named: Mapping[str, AbstractSet[str]
     }
 
 
-def _blobs(question: Question, store: Store) -> set[str]:
+def _blobs(snapshot: Snapshot, store: Store) -> set[str]:
     """Files of sources outside git that no other source has."""
-    gone = _column(question, "SELECT files FROM gone_sources WHERE vcs = 'none'")
+    gone = _column(snapshot, "SELECT files FROM gone_sources WHERE vcs = 'none'")
     if not gone:
         return set()
-    stay = _column(question, "SELECT files FROM sources WHERE vcs = 'none' AND source NOT IN (SELECT source FROM gone_sources)")
+    stay = _column(snapshot, "SELECT files FROM sources WHERE vcs = 'none' AND source NOT IN (SELECT source FROM gone_sources)")
     theirs = {blob for files in stay for blob in source.blobs(store.object(files))}
     return {blob for files in gone for blob in source.blobs(store.object(files))} - theirs
 
 
-def _column(question: Question, statement: str) -> set[str]:
-    return {row[0] for row in question.run(statement) if row[0] is not None}
+def _column(snapshot: Snapshot, statement: str) -> set[str]:
+    return {row[0] for row in snapshot.run(statement) if row[0] is not None}
 
 
 def text(removal: Removal) -> list[str]:

@@ -29,7 +29,7 @@ from sierra.maintenance.check_records import Records
 from sierra.maintenance.findings import Kind
 from sierra.maintenance.fsck import Checked, Report, Tell
 from sierra.maintenance.transaction import aside, changing, publish, undisturbed
-from sierra.store.compaction import Drop, Rewriting, groups, touched
+from sierra.store.compaction import Compaction, Drop, groups, touched
 from sierra.store.layout import StorePaths
 from sierra.store.segments import FORMAT, MANIFEST, READABLE, Segment, manifest
 from sierra.util.fs import write_whole
@@ -142,7 +142,7 @@ def _write(paths: StorePaths, root: Path, first: _Loss, tell: Tell) -> None:
     with changing(paths) as session:
         loss = first
 
-        def prepare(rewriting: Rewriting) -> AbstractSet[str]:
+        def prepare(rewriting: Compaction) -> AbstractSet[str]:
             nonlocal loss
             checked = fsck.check(paths, root, tell)
             loss = _loss(paths, checked)
@@ -173,10 +173,10 @@ def _loss(paths: StorePaths, checked: Checked) -> _Loss:
                         loss.batches |= set(finding.affected.batches)
         loss.executions |= _judgements_of(read, loss.executions)
         readable = [segment for segment in contents.sound if segment.name not in broken]
-        going = {segment.name for segment in touched(read.question, readable, loss.drop)}
+        going = {segment.name for segment in touched(read.snapshot, readable, loss.drop)}
         loss.touched = [segment for segment in contents.sound if segment.name in broken or segment.name in going]
     finally:
-        read.question.__exit__()
+        read.snapshot.__exit__()
         contents.broken = broken
     return loss
 

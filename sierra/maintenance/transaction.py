@@ -13,7 +13,7 @@ from pathlib import Path
 from sierra.errors import Missing, SierraError
 from sierra.execution import sessions
 from sierra.execution.sessions import Session
-from sierra.store.compaction import Rewriting, tidy
+from sierra.store.compaction import Compaction, tidy
 from sierra.store.layout import SessionPaths, StorePaths
 from sierra.store.segments import disk_errors, listed
 from sierra.util.hashing import short
@@ -40,7 +40,7 @@ def names(store: StorePaths) -> set[str]:
 def publish(
     store: StorePaths,
     session: Session,
-    prepare: Callable[[Rewriting], AbstractSet[str]],
+    prepare: Callable[[Compaction], AbstractSet[str]],
     may: Callable[[], None] = lambda: None,
     keep: AbstractSet[str] = frozenset(),
 ) -> int:
@@ -51,7 +51,7 @@ def publish(
     where the file system has no locks, so that nobody can be alone.
     """
     for attempt in range(ATTEMPTS):
-        rewriting = Rewriting(store, session.paths.root / f"new{attempt}", f"{session.id}.{attempt}")
+        rewriting = Compaction(store, session.paths.root / f"new{attempt}", f"{session.id}.{attempt}")
         seen = prepare(rewriting)
         with sessions.exclusively(store) as locks:
             if not locks:

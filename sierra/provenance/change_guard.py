@@ -23,7 +23,7 @@ State = tuple[int, int, int, int] | None
 
 
 @dataclass(frozen=True, slots=True)
-class Seen:
+class ChangeGuard:
     """Files as they were."""
 
     states: dict[bytes, State]
@@ -56,17 +56,17 @@ class Seen:
         return None
 
 
-def alone(path: Path) -> Seen:
+def alone(path: Path) -> ChangeGuard:
     """One file, as it is now."""
     name = os.fsencode(path)
-    return Seen({name: _state(name)}, b"")
+    return ChangeGuard({name: _state(name)}, b"")
 
 
-def seen(root: Path, manifest: bytes, programs: Programs) -> Seen:
+def seen(root: Path, manifest: bytes, programs: Programs) -> ChangeGuard:
     """The files of a source in the folder `root` (of none, where the list is empty), and the programs, as they are now."""
     base = os.fsencode(root)
     paths = (*_files(base, manifest), *(os.fsencode(one.path) for one in programs.all if one.kind != Kind.DISTRIBUTIONS))
-    return Seen({path: _state(path) for path in paths}, base, tuple(read(manifest)))
+    return ChangeGuard({path: _state(path) for path in paths}, base, tuple(read(manifest)))
 
 
 def _files(base: bytes, manifest: bytes) -> Iterator[bytes]:

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from sierra.errors import Missing
 from sierra.store.layout import user_digests
-from sierra.util.cache import Remembered
+from sierra.util.cache import Cache
 from sierra.util.hashing import sha256_file
 
 SMALL = 1 << 16
@@ -22,11 +22,11 @@ RACY_NS = 2 * 10**9
 MOST = 4096
 
 
-class Digests:
+class HashCache:
     """SHA-256 of files; `save` at the end keeps them for the next time."""
 
     def __init__(self) -> None:
-        self._remembered = Remembered(user_digests(), MOST)
+        self._remembered = Cache(user_digests(), MOST)
 
     def of(self, path: str) -> str:
         """The SHA-256 of a file's content. Raises Missing where it cannot be read."""

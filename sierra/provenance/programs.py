@@ -20,7 +20,7 @@ from typing import Any
 
 from sierra.errors import Missing
 from sierra.provenance import libraries, pythons
-from sierra.provenance.hash_cache import Digests
+from sierra.provenance.hash_cache import HashCache
 from sierra.provenance.program import INSTALLED, NOTHING, Kind, Program, Programs, by_likelihood, called, versions
 from sierra.util.hashing import sha256, short
 from sierra.util.text import few
@@ -83,7 +83,7 @@ class _Finding:
         self._root = root
         self._project = project
         self._variables = dict(variables)
-        self._digests = Digests()
+        self._digests = HashCache()
         self._programs: dict[str, Program] = {}
         self._libraries: dict[str, Program] = {}
         self._installed: dict[str, list[Program]] = {}

@@ -21,7 +21,7 @@ from typing import Any
 from urllib.parse import unquote, urlsplit
 
 from sierra.errors import Missing
-from sierra.provenance.hash_cache import Digests
+from sierra.provenance.hash_cache import HashCache
 from sierra.util.hashing import digest
 
 NAME = re.compile(r"python(\d(\.\d+)?t?)?")
@@ -159,7 +159,7 @@ def check(name: str, folders: Iterable[Path], root: Path, project: Path, scripts
 
 
 def contents(
-    interpreter: Interpreter, found: Sequence[Distribution], own: Sequence[Path], digests: Digests
+    interpreter: Interpreter, found: Sequence[Distribution], own: Sequence[Path], digests: HashCache
 ) -> Iterator[Content]:
     """What counts by content. Files of the project itself, which lies in the folders `own`, are the source's matter."""
     told = set()
@@ -205,7 +205,7 @@ def _recorded(info: Path) -> list[str]:
     return sorted(line for line in lines if not line.startswith(("..", info.name)) and ".pyc," not in line)
 
 
-def _folder(folder: Path, own: Sequence[Path], digests: Digests) -> str:
+def _folder(folder: Path, own: Sequence[Path], digests: HashCache) -> str:
     files = [[path.relative_to(folder).as_posix(), digests.of(str(path))] for path in _code(folder, own)]
     return digest("folder", {"files": files})
 

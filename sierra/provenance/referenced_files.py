@@ -15,7 +15,7 @@ from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from pathlib import Path
 
 from sierra.errors import Missing
-from sierra.provenance.hash_cache import Digests
+from sierra.provenance.hash_cache import HashCache
 from sierra.provenance.program import NOTHING, Kind, Program, Programs
 
 LONGEST = 4096
@@ -36,7 +36,7 @@ def files(
 
     The code lies in `root`; what is outside of it (`{project}/../data`) is where the user has the `project`.
     """
-    digests = Digests()
+    digests = HashCache()
     found = {}
     for word in words:
         for path in _named(word.replace(f"{root}/", "{project}/"), root, (project or root).resolve()):
@@ -64,7 +64,7 @@ def _files(path: Path) -> Iterator[Path]:
 def data(template: Path, texts: Iterable[str], root: Path, source: Container[bytes], without: Iterable[str]) -> Programs:
     """The files that a template and `texts`, what is put into it, name; but those in `without`, as seen from the root."""
     left = [root / path for path in without]
-    digests = Digests()
+    digests = HashCache()
     found: dict[Path, Program] = {}
     notes: dict[Path, str] = {}
     for path in _all_named(template, "\n".join(texts), root, left):
@@ -100,7 +100,7 @@ def beside(template: Path, texts: Iterable[str], root: Path) -> list[str]:
 
 def again(names: Iterable[str], root: Path) -> Programs:
     """The files that a record has by these names, where they are there: `{project}/…`, or where they were."""
-    digests = Digests()
+    digests = HashCache()
     paths = (Path(name.replace("{project}", str(root), 1)) for name in names)
     found = [_file(path, root, digests) for path in paths if path.is_absolute() and path.is_file()]
     digests.save()
@@ -167,6 +167,6 @@ def _holds(source: Container[bytes], path: Path, root: Path) -> bool:
     return not outside and os.fsencode(relative.as_posix()) in source
 
 
-def _file(path: Path, root: Path, digests: Digests) -> Program:
+def _file(path: Path, root: Path, digests: HashCache) -> Program:
     name = f"{{project}}/{path.relative_to(root)}" if path.is_relative_to(root) else str(path)
     return Program(name, str(path), digests.of(str(path)), Kind.FILE)

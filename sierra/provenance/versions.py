@@ -25,7 +25,7 @@ from pathlib import Path
 from sierra.config.project_file import ProgramsTable
 from sierra.provenance.program import Kind, Program, Programs
 from sierra.store.layout import user_versions
-from sierra.util.cache import Remembered
+from sierra.util.cache import Cache
 from sierra.util.hashing import digest
 from sierra.worker import processes
 
@@ -42,7 +42,7 @@ MARK = "SIERRA_VERSION_ASKED"
 
 def asked(programs: Programs, table: ProgramsTable, variables: Mapping[str, str], root: Path) -> Programs:
     """The same programs, with what they say of themselves; `variables` are the runs' own, with PATH."""
-    remembered = Remembered(user_versions(), MOST)
+    remembered = Cache(user_versions(), MOST)
     identity = programs.id
 
     def version(program: Program) -> str | None:

@@ -14,7 +14,7 @@ from sierra.replay.compare import Agreement, Rules, Verdict, of_tables, of_texts
 from sierra.store.counting import rows_by_file
 from sierra.store.files import holding
 from sierra.store.results import objects, rows_of
-from sierra.store.store import Question
+from sierra.store.store import Snapshot
 
 BYTES = 64 << 20
 """Of files that are compared at a time, as large as they were."""
@@ -28,47 +28,47 @@ _Pair = tuple[tuple[str, str], list[tuple[Artifact, Artifact]]]
 """Two executions, and the files of both that have other bytes."""
 
 
-def compare(question: Question, recorded: str, found: str, declared: Mapping[str, Output]) -> dict[str | None, Agreement]:
+def compare(snapshot: Snapshot, recorded: str, found: str, declared: Mapping[str, Output]) -> dict[str | None, Agreement]:
     """How far what the execution `found` wrote agrees with what `recorded` did, by path; both are judgements of executions.
 
     `declared` says what is volatile and which tolerance holds. Raises Damaged where the store lacks one of them.
     """
-    return next(compare_all(question, [(recorded, found)], declared))
+    return next(compare_all(snapshot, [(recorded, found)], declared))
 
 
 def compare_all(
-    question: Question, pairs: Sequence[tuple[str, str]], declared: Mapping[str, Output]
+    snapshot: Snapshot, pairs: Sequence[tuple[str, str]], declared: Mapping[str, Output]
 ) -> Iterator[dict[str | None, Agreement]]:
     """As `compare`, of many executions, a few of them in memory at a time."""
-    left = _artifacts(question, (execution for pair in pairs for execution in pair))
-    counted = _counted(question, left)
+    left = _artifacts(snapshot, (execution for pair in pairs for execution in pair))
+    counted = _counted(snapshot, left)
     for some in _by_weight((pair, list(_unlike(*(left[one] for one in pair)))) for pair in pairs):
         compared = [files for _, unlike in some for files in unlike if _same_kind(*files)]
-        contents = _Contents(question, [row for files in compared for row in files], counted)
+        contents = _Contents(snapshot, [row for files in compared for row in files], counted)
         for (recorded, found), _ in some:
             yield _of_artifacts(contents, left[recorded], left[found], declared)
 
 
-def _artifacts(question: Question, executions: Iterable[str]) -> dict[str, Artifacts]:
+def _artifacts(snapshot: Snapshot, executions: Iterable[str]) -> dict[str, Artifacts]:
     """What each of these executions left."""
     import pyarrow as pa
 
     left: dict[str, dict[str, Artifact]] = {execution: {} for execution in executions}
-    question.register("compared", pa.table({"execution": pa.array(left, pa.string())}))
+    snapshot.register("compared", pa.table({"execution": pa.array(left, pa.string())}))
     statement = "SELECT a.* FROM judged_artifacts a SEMI JOIN compared USING (execution) WHERE kind <> 'log'"
-    for row in question.sql(statement).to_pylist():
+    for row in snapshot.sql(statement).to_pylist():
         left[row["execution"]][row["path"]] = row
     return dict(left)
 
 
-def _counted(question: Question, left: Mapping[str, Artifacts]) -> Counter[tuple[str, str, str | None]]:
+def _counted(snapshot: Snapshot, left: Mapping[str, Artifacts]) -> Counter[tuple[str, str, str | None]]:
     """Return how many rows the store has of each table of these executions, counted without DuckDB.
 
     The key is an execution, an output and, where there are several files of it, which.
     """
     outputs = {row["output"] for rows in left.values() for row in rows.values() if row["kind"] == "table"}
     counted: Counter[tuple[str, str, str | None]] = Counter()
-    for segment in holding(question, sorted(left)) if outputs else ():
+    for segment in holding(snapshot, sorted(left)) if outputs else ():
         for output, path in segment.outputs():
             if output in outputs:
                 with contextlib.suppress(Damaged):  # what is not read is not counted, and said so
@@ -106,16 +106,16 @@ class _Contents:
     """What some artifacts hold."""
 
     def __init__(
-        self, question: Question, artifacts: Sequence[Artifact], counted: Mapping[tuple[str, str, str | None], int]
+        self, snapshot: Snapshot, artifacts: Sequence[Artifact], counted: Mapping[tuple[str, str, str | None], int]
     ) -> None:
         """`counted`: the rows of all tables that are compared, by another count."""
         self._counted = counted
         tables = [one for one in artifacts if one["kind"] == "table"]
         files = [one["sha256"] for one in artifacts if one["kind"] != "table"]
         self._rows = (
-            rows_of(question, {one["execution"] for one in tables}, {one["output"] for one in tables}) if tables else {}
+            rows_of(snapshot, {one["execution"] for one in tables}, {one["output"] for one in tables}) if tables else {}
         )
-        self._bytes = objects(question, files) if files else {}
+        self._bytes = objects(snapshot, files) if files else {}
 
     def rows(self, artifact: Artifact) -> Any:
         rows = self._rows.get(_key(artifact))

@@ -17,18 +17,18 @@ from typing import Any
 
 from sierra import runners
 from sierra.config.project_file import LoadedProject, Output
-from sierra.containers.isolation import Containment, contain
+from sierra.containers.isolation import Isolation, contain
 from sierra.errors import Missing, NotFound, UsageError
 from sierra.execution import commands, recover, stored_plan, timing
 from sierra.execution.executor import Progress, Watch
-from sierra.execution.follow import Ears, Following
+from sierra.execution.follow import Following, Observer
 from sierra.execution.sessions import Session
 from sierra.execution.stored_plan import Recalled
 from sierra.ingest.context import Context
 from sierra.ingest.recorder import Recorder
 from sierra.model import Job, Run, Status
 from sierra.provenance import environment, programs, versions
-from sierra.provenance.change_guard import Seen, seen
+from sierra.provenance.change_guard import ChangeGuard, seen
 from sierra.provenance.program import Programs, mentioned
 from sierra.replay import equivalence, host_check
 from sierra.replay.compare import Agreement, Verdict
@@ -153,7 +153,7 @@ def replay(
             raw=project.config.store.raw,
             **contained.context,
         )
-        maker = commands.Maker(
+        maker = commands.CommandBuilder(
             record.of.recipe,
             root,
             engine,
@@ -217,24 +217,24 @@ def unrecorded(
 def _look_up(store: Store, found: Found, runs: int | None) -> _Record:
     import pyarrow as pa
 
-    with store.ask() as question:
-        named = take(question, found)
+    with store.snapshot() as snapshot:
+        named = take(snapshot, found)
         good = [one for one in named if one.status == "ok"]
         taken = [one for one in good if runs is None or one.number < runs]
         if not taken:
             raise NotFound(f"{found.kind} {short(found.id)} has no good execution to compare with; sierra run makes one")
-        question.views.make(("members", "experiments", "batches"))
-        batch = where(question, found).batch
-        question.register("taken", pa.table({"execution": [str(one.judgement) for one in taken]}))
-        by = question.sql(
+        snapshot.views.make(("members", "experiments", "batches"))
+        batch = where(snapshot, found).batch
+        snapshot.register("taken", pa.table({"execution": [str(one.judgement) for one in taken]}))
+        by = snapshot.sql(
             "SELECT DISTINCT programs, reading, environment "
             "FROM judged e SEMI JOIN taken t ON t.execution = e.judgement ORDER BY ALL"
         ).to_pylist()
-        cells = question.cells(batch)
-        [(axes,)] = question.run("SELECT axes FROM batches WHERE batch = $b", {"b": batch})
-        tables = {row["output"]: row["forms"] for row in question.sql(TABLES).to_pylist()}
-        wrote = {row[0] for row in question.run(WROTE)}
-        seeds = dict(question.run("SELECT run, seed FROM members WHERE batch = $b", {"b": batch}))
+        cells = snapshot.cells(batch)
+        [(axes,)] = snapshot.run("SELECT axes FROM batches WHERE batch = $b", {"b": batch})
+        tables = {row["output"]: row["forms"] for row in snapshot.sql(TABLES).to_pylist()}
+        wrote = {row[0] for row in snapshot.run(WROTE)}
+        seeds = dict(snapshot.run("SELECT run, seed FROM members WHERE batch = $b", {"b": batch}))
     record = _Record(
         found=found,
         of=stored_plan.recall(store, batch, by[0]["programs"], by[0]["reading"]),
@@ -342,7 +342,7 @@ def _other_machine(store: Store, record: _Record, around: Mapping[str, Any]) -> 
                 yield f"other machine: {name} {'that differ: ' if isinstance(was, list) else ''}was {old}, is {new}"
 
 
-def _jobs(record: _Record, store: Store, maker: commands.Maker) -> Iterator[Job]:
+def _jobs(record: _Record, store: Store, maker: commands.CommandBuilder) -> Iterator[Job]:
     """A job for each run, with the inputs that are recorded."""
     for taken, files in stored_plan.inputs(store, {one.run: one for one in record.runs}.values()):
         yield maker.job(Run(taken.run, taken.ordinal, taken.number, record.seeds[taken.run], (), b""), files)
@@ -373,14 +373,14 @@ def _execute(
         watch(Progress(work.count, 0, len(done), len(bad()), running, queued=queued, waits=waits))
 
     with noted() as signals:
-        ears = Ears(took, tell, say)
+        ears = Observer(took, tell, say)
         recorder = Recorder(store, session.paths, context, kept, doubt)
         following = Following(runner, recorder, store, session, ears, leave=lambda: False)
         following.execute(work, signals)
     return bad(), bool(signals) or session.paths.cancelled.exists()
 
 
-def _doubt(files: Seen, contained: Containment) -> Callable[[], str | None]:
+def _doubt(files: ChangeGuard, contained: Isolation) -> Callable[[], str | None]:
     """What says why executions cannot be ascribed to the programs, or to the image, that were there when they began."""
     return lambda: files.doubt() or contained.doubt()
 
@@ -396,14 +396,14 @@ def _compare(
     record: _Record, store: Store, made: Mapping[str, Job], failed: Mapping[str, Status], declared: Mapping[str, Output]
 ) -> Iterator[Compared]:
     done = [one for one in record.runs if one.run not in failed]
-    with store.ask() as question:
+    with store.snapshot() as snapshot:
         pairs = [(str(one.judgement), made[one.run].execution) for one in done]
-        for taken, outputs in zip(done, compare_all(question, pairs, declared), strict=True):
+        for taken, outputs in zip(done, compare_all(snapshot, pairs, declared), strict=True):
             yield Compared(taken, made[taken.run].execution, outputs)
-        question.views.make(("executions",))
+        snapshot.views.make(("executions",))
         for taken in (one for one in record.runs if one.run in failed):
             execution = made[taken.run].execution
-            [(reason,)] = question.run("SELECT reason FROM executions WHERE execution = $e", {"e": execution}) or [("",)]
+            [(reason,)] = snapshot.run("SELECT reason FROM executions WHERE execution = $e", {"e": execution}) or [("",)]
             yield Compared(taken, execution, {None: Agreement(Verdict.FAILED, reason or failed[taken.run])})
 
 
@@ -450,7 +450,7 @@ def _keep(
     around: Mapping[str, Any],
     began: datetime,
     how: How,
-    contained: Containment,
+    contained: Isolation,
 ) -> None:
     """Record the replay and its verdicts."""
     writer = store.writer(session.paths.segment, record.of.batch)

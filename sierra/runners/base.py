@@ -16,7 +16,7 @@ from typing import Any, Protocol
 
 from sierra.config.project_file import ClusterTable
 from sierra.errors import ConfigError, SierraError
-from sierra.model import Job, Needed, Result, Times
+from sierra.model import Job, Requirement, Result, Times
 from sierra.provenance.program import INSTALLED, Kind, Program, Programs
 from sierra.runners import schedulers
 from sierra.store.layout import SessionPaths
@@ -33,7 +33,7 @@ class Work:
     """Read as slots become free, perhaps in another thread."""
     count: int
     batch: str
-    needs: tuple[Needed, ...] = ()
+    needs: tuple[Requirement, ...] = ()
     times: Times | None = None
     """What runs are expected to take; None where nobody knows."""
     waits: bool = True
@@ -116,10 +116,10 @@ class Runner(Protocol):
         ...
 
 
-def needed(programs: Programs, search: str) -> tuple[Needed, ...]:
+def needed(programs: Programs, search: str) -> tuple[Requirement, ...]:
     """The files among what runs depend on, whose PATH is `search`; of what a Python has installed, names and versions alone.
 
-    The command's own program, which is the first, is called by its path: see `sierra.execution.commands.Maker`.
+    The command's own program, which is the first, is called by its path: see `sierra.execution.commands.CommandBuilder`.
     """
     from sierra.worker import array_task
 
@@ -128,10 +128,10 @@ def needed(programs: Programs, search: str) -> tuple[Needed, ...]:
     folders = (one for one in programs.all if one.kind == Kind.DISTRIBUTIONS and one.name.endswith(INSTALLED))
     return (
         *(
-            Needed(one.name, one.path, one.sha256, search if one.path in called else "", link=one.kind == Kind.LINK)
+            Requirement(one.name, one.path, one.sha256, search if one.path in called else "", link=one.kind == Kind.LINK)
             for one in files
         ),
-        *(Needed(one.name, one.path, holds=array_task.installed(one.path)) for one in folders),
+        *(Requirement(one.name, one.path, holds=array_task.installed(one.path)) for one in folders),
     )
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Literal
 
 from sierra.config import user
-from sierra.containers.engines.base import Abilities
+from sierra.containers.engines.base import Capabilities
 from sierra.errors import SierraError
 from sierra.provenance.environment import usable_cores
 from sierra.store.layout import StorePaths, user_settings
@@ -101,7 +101,7 @@ def _engines() -> Iterator[Check]:
             yield Check(name, "ok", ", ".join([able.version, *_said(able), *told]), remedy)
 
 
-def _said(able: Abilities) -> Iterator[str]:
+def _said(able: Capabilities) -> Iterator[str]:
     """What holds in an engine's containers, and what does not."""
     yield f"{'rootless' if able.rootless else 'as root'}, outputs are {able.user}'s"
     ignored = {"cpus", "pids"} - able.enforced

@@ -10,13 +10,13 @@ from sierra.store.connections import connect
 from sierra.store.errors import first_line
 from sierra.store.scans import copy, read_parquet
 from sierra.store.segments import OUTPUT, Writer, is_first_part
-from sierra.store.store import Question
+from sierra.store.store import Snapshot
 
 ROWS = "SELECT o.* REPLACE (m.made AS execution) FROM {files} o JOIN made m ON o.execution = m.known"
 HOLDING = "SELECT DISTINCT o.filename FROM {files} o SEMI JOIN made m ON o.execution = m.known"
 
 
-def write_again(question: Question, writer: Writer, outputs: Iterable[str], made: Mapping[str, str]) -> dict[str, int]:
+def write_again(snapshot: Snapshot, writer: Writer, outputs: Iterable[str], made: Mapping[str, str]) -> dict[str, int]:
     """Write the rows of these outputs (in lower case), in their order, for the judgements that `made` has by those before.
 
     How many rows each output has. Raises Missing where the disk is full, Damaged for what cannot be read.
@@ -29,7 +29,7 @@ def write_again(question: Question, writer: Writer, outputs: Iterable[str], made
         connection.register("made", pa.table({"known": pa.array(list(made), pa.string()), "made": list(made.values())}))
         connection.execute("SET threads = 1")
         connection.execute("SET disabled_optimizers = 'join_order,build_side_probe_side'")  # rows keep their order
-        return {name: _output(connection, question, writer, name) for name in sorted(set(outputs))}
+        return {name: _output(connection, snapshot, writer, name) for name in sorted(set(outputs))}
     except duckdb.IOException as error:
         raise Missing(f"cannot write to {writer.folder}: {first_line(error)}") from error
     except duckdb.Error as error:
@@ -38,11 +38,11 @@ def write_again(question: Question, writer: Writer, outputs: Iterable[str], made
         connection.close()
 
 
-def _output(connection: Any, question: Question, writer: Writer, name: str) -> int:
+def _output(connection: Any, snapshot: Snapshot, writer: Writer, name: str) -> int:
     """Write the rows of one output: a file for all that have the same columns."""
     import pyarrow.parquet as pq
 
-    called = {path: called for segment in question.segments for called, path in segment.outputs() if called.lower() == name}
+    called = {path: called for segment in snapshot.segments for called, path in segment.outputs() if called.lower() == name}
     if not called:
         return 0
     holding = connection.execute(HOLDING.format(files=read_parquet(list(called), filename=True))).fetchall()

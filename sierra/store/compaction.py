@@ -30,7 +30,7 @@ from sierra.store.read_lock import alone
 from sierra.store.scans import copy, read_parquet
 from sierra.store.schema import LATER, arrow_schema, is_table
 from sierra.store.segments import AFTER, MANIFEST, OUTPUT, REPLACES, Segment, Writer, disk_errors, on_disk, out_of_date, sync
-from sierra.store.store import Question
+from sierra.store.store import Snapshot
 
 Drop = Mapping[str, Mapping[str, AbstractSet[str]]]
 """By table (`output`: all outputs) and column: a row goes where its value is one of these."""
@@ -59,17 +59,17 @@ def groups(segments: Iterable[Segment]) -> list[Group]:
     return [Group(tuple(members)) for _, _, members in found]
 
 
-def touched(question: Question, segments: Iterable[Segment], drop: Drop) -> list[Segment]:
+def touched(snapshot: Snapshot, segments: Iterable[Segment], drop: Drop) -> list[Segment]:
     """Those segments that have a row which goes."""
     import pyarrow as pa
 
     for table, columns in drop.items():
         for column, values in columns.items():
-            question.register(f"going {table} {column}", pa.table({"value": pa.array(sorted(values), pa.string())}))
+            snapshot.register(f"going {table} {column}", pa.table({"value": pa.array(sorted(values), pa.string())}))
 
     def goes(path: str, table: str, column: str) -> bool:
         going = f"SELECT value FROM {identifier(f'going {table} {column}')}"
-        return bool(question.run(f"SELECT 1 FROM {read_parquet([path])} WHERE {column} IN ({going}) LIMIT 1"))
+        return bool(snapshot.run(f"SELECT 1 FROM {read_parquet([path])} WHERE {column} IN ({going}) LIMIT 1"))
 
     return [
         segment
@@ -103,7 +103,7 @@ def _schema(path: str) -> Any:
         return pa.schema([(field.name, field.type) for field in pq.read_schema(path)])
 
 
-class Rewriting:
+class Compaction:
     """New segments in the place of old ones: `write` them, then `publish` at one moment."""
 
     def __init__(self, paths: StorePaths, folder: Path, name: str) -> None:
@@ -333,4 +333,4 @@ def tidy(paths: StorePaths, aside: Path) -> int:
     return len(unused)
 
 
-__all__ = ["MANIFEST", "Drop", "Group", "Rewriting", "groups", "out_of_use", "tidy"]
+__all__ = ["MANIFEST", "Compaction", "Drop", "Group", "groups", "out_of_use", "tidy"]

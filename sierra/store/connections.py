@@ -1,7 +1,7 @@
 """Connections to DuckDB, in memory, that never reach for the network; the last one that answered answers again.
 
 Making one takes longer than most questions do (DuckDB enters thousands of functions into a catalogue), so the last is
-kept for the next question on the same store. No question finds anything of another: what is temporary or registered goes
+kept for the next snapshot on the same store. No snapshot finds anything of another: what is temporary or registered goes
 with the question's cursor, its views are dropped, its settings reset, and one that failed, or that was so large that it
 wrote to the disk, is not kept at all.
 """
@@ -20,7 +20,7 @@ from sierra.store.scans import steady
 
 
 class Connection:
-    """A cursor on a DuckDB of its own, which may read some folders and nothing else; for one question at a time."""
+    """A cursor on a DuckDB of its own, which may read some folders and nothing else; for one snapshot at a time."""
 
     def __init__(self, *folders: Path) -> None:
         self._folders = tuple(steady(f"{folder}/") for folder in folders)
@@ -38,7 +38,7 @@ class Connection:
             self._settings.append(setting[1])
 
     def keep(self, views: Iterable[str]) -> None:
-        """Close the cursor, and keep its DuckDB for the next question, emptied of these views."""
+        """Close the cursor, and keep its DuckDB for the next snapshot, emptied of these views."""
         import duckdb
 
         try:

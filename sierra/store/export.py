@@ -63,9 +63,9 @@ def listing(store: Store, prefix: str, patterns: Sequence[str] = ()) -> Listing:
     Raises NotFound for one that matches nothing.
     """
     found = store.resolve(prefix)
-    with store.ask() as question:
-        runs = take(question, found)
-        files = recorded(question, runs)
+    with store.snapshot() as snapshot:
+        runs = take(snapshot, found)
+        files = recorded(snapshot, runs)
     return Listing(found.kind, found.id, tuple(runs), tuple(_chosen(files, patterns)))
 
 
@@ -74,8 +74,8 @@ def content(store: Store, file: Recorded, target: IO[bytes]) -> bool:
 
     Raises Damaged where they are not what was recorded; `target` holds some of them then.
     """
-    with store.ask() as question:
-        one = next(contents(question, [file]))
+    with store.snapshot() as snapshot:
+        one = next(contents(snapshot, [file]))
         for piece in one.pieces:
             target.write(piece)
         return bool(one.identical)
@@ -94,8 +94,8 @@ def extract(store: Store, listed: Listing, folder: Path) -> Iterator[Outcome]:
     except OSError as error:
         raise Missing(f"{folder}: {error.strerror}; files cannot be written there") from error
     try:
-        with store.ask() as question:
-            for one in contents(question, listed.files):
+        with store.snapshot() as snapshot:
+            for one in contents(snapshot, listed.files):
                 path = target_path(one.file)
                 failure = None
                 try:

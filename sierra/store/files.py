@@ -27,7 +27,7 @@ from sierra.store.errors import explain, first_line
 from sierra.store.names import column_names, identifier
 from sierra.store.scans import read_parquet
 from sierra.store.segments import MANIFEST, Segment
-from sierra.store.store import Found, Question
+from sierra.store.store import Found, Snapshot
 from sierra.store.views import ORDER, recording
 from sierra.util.hashing import sha256_file
 from sierra.util.text import natural
@@ -93,15 +93,15 @@ class Recorded:
                 return ""
 
 
-def take(question: Question, found: Found) -> list[Taken]:
+def take(snapshot: Snapshot, found: Found) -> list[Taken]:
     """The runs that an id names, in order, each with its execution that counts, else its last one.
 
     A run or an experiment of several batches is taken as it stands in the one that was last asked for.
     """
     with _readable():
-        place = where(question, found)
+        place = where(snapshot, found)
         statement = TAKEN.format(only=place.only, order=ORDER)
-        return [Taken(*row) for row in question.each(statement, {**place.parameters, "named": place.execution})]
+        return [Taken(*row) for row in snapshot.each(statement, {**place.parameters, "named": place.execution})]
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,16 +124,16 @@ class Place:
         return {name: value for name, value in every.items() if value is not None}
 
 
-def where(question: Question, found: Found) -> Place:
+def where(snapshot: Snapshot, found: Found) -> Place:
     """Where it stands: a run or an experiment of several batches in the one that was last asked for."""
-    question.views.make(("members", "experiments", "batches", "executions", "judged", "counting", "sessions"))
+    snapshot.views.make(("members", "experiments", "batches", "executions", "judged", "counting", "sessions"))
     run = found.id if found.kind == "run" else None
     if found.kind == "batch":
         return Place(found.id)
     if found.kind == "execution":
-        [(run,)] = question.run("SELECT run FROM executions WHERE execution = $e", {"e": found.id})
+        [(run,)] = snapshot.run("SELECT run FROM executions WHERE execution = $e", {"e": found.id})
     experiment = found.id if found.kind == "experiment" else None
-    [(batch, ordinal), *_] = question.run(LATEST, {"run": run, "experiment": experiment})
+    [(batch, ordinal), *_] = snapshot.run(LATEST, {"run": run, "experiment": experiment})
     return Place(batch, ordinal, run, found.id if found.kind == "execution" else None)
 
 
@@ -175,15 +175,15 @@ FROM t LEFT JOIN judged e ON e.judgement = t.judgement ORDER BY t.ordinal, t.num
 """
 
 
-def recorded(question: Question, runs: Sequence[Taken], *, inputs: bool = False) -> list[Recorded]:
+def recorded(snapshot: Snapshot, runs: Sequence[Taken], *, inputs: bool = False) -> list[Recorded]:
     """All files of these runs, in their order: input files, what they wrote, logs; or the input files alone."""
     import pyarrow as pa
 
     columns = {"place": range(len(runs)), "run": [t.run for t in runs], "execution": [t.judgement for t in runs]}
-    question.register("taken", pa.table({name: list(values) for name, values in columns.items()}))
+    snapshot.register("taken", pa.table({name: list(values) for name, values in columns.items()}))
     with _readable():
-        question.views.make(("members", "recipes", "judged_artifacts", "objects"))
-        rows = [(place, Recorded(runs[place], *rest)) for place, *rest in question.each(FILES, {"all": not inputs})]
+        snapshot.views.make(("members", "recipes", "judged_artifacts", "objects"))
+        rows = [(place, Recorded(runs[place], *rest)) for place, *rest in snapshot.each(FILES, {"all": not inputs})]
     return [file for _, file in sorted(rows, key=lambda row: (row[0], PARTS.get(row[1].kind, 1), natural(row[1].path)))]
 
 
@@ -224,20 +224,20 @@ class Content:
         """The bytes in order. Raises Damaged where they are not what was recorded: at the end, for a table."""
 
 
-def contents(question: Question, files: Sequence[Recorded]) -> Iterator[Content]:
+def contents(snapshot: Snapshot, files: Sequence[Recorded]) -> Iterator[Content]:
     """What these files hold, in the order in which it lies in the store; each of them once."""
-    those = holding(question, {file.taken.judgement for file in files if file.taken.judgement})
-    yield from _objects(question.segments, those, [file for file in files if not file.from_rows])
-    yield from _tables(question, those, [file for file in files if file.from_rows])
+    those = holding(snapshot, {file.taken.judgement for file in files if file.taken.judgement})
+    yield from _objects(snapshot.segments, those, [file for file in files if not file.from_rows])
+    yield from _tables(snapshot, those, [file for file in files if file.from_rows])
 
 
-def holding(question: Question, judgements: Iterable[str]) -> list[Segment]:
+def holding(snapshot: Snapshot, judgements: Iterable[str]) -> list[Segment]:
     """The segments in which these judgements are recorded."""
     import pyarrow as pa
 
-    question.register("asked", pa.table({"execution": pa.array(judgements, pa.string())}))
+    snapshot.register("asked", pa.table({"execution": pa.array(judgements, pa.string())}))
     with _readable():
-        return recording(question.run, question.segments, "SELECT execution FROM asked")
+        return recording(snapshot.run, snapshot.segments, "SELECT execution FROM asked")
 
 
 # Objects: found by their digests first, then read a row group at a time.
@@ -326,29 +326,29 @@ Key = tuple[str, str]
 """A judgement, and, where its execution wrote several files of one table, which of them."""
 
 
-def _tables(question: Question, holding: Sequence[Segment], files: Sequence[Recorded]) -> Iterator[Content]:
+def _tables(snapshot: Snapshot, holding: Sequence[Segment], files: Sequence[Recorded]) -> Iterator[Content]:
     """Each of these files; of those that have the same rows (a run that is in two experiments), one at a time."""
     if not files:
         return
     import pyarrow as pa
 
     executions = {file.taken.judgement for file in files}
-    question.register("asked", pa.table({"execution": pa.array(executions, pa.string())}))
-    question.run("SET threads = 1")
-    question.run("SET TimeZone = 'UTC'")
-    question.run("SET disabled_optimizers = 'join_order,build_side_probe_side'")  # rows keep their order
+    snapshot.register("asked", pa.table({"execution": pa.array(executions, pa.string())}))
+    snapshot.run("SET threads = 1")
+    snapshot.run("SET TimeZone = 'UTC'")
+    snapshot.run("SET disabled_optimizers = 'join_order,build_side_probe_side'")  # rows keep their order
     while files:
         mine = {_key(file): file for file in reversed(files)}
         files = [file for file in files if mine[_key(file)] is not file]
-        yield from _once(question, holding, mine)
+        yield from _once(snapshot, holding, mine)
 
 
-def _once(question: Question, holding: Sequence[Segment], files: dict[tuple[str, Key], Recorded]) -> Iterator[Content]:
+def _once(snapshot: Snapshot, holding: Sequence[Segment], files: dict[tuple[str, Key], Recorded]) -> Iterator[Content]:
     outputs = {output for output, _ in files}
     for segment in holding:
         for name, path in segment.outputs():
             if name in outputs:
-                part = _Part(question, path)
+                part = _Part(snapshot, path)
                 for key, chunks in groupby(part.chunks(), lambda chunk: chunk[0]):
                     file = files.pop((name, key), None)
                     if file is not None:
@@ -366,14 +366,14 @@ def _key(file: Recorded) -> tuple[str, Key]:
 class _Part:
     """A file of a segment that holds the rows of one table."""
 
-    def __init__(self, question: Question, path: str) -> None:
+    def __init__(self, snapshot: Snapshot, path: str) -> None:
         import duckdb
 
-        self._question = question
+        self._snapshot = snapshot
         self._path = path
         described: list[tuple[Any, ...]] = []
         with contextlib.suppress(duckdb.Error, Damaged):
-            described = question.run(f"DESCRIBE SELECT * FROM {read_parquet([path])}")
+            described = snapshot.run(f"DESCRIBE SELECT * FROM {read_parquet([path])}")
         self._columns = [(row[0], row[1]) for row in described if row[0] not in ("run", "execution", "file")]
         self._many = any(row[0] == "file" for row in described)
         self._sound: bool | None = None
@@ -397,7 +397,7 @@ class _Part:
             f"FROM {read_parquet([self._path])} o SEMI JOIN asked USING (execution)"
         )
         with contextlib.suppress(duckdb.Error, Damaged, *UNREADABLE):
-            for batch in self._question.connection.sql(statement).to_arrow_reader(LINES):
+            for batch in self._snapshot.connection.sql(statement).to_arrow_reader(LINES):
                 runs = pc.run_end_encode(batch.column(0))
                 begin = 0
                 for key, end in zip(runs.values.to_pylist(), runs.run_ends.to_pylist(), strict=True):

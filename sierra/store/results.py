@@ -9,7 +9,7 @@ from typing import Any
 from sierra.errors import Damaged
 from sierra.store.files import holding
 from sierra.store.scans import read_parquet
-from sierra.store.store import Question
+from sierra.store.store import Snapshot
 from sierra.util.hashing import sha256
 
 OWN = ("run", "execution", "file", "filename", "file_row_number")
@@ -18,30 +18,30 @@ Key = tuple[str, str, str | None]
 """A judgement, an output, and, where its execution wrote several files of it, which."""
 
 
-def rows_of(question: Question, executions: Iterable[str], outputs: Iterable[str]) -> dict[Key, Any]:
+def rows_of(snapshot: Snapshot, executions: Iterable[str], outputs: Iterable[str]) -> dict[Key, Any]:
     """The tables of these outputs by these judgements of executions, each a pyarrow.Table with its rows in their order."""
     import pyarrow as pa
 
     found: dict[Key, Any] = {}
     executions, outputs = sorted(set(executions)), set(outputs)
-    segments = holding(question, executions)
-    question.register("writers", pa.table({"execution": pa.array(executions, pa.string())}))
+    segments = holding(snapshot, executions)
+    snapshot.register("writers", pa.table({"execution": pa.array(executions, pa.string())}))
     for segment in segments:
         for output, path in segment.outputs():
             if output in outputs:
-                found |= {(execution, output, file): table for execution, file, table in _tables(question, path)}
+                found |= {(execution, output, file): table for execution, file, table in _tables(snapshot, path)}
     return found
 
 
-def _tables(question: Question, path: str) -> Iterator[tuple[str, str | None, Any]]:
+def _tables(snapshot: Snapshot, path: str) -> Iterator[tuple[str, str | None, Any]]:
     """The tables in one file of a segment, cut where another one's rows begin."""
     import pyarrow.compute as pc
 
     source = read_parquet([path], rows=True)
-    many = any(row[0] == "file" for row in question.run(f"DESCRIBE SELECT * FROM {source}"))
+    many = any(row[0] == "file" for row in snapshot.run(f"DESCRIBE SELECT * FROM {source}"))
     key = f"execution || '/'{' || file' if many else ''}"
     statement = f'SELECT {key} AS "# key", * FROM {source} SEMI JOIN writers USING (execution) ORDER BY 1, file_row_number'
-    table = question.connection.sql(statement).to_arrow_table()
+    table = snapshot.connection.sql(statement).to_arrow_table()
     rows = table.drop_columns([column for column in ("# key", *OWN) if column in table.column_names])
     runs = pc.run_end_encode(table.column(0).combine_chunks())
     begin = 0
@@ -51,15 +51,15 @@ def _tables(question: Question, path: str) -> Iterator[tuple[str, str | None, An
         begin = end
 
 
-def objects(question: Question, digests: Iterable[str]) -> dict[str, bytes]:
+def objects(snapshot: Snapshot, digests: Iterable[str]) -> dict[str, bytes]:
     """Recorded files by their SHA-256. Raises Damaged where one is not there, or not what it was."""
     import pyarrow as pa
 
     digests = set(digests)
-    question.register("digests", pa.table({"sha256": pa.array(digests, pa.string())}))
-    question.views.make(("objects",))
+    snapshot.register("digests", pa.table({"sha256": pa.array(digests, pa.string())}))
+    snapshot.views.make(("objects",))
     statement = "SELECT sha256, content FROM objects SEMI JOIN digests USING (sha256) ORDER BY sha256, part"
-    parts = groupby(question.each(statement, {}), lambda row: row[0])
+    parts = groupby(snapshot.each(statement, {}), lambda row: row[0])
     found = {digest: b"".join(content for _, content in rows) for digest, rows in parts}
     for digest in digests:
         if sha256(found.get(digest, b"")) != digest:

@@ -17,7 +17,7 @@ from sierra.store.errors import explain
 from sierra.store.names import identifier
 from sierra.store.schema import RECORDED
 from sierra.store.segments import is_first_part
-from sierra.store.store import Question, Store
+from sierra.store.store import Snapshot, Store
 from sierra.store.views import files_with, recording
 
 if TYPE_CHECKING:
@@ -51,10 +51,10 @@ class Frame:
     def __init__(self, store: Store, batch: str, these: Mapping[str, str] | None = None) -> None:
         """`these`: instead of those that count, the execution of each of these runs, or the judgement of it that is meant."""
         self.batch = batch
-        self._question: Question = store.ask(batch)
+        self._snapshot: Snapshot = store.snapshot(batch)
         self._loaded: set[str] = set()
         self._relations: dict[str, Relation] = {}
-        self._question.views.make(("members", "judged", "experiments", "batches", "counting"))
+        self._snapshot.views.make(("members", "judged", "experiments", "batches", "counting"))
         self._members(these)
         self._files = self._output_files()
 
@@ -62,15 +62,15 @@ class Frame:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._question.__exit__()
+        self._snapshot.__exit__()
 
     def _members(self, these: Mapping[str, str] | None) -> None:
-        run = self._question.run
+        run = self._snapshot.run
         taken = "(SELECT ordinal, run, judgement FROM counting WHERE batch = $b)"
         if these is not None:
             import pyarrow as pa
 
-            self._question.register("these", pa.table({"run": list(these), "judgement": list(these.values())}))
+            self._snapshot.register("these", pa.table({"run": list(these), "judgement": list(these.values())}))
             taken = "(SELECT ordinal, run, judgement FROM wanted JOIN these USING (run))"
         run(
             "CREATE TEMP TABLE wanted AS SELECT DISTINCT ordinal, number, run FROM members WHERE batch = $b",
@@ -85,10 +85,10 @@ class Frame:
 
     def _output_files(self) -> dict[str, list[str]]:
         """The output files of the segments that hold an execution that counts."""
-        batches = {row[0][:12] for row in self._question.run("SELECT DISTINCT batch FROM membership")}
-        segments = [segment for segment in self._question.segments if segment.batch in batches]
+        batches = {row[0][:12] for row in self._snapshot.run("SELECT DISTINCT batch FROM membership")}
+        segments = [segment for segment in self._snapshot.segments if segment.batch in batches]
         files: dict[str, list[str]] = {}
-        for segment in recording(self._question.run, segments, MEMBERS):
+        for segment in recording(self._snapshot.run, segments, MEMBERS):
             for name, path in segment.outputs():
                 files.setdefault(name, []).append(path)
         return {name: self._counting(paths) for name, paths in files.items()}
@@ -97,12 +97,12 @@ class Frame:
         """Of an output whose columns differ, the files with an execution that counts."""
         if all(map(is_first_part, files)):
             return files
-        found = self._question.run(files_with(files, MEMBERS))
+        found = self._snapshot.run(files_with(files, MEMBERS))
         return [file for file in files if (file,) in found] or files
 
     def axes(self) -> tuple[Axis, ...]:
         """The batch's axes with their values in order (labels and units are the project's)."""
-        found = self._question.run("SELECT axes FROM batches WHERE batch = $b", {"b": self.batch})
+        found = self._snapshot.run("SELECT axes FROM batches WHERE batch = $b", {"b": self.batch})
         if not found:
             raise NotFound(f"no batch {self.batch[:12]}")
         values = self.cells()
@@ -115,7 +115,7 @@ class Frame:
     def cells(self) -> dict[int, dict[str, Value]]:
         """The values of the axes of each experiment, by its place in the batch."""
         fixed = {column.name for column in RECORDED["experiments"].columns}
-        table = self._question.connection.sql(
+        table = self._snapshot.connection.sql(
             "SELECT * FROM experiments WHERE batch = $b ORDER BY ordinal", params={"b": self.batch}
         ).to_arrow_table()
         return {
@@ -125,7 +125,7 @@ class Frame:
 
     def counts(self) -> dict[int, tuple[int, int]]:
         """For each experiment, by its place: runs that count, and runs that there are."""
-        rows = self._question.run(
+        rows = self._snapshot.run(
             "SELECT w.ordinal, count(m.run), count(*) FROM wanted w LEFT JOIN membership m "
             "ON m.run = w.run AND m.experiment = w.ordinal GROUP BY w.ordinal"
         )
@@ -138,7 +138,7 @@ class Frame:
             source = self._relation(name, files)
             columns = [(name, kind) for name, kind in source.types.items() if name not in ("run", "execution", "file")]
             many = "count(DISTINCT file)" if "file" in source.types else "1"
-            [(rows, most)] = self._question.run(
+            [(rows, most)] = self._snapshot.run(
                 f"SELECT coalesce(max(rows), 0), coalesce(max(files), 0) FROM (SELECT count(*) AS rows, {many} AS files "
                 f"FROM {source.sql} WHERE execution IN ({MEMBERS}) GROUP BY execution)"
             )
@@ -152,7 +152,7 @@ class Frame:
     def _relation(self, table: str, files: Sequence[str]) -> Relation:
         """The rows of an output, whether they count or not."""
         if table not in self._relations:
-            self._relations[table] = relation(self._question.run, files, f"execution IN ({MEMBERS})", rows=True)
+            self._relations[table] = relation(self._snapshot.run, files, f"execution IN ({MEMBERS})", rows=True)
         return self._relations[table]
 
     def shared_axis(self, table: str, columns: Sequence[str]) -> str | None:
@@ -164,7 +164,7 @@ class Frame:
         data = identifier("data " + table)
         grows = [column for column in columns if column in self._growing(data, columns)]
         return next(
-            (column for column in grows if self._question.run(ALIKE.format(column=identifier(column), data=data))), None
+            (column for column in grows if self._snapshot.run(ALIKE.format(column=identifier(column), data=data))), None
         )
 
     def _growing(self, data: str, columns: Sequence[str]) -> set[str]:
@@ -179,7 +179,7 @@ class Frame:
         tests = ", ".join(
             f"bool_and(isfinite({c}) AND ({p} IS NULL OR {c} > {p})) AND count({c}) = count(*)" for c, p in _pairs(columns)
         )
-        rows = self._question.run(
+        rows = self._snapshot.run(
             f'SELECT {tests} FROM (SELECT {steps} FROM {data} SEMI JOIN ({longest}) USING (run, "# experiment") '
             'WINDOW w AS (ORDER BY "# place"))'
         )
@@ -194,7 +194,7 @@ class Frame:
             raise NotFound(f"column {column!r} of output {table!r} {MIXED}")
         if table not in self._loaded:
             self._load(table, files)
-        described = self._question.run(f"DESCRIBE {identifier('data ' + table)}")
+        described = self._snapshot.run(f"DESCRIBE {identifier('data ' + table)}")
         known = [row[0] for row in described if row[0] not in ("# experiment", "# number", "# place")]
         if column.lower() not in map(str.lower, known):
             raise NotFound(f"output {table!r} has no column {column!r}; {like(column, known)}")
@@ -203,9 +203,9 @@ class Frame:
                 f"output {table!r} has no column {time!r} to be its time ([outputs.{table}] time); {like(time, known)}"
             )
         t = f"{identifier(time)}::DOUBLE" if time else '"# place"::DOUBLE'
-        self._question.run("DROP VIEW IF EXISTS samples")
+        self._snapshot.run("DROP VIEW IF EXISTS samples")
         try:
-            self._question.run(
+            self._snapshot.run(
                 f'CREATE TEMP VIEW samples AS SELECT "# experiment" AS experiment, run, "# number" AS number, '
                 f"{t} AS t, {identifier(column)}::DOUBLE AS value FROM {identifier('data ' + table)}"
             )
@@ -216,7 +216,7 @@ class Frame:
     def _load(self, table: str, files: list[str]) -> None:
         source = self._relation(table, files)
         file = ", o.file" if "file" in source.types else ""
-        self._question.run(
+        self._snapshot.run(
             f'CREATE TEMP TABLE {identifier("data " + table)} AS SELECT m.experiment AS "# experiment", '
             f'm.number AS "# number", row_number() OVER (PARTITION BY o.execution, m.experiment{file} '
             'ORDER BY o.filename, o.file_row_number) - 1 AS "# place", o.* EXCLUDE (execution, filename, file_row_number) '
@@ -229,7 +229,7 @@ class Frame:
         import duckdb
 
         try:
-            return self._question.connection.sql(text, params=parameters).to_arrow_table()
+            return self._snapshot.connection.sql(text, params=parameters).to_arrow_table()
         except duckdb.Error as error:
             raise SqlError(explain(error)) from error
 

@@ -16,7 +16,7 @@ from sierra.store.layout import StorePaths
 from sierra.store.order import HIGHEST, TIMES, number_of
 from sierra.store.scans import read_parquet
 from sierra.store.segments import Segment
-from sierra.store.store import Question, Store
+from sierra.store.store import Snapshot, Store
 from sierra.util.fs import write_whole
 from sierra.util.hashing import sealed, unsealed
 
@@ -36,19 +36,19 @@ def following(paths: StorePaths, living: Iterable[int]) -> int:
 def _recorded(paths: StorePaths) -> int:
     """Return the highest number of all segments."""
     highest, seen = _load(paths.numbers)
-    with Store(paths.root).ask() as question:
-        new = [segment for segment in question.segments if segment.name not in seen]
-        highest = max(highest, _highest(question, new))
+    with Store(paths.root).snapshot() as snapshot:
+        new = [segment for segment in snapshot.segments if segment.name not in seen]
+        highest = max(highest, _highest(snapshot, new))
     if new:
-        _save(paths.numbers, highest, [segment.name for segment in question.segments])
+        _save(paths.numbers, highest, [segment.name for segment in snapshot.segments])
     return highest
 
 
-def _highest(question: Question, segments: Iterable[Segment]) -> int:
+def _highest(snapshot: Snapshot, segments: Iterable[Segment]) -> int:
     files = [segment.files[table] for segment in segments for table in TIMES if table in segment.files]
     if not files:
         return 0
-    [(highest,)] = question.run(f"SELECT max(lamport) FROM {read_parquet(files, schema={'lamport': 'BIGINT'})}")
+    [(highest,)] = snapshot.run(f"SELECT max(lamport) FROM {read_parquet(files, schema={'lamport': 'BIGINT'})}")
     return 0 if highest is None else number_of(highest)
 
 

@@ -1,7 +1,7 @@
 """The store: immutable segments of records, read as SQL.
 
 Truth is files that are only ever added (see `sierra.store.segments`); DuckDB reads them through views that are
-made anew for each question, so that any number of processes write at once and none waits for another. There is
+made anew for each snapshot, so that any number of processes write at once and none waits for another. There is
 no catalogue to get out of step.
 """
 
@@ -136,14 +136,14 @@ class Store:
         `$name` in the statement takes its value from the keyword `name`. With `within`, a batch's id, members, runs and
         outputs are those of that batch. Raises SqlError.
         """
-        with self.ask(within) as question:
-            return question.sql(text, **parameters)
+        with self.snapshot(within) as snapshot:
+            return snapshot.sql(text, **parameters)
 
-    def ask(self, within: str | None = None) -> Question:
-        """A connection for several statements that all see the same state of the store, or of one batch in it."""
+    def snapshot(self, within: str | None = None) -> Snapshot:
+        """Open a connection whose statements all see the same state of the store, or of one batch in it."""
         shared = Shared(self.paths.reading)
         try:
-            return Question(self.paths.root, self._listed(), within, shared, beneath=self._beneath)
+            return Snapshot(self.paths.root, self._listed(), within, shared, beneath=self._beneath)
         except BaseException:
             shared.close()
             raise
@@ -164,8 +164,8 @@ class Store:
         text = prefix.lower()
         if not PREFIX.fullmatch(text):
             raise NotFound(f"{prefix!r} is not an id: 4 to 64 hexadecimal digits, as `sierra ls` shows them")
-        with self.ask() as question:
-            found = question.sql(
+        with self.snapshot() as snapshot:
+            found = snapshot.sql(
                 "SELECT 'batch' AS kind, batch AS id, batch FROM batches WHERE starts_with(batch, $p) UNION "
                 "SELECT 'experiment', experiment, max(batch) FROM experiments WHERE starts_with(experiment, $p) GROUP BY ALL "
                 "UNION SELECT 'run', run, max(batch) FROM members WHERE starts_with(run, $p) GROUP BY ALL "
@@ -211,7 +211,7 @@ def check_free(root: Path) -> None:
         )
 
 
-class Question:
+class Snapshot:
     """One connection, on one state of the store; a context manager."""
 
     def __init__(
@@ -223,7 +223,7 @@ class Question:
         *,
         beneath: Path | None = None,
     ) -> None:
-        """`shared`: the lock that keeps these segments where they are, until the question is closed.
+        """`shared`: the lock that keeps these segments where they are, until the snapshot is closed.
 
         `beneath`: the folder of those that are another store's.
         """
@@ -234,7 +234,7 @@ class Question:
         self.views = Views(self.connection, segments, within)
         self._root = root
 
-    def __enter__(self) -> Question:
+    def __enter__(self) -> Snapshot:
         return self
 
     def __exit__(self, kind: type[BaseException] | None = None, *_: object) -> None:
@@ -286,7 +286,7 @@ class Question:
         if len(statements) != 1:
             raise SqlError(f"ask one statement at a time; this is {len(statements)}")
         if statements[0].type != duckdb.StatementType.SELECT:
-            raise SqlError(f"the store is only read here; {statements[0].type.name} is not a question")
+            raise SqlError(f"the store is read-only here; {statements[0].type.name} statements are refused")
 
     def each(self, statement: str, parameters: Mapping[str, Any]) -> Iterator[tuple[Any, ...]]:
         """The rows of a statement of SIERRA's own, of which there may be many, a few thousand in memory at a time."""
@@ -340,4 +340,4 @@ def apart(answer: pa.Table) -> pa.Table:
     return answer.rename_columns(names)
 
 
-__all__ = ["Found", "Question", "Store", "check_free", "read_parquet"]
+__all__ = ["Found", "Snapshot", "Store", "check_free", "read_parquet"]

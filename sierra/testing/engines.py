@@ -25,7 +25,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
-from sierra.containers.engines.base import HOSTNAME, INSIDE, WRITABLE, Abilities, Box, Engine, Mount, Process
+from sierra.containers.engines.base import HOSTNAME, INSIDE, WRITABLE, Capabilities, ContainerSpec, Engine, Mount, Process
 from sierra.containers.images import Image, Kind
 from sierra.model import Client, Result
 from sierra.store.layout import RUN_HOME, RUN_OUTPUT, RUN_TMP, StorePaths
@@ -121,7 +121,7 @@ class Trial:
     session: str = field(default_factory=lambda: f"trial-{secrets.token_hex(8)}")
 
     @cached_property
-    def able(self) -> Abilities:
+    def able(self) -> Capabilities:
         return self.engine.probe()
 
     @cached_property
@@ -132,14 +132,14 @@ class Trial:
     def contains(self) -> bool:
         return self.image is not None
 
-    def box(self) -> Box:
+    def box(self) -> ContainerSpec:
         nothing = Image("none", "sha256:" + "0" * 64, Kind.OCI, "", (), {})
-        return Box(self.image or nothing, self.reference, self.session)
+        return ContainerSpec(self.image or nothing, self.reference, self.session)
 
     def start(
         self,
         *argv: str,
-        box: Box | None = None,
+        box: ContainerSpec | None = None,
         variables: Mapping[str, str] | None = None,
         name: str = "",
         said: str | None = None,
@@ -189,13 +189,15 @@ class Trial:
         enforced = frozenset(self.box_of_limits().limits) & self.able.enforced
         return Ended(self.engine.classify(result, err.decode(errors="replace"), enforced), out, err, started.folder)
 
-    def run(self, *argv: str, box: Box | None = None, variables: Mapping[str, str] | None = None, name: str = "") -> Ended:
+    def run(
+        self, *argv: str, box: ContainerSpec | None = None, variables: Mapping[str, str] | None = None, name: str = ""
+    ) -> Ended:
         return self.end(self.start(*argv, box=box, variables=variables, name=name))
 
-    def script(self, text: str, *words: str, box: Box | None = None) -> Ended:
+    def script(self, text: str, *words: str, box: ContainerSpec | None = None) -> Ended:
         return self.run("sh", "-c", text, "sh", *words, box=box)
 
-    def box_of_limits(self) -> Box:
+    def box_of_limits(self) -> ContainerSpec:
         """A box with all limits, of which memory is 32 MiB."""
         return replace(self.box(), memory=32 << 20, cpus=0.5, pids=50)
 
@@ -457,7 +459,7 @@ def enforces_what_it_says(trial: Trial) -> None:
         _holds(b"all" not in ended.out or b"fork" in ended.err, "60 processes began where 50 are allowed")
 
 
-def _is_held_to_its_memory(trial: Trial, box: Box) -> None:
+def _is_held_to_its_memory(trial: Trial, box: ContainerSpec) -> None:
     """It is killed for it, with all that belongs to it, or it can't go on; and nobody takes that for its own doing."""
     started = trial.start("sh", "-c", FILL, box=box)
     try:

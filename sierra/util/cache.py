@@ -11,7 +11,7 @@ from sierra.util.fs import write_whole
 from sierra.util.hashing import sealed, unsealed
 
 
-class Remembered:
+class Cache:
     """Facts by a text, JSON each; the `most` that were used last are kept. What cannot be read or written is forgotten."""
 
     def __init__(self, path: Path, most: int) -> None:

@@ -75,7 +75,7 @@ def loop(here: Path, engine: str, runs: int, folder: Path) -> Callable[[], float
         plan.engine, plan.image, plan.batch.recipe, plan.project.config.container, plan.limits,
         code=here, project=here, store=store.paths, session="bench",
     )  # fmt: skip
-    maker = commands.Maker(
+    maker = commands.CommandBuilder(
         plan.batch.recipe, here, plan.engine, plan.limits, "bench", here, image=plan.image, box=contained.box
     )
     client = maker.job(plan.batch.runs[0], (("input.xml", b""),)).client

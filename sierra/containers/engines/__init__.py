@@ -2,6 +2,6 @@
 
 from __future__ import annotations
 
-from sierra.containers.engines.base import Abilities, find, names
+from sierra.containers.engines.base import Capabilities, find, names
 
-__all__ = ["Abilities", "find", "names"]
+__all__ = ["Capabilities", "find", "names"]

@@ -20,7 +20,7 @@ from pathlib import Path
 from sierra.containers import images
 from sierra.containers.engines import apptainer_start, sandboxes
 from sierra.containers.engines.apptainer_start import Way
-from sierra.containers.engines.base import Abilities, Box, Mount, Process
+from sierra.containers.engines.base import Capabilities, ContainerSpec, Mount, Process
 from sierra.containers.engines.clients import killed, last_line, mounted, signalled
 from sierra.containers.images import Image
 from sierra.errors import Missing
@@ -48,7 +48,7 @@ class Apptainer:
 
     name = "apptainer"
 
-    def probe(self) -> Abilities:
+    def probe(self) -> Capabilities:
         return apptainer_start.apptainer()
 
     def prepare(self, image: Image, root: Path, store: StorePaths) -> str:
@@ -58,7 +58,7 @@ class Apptainer:
             return str(squashfs)
         return str(sandboxes.ready(squashfs, image.id, store.image(image.folder).sandbox(os.geteuid())))
 
-    def client(self, box: Box, process: Process) -> Client:
+    def client(self, box: ContainerSpec, process: Process) -> Client:
         way = apptainer_start.way()
         argv = (*way.words(network=box.network, files=box.files), *_options(box, process), box.reference, *process.argv)
         return Client(argv, {**apptainer_start.environment(), **dict(_given(way, box, process))})
@@ -94,7 +94,7 @@ def _script(files: str) -> str:
     return apptainer_start.kept(Path(files), SCRIPT.read_text(), "sh") if files else str(SCRIPT)
 
 
-def _options(box: Box, process: Process) -> Iterator[str]:
+def _options(box: ContainerSpec, process: Process) -> Iterator[str]:
     yield from map(mounted, (Mount(_script(box.files), SOURCED), *box.mounts, *process.mounts))
     yield from (mounted(Mount(device, device, writable=True)) for device in box.devices)
     if box.gpu:
@@ -107,7 +107,7 @@ def _options(box: Box, process: Process) -> Iterator[str]:
     yield f"--pwd={process.folder}"
 
 
-def _given(way: Way, box: Box, process: Process) -> Iterator[tuple[str, str]]:
+def _given(way: Way, box: ContainerSpec, process: Process) -> Iterator[tuple[str, str]]:
     """The environment of a process, under names that have a meaning for nobody else."""
     yield f"{way.prefix}{MARK}", box.session
     for name, value in process.environment.items():

@@ -19,7 +19,7 @@ from functools import cache
 from pathlib import Path
 
 from sierra.containers.engines import capabilities
-from sierra.containers.engines.base import HOSTNAME, Abilities, Mount
+from sierra.containers.engines.base import HOSTNAME, Capabilities, Mount
 from sierra.containers.engines.capabilities import CPUS, PIDS, Found, Told
 from sierra.containers.engines.clients import mounted
 from sierra.store.layout import user_apptainer
@@ -54,7 +54,7 @@ class Way:
     """Whether the files of an image may be in a squashfs, or have to be in a folder."""
 
     def words(self, *, network: bool = False, files: str = "") -> Iterator[str]:
-        """The command, up to the options that differ between containers. `files`: see `Box.files`."""
+        """The command, up to the options that differ between containers. `files`: see `ContainerSpec.files`."""
         if self.mapped:
             yield from ("unshare", "--map-root-user", "--")
         yield from (self.program, "--silent")
@@ -68,7 +68,7 @@ class Way:
         return f"{Path(self.program).name.upper()}ENV_"
 
 
-def apptainer() -> Abilities:
+def apptainer() -> Capabilities:
     """What apptainer, or singularity-ce, can do here."""
     return capabilities.known("apptainer", _ask, _around()).abilities
 
@@ -102,13 +102,13 @@ def _around() -> Sequence[str]:
 def _ask() -> Found:
     program = next((name for name in NAMES if shutil.which(name)), None)
     if program is None:
-        return Found(Abilities("apptainer", trouble="neither apptainer nor singularity-ce is installed; see the README"))
+        return Found(Capabilities("apptainer", trouble="neither apptainer nor singularity-ce is installed; see the README"))
     version = capabilities.run((program, "--version")).stdout.strip().replace(" version ", " ")
     name, _, number = version.partition(" ")
     found = tuple(int(part) for part in re.findall(r"\d+", number)[:2])
     if found < LEAST.get(name, (99,)):
         least = " or ".join(f"{name} {'.'.join(map(str, number))}" for name, number in LEAST.items())
-        return Found(Abilities(version, trouble=f"{version or program} is too old: {least} or newer is needed"))
+        return Found(Capabilities(version, trouble=f"{version or program} is too old: {least} or newer is needed"))
     return _first_that_works(program, version)
 
 
@@ -123,10 +123,10 @@ def _first_that_works(program: str, version: str) -> Found:
             parts = [version, *_helpers(one, squashfs=squashfs)]
             flags = [flag for flag, there in ((MAPPED, one.mapped), (SQUASHFS, squashfs)) if there]
             limits = frozenset() if enforced else told.enforced
-            able = Abilities(", ".join(parts), told.rootless, limits, told.isolated, told.user)
+            able = Capabilities(", ".join(parts), told.rootless, limits, told.isolated, told.user)
             return Found(able, (one.program, one.configuration, *flags))
         complaint = complaint or told.trouble
-    return Found(Abilities(version, trouble=capabilities.remedy(program, complaint)))
+    return Found(Capabilities(version, trouble=capabilities.remedy(program, complaint)))
 
 
 def _ways(program: str) -> Iterator[Way]:

@@ -48,7 +48,7 @@ class Mount:
 
 
 @dataclass(frozen=True, slots=True)
-class Box:
+class ContainerSpec:
     """What the containers of one session have in common."""
 
     image: Image
@@ -93,7 +93,7 @@ class Process:
 
 
 @dataclass(frozen=True, slots=True)
-class Abilities:
+class Capabilities:
     """What an engine can do on this host, for this user: found out by starting something with it."""
 
     version: str
@@ -118,7 +118,7 @@ class Engine(Protocol):
 
     name: str
 
-    def probe(self) -> Abilities:
+    def probe(self) -> Capabilities:
         """Start something, and say what works; remembered for as long as nothing changes (boot, user, version).
 
         Never raises.
@@ -133,7 +133,7 @@ class Engine(Protocol):
         """
         ...
 
-    def client(self, box: Box, process: Process) -> Client:
+    def client(self, box: ContainerSpec, process: Process) -> Client:
         """What starts a process in a container of its own, waits for its end, and ends with its exit status.
 
         Its standard output and error are the process's. SIGTERM ends the process likewise. `stop` of it is a command that ends
@@ -154,18 +154,18 @@ class Engine(Protocol):
         ...
 
 
-class Uncontained:
+class NoEngine:
     """The engine `none`: the program runs as it is."""
 
     name = "none"
 
-    def probe(self) -> Abilities:
-        return Abilities("none")
+    def probe(self) -> Capabilities:
+        return Capabilities("none")
 
     def prepare(self, image: Image, root: Path, store: StorePaths) -> str:
         return ""
 
-    def client(self, box: Box, process: Process) -> Client:
+    def client(self, box: ContainerSpec, process: Process) -> Client:
         return Client(process.argv, process.environment)
 
     def sweep(self, sessions: Sequence[str]) -> None:

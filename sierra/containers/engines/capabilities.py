@@ -25,9 +25,9 @@ from pathlib import Path
 from typing import Any
 
 from sierra.containers.engines import podman_config
-from sierra.containers.engines.base import Abilities
+from sierra.containers.engines.base import Capabilities
 from sierra.store.layout import user_engines
-from sierra.util.cache import Remembered
+from sierra.util.cache import Cache
 
 MOST = 64
 DECIDING = ("PATH", "HOME", "CONTAINERS_CONF", "XDG_CONFIG_HOME", "XDG_CACHE_HOME")
@@ -65,7 +65,7 @@ QUOTAS = {"cpu.max": ("50000 100000", "cpus"), "cpu.cfs_quota_us": ("50000", "cp
 class Found:
     """What was found out about an engine."""
 
-    abilities: Abilities
+    abilities: Capabilities
     options: tuple[str, ...] = ()
     """What it must be told, beyond what it is told always, so that it works here."""
 
@@ -81,7 +81,7 @@ class Told:
     enforced: frozenset[str] = frozenset()
 
 
-def podman() -> Abilities:
+def podman() -> Capabilities:
     """What podman can do here."""
     able = known("podman", _podman, _around_podman()).abilities
     return able if able.trouble else replace(able, trouble=podman_config.trouble())
@@ -121,7 +121,7 @@ _WORKS: dict[str, Found] = {}
 
 
 def _known(name: str, ask: Callable[[], Found], key: str) -> Found:
-    remembered = Remembered(user_engines(), MOST)
+    remembered = Cache(user_engines(), MOST)
     fact = remembered.get(key)
     if fact is not None:
         with contextlib.suppress(TypeError, KeyError):
@@ -130,7 +130,7 @@ def _known(name: str, ask: Callable[[], Found], key: str) -> Found:
         found = ask()
     except OSError as error:
         return Found(
-            Abilities(name, trouble=f"{name} can't be tried: {error.filename or tempfile.gettempdir()}: {error.strerror}")
+            Capabilities(name, trouble=f"{name} can't be tried: {error.filename or tempfile.gettempdir()}: {error.strerror}")
         )
     if not found.abilities.trouble:
         remembered.put(key, _packed(found))
@@ -145,7 +145,7 @@ def _packed(found: Found) -> dict[str, Any]:
 
 def _unpacked(fact: Mapping[str, Any]) -> Found:
     fields = fact["abilities"]
-    return Found(Abilities(**{**fields, "enforced": frozenset(fields["enforced"])}), tuple(fact["options"]))
+    return Found(Capabilities(**{**fields, "enforced": frozenset(fields["enforced"])}), tuple(fact["options"]))
 
 
 def start(
@@ -259,11 +259,11 @@ def _podman() -> Found:
     """Start a container with podman, as it is, and with runc where it doesn't work so."""
     if shutil.which("podman") is None:
         return Found(
-            Abilities("podman", trouble="podman is not installed; apt-get install podman, or what your distribution has")
+            Capabilities("podman", trouble="podman is not installed; apt-get install podman, or what your distribution has")
         )
     version = run(("podman", "--version")).stdout.strip().removeprefix("podman version ")
     if (number := version.partition(".")[0]).isdigit() and int(number) < 4:
-        return Found(Abilities(f"podman {version}", trouble=f"podman {version} is too old: 4.0 or newer is needed"))
+        return Found(Capabilities(f"podman {version}", trouble=f"podman {version} is too old: 4.0 or newer is needed"))
     limits = (f"--cpus={CPUS}", f"--pids-limit={PIDS}")
     first = ""
     for options in ((), ("--runtime=runc",), ("--cgroup-manager=cgroupfs",), ("--runtime=runc", "--cgroup-manager=cgroupfs")):
@@ -274,11 +274,11 @@ def _podman() -> Found:
             told = start(lambda root, mounts, o=options, g=given: _podman_words(o, g, root, mounts), fill=fill)  # type: ignore[misc]
             if not told.trouble:
                 named = _podman_version(options, version)
-                return Found(Abilities(named, told.rootless, told.enforced, told.isolated, told.user), options)
+                return Found(Capabilities(named, told.rootless, told.enforced, told.isolated, told.user), options)
             first = first or told.trouble
             if not re.search(r"limit|controller|cgroup", told.trouble):
                 break
-    return Found(Abilities(f"podman {version}", trouble=remedy("podman", first)))
+    return Found(Capabilities(f"podman {version}", trouble=remedy("podman", first)))
 
 
 def podman_memory(size: int) -> tuple[str, ...]:

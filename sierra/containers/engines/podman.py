@@ -18,7 +18,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from sierra.containers.engines import capabilities
-from sierra.containers.engines.base import HOSTNAME, Abilities, Box, Process
+from sierra.containers.engines.base import HOSTNAME, Capabilities, ContainerSpec, Process
 from sierra.containers.engines.clients import killed, last_line, mounted, signalled
 from sierra.containers.images import Image, Kind, podman_storage, short
 from sierra.errors import Missing
@@ -43,7 +43,7 @@ class Podman:
 
     name = "podman"
 
-    def probe(self) -> Abilities:
+    def probe(self) -> Capabilities:
         return capabilities.podman()
 
     def prepare(self, image: Image, root: Path, store: StorePaths) -> str:
@@ -57,7 +57,7 @@ class Podman:
             podman_storage.load(root / image.file, image.id)
         return image.id
 
-    def client(self, box: Box, process: Process) -> Client:
+    def client(self, box: ContainerSpec, process: Process) -> Client:
         options = _options(box, process, capabilities.podman_enforced())
         argv = ("podman", *capabilities.podman_options(), "run", *options, box.reference, *process.argv)
         return Client(argv, environment(box.session), ("podman", "rm", "--force", "--time=0", "--ignore", f"--cidfile={CID}"))
@@ -84,7 +84,7 @@ def environment(session: str) -> dict[str, str]:
     return {**{name: value for name, value in os.environ.items() if HANDED_ON.fullmatch(name)}, "SIERRA_SESSION": session}
 
 
-def _options(box: Box, process: Process, enforced: AbstractSet[str]) -> Iterator[str]:
+def _options(box: ContainerSpec, process: Process, enforced: AbstractSet[str]) -> Iterator[str]:
     yield from ("--rm", "--init", "--pull=never", "--log-driver=none", f"--cidfile={CID}", f"--label={LABEL}={box.session}")
     yield from ("--read-only", "--read-only-tmpfs=false", "--tmpfs=/run:rw,nosuid,nodev,mode=755", "--no-hosts")
     yield from ("--image-volume=ignore", "--no-healthcheck")  # else an image has writable folders, and programs beside the run

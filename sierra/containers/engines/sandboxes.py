@@ -20,7 +20,7 @@ from sierra.containers.images.sif import is_sif
 from sierra.containers.images.sif import read as read_sif
 from sierra.errors import Missing
 from sierra.store.layout import user_engines
-from sierra.util.cache import Remembered
+from sierra.util.cache import Cache
 
 MOST = 64
 
@@ -29,7 +29,7 @@ def ready(squashfs: Path, identity: str, folder: Path) -> Path:
     """The files of a squashfs (or of the one in a SIF) in `folder`, unpacked if need be. Raises Missing where that fails."""
     folder.parent.mkdir(parents=True, exist_ok=True)
     with _alone(folder):
-        remembered = Remembered(user_engines(), MOST)
+        remembered = Cache(user_engines(), MOST)
         key = f"sandbox {folder.resolve()} {identity}"
         if remembered.get(key) == (state(folder) or "gone"):
             return folder

@@ -1,8 +1,9 @@
 """Images: the files that runs see in containers. What they are called, what they are, what is in them, and how they are made.
 
-`image` has the noun, and says what identifies one. `named` finds what a name stands for, `take` writes that down in
-`sierra.lock`, `pinned` is what runs are made of, `verify` sees before they execute that it still is that. `contents` is what
-is in an image, `rootfs` what apptainer runs of it. Formats are `archive`, `sif` and `squashfs`; podman is called in `storage`.
+`image` has the noun, and says what identifies one. `named` finds the image that a name stands for, `take` writes its id to
+`sierra.lock`, `pinned` is the image that runs use, `verify` checks before they execute that it has not changed. `contents`
+lists the files in an image, `rootfs` is what apptainer runs. The formats are `oci`, `sif` and `squashfs`; `podman_storage`
+calls podman.
 """
 
 from __future__ import annotations

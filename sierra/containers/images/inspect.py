@@ -24,7 +24,7 @@ from sierra.containers.images.image import Image, Kind, short
 from sierra.containers.images.layers import Entry, Rootfs, merge, resolve
 from sierra.containers.images.oci import Archive
 from sierra.errors import Damaged, Missing
-from sierra.provenance.hash_cache import Digests
+from sierra.provenance.hash_cache import HashCache
 from sierra.store.layout import ImagePaths, StorePaths
 from sierra.util.fs import write_whole
 from sierra.util.hashing import sha256
@@ -368,7 +368,7 @@ def _make(store: StorePaths, image: Image, merged: Rootfs) -> None:
 def _is(path: Path, digest: str) -> bool:
     if not path.is_file():
         return False
-    digests = Digests()
+    digests = HashCache()
     found = digests.of(str(path))
     digests.save()
     return found == digest

@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, Protocol, cast
 
 from sierra.containers.images.image import Image, Kind, machine
-from sierra.containers.images.streams import Forward, Hashed, members
+from sierra.containers.images.streams import ForwardStream, Hashed, members
 from sierra.errors import Damaged, Missing
 from sierra.util.hashing import sha256
 
@@ -81,13 +81,13 @@ class Archive:
     files: Files
 
     @contextlib.contextmanager
-    def layer(self, place: int) -> Iterator[Forward]:
+    def layer(self, place: int) -> Iterator[ForwardStream]:
         """A layer's files, as a tar. Raises Damaged at the end, where they are not those that the configuration names."""
         blob, what = self.blobs[place], f"{self.path}: layer {place + 1} of {len(self.blobs)}"
         with self.files.open(blob.name) as stored:
             packed = Hashed(stored)
             most = max(LEAST_BOUND, EXPANSION * blob.size)
-            stream = Forward(_unpacked(packed, what), most, what)
+            stream = ForwardStream(_unpacked(packed, what), most, what)
             yield stream
             found = stream.digest()
             if blob.sha256 and packed.digest() != blob.sha256:
@@ -416,7 +416,7 @@ class _Tar:
 
 def _headers(file: BinaryIO, path: Path) -> Iterator[tarfile.TarInfo]:
     """All members of a tar, without reading what they hold."""
-    for count, (member, _) in enumerate(members(cast("Forward", _Seeking(file, str(path))), str(path))):
+    for count, (member, _) in enumerate(members(cast("ForwardStream", _Seeking(file, str(path))), str(path))):
         if count >= MOST_MEMBERS:
             raise Damaged(f"{path} has more than {MOST_MEMBERS} files; an image's archive has a few for each layer")
         if member.issparse():
@@ -424,7 +424,7 @@ def _headers(file: BinaryIO, path: Path) -> Iterator[tarfile.TarInfo]:
         yield member
 
 
-class _Seeking(Forward):
+class _Seeking(ForwardStream):
     """A file whose contents are passed over, not read."""
 
     def __init__(self, file: BinaryIO, what: str) -> None:

@@ -26,7 +26,7 @@ from sierra.containers.images.image import Image, Kind, short
 from sierra.containers.images.oci import image_of
 from sierra.errors import Damaged, Missing
 from sierra.store.layout import user_images
-from sierra.util.cache import Remembered
+from sierra.util.cache import Cache
 from sierra.util.signals import noted
 from sierra.worker import worker
 from sierra.worker.processes import marked
@@ -60,7 +60,7 @@ def installed() -> bool:
 def driver() -> str:
     """Return what podman stores images by, as `overlay` or `vfs`; empty where it does not say."""
     with contextlib.suppress(Missing, OSError, ValueError):
-        return Path(_lists(Remembered(user_images(), MOST))[0]).parent.name.removesuffix("-images")
+        return Path(_lists(Cache(user_images(), MOST))[0]).parent.name.removesuffix("-images")
     return ""
 
 
@@ -72,7 +72,7 @@ def identify(name: str) -> str | None:
 
 def look(name: str) -> Image | None:
     """What a name (or an id) stands for now; None where podman has no such image. Raises Missing without podman."""
-    remembered = Remembered(user_images(), MOST)
+    remembered = Cache(user_images(), MOST)
     state, key = _state(remembered), f"{_where()} {name}"
     known = remembered.get(key)
     if state is not None and isinstance(known, dict) and known.get("state") == state:
@@ -316,7 +316,7 @@ def _where() -> str:
     return json.dumps([os.getuid(), *(os.environ.get(name, "") for name in VARIABLES)])
 
 
-def _state(remembered: Remembered) -> list[Any] | None:
+def _state(remembered: Cache) -> list[Any] | None:
     """How the lists of images are now; None where it cannot be told."""
     states = [_stat(path) for path in _lists(remembered)]
     return states if states and any(state is not None for state in states) else None
@@ -327,7 +327,7 @@ def _recent(state: list[Any]) -> bool:
     return any(one is not None and max(one[-2:]) > time.time_ns() - RACY_NS for one in state)
 
 
-def _lists(remembered: Remembered) -> list[str]:
+def _lists(remembered: Cache) -> list[str]:
     """Podman's lists of images, its own and those of the stores beside it."""
     around = [program(), *_configuration()]
     state = [_stat(path) for path in around]

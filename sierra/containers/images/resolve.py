@@ -12,7 +12,7 @@ from sierra.containers.images import inspect, oci, podman_storage, sif, squashfs
 from sierra.containers.images.containerfile import CONTAINERFILE, is_recipe
 from sierra.containers.images.image import Image, Kind, machine, short
 from sierra.errors import ConfigError, Damaged, Missing
-from sierra.provenance.hash_cache import Digests
+from sierra.provenance.hash_cache import HashCache
 from sierra.store.layout import ProjectPaths, StorePaths
 
 TAG = "localhost/sierra/"
@@ -89,7 +89,7 @@ def _verify_file(root: Path, image: Image) -> None:
     if path.is_dir():
         found, was = oci.read(path).id, image.id
     else:
-        digests = Digests()
+        digests = HashCache()
         found, was = digests.of(str(path)), image.sha256
         digests.save()
     if found != was:
@@ -125,7 +125,7 @@ def _file(root: Path, path: Path, name: str) -> Image:
         if not oci.is_archive(path):
             raise Missing(f"{path} is no image: there is neither a {CONTAINERFILE} nor an OCI layout in it")
         return oci.read(path).image(name, file=_file_name(root, path))
-    digests = Digests()
+    digests = HashCache()
     digest = digests.of(str(path))
     digests.save()
     file = _file_name(root, path)

@@ -1,7 +1,7 @@
 """Bytes that come from outside, read forwards once: counted, bounded, and hashed on the way.
 
-`tarfile` trusts what a header says of sizes, and reads so much at once. So it gets a `Forward`, which gives no more at a time
-than a header may need, goes on to no byte beyond what the image may come to, and knows in the end the digest of all of it.
+`tarfile` trusts what a header says of sizes, and reads so much at once. So it gets a `ForwardStream`, which gives no more at a
+time than a header may need, goes on to no byte beyond what the image may come to, and knows in the end the digest of all of it.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ UNREADABLE = (tarfile.TarError, ValueError, OverflowError, RecursionError)
 """What `tarfile` raises for what is no tar."""
 
 
-class Forward:
+class ForwardStream:
     """A stream that is read once, from its beginning to its end: what `tarfile` needs of a file, and no more."""
 
     def __init__(self, stream: BinaryIO, most: int, what: str) -> None:
@@ -64,7 +64,7 @@ class Forward:
         return self._hash.hexdigest()
 
 
-def members(stream: Forward, what: str) -> Iterator[tuple[tarfile.TarInfo, tarfile.TarFile]]:
+def members(stream: ForwardStream, what: str) -> Iterator[tuple[tarfile.TarInfo, tarfile.TarFile]]:
     """The members of a tar, in order. Raises Damaged for what is none, all of it that `tarfile` would pass over included."""
     try:
         with tarfile.TarFile(fileobj=stream, encoding="utf-8", errors="surrogateescape") as tar:  # type: ignore[arg-type]

@@ -87,42 +87,42 @@ NOT_EXECUTED = "{kind}: not compared, since nothing was executed"
 def _parts(
     project: LoadedProject, store: Store, old: Found, new: Found, notes: list[Note], *, results_too: bool
 ) -> Iterator[Part]:
-    with store.ask() as question:
-        question.run("SET threads = 1")
-        before, after = gather(question, old, BEFORE), gather(question, new, AFTER)
-        pairs = pair(question, before, after)
+    with store.snapshot() as snapshot:
+        snapshot.run("SET threads = 1")
+        before, after = gather(snapshot, old, BEFORE), gather(snapshot, new, AFTER)
+        pairs = pair(snapshot, before, after)
         yield ("query",), query.query(before, after, pairs)
         yield ("platform", "command", "variables"), query.recipe(before, after)
-        yield ("image",), images.image(question, store, before, after, project.root)
+        yield ("image",), images.image(snapshot, store, before, after, project.root)
         yield ("source",), code.source(store, project.root, before, after)
         if code.has_commits(before, after):
             yield ("commit",), code.commit(project.root, before, after)
         used = ("programs", "programs", partial(environment.programs, root=project.root))
         for kind, what, compared in (used, *AROUND):
-            if all(environment.known(question, side, what) for side in (before, after)):
-                yield (kind,), compared(question, before, after)
+            if all(environment.known(snapshot, side, what) for side in (before, after)):
+                yield (kind,), compared(snapshot, before, after)
             else:
                 notes.append(Note(NOT_EXECUTED.format(kind=kind), kind))
         if any(side.recipe["image"] for side in (before, after)):
-            if all(environment.executed(question, side) for side in (before, after)):
-                yield ("isolation",), environment.isolations(question, before, after)
+            if all(environment.executed(snapshot, side) for side in (before, after)):
+                yield ("isolation",), environment.isolations(snapshot, before, after)
             else:
                 notes.append(Note(NOT_EXECUTED.format(kind="isolation"), "isolation"))
         if pairs:
-            yield ("seed",), query.seeds(question, before, after)
-            yield ("inputs",), inputs.inputs(question, before, after, notes)
+            yield ("seed",), query.seeds(snapshot, before, after)
+            yield ("inputs",), inputs.inputs(snapshot, before, after, notes)
         else:
             notes.append(
                 Note("no experiment is in both, so that inputs and seeds are not compared, nor their results", "results")
             )
         if results_too and before.is_one:
-            yield ("status", "results"), results.of_one(question, store, project, before, after, notes)
+            yield ("status", "results"), results.of_one(snapshot, store, project, before, after, notes)
         elif results_too:
-            yield ("status",), results.good(question, before, after)
-            yield ("results",), results.of_shared(question, store, project, notes)
-            yield ("results",), results.of_places(question)
-            others = results.others(question, pairs)
-            rows = results.rows(question) if others else 0
+            yield ("status",), results.good(snapshot, before, after)
+            yield ("results",), results.of_shared(snapshot, store, project, notes)
+            yield ("results",), results.of_places(snapshot)
+            others = results.others(snapshot, pairs)
+            rows = results.rows(snapshot) if others else 0
     if results_too and not before.is_one and others:
         yield ("results",), results.means(store, project, before, after, others, rows, notes)
 

@@ -15,25 +15,25 @@ from sierra.containers import isolation
 from sierra.explain.diff.model import ARROW, Difference, changed, shown
 from sierra.explain.diff.operands import Side
 from sierra.provenance.program import INSTALLED, by_likelihood, called, mentioned, versions
-from sierra.store.store import Question
+from sierra.store.store import Snapshot
 from sierra.util.hashing import short
 
 Rows = Sequence[Mapping[str, Any]]
 USED = "SELECT DISTINCT e.{what} AS id FROM {table} t JOIN judged e ON e.judgement = t.execution"
 
 
-def programs(question: Question, before: Side, after: Side, root: Path) -> Iterator[Difference]:
+def programs(snapshot: Snapshot, before: Side, after: Side, root: Path) -> Iterator[Difference]:
     """Programs by name; where they lie makes no difference. What the command and its scripts in `root` name stands first."""
     words = mentioned((*before.recipe["command"], *after.recipe["command"]), root)
-    was, now = (_used(question, side, "programs") for side in (before, after))
-    yield from other_programs(question, was, now, words)
+    was, now = (_used(snapshot, side, "programs") for side in (before, after))
+    yield from other_programs(snapshot, was, now, words)
 
 
 def other_programs(
-    question: Question, before: Sequence[str], after: Sequence[str], words: frozenset[str] = frozenset()
+    snapshot: Snapshot, before: Sequence[str], after: Sequence[str], words: frozenset[str] = frozenset()
 ) -> Iterator[Difference]:
     """The same of sets of programs, by their ids."""
-    old, new = (_programs(_rows(question, ids, "programs")) for ids in (before, after))
+    old, new = (_programs(_rows(snapshot, ids, "programs")) for ids in (before, after))
     names = dict.fromkeys((*old, *new))
     for name in sorted(names, key=lambda name: (name[1].endswith(INSTALLED), KINDS.get(name[0], len(KINDS)))):
         was, now = old.get(name, []), new.get(name, [])
@@ -76,10 +76,10 @@ def _versions(was: Rows, now: Rows, words: frozenset[str]) -> Iterator[str]:
             yield f"{was[0]['path']} {ARROW} {now[0]['path']}"
 
 
-def environments(question: Question, before: Side, after: Side) -> Iterator[Difference]:
+def environments(snapshot: Snapshot, before: Side, after: Side) -> Iterator[Difference]:
     """Facts of the machines, column by column; and the runner, unless it is not known: of an asking that was killed."""
     old, new = (
-        _facts(_rows(question, _used(question, side, "environment"), "environment"), _runners(question, side))
+        _facts(_rows(snapshot, _used(snapshot, side, "environment"), "environment"), _runners(snapshot, side))
         for side in (before, after)
     )
     for name in (name for name in old if name in new):
@@ -100,13 +100,13 @@ def _hashable(value: Any) -> Any:
     return "\n".join(map(str, value)) if isinstance(value, list) else value
 
 
-def _runners(question: Question, side: Side) -> Rows:
+def _runners(snapshot: Snapshot, side: Side) -> Rows:
     statement = (
         f"WITH used AS (SELECT DISTINCT e.session FROM {side.table} t JOIN judged e ON e.judgement = t.execution) "  # noqa: S608
         "SELECT DISTINCT s.runner FROM sessions s JOIN used USING (session) UNION "
         "SELECT DISTINCT r.runner FROM replays r JOIN used ON used.session = r.replay"
     )
-    rows: list[dict[str, Any]] = question.sql(statement).to_pylist()
+    rows: list[dict[str, Any]] = snapshot.sql(statement).to_pylist()
     return rows
 
 
@@ -125,10 +125,10 @@ ISOLATION = {
 NOT_CONTAINED = "none, on the host itself"
 
 
-def isolations(question: Question, before: Side, after: Side) -> Iterator[Difference]:
+def isolations(snapshot: Snapshot, before: Side, after: Side) -> Iterator[Difference]:
     """How executions were contained. An execution in no container is one of the engine `none`."""
     old, new = (
-        _facts([_isolation(row) for row in _rows(question, _used(question, side, "isolation"), "isolation")], ())
+        _facts([_isolation(row) for row in _rows(snapshot, _used(snapshot, side, "isolation"), "isolation")], ())
         for side in (before, after)
     )
     if bool(old) != bool(new):
@@ -144,46 +144,46 @@ def _isolation(row: Mapping[str, Any]) -> dict[str, Any]:
     return {name: facts[name] for name in ISOLATION}
 
 
-def executed(question: Question, side: Side) -> bool:
+def executed(snapshot: Snapshot, side: Side) -> bool:
     """Whether any of a side's runs was executed."""
-    return bool(question.run(f"SELECT 1 FROM {side.table} WHERE execution IS NOT NULL LIMIT 1"))  # noqa: S608 - our own names
+    return bool(snapshot.run(f"SELECT 1 FROM {side.table} WHERE execution IS NOT NULL LIMIT 1"))  # noqa: S608 - our own names
 
 
-def rules(question: Question, before: Side, after: Side) -> Iterator[Difference]:
+def rules(snapshot: Snapshot, before: Side, after: Side) -> Iterator[Difference]:
     """What the project declared of outputs and success."""
-    yield from other_rules(question, *(_used(question, side, "reading") for side in (before, after)))
+    yield from other_rules(snapshot, *(_used(snapshot, side, "reading") for side in (before, after)))
 
 
-def other_rules(question: Question, before: Sequence[str], after: Sequence[str]) -> Iterator[Difference]:
+def other_rules(snapshot: Snapshot, before: Sequence[str], after: Sequence[str]) -> Iterator[Difference]:
     """The same of rules, by their ids."""
     if set(before) == set(after):
         return
-    declared = [_declared(question, ids) for ids in (before, after)]
+    declared = [_declared(snapshot, ids) for ids in (before, after)]
     if all(len(texts) == 1 for texts in declared):
         yield from changed("rules", "declared", declared[0][0], declared[1][0], called="[outputs] and [success]")
     else:
         yield Difference("rules", "declared", "[outputs] and [success]: others than before", before, after)
 
 
-def _declared(question: Question, ids: Sequence[str]) -> list[str]:
-    rows = question.sql("SELECT declared FROM readings WHERE list_contains($i, reading)", i=list(ids)).to_pylist()
+def _declared(snapshot: Snapshot, ids: Sequence[str]) -> list[str]:
+    rows = snapshot.sql("SELECT declared FROM readings WHERE list_contains($i, reading)", i=list(ids)).to_pylist()
     return [row["declared"] for row in rows]
 
 
-def known(question: Question, side: Side, what: str) -> bool:
+def known(snapshot: Snapshot, side: Side, what: str) -> bool:
     """Whether it is recorded which of `what` a side's runs were executed with, or would have been."""
-    return bool(_used(question, side, what))
+    return bool(_used(snapshot, side, what))
 
 
-def _used(question: Question, side: Side, what: str) -> list[str]:
+def _used(snapshot: Snapshot, side: Side, what: str) -> list[str]:
     """The ids of what a side's executions were executed with; of a batch without any, what the last asking would have used."""
-    found = [row[0] for row in question.run(USED.format(what=what, table=side.table)) if row[0]]
+    found = [row[0] for row in snapshot.run(USED.format(what=what, table=side.table)) if row[0]]
     known = None if side.is_one else side.session.get(what)
     return found or ([known] if known else [])
 
 
-def _rows(question: Question, ids: Sequence[str], what: str) -> list[dict[str, Any]]:
+def _rows(snapshot: Snapshot, ids: Sequence[str], what: str) -> list[dict[str, Any]]:
     table = {"environment": "environments", "isolation": "isolations"}.get(what, what)
     statement = f"SELECT * FROM {table} WHERE list_contains($i, {what})"  # noqa: S608 - our own names
-    rows: list[dict[str, Any]] = question.sql(statement, i=list(ids)).to_pylist()
+    rows: list[dict[str, Any]] = snapshot.sql(statement, i=list(ids)).to_pylist()
     return rows

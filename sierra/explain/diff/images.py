@@ -14,7 +14,7 @@ from sierra.errors import Damaged, NotFound
 from sierra.explain.diff.model import ARROW, Difference, changed
 from sierra.explain.diff.operands import Side
 from sierra.provenance.program import mentioned
-from sierra.store.store import Question, Store
+from sierra.store.store import Snapshot, Store
 from sierra.util.text import few
 
 SHOWN = 8
@@ -22,11 +22,11 @@ DETAILS = 1000
 """Packages or files of which is told what became of them."""
 
 
-def image(question: Question, store: Store, before: Side, after: Side, root: Path) -> Iterator[Difference]:
+def image(snapshot: Snapshot, store: Store, before: Side, after: Side, root: Path) -> Iterator[Difference]:
     """The image: which, its packages, its variables, its files; and what runs reach beyond it."""
     was, now = (side.recipe["image"] for side in (before, after))
     if was != now:
-        old, new = (_row(question, identity) for identity in (was, now))
+        old, new = (_row(snapshot, identity) for identity in (was, now))
         yield Difference("image", "image", f"image: {_called(was, old)} {ARROW} {_called(now, new)}", was, now)
         if old and new:
             yield from _inside(store, old, new, mentioned(after.recipe["command"], root))
@@ -35,8 +35,8 @@ def image(question: Question, store: Store, before: Side, after: Side, root: Pat
         yield Difference("image", "reach", f"what runs reach beyond the image: {', '.join(told)}", before_reach, reach)
 
 
-def _row(question: Question, identity: str | None) -> Mapping[str, Any] | None:
-    rows: list[dict[str, Any]] = question.sql("SELECT * FROM images WHERE image = $i", i=identity).to_pylist()
+def _row(snapshot: Snapshot, identity: str | None) -> Mapping[str, Any] | None:
+    rows: list[dict[str, Any]] = snapshot.sql("SELECT * FROM images WHERE image = $i", i=identity).to_pylist()
     return rows[0] if rows else None
 
 

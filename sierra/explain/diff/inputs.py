@@ -10,7 +10,7 @@ from sierra.errors import Damaged
 from sierra.explain.diff.model import ARROW, Difference, Note, shown
 from sierra.explain.diff.operands import Side, takens
 from sierra.store.files import INPUT_FOLDER, Recorded, Taken, contents, recorded
-from sierra.store.store import Question
+from sierra.store.store import Snapshot
 from sierra.templates.diff import Spot, differing
 
 LOOKED_AT = 40
@@ -34,13 +34,13 @@ class _Pair:
     files: tuple[Mapping[str, Recorded], Mapping[str, Recorded]]
 
 
-def inputs(question: Question, before: Side, after: Side, notes: list[Note]) -> Iterator[Difference]:
+def inputs(snapshot: Snapshot, before: Side, after: Side, notes: list[Note]) -> Iterator[Difference]:
     """Where input files differ; what is not known of that goes into `notes`."""
-    [(others, runs)] = question.run("SELECT count(*) FILTER (other_input), count(*) FROM both_sides")
+    [(others, runs)] = snapshot.run("SELECT count(*) FILTER (other_input), count(*) FROM both_sides")
     if not others:
         return
-    pairs = _sample(question, before, after)
-    content = _read(question, [file for pair in pairs for files in pair.files for file in files.values()], notes)
+    pairs = _sample(snapshot, before, after)
+    content = _read(snapshot, [file for pair in pairs for files in pair.files for file in files.values()], notes)
     looked = [pair for pair in pairs if all(file.sha256 in content for files in pair.files for file in files.values())]
     found: dict[tuple[str, str], list[tuple[_Pair, Spot]]] = {}
     for pair in looked:
@@ -56,26 +56,26 @@ def inputs(question: Question, before: Side, after: Side, notes: list[Note]) -> 
         notes.append(Note(text, "inputs"))
 
 
-def _sample(question: Question, before: Side, after: Side) -> list[_Pair]:
-    rows = question.run(SAMPLE, {"most": LOOKED_AT})
-    olds = _files(question, takens(question, before, [(row[0], row[1]) for row in rows]))
-    news = _files(question, takens(question, after, [(row[2], row[3]) for row in rows]))
+def _sample(snapshot: Snapshot, before: Side, after: Side) -> list[_Pair]:
+    rows = snapshot.run(SAMPLE, {"most": LOOKED_AT})
+    olds = _files(snapshot, takens(snapshot, before, [(row[0], row[1]) for row in rows]))
+    news = _files(snapshot, takens(snapshot, after, [(row[2], row[3]) for row in rows]))
     return [
         _Pair((row[4], row[5]), (before.cells[row[0]], after.cells[row[2]]), (old, new))
         for row, old, new in zip(rows, olds, news, strict=True)
     ]
 
 
-def _files(question: Question, runs: Sequence[Taken]) -> list[dict[str, Recorded]]:
+def _files(snapshot: Snapshot, runs: Sequence[Taken]) -> list[dict[str, Recorded]]:
     """The input files of each run, by name."""
     found: dict[int, dict[str, Recorded]] = {id(run): {} for run in runs}
-    for file in recorded(question, runs):
+    for file in recorded(snapshot, runs):
         if file.kind == "input":
             found[id(file.taken)][file.path.removeprefix(INPUT_FOLDER)] = file
     return [found[id(run)] for run in runs]
 
 
-def _read(question: Question, files: Sequence[Recorded], notes: list[Note]) -> dict[str | None, bytes]:
+def _read(snapshot: Snapshot, files: Sequence[Recorded], notes: list[Note]) -> dict[str | None, bytes]:
     """What is in these files, by SHA-256, as far as it is there and not too much."""
     wanted, size = {}, 0
     for file in files:
@@ -84,7 +84,7 @@ def _read(question: Question, files: Sequence[Recorded], notes: list[Note]) -> d
             size += file.bytes or 0
     found: dict[str | None, bytes] = {}
     lost: list[str] = []
-    for content in contents(question, list(wanted.values())):
+    for content in contents(snapshot, list(wanted.values())):
         try:
             found[content.file.sha256] = b"".join(content.pieces)
         except Damaged as error:

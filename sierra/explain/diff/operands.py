@@ -12,7 +12,7 @@ from typing import Any
 
 from sierra.errors import UsageError
 from sierra.store.files import Place, Taken, where
-from sierra.store.store import Found, Question
+from sierra.store.store import Found, Snapshot
 from sierra.store.views import COUNTS, LATEST, ORDER
 from sierra.util.hashing import short
 
@@ -85,7 +85,7 @@ FROM one
 """
 
 
-def make_runs(question: Question, place: Place, table: str, *, good_first: bool = False, only: str = "") -> None:
+def make_runs(snapshot: Snapshot, place: Place, table: str, *, good_first: bool = False, only: str = "") -> None:
     """Make a table of the runs of one side; `good_first`: the last good one before the last one, where none counts."""
     named = {} if place.execution is None else {"named": place.execution}
     statement = RUNS.format(
@@ -97,58 +97,58 @@ def make_runs(question: Question, place: Place, table: str, *, good_first: bool 
         which="e.execution = $named" if named else "e.purpose = 'run'",
         best="counts, status = 'ok', " if good_first else "counts, ",
     )
-    question.run(statement, {**place.parameters, **named})
+    snapshot.run(statement, {**place.parameters, **named})
 
 
-def gather(question: Question, found: Found, table: str) -> Side:
+def gather(snapshot: Snapshot, found: Found, table: str) -> Side:
     """All that the store has of one of the two."""
-    place = where(question, found)
+    place = where(snapshot, found)
     batch_id = place.batch
-    question.views.make(("recipes", "sources", "replays"))
-    make_runs(question, place, table)
-    [batch] = _rows(question, "SELECT * FROM batches WHERE batch = $b", b=batch_id)
-    [recipe] = _rows(question, "SELECT * FROM recipes WHERE recipe = $r", r=batch["recipe"])
+    snapshot.views.make(("recipes", "sources", "replays"))
+    make_runs(snapshot, place, table)
+    [batch] = _rows(snapshot, "SELECT * FROM batches WHERE batch = $b", b=batch_id)
+    [recipe] = _rows(snapshot, "SELECT * FROM recipes WHERE recipe = $r", r=batch["recipe"])
     recipe["variables"] = json.loads(recipe["variables"])
-    experiments = _experiments(question, batch_id, table)
-    session = _session(question, found, batch_id)
+    experiments = _experiments(snapshot, batch_id, table)
+    session = _session(snapshot, found, batch_id)
     return Side(
         found=found,
         table=table,
-        runs=question.run(f"SELECT count(*) FROM {table}")[0][0],  # noqa: S608
+        runs=snapshot.run(f"SELECT count(*) FROM {table}")[0][0],  # noqa: S608
         batch=batch,
         recipe=recipe,
         session=session,
-        source=_source(question, recipe["source"], session.get("source")),
+        source=_source(snapshot, recipe["source"], session.get("source")),
         experiments={row["ordinal"]: row["experiment"] for row in experiments},
         cells=_cells(batch, experiments),
     )
 
 
-def _rows(question: Question, text: str, **parameters: Any) -> list[dict[str, Any]]:
-    rows: list[dict[str, Any]] = question.sql(text, **parameters).to_pylist()
+def _rows(snapshot: Snapshot, text: str, **parameters: Any) -> list[dict[str, Any]]:
+    rows: list[dict[str, Any]] = snapshot.sql(text, **parameters).to_pylist()
     return rows
 
 
-def _session(question: Question, found: Found, batch: str) -> dict[str, Any]:
+def _session(snapshot: Snapshot, found: Found, batch: str) -> dict[str, Any]:
     if found.kind == "execution":
         of = "session = (SELECT session FROM executions WHERE execution = $i)"
         identity = found.id
     else:
         of, identity = "batch = $i", batch
-    rows = _rows(question, f"SELECT * FROM sessions WHERE {of} ORDER BY lamport DESC LIMIT 1", i=identity)  # noqa: S608
+    rows = _rows(snapshot, f"SELECT * FROM sessions WHERE {of} ORDER BY lamport DESC LIMIT 1", i=identity)  # noqa: S608
     return rows[0] if rows else {}
 
 
-def _source(question: Question, tree: str | None, known: str | None) -> dict[str, Any]:
+def _source(snapshot: Snapshot, tree: str | None, known: str | None) -> dict[str, Any]:
     rows = _rows(
-        question, "SELECT * FROM sources WHERE tree = $t ORDER BY source <> $s NULLS LAST LIMIT 1", t=tree, s=known or ""
+        snapshot, "SELECT * FROM sources WHERE tree = $t ORDER BY source <> $s NULLS LAST LIMIT 1", t=tree, s=known or ""
     )
     return rows[0] if rows else {}
 
 
-def _experiments(question: Question, batch: str, table: str) -> list[dict[str, Any]]:
-    places = {row["ordinal"] for row in _rows(question, f"SELECT ordinal FROM {table}")}  # noqa: S608 - our own names
-    return [row for place, row in question.cells(batch).items() if place in places]
+def _experiments(snapshot: Snapshot, batch: str, table: str) -> list[dict[str, Any]]:
+    places = {row["ordinal"] for row in _rows(snapshot, f"SELECT ordinal FROM {table}")}  # noqa: S608 - our own names
+    return [row for place, row in snapshot.cells(batch).items() if place in places]
 
 
 def _cells(batch: Mapping[str, Any], experiments: Sequence[Mapping[str, Any]]) -> dict[int, dict[str, Any]]:
@@ -166,7 +166,7 @@ FROM {before} b JOIN pairs p ON p.was = b.ordinal JOIN {after} a ON a.ordinal = 
 """
 
 
-def pair(question: Question, before: Side, after: Side) -> list[tuple[int, int]]:
+def pair(snapshot: Snapshot, before: Side, after: Side) -> list[tuple[int, int]]:
     """The experiments that both have, by their places, and their runs as the temporary view `both_sides`.
 
     What is one experiment is paired with whatever it is compared with. An axis that only one batch has, with one value, and a
@@ -182,9 +182,9 @@ def pair(question: Question, before: Side, after: Side) -> list[tuple[int, int]]
         keys = {ordinal: tuple(cell.get(name) for name in names) for ordinal, cell in before.cells.items()}
         pairs = [(ordinal, places[key]) for ordinal, key in keys.items() if key in places]
     columns = {name: pa.array([pair[at] for pair in pairs], pa.int64()) for at, name in enumerate(("was", "now"))}
-    question.register("pairs", pa.table(columns))
+    snapshot.register("pairs", pa.table(columns))
     same = "" if before.is_one else "AND a.number = b.number"
-    question.run(BOTH.format(before=before.table, after=after.table, same=same))
+    snapshot.run(BOTH.format(before=before.table, after=after.table, same=same))
     return pairs
 
 
@@ -196,11 +196,11 @@ def _telling(before: Side, after: Side) -> Iterator[str]:
             yield name
 
 
-def takens(question: Question, side: Side, places: Sequence[tuple[int, int]]) -> list[Taken]:
+def takens(snapshot: Snapshot, side: Side, places: Sequence[tuple[int, int]]) -> list[Taken]:
     """Some of a side's runs, by the places of their experiments and their numbers, in that order."""
     statement = f"SELECT run, own, status, execution FROM {side.table} WHERE ordinal = $o AND number = $n"  # noqa: S608
     found = []
     for ordinal, number in places:
-        [(run, execution, status, judgement)] = question.run(statement, {"o": ordinal, "n": number})
+        [(run, execution, status, judgement)] = snapshot.run(statement, {"o": ordinal, "n": number})
         found.append(Taken(side.experiments[ordinal], ordinal, number, run, execution, status, "asked", judgement))
     return found

@@ -7,7 +7,7 @@ from typing import Any
 
 from sierra.explain.diff.model import ARROW, Difference, changed, shown
 from sierra.explain.diff.operands import Side
-from sierra.store.store import Question
+from sierra.store.store import Snapshot
 from sierra.util.text import few
 
 SHOWN = 8
@@ -91,11 +91,11 @@ def _template(before: Side, after: Side) -> Iterator[Difference]:
         yield Difference("template", "sha256", f"template: {after.batch['template']} has changed", was, now)
 
 
-def seeds(question: Question, before: Side, after: Side) -> Iterator[Difference]:
+def seeds(snapshot: Snapshot, before: Side, after: Side) -> Iterator[Difference]:
     """Runs of one place that have other seeds."""
     if not before.is_one:
         yield from changed("seed", "base", before.batch["base_seed"], after.batch["base_seed"], called="base seed")
-    [(count, others, was, now)] = question.run(
+    [(count, others, was, now)] = snapshot.run(
         "SELECT count(*), count(*) FILTER (was_seed <> now_seed), "
         "arg_min(was_seed, (ordinal, number)) FILTER (was_seed <> now_seed), "
         "arg_min(now_seed, (ordinal, number)) FILTER (was_seed <> now_seed) FROM both_sides"

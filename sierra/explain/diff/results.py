@@ -24,7 +24,7 @@ from sierra.replay import outputs
 from sierra.replay.compare import Agreement, Verdict, distance
 from sierra.stats import student_t
 from sierra.store.samples import Frame
-from sierra.store.store import Question, Store
+from sierra.store.store import Snapshot, Store
 from sierra.util.hashing import short
 from sierra.util.text import few
 
@@ -39,29 +39,29 @@ SHOWN = 8
 
 
 def of_one(
-    question: Question, store: Store, project: LoadedProject, before: Side, after: Side, notes: list[Note]
+    snapshot: Snapshot, store: Store, project: LoadedProject, before: Side, after: Side, notes: list[Note]
 ) -> Iterator[Difference]:
     """Two executions: how each ended, and output by output."""
-    was, now = (_execution(question, side) for side in (before, after))
+    was, now = (_execution(snapshot, side) for side in (before, after))
     if was is None or now is None:
         called = (before if was is None else after).called
         text = f"{called} was never executed, so that no results are compared"
         notes += [Note(text, "results"), Note(text, "status")]
         return
     yield from changed("status", "status", _ended(was), _ended(now))
-    yield from _outputs(question, store, project, was, now, notes)
+    yield from _outputs(snapshot, store, project, was, now, notes)
 
 
-def _execution(question: Question, side: Side) -> dict[str, Any] | None:
+def _execution(snapshot: Snapshot, side: Side) -> dict[str, Any] | None:
     statement = f"SELECT e.* FROM judged e JOIN {side.table} t ON t.execution = e.judgement"  # noqa: S608 - our own names
-    rows: list[dict[str, Any]] = question.sql(statement).to_pylist()
+    rows: list[dict[str, Any]] = snapshot.sql(statement).to_pylist()
     return rows[0] if rows else None
 
 
-def good(question: Question, before: Side, after: Side) -> Iterator[Difference]:
+def good(snapshot: Snapshot, before: Side, after: Side) -> Iterator[Difference]:
     """How many runs have an execution that counts."""
     was, now = (
-        question.run(f"SELECT count(*) FILTER (counts) FROM {side.table}")[0][0]  # noqa: S608 - our own names
+        snapshot.run(f"SELECT count(*) FILTER (counts) FROM {side.table}")[0][0]  # noqa: S608 - our own names
         for side in (before, after)
     )
     if (was == before.runs) != (now == after.runs) or (before.runs == after.runs and was != now):
@@ -75,7 +75,7 @@ def _ended(execution: Mapping[str, Any]) -> str:
 
 
 def _outputs(
-    question: Question,
+    snapshot: Snapshot,
     store: Store,
     project: LoadedProject,
     was: Mapping[str, Any],
@@ -85,8 +85,8 @@ def _outputs(
 ) -> Iterator[Difference]:
     """The outputs in which two executions differ; those of the same values in other bytes are only noted."""
     try:
-        declared = _declared(question, now["reading"], project)
-        compared = outputs.compare(question, was["judgement"], now["judgement"], declared)
+        declared = _declared(snapshot, now["reading"], project)
+        compared = outputs.compare(snapshot, was["judgement"], now["judgement"], declared)
     except SierraError as error:
         notes.append(Note(f"{run}results cannot be compared: {error}", "results"))
         return
@@ -101,9 +101,9 @@ def _outputs(
             yield Difference("results", str(path), line, told["recorded"], told["found"], tuple(_growth(agreement)))
 
 
-def _declared(question: Question, reading: str, project: LoadedProject) -> dict[str, Output]:
+def _declared(snapshot: Snapshot, reading: str, project: LoadedProject) -> dict[str, Output]:
     """What is volatile and which tolerances hold: as recorded, and as the project says now."""
-    rows = question.sql("SELECT declared FROM readings WHERE reading = $r", r=reading).to_pylist()
+    rows = snapshot.sql("SELECT declared FROM readings WHERE reading = $r", r=reading).to_pylist()
     recorded = rules_of(json.loads(rows[0]["declared"]))[0] if rows else {}
     return {**recorded, **project.config.outputs}
 
@@ -129,21 +129,21 @@ WHERE b.execution <> a.execution AND b.result IS DISTINCT FROM a.result ORDER BY
 """
 
 
-def of_shared(question: Question, store: Store, project: LoadedProject, notes: list[Note]) -> Iterator[Difference]:
+def of_shared(snapshot: Snapshot, store: Store, project: LoadedProject, notes: list[Note]) -> Iterator[Difference]:
     """Runs that both have, where other executions of them count."""
-    [(count, others, same)] = question.run(SHARED)
+    [(count, others, same)] = snapshot.run(SHARED)
     if count:
         notes.append(Note(f"{count} runs are in both; of {same} of them the same execution counts"))
     if not others:
         return
     details: list[str] = []
     differing = 0
-    looked = question.sql(OTHERS, most=LOOKED_AT).to_pylist()
+    looked = snapshot.sql(OTHERS, most=LOOKED_AT).to_pylist()
     for row in looked:
         was, now = (
-            question.sql("SELECT * FROM judged WHERE judgement = $e", e=row[name]).to_pylist()[0] for name in ("was", "now")
+            snapshot.sql("SELECT * FROM judged WHERE judgement = $e", e=row[name]).to_pylist()[0] for name in ("was", "now")
         )
-        found = list(_outputs(question, store, project, was, now, notes, f"run {short(row['run'])}: "))
+        found = list(_outputs(snapshot, store, project, was, now, notes, f"run {short(row['run'])}: "))
         differing += bool(found)
         details += [difference.line.removeprefix("results: ") for difference in found]
     if differing or others > len(looked):
@@ -196,28 +196,28 @@ def means(
 OTHER = "was <> now AND other_result AND was_executed IS NOT NULL AND now_executed IS NOT NULL"
 
 
-def of_places(question: Question) -> Iterator[Difference]:
+def of_places(snapshot: Snapshot) -> Iterator[Difference]:
     """How many runs of one place wrote other bytes, where the runs are others."""
-    [(count, all_runs)] = question.run(f"SELECT count(*) FILTER ({OTHER}), count(*) FROM both_sides")  # noqa: S608 - our own
+    [(count, all_runs)] = snapshot.run(f"SELECT count(*) FILTER ({OTHER}), count(*) FROM both_sides")  # noqa: S608 - our own
     if count:
         yield Difference("results", "bytes", f"results: {count} of {all_runs} runs wrote other bytes", None, count)
 
 
-def others(question: Question, pairs: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
+def others(snapshot: Snapshot, pairs: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
     """The experiments in which other runs wrote other bytes."""
-    rows = question.run(f"SELECT DISTINCT ordinal FROM both_sides WHERE {OTHER}")  # noqa: S608 - our own
+    rows = snapshot.run(f"SELECT DISTINCT ordinal FROM both_sides WHERE {OTHER}")  # noqa: S608 - our own
     found = {row[0] for row in rows}
     return [pair for pair in pairs if pair[0] in found]
 
 
-def rows(question: Question) -> int:
+def rows(snapshot: Snapshot) -> int:
     """How many rows the outputs have, of both sides."""
     statement = (
         "SELECT coalesce(sum(rows), 0)::BIGINT FROM judged_artifacts WHERE kind = 'table' AND execution IN "
         "(SELECT execution FROM before UNION ALL SELECT execution FROM after)"
     )
-    question.views.make(("judged_artifacts",))
-    count: int = question.run(statement)[0][0]
+    snapshot.views.make(("judged_artifacts",))
+    count: int = snapshot.run(statement)[0][0]
     return count
 
 

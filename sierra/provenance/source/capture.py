@@ -36,7 +36,7 @@ from sierra.provenance.source.manifest import (
     tree_of,
     written,
 )
-from sierra.provenance.source.paths import Chosen, inside, shown
+from sierra.provenance.source.paths import PathSelection, inside, shown
 from sierra.provenance.source.plain_tree import LEFT_OUT
 from sierra.provenance.source.restore import is_there, restore
 from sierra.provenance.source.sharing import Shared, share
@@ -99,10 +99,10 @@ def capture(
             raise ConfigError(f"[source] paths: there is no {path!r} in {root}")
         if inside(path).startswith((b"..", b"/")):
             raise ConfigError(f"[source] paths: {path!r} is outside {root}; name files and folders in it")
-    chosen = Chosen(paths, without)
+    chosen = PathSelection(paths, without)
     source, files = _git(root, chosen, dirty, large) if _in_git(root) else _outside(root, chosen, dirty, large, memory)
     for path in paths:
-        if not any(map(Chosen([path]), files)):
+        if not any(map(PathSelection([path]), files)):
             raise ConfigError(f"[source] paths: nothing in {path!r} counts: it is empty, or ignored by git")
     return source
 
@@ -125,7 +125,7 @@ def _in_git(root: Path) -> bool:
     return in_repository(root) and not Git(root).ignores_it()
 
 
-def _outside(root: Path, chosen: Chosen, dirty: str, large: int, memory: Path | None) -> tuple[Source, Files]:
+def _outside(root: Path, chosen: PathSelection, dirty: str, large: int, memory: Path | None) -> tuple[Source, Files]:
     if dirty != "record":
         raise ConfigError(f'[source] dirty = "{dirty}": there is no commit to compare with, {root} is not in git; use "record"')
     entries = plain_tree.entries(root, chosen, large, memory)
@@ -135,7 +135,7 @@ def _outside(root: Path, chosen: Chosen, dirty: str, large: int, memory: Path | 
     return Source(tree, "none", None, None, None, None, listed(entries), notes=tuple(_leading_out(root, links))), files
 
 
-def _git(root: Path, chosen: Chosen, dirty: str, large: int) -> tuple[Source, Files]:
+def _git(root: Path, chosen: PathSelection, dirty: str, large: int) -> tuple[Source, Files]:
     git = Git(root)
     now = worktree.look(git, chosen) if dirty == "ignore" else worktree.take(git, chosen, large)
     if dirty == "refuse":
@@ -158,7 +158,7 @@ def _git(root: Path, chosen: Chosen, dirty: str, large: int) -> tuple[Source, Fi
     return source, now.files
 
 
-def _refuse(root: Path, now: worktree.Snapshot) -> None:
+def _refuse(root: Path, now: worktree.WorktreeState) -> None:
     if now.commit is None:
         raise ConfigError(f'[source] dirty = "refuse": the repository of {root} has no commit yet; commit something first')
     if now.changed:
@@ -168,7 +168,7 @@ def _refuse(root: Path, now: worktree.Snapshot) -> None:
         )
 
 
-def _notes(root: Path, now: worktree.Snapshot) -> Iterator[str]:
+def _notes(root: Path, now: worktree.WorktreeState) -> Iterator[str]:
     yield from _leading_out(root, [path for path, what in now.files.items() if what[:6] == b"120000"])
     hollow = [path for path in now.absent if (root / os.fsdecode(path)).is_dir()]
     if hollow:

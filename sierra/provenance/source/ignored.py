@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from sierra.provenance.source.git import Git
-from sierra.provenance.source.paths import Chosen
+from sierra.provenance.source.paths import PathSelection
 from sierra.provenance.source.plain_tree import LEFT_OUT
 
 CACHES = LEFT_OUT | {".DS_Store", ".eggs", ".idea", ".ipynb_checkpoints", ".nox", ".tox", ".vscode"}
@@ -22,7 +22,7 @@ def ignored(root: Path, without: Iterable[str]) -> list[bytes]:
     Nothing of a folder that is ignored as a whole is looked at. Raises Missing where git can't tell.
     """
     told = Git(root)("ls-files", "--others", "--ignored", "--exclude-standard", "--directory", "-z", "--", ".")
-    never = Chosen(without=without).never
+    never = PathSelection(without=without).never
     return [path for path in told.split(b"\0") if path and not never(path) and not _is_cache(root, os.fsdecode(path))]
 
 

@@ -10,7 +10,7 @@ from sierra.errors import ConfigError
 from sierra.util.text import few
 
 
-class Chosen:
+class PathSelection:
     """Says of a path, from the project's root, whether it counts."""
 
     def __init__(self, only: Iterable[str] = (), without: Iterable[str] = ()) -> None:

@@ -16,7 +16,7 @@ from pathlib import Path
 
 from sierra.errors import Missing
 from sierra.provenance.source.manifest import LINK, Entry, git_hash, is_blob, parts, read
-from sierra.provenance.source.paths import Chosen, check_size
+from sierra.provenance.source.paths import PathSelection, check_size
 from sierra.util.fs import write_whole
 from sierra.util.hashing import sealed, unsealed
 
@@ -31,7 +31,7 @@ Memory = Mapping[bytes, bytes]
 """By path: times, size and inode, then mode and hash."""
 
 
-def entries(root: Path, chosen: Chosen, large: int, memory: Path | None = None) -> list[Entry]:
+def entries(root: Path, chosen: PathSelection, large: int, memory: Path | None = None) -> list[Entry]:
     """All files that count. Raises ConfigError for one of more than `large` bytes, Missing for one that can't be read."""
     try:
         return _entries(root, chosen, large, memory)
@@ -55,7 +55,7 @@ def contents(manifest: bytes, root: Path, known: Container[str]) -> Iterator[tup
         yield blob, content
 
 
-def _entries(root: Path, chosen: Chosen, large: int, memory: Path | None) -> list[Entry]:
+def _entries(root: Path, chosen: PathSelection, large: int, memory: Path | None) -> list[Entry]:
     before = _remembered(memory)
     settled = _now(memory) - SETTLED_NS
     found, after = [], {}
@@ -77,7 +77,7 @@ def _entries(root: Path, chosen: Chosen, large: int, memory: Path | None) -> lis
     return found
 
 
-def _walk(root: Path, chosen: Chosen) -> Iterator[tuple[os.DirEntry[bytes], bytes]]:
+def _walk(root: Path, chosen: PathSelection) -> Iterator[tuple[os.DirEntry[bytes], bytes]]:
     pending = [(os.fsencode(root), b"")]
     while pending:
         folder, prefix = pending.pop()

@@ -36,7 +36,7 @@ from sierra.errors import ConfigError, Missing
 from sierra.provenance.source import lfs
 from sierra.provenance.source.git import Git
 from sierra.provenance.source.manifest import Files, repositories, written
-from sierra.provenance.source.paths import Chosen, check_size
+from sierra.provenance.source.paths import PathSelection, check_size
 
 MANY = 500
 """New files from which on they are written as a pack."""
@@ -46,7 +46,7 @@ IGNORE_IT = "list it in .gitignore"
 
 
 @dataclass(frozen=True, slots=True)
-class Snapshot:
+class WorktreeState:
     """A working tree, as it was at one time."""
 
     tree: str
@@ -75,7 +75,7 @@ class Status:
     conflicts: set[bytes] = field(default_factory=set)
 
 
-def take(git: Git, chosen: Chosen, large: int) -> Snapshot:
+def take(git: Git, chosen: PathSelection, large: int) -> WorktreeState:
     """Write the working tree of the project that git is asked in, and keep it from being pruned.
 
     Raises ConfigError for an untracked file of more than `large` bytes, Missing for what git cannot do.
@@ -92,7 +92,9 @@ def take(git: Git, chosen: Chosen, large: int) -> Snapshot:
         for path, _ in repositories(files):
             lfs.check_inside(Git(root / os.fsdecode(path)))
         submodules = dict(_submodules(root, files))
-        inner = {path: take(Git(root / os.fsdecode(path)), Chosen(), large) for path in sorted(status.inner & files.keys())}
+        inner = {
+            path: take(Git(root / os.fsdecode(path)), PathSelection(), large) for path in sorted(status.inner & files.keys())
+        }
         for path, snapshot in inner.items():
             files[path] = b"160000 " + snapshot.tree.encode()
             submodules |= {f"{os.fsdecode(path)}/{below}": commit for below, commit in snapshot.submodules.items()}
@@ -101,10 +103,10 @@ def take(git: Git, chosen: Chosen, large: int) -> Snapshot:
     differing = _differing(status, files)
     absent = _absent(git, status, differing)
     changed = tuple(sorted(differing - absent))
-    return Snapshot(tree, files, status.commit, status.branch, changed, tuple(sorted(absent)), submodules)
+    return WorktreeState(tree, files, status.commit, status.branch, changed, tuple(sorted(absent)), submodules)
 
 
-def look(git: Git, chosen: Chosen) -> Snapshot:
+def look(git: Git, chosen: PathSelection) -> WorktreeState:
     """The tree of the commit that is checked out, and what differs from it. Nothing of the working tree is written.
 
     Raises ConfigError where there is no commit.
@@ -120,7 +122,9 @@ def look(git: Git, chosen: Chosen) -> Snapshot:
     differing = status.recorded.keys() | set(status.stale)
     absent = _absent(git, status, differing) | set(_hollow(root, files))
     changed = tuple(sorted(differing - absent))
-    return Snapshot(tree, files, status.commit, status.branch, changed, tuple(sorted(absent)), dict(_submodules(root, files)))
+    return WorktreeState(
+        tree, files, status.commit, status.branch, changed, tuple(sorted(absent)), dict(_submodules(root, files))
+    )
 
 
 def write(git: Git, files: dict[bytes, bytes]) -> str:
@@ -139,7 +143,7 @@ def of_tree(git: Git, tree: str) -> dict[bytes, bytes]:
 class _Index:
     """SIERRA's own index while it is worked on."""
 
-    def __init__(self, git: Git, chosen: Chosen, path: Path, kept: Path) -> None:
+    def __init__(self, git: Git, chosen: PathSelection, path: Path, kept: Path) -> None:
         self.path = path
         self._git = git
         self._chosen = chosen
@@ -269,7 +273,7 @@ class _Index:
 
 
 @contextlib.contextmanager
-def _index(git: Git, chosen: Chosen) -> Iterator[_Index]:
+def _index(git: Git, chosen: PathSelection) -> Iterator[_Index]:
     """An index to work on, which is kept for the next time unless something fails."""
     key = sha256(b"\0".join((git.prefix, *chosen.only))).hexdigest()[:16]
     with _scratch(git) as path:
@@ -305,7 +309,7 @@ def _scratch(git: Git) -> Iterator[Path]:
                 left.unlink()
 
 
-def _read_status(lines: Sequence[bytes], prefix: bytes, chosen: Chosen) -> Status:
+def _read_status(lines: Sequence[bytes], prefix: bytes, chosen: PathSelection) -> Status:
     """`git status --porcelain=v2 --branch -z`, as its manual has it."""
     status = Status()
     for line in lines:

@@ -34,7 +34,7 @@ class Told:
     """In words."""
 
 
-class Pilot:
+class Calibration:
     """The first runs of one session, as far as they have come."""
 
     def __init__(self, session: SessionPaths) -> None:

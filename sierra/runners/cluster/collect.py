@@ -110,7 +110,7 @@ def last_of(tracks: Iterable[Track], element: int) -> Track | None:
     return max(own, key=lambda track: track.since, default=None)
 
 
-class Harvest:
+class Collector:
     """All packs of one session."""
 
     def __init__(
@@ -272,7 +272,7 @@ class Harvest:
                 track.late[-1] = (since, event)
         if track.late and time.monotonic() - track.late[0][0] > LATE_S:
             track.late = []
-            self._note(f"{track.pack.path.name} is damaged; the runs in question are executed again")
+            self._note(f"{track.pack.path.name} is damaged; the runs in snapshot are executed again")
             track.pack.path.rename(track.pack.path.with_suffix(".damaged"))
 
     def _of(self, track: Track, result: Result) -> Result:

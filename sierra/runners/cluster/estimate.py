@@ -13,7 +13,7 @@ from sierra.model import Times
 from sierra.runners import schedulers
 from sierra.runners.cluster import submission
 from sierra.runners.cluster.calibrate import PATIENCE_S
-from sierra.runners.cluster.preflight import Probe
+from sierra.runners.cluster.preflight import Preflight
 from sierra.runners.cluster.sizing import Size, size
 from sierra.runners.cluster.submission import UNFOLLOWED
 from sierra.runners.schedulers.base import Bounds
@@ -59,7 +59,7 @@ class Setting:
 
 
 @dataclass(frozen=True, slots=True)
-class Proposal:
+class Estimate:
     """What would be submitted."""
 
     runner: str
@@ -98,14 +98,14 @@ def propose(
     each: float | None,
     beside: tuple[int, int],
     waits: bool,
-) -> Proposal:
+) -> Estimate:
     """What `count` runs would ask of a cluster, which are expected to take these times, and each of which leaves `each` bytes.
 
     `waits`: whether somebody would follow. `work` is the folder of sessions; `beside` are files and bytes that are there
     however the batch is dealt out. Where the scheduler can't be reached, all is told but for what the site allows. Raises
     ConfigError for what is refused.
     """
-    notes = [PROBE] if Probe(name, table, SessionPaths(work / "SESSION")).is_needed() else []
+    notes = [PROBE] if Preflight(name, table, SessionPaths(work / "SESSION")).is_needed() else []
     version, bounds = _site(scheduler, table, notes)
     sized = size(count, times, table, bounds, waits=waits)
     asked = table.model_copy(update={"wall": sized.wall_s})
@@ -113,7 +113,7 @@ def propose(
     notes += [TELL.format(unknown, counted(len(sized.first), "run"), PATIENCE_S)] if sized.first else []
     notes += [] if waits else [UNFOLLOWED]
     files, carried = beside
-    return Proposal(
+    return Estimate(
         runner=name,
         scheduler=version or scheduler,
         runs=count,

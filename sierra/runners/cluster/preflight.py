@@ -16,14 +16,14 @@ from sierra.runners.cluster import submission
 from sierra.runners.cluster.result_log import Finished, Pack, Trouble
 from sierra.runners.schedulers.base import Request
 from sierra.store.layout import SessionPaths, user_clusters
-from sierra.util.cache import Remembered
+from sierra.util.cache import Cache
 from sierra.util.hashing import digest
 
 VALID_S = 86_400.0
 MOST = 64
 
 
-class Probe:
+class Preflight:
     """The probe of one session."""
 
     def __init__(self, runner: str, table: ClusterTable, session: SessionPaths) -> None:
@@ -35,7 +35,7 @@ class Probe:
 
     def is_needed(self) -> bool:
         """Whether nobody has found out lately that it would be fine."""
-        found = Remembered(user_clusters(), MOST).get(self._key)
+        found = Cache(user_clusters(), MOST).get(self._key)
         return not (isinstance(found, float) and 0 <= time.time() - found < VALID_S)
 
     def request(self) -> Request:
@@ -63,7 +63,7 @@ class Probe:
         return Missing(f"nodes can't execute this, and say nothing{f' ({word})' if word else ''}: {where}")
 
     def _remember(self) -> None:
-        memory = Remembered(user_clusters(), MOST)
+        memory = Cache(user_clusters(), MOST)
         memory.put(self._key, time.time())
         memory.save()
 

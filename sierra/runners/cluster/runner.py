@@ -35,9 +35,9 @@ from sierra.provenance import machine
 from sierra.runners import schedulers
 from sierra.runners.base import Look, Work
 from sierra.runners.cluster import submission
-from sierra.runners.cluster.calibrate import Pilot, Told
-from sierra.runners.cluster.collect import AT_ONCE, Harvest, Share, refresh
-from sierra.runners.cluster.preflight import Probe
+from sierra.runners.cluster.calibrate import Calibration, Told
+from sierra.runners.cluster.collect import AT_ONCE, Collector, Share, refresh
+from sierra.runners.cluster.preflight import Preflight
 from sierra.runners.cluster.shard import deal, deal_first, deal_rest
 from sierra.runners.cluster.sizing import Size, elements_of, size
 from sierra.runners.cluster.submission import Submission
@@ -82,7 +82,7 @@ class Cluster:
         self._table = table
         self._scheduler = schedulers.find(scheduler)(table)
         self._opened = contextlib.ExitStack()
-        self._pilot: Pilot | None = None
+        self._pilot: Calibration | None = None
 
     # ------------------------------------------------------------ beginning
 
@@ -100,7 +100,7 @@ class Cluster:
             for module in (worker, array_task, machine):
                 shutil.copyfile(str(module.__file__), session.root / Path(str(module.__file__)).name)
             write_whole(session.element_settings, json.dumps(self._settings(work, session)).encode())
-        probed = Probe(self.name, self._table, session).is_needed()
+        probed = Preflight(self.name, self._table, session).is_needed()
         table = self._table.model_dump(mode="json")
         dealt = (work.batch, counts, dict(work.around), probed, rest)
         means = _means(work.times, sized.first)
@@ -165,13 +165,13 @@ class Cluster:
     def _begin(self, made: Submission, session: SessionPaths, recorded: Mapping[str, str | None]) -> None:
         self._made, self._session = made, session
         self._name = submission.name_of(session)
-        self._probe = Probe(self.name, self._table, session)
+        self._probe = Preflight(self.name, self._table, session)
         self._probing = made.probed
         self._unheard = self._probes = 0
-        self._harvest = Harvest(made, session, recorded, self._note)
+        self._harvest = Collector(made, session, recorded, self._note)
         self._opened.callback(self._harvest.close)
         self._shares = self._harvest.shares
-        self._pilot = Pilot(session) if made.rest else None
+        self._pilot = Calibration(session) if made.rest else None
         self._told: Told | None = None
         self._goes_before = ""
         self._is_own = False
@@ -598,7 +598,7 @@ class Cluster:
         self._due, self._pause = time.monotonic(), FIRST_POLL_S / 2
 
     def _cancel(self, elements: Sequence[int] | None = None) -> None:
-        """Have jobs, or elements, ended; where nobody can be asked to, that is tried again with the next question."""
+        """Have jobs, or elements, ended; where nobody can be asked to, that is tried again with the next snapshot."""
         self._deaf = False
         for index in elements or ():
             self._shares[index].ours = True
@@ -647,7 +647,7 @@ class Poll:
         self._answers: list[Answer] = []
 
     def ask(self, name: str) -> bool:
-        """Ask for the jobs of a name, where no question is open."""
+        """Ask for the jobs of a name, where no snapshot is open."""
         if self._thread is not None and self._thread.is_alive():
             return False
         self._thread = threading.Thread(target=self._look, args=(name,), daemon=True)
