@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from sierra.containers.images.listing import Known
     from sierra.design.experiments import Heed
     from sierra.execution.execute import Summary
-    from sierra.execution.executor import How, Watch
+    from sierra.execution.executor import RunOptions, Watch
     from sierra.execution.plans import Plan
     from sierra.execution.status import Standing
     from sierra.execution.takeover import Cancelled
@@ -149,17 +149,17 @@ class Project:
         say: Callable[[str], None] | None = None,
         leave: Callable[[], bool] | None = None,
     ) -> Summary:
-        """Execute a plan. `say` gets what the user should know at once; see `sierra.execution.executor.How`."""
+        """Execute a plan. `say` gets what the user should know at once; see `sierra.execution.executor.RunOptions`."""
         from sierra import runners
         from sierra.execution import execute
-        from sierra.execution.executor import How
+        from sierra.execution.executor import RunOptions
 
         stays = runners.find(runner, self.config.runners)(1).stays
         if detach and not stays:
             raise UsageError(
                 f"what {runner!r} executes ends with this process: only what is on a cluster can be left to itself"
             )
-        how = How(
+        options = RunOptions(
             _slots(jobs),
             runner,
             fail_fast,
@@ -169,8 +169,8 @@ class Project:
             detach=detach,
         )
         store = Store.create(self.paths.store)
-        probed = self._probe(plan, store, how) if self.config.determinism.probe else ()
-        summary = execute.run(plan, store, how)
+        probed = self._probe(plan, store, options) if self.config.determinism.probe else ()
+        summary = execute.run(plan, store, options)
         summary = replace(summary, notes=(*probed, *summary.notes))
         return self._drawn(summary) if figures else summary
 
@@ -220,9 +220,9 @@ class Project:
         """
         from sierra.replay import replay
 
-        how = replay.How(_slots(jobs), runs, runner, engine, tolerances or {}, keep)
+        options = replay.ReplayOptions(_slots(jobs), runs, runner, engine, tolerances or {}, keep)
         execute = replay.replay if record else replay.unrecorded
-        return execute(self._loaded, self.store, prefix, how, watch or (lambda progress: None), say or (lambda text: None))
+        return execute(self._loaded, self.store, prefix, options, watch or (lambda progress: None), say or (lambda text: None))
 
     def proposal(self, plan: Plan, runner: str, *, detach: bool = False) -> Estimate | None:
         """What answering a plan would ask of a cluster: see `sierra.runners.cluster.estimate`. None where nothing would."""
@@ -452,10 +452,10 @@ class Project:
         batch: str = known[-1]["batch"]
         return batch
 
-    def _probe(self, plan: Plan, store: Store, how: How) -> tuple[str, ...]:
+    def _probe(self, plan: Plan, store: Store, options: RunOptions) -> tuple[str, ...]:
         from sierra.replay import determinism  # and with it all that a replay needs
 
-        return determinism.probe(plan, store, how)
+        return determinism.probe(plan, store, options)
 
     def _drawn(self, summary: Summary) -> Summary:
         """The same with figures, where there is something to draw."""

@@ -112,7 +112,7 @@ def test_a_statement_goes_on_until_its_semicolon_and_an_error_ends_nothing(open_
     terminal.type("SELECT nope;\n")
     assert "sierra: Binder Error" in terminal.until("sql> ")
     terminal.type("DROP TABLE runs;\n")
-    assert "the store is only read here" in terminal.until("sql> ")
+    assert "the store is read-only here" in terminal.until("sql> ")
     terminal.type(".tables\n")
     assert {"swarm", "runs", "executions"} <= set(terminal.until("sql> ").split())
     terminal.type(".help\n")

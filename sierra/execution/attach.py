@@ -34,7 +34,7 @@ class Attached:
     notes: tuple[str, ...] = ()
 
 
-def attach(store: Store, session: Session, ears: Observer, leave: Callable[[], bool], *, detach: bool = False) -> Attached:
+def attach(store: Store, session: Session, observer: Observer, leave: Callable[[], bool], *, detach: bool = False) -> Attached:
     """Follow a session that was adopted, and close it; with `detach`, record what has finished and leave it.
 
     Raises what a runner raises that can't go on.
@@ -44,13 +44,13 @@ def attach(store: Store, session: Session, ears: Observer, leave: Callable[[], b
 
     def took(run: str, status: Status) -> None:
         done[run] = status
-        ears.took(run, status)
+        observer.took(run, status)
 
     try:
         context, runner = _submitted(session)
         recorder = Recorder(store, session.paths, context)
         with noted(detach) as signals:
-            following = Following(runner, recorder, store, session, replace(ears, took=took), leave=leave)
+            following = Following(runner, recorder, store, session, replace(observer, took=took), leave=leave)
             following.go_on(signals)
         if not following.left:
             find_odd(store, session.paths, context)

@@ -16,7 +16,7 @@ from typing import Any
 
 from sierra import runners
 from sierra.execution import records, recover
-from sierra.execution.executor import Executor, How
+from sierra.execution.executor import Executor, RunOptions
 from sierra.execution.plans import Plan, context, out_of_reach, versioned
 from sierra.execution.reuse import FAILED, is_answered, states
 from sierra.execution.sessions import Session
@@ -81,7 +81,7 @@ class Summary:
     """Why no figure could be written at all (a full disk, a file in the way); the answer itself is recorded."""
 
 
-def run(plan: Plan, store: Store, how: How) -> Summary:
+def run(plan: Plan, store: Store, options: RunOptions) -> Summary:
     """Execute what has no good execution yet, record it, and say how it went.
 
     When interrupted, ends what runs, or leaves it to itself where it lives on elsewhere; what has finished is kept.
@@ -91,7 +91,7 @@ def run(plan: Plan, store: Store, how: How) -> Summary:
     if is_answered(plan, store):
         return _summary(plan, store, len({run.id for run in plan.batch.runs}))
     plan = versioned(plan)
-    make = partial(runners.find(how.runner, plan.project.config.runners), how.slots)
+    make = partial(runners.find(options.runner, plan.project.config.runners), options.slots)
     session = Session(store.paths, None if make().stays else plan.project.config.store.place())
     try:
         session.take_number()
@@ -99,44 +99,44 @@ def run(plan: Plan, store: Store, how: How) -> Summary:
             records.keep(plan, store, session)
         stays = make().stays
         if stays:
-            records.prepare(plan, store, session, started=began, runner=how.runner)
+            records.prepare(plan, store, session, started=began, runner=options.runner)
         odd = find_odd(store, session.paths, context(plan, session.id, session.number))
-        asking = Executor(plan, store, session, make, how)
-        if asking.rules_changed:
-            asking.failed |= odd
-        asking.answer()
-        summary = _sum_up(asking)
-        if session.paths not in asking.left:
-            slots = None if stays else how.slots
-            records.close(plan, store, session, asdict(summary), started=began, runner=how.runner, slots=slots)
+        executor = Executor(plan, store, session, make, options)
+        if executor.rules_changed:
+            executor.failed |= odd
+        executor.answer()
+        summary = _sum_up(executor)
+        if session.paths not in executor.left:
+            slots = None if stays else options.slots
+            records.close(plan, store, session, asdict(summary), started=began, runner=options.runner, slots=slots)
         return summary
     finally:
         session.close()
 
 
-def _sum_up(asking: Executor) -> Summary:
+def _sum_up(executor: Executor) -> Summary:
     """Count by what the store says now."""
-    plan, store = asking.plan, asking.store
+    plan, store = executor.plan, executor.store
     now = states(plan, store)
     runs = len(now)
     for run in [run for run, state in now.items() if state.good]:
         del now[run]
     bad = now.keys()
-    failed = bad & (asking.attempted | asking.failed)
+    failed = bad & (executor.attempted | executor.failed)
     return _summary(
         plan,
         store,
         runs,
-        executed=asking.attempted,
-        again=asking.again,
-        awaited=asking.awaited - asking.attempted - bad,
-        judged=asking.judged - asking.attempted,
+        executed=executor.attempted,
+        again=executor.again,
+        awaited=executor.awaited - executor.attempted - bad,
+        judged=executor.judged - executor.attempted,
         failed=failed,
         missing=bad - failed if failed else bad,
         tried={run for run, state in now.items() if state.worth == FAILED} | failed,
-        interrupted=asking.interrupted,
-        left=tuple(paths.root.name for paths in asking.left),
-        notes=asking.notes,
+        interrupted=executor.interrupted,
+        left=tuple(paths.root.name for paths in executor.left),
+        notes=executor.notes,
     )
 
 

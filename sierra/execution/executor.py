@@ -54,7 +54,7 @@ Watch = Callable[[Progress], None]
 
 
 @dataclass(frozen=True, slots=True)
-class How:
+class RunOptions:
     """How to answer: where, and who hears of it."""
 
     slots: int
@@ -74,7 +74,7 @@ class How:
 class Executor:
     """One asking while it is answered: what is done, what failed, what others do."""
 
-    def __init__(self, plan: Plan, store: Store, session: Session, runner: Callable[[], Runner], how: How) -> None:
+    def __init__(self, plan: Plan, store: Store, session: Session, runner: Callable[[], Runner], options: RunOptions) -> None:
         self.plan = plan
         self.store = store
         self.session = session
@@ -86,7 +86,7 @@ class Executor:
         self.notes: tuple[str, ...] = ()
         self._doubted: str | None = None
         self._runner = runner
-        self._how = how
+        self._options = options
         self.reused = 0
         self._total = len({run.id for run in plan.batch.runs})
         self._context = context(plan, session.id, session.number)
@@ -145,8 +145,8 @@ class Executor:
             self._before = {run: now[run].executions for run in wanted if now[run].executions}
             self.reused = self._total - len(wanted)
         self.failed |= {run for run in wanted if now[run].executions > self._before.get(run, 0)}
-        if self._how.only is not None:
-            wanted &= self._how.only
+        if self._options.only is not None:
+            wanted &= self._options.only
         wanted -= self.failed
         wanted -= self.attempted
         return wanted
@@ -160,7 +160,7 @@ class Executor:
         self._context.save(self.session.paths.context)
         anew = judge_anew(self.store, self.session.paths, self._context, fresh, mismatched=self.rules_changed)
         for lack, count in Counter(anew.unread.values()).most_common(NOTED):
-            self._how.say(f"executing {counted(count, 'run')} again, which cannot be judged by the changed rules: {lack}")
+            self._options.say(f"executing {counted(count, 'run')} again, which cannot be judged by the changed rules: {lack}")
         if anew.judged:
             find_odd(self.store, self.session.paths, self._context)
         self.judged |= anew.judged
@@ -180,16 +180,16 @@ class Executor:
         # what a cluster executes is a snapshot, and its nodes check the programs
         doubt = self._doubt if not runner.stays else lambda: None
         recorder = Recorder(self.store, self.session.paths, self._context, doubt=doubt)
-        with noted(self._how.detach) as signals:
-            ears = Observer(self._took, self._tell, self._how.say)
-            following = Following(runner, recorder, self.store, self.session, ears, leave=self._how.leave)
+        with noted(self._options.detach) as signals:
+            observer = Observer(self._took, self._tell, self._options.say)
+            following = Following(runner, recorder, self.store, self.session, observer, leave=self._options.leave)
             work = Work(
                 self._jobs(wanted, root, contained, self.session.paths.worker if runner.stays else None),
                 len(wanted),
                 self.plan.batch.id,
                 (*needed(programs, self._search(root)), *contained.needed),
                 timing.expected(plan, self.store, wanted) if runner.stays else None,
-                not self._how.detach,
+                not self._options.detach,
                 environment.recorded(self.plan.project.config.environment.record),
                 self.plan.environment,
             )
@@ -202,7 +202,7 @@ class Executor:
             self.notes += tuple(recorder.notes())
         self.left += [self.session.paths] if following.left else []
         cancelled = self.session.paths.cancelled.exists() and not self._is_enough()
-        self.interrupted = cancelled or (bool(signals) and not self._how.detach)
+        self.interrupted = cancelled or (bool(signals) and not self._options.detach)
         return odd
 
     def _doubt(self) -> str | None:
@@ -212,7 +212,7 @@ class Executor:
         return self._doubted
 
     def _is_enough(self) -> bool:
-        return self._doubted is not None or (self._how.fail_fast and bool(self.failed))
+        return self._doubted is not None or (self._options.fail_fast and bool(self.failed))
 
     def _took(self, run: str, status: Status) -> None:
         self._open.discard(run)
@@ -288,7 +288,7 @@ class Executor:
             raise Missing(f"programs have changed {meanwhile}: {few(plan.programs.unlike(programs), 3)}; ask again")
         if made and (left_out := checkout.left_out()):  # said last: who listens may write it to a file of the project
             what = "nodes have of these only what the command, a variable or the template names"
-            self._how.say(f"git ignores {left_out} in the project: {what}")
+            self._options.say(f"git ignores {left_out} in the project: {what}")
         return root, programs
 
     def _wait(self, wanted: AbstractSet[str]) -> bool:
@@ -297,8 +297,8 @@ class Executor:
         What is on a cluster, and nobody follows (any more), is followed here.
         """
         session = self._adopted(wanted)
-        if session is None and self._how.detach:
-            self._how.say(f"{len(wanted)} runs are executed by other processes already; they are not waited for")
+        if session is None and self._options.detach:
+            self._options.say(f"{len(wanted)} runs are executed by other processes already; they are not waited for")
             return False
         session = session or self._until_free(wanted)
         if session is not None:
@@ -331,8 +331,8 @@ class Executor:
     def _join(self, session: Session, wanted: AbstractSet[str]) -> None:
         """Follow what was submitted before."""
         mine = sessions.claims(session.paths) & wanted
-        self._how.say(f"{len(mine)} runs have been submitted before ({session.id}); they are followed")
-        attached = attach(self.store, session, self._hearing(mine), self._how.leave, detach=self._how.detach)
+        self._options.say(f"{len(mine)} runs have been submitted before ({session.id}); they are followed")
+        attached = attach(self.store, session, self._hearing(mine), self._options.leave, detach=self._options.detach)
         self.notes += attached.notes
         self.left += [session.paths] if attached.left else []
         self.interrupted = attached.interrupted
@@ -344,8 +344,8 @@ class Executor:
         def tell(running: int, queued: int, waits: str) -> None:
             self._tell(running, queued, waits, elsewhere=len(to_come))
 
-        return Observer(lambda run, status: to_come.discard(run), tell, self._how.say)
+        return Observer(lambda run, status: to_come.discard(run), tell, self._options.say)
 
     def _tell(self, running: int, queued: int = 0, waits: str = "", elsewhere: int = 0) -> None:
         done = len(self._claimed) - len(self._open)
-        self._how.watch(Progress(self._total, self.reused, done, len(self.failed), running, elsewhere, queued, waits))
+        self._options.watch(Progress(self._total, self.reused, done, len(self.failed), running, elsewhere, queued, waits))

@@ -40,7 +40,7 @@ class Following:
         recorder: Recorder,
         store: Store,
         session: Session,
-        ears: Observer,
+        observer: Observer,
         *,
         leave: Callable[[], bool] = lambda: True,
     ) -> None:
@@ -49,7 +49,7 @@ class Following:
         self._recorder = recorder
         self._store = store
         self._session = session
-        self._ears = ears
+        self._observer = observer
         self._leave = leave
         self.left = False
         """Whether what runs was left to itself."""
@@ -80,7 +80,7 @@ class Following:
             self._take(look)
             if self._recorder.due():
                 self._flush()
-            self._ears.tell(look.running, look.queued, look.waits)
+            self._observer.tell(look.running, look.queued, look.waits)
             self._session.beat()
             if len(signals) > told or (enough() and not told):
                 if self._runner.stays and len(signals) > told and self._leave():
@@ -100,7 +100,7 @@ class Following:
         self._flush()
         if self.left:
             self._session.leave()
-        self._ears.tell(0, 0, "")
+        self._observer.tell(0, 0, "")
 
     def _look(self) -> Look:
         """What has happened; where the runner can't go on, what it had told is recorded first."""
@@ -120,14 +120,14 @@ class Following:
         for result in look.results:
             status = self._recorder.add(result)
             if status is not Status.INTERRUPTED:
-                self._ears.took(result.run, status)
+                self._observer.took(result.run, status)
         self._recorder.beside(look.rows, look.copies)
         for text in look.notes:
-            self._ears.say(text)
+            self._observer.say(text)
 
     def _flush(self) -> None:
         for run, status, _ in self._recorder.flush():
-            self._ears.took(run, status)
+            self._observer.took(run, status)
 
     @contextlib.contextmanager
     def _giving_up(self) -> Iterator[None]:

@@ -64,7 +64,7 @@ def follow(store: Store, prefix: str, watch: Watch, say: Say, leave: Callable[[]
             continue
         if row.query is None:
             say(f"session {row.session} is of a replay that nobody awaits any more: it is recorded, and nothing is compared")
-        told.append(attach(store, session, _ears(store, row, watch, say), leave))
+        told.append(attach(store, session, _observer(store, row, watch, say), leave))
         left += [row.session] if told[-1].left else []
     if not told:
         raise SierraError("; ".join(busy))
@@ -95,7 +95,7 @@ def _busy(store: Store, row: Standing) -> str:
     return f"session {row.session} is followed by {sessions.holder(store.paths.session(row.session))}"
 
 
-def _ears(store: Store, row: Standing, watch: Watch, say: Say) -> Observer:
+def _observer(store: Store, row: Standing, watch: Watch, say: Say) -> Observer:
     """Who hears of one session: progress counts its runs."""
     before, failed = counted(store, [row.session])[row.session]
     done: set[str] = set()

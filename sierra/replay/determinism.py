@@ -9,7 +9,7 @@ from dataclasses import replace as replaced
 
 from sierra.errors import Missing
 from sierra.execution import execute
-from sierra.execution.executor import How
+from sierra.execution.executor import RunOptions
 from sierra.execution.plans import Plan
 from sierra.execution.reuse import states
 from sierra.replay import replay
@@ -19,19 +19,19 @@ from sierra.store.store import Store
 from sierra.util.hashing import short
 
 
-def probe(plan: Plan, store: Store, how: How) -> tuple[str, ...]:
+def probe(plan: Plan, store: Store, options: RunOptions) -> tuple[str, ...]:
     """Probe the first run that has no good execution; what came of it. Nothing where there is none, or it fails."""
     found = states(plan, store)
     run = next((run.id for run in plan.batch.runs if not found[run.id].good), None)
     if run is None:
         return ()
-    first = execute.run(plan, store, replaced(how, slots=1, only={run}, detach=False))
+    first = execute.run(plan, store, replaced(options, slots=1, only={run}, detach=False))
     if first.interrupted:
         raise KeyboardInterrupt
     if not first.executed or not states(plan, store)[run].good:
         return ()
     try:
-        answer = replay.replay(plan.project, store, run, replay.How(slots=1, runner=how.runner), how.watch)
+        answer = replay.replay(plan.project, store, run, replay.ReplayOptions(slots=1, runner=options.runner), options.watch)
     except Missing as error:
         return (f"run {short(run)} could not be executed a second time: {error}",)
     if answer.interrupted:

@@ -51,7 +51,7 @@ ARITHMETIC = ("machine", "cpu_flags", "gpus", "libc", "container")
 
 
 @dataclass(frozen=True, slots=True)
-class How:
+class ReplayOptions:
     """How to replay."""
 
     slots: int
@@ -90,7 +90,7 @@ def replay(
     project: LoadedProject,
     store: Store,
     prefix: str,
-    how: How,
+    options: ReplayOptions,
     watch: Watch = lambda progress: None,
     say: Callable[[str], None] = lambda text: None,
 ) -> Replay:
@@ -101,15 +101,15 @@ def replay(
     if not os.access(store.paths.root, os.W_OK):
         raise Missing(f"cannot write to {store.paths.root}; a replay with --no-record does not need to")
     recover.finish_dead(store)
-    record = _look_up(store, store.resolve(prefix), how.runs)
-    declared = _declared(record, project, how.tolerances)
+    record = _look_up(store, store.resolve(prefix), options.runs)
+    declared = _declared(record, project, options.tolerances)
     was = _metrics(project, store, record, declared)
-    engine = stored_plan.engine(store, record.of.batch, record.of.recipe, how.engine, hosted=True)
+    engine = stored_plan.engine(store, record.of.batch, record.of.recipe, options.engine, hosted=True)
     image = stored_plan.image(project, store, record.of.recipe)
-    runner = runners.find(how.runner, project.config.runners)(how.slots)
+    runner = runners.find(options.runner, project.config.runners)(options.slots)
     began = datetime.now(UTC)
     session = Session(store.paths, project.config.store.place())
-    kept = store.paths.kept(session.id) if how.keep else None
+    kept = store.paths.kept(session.id) if options.keep else None
     try:
         session.take_number()
         root = session.paths.source
@@ -186,7 +186,7 @@ def replay(
         compared = _compare(record, store, made, failed, declared)
         experiments = tuple(_experiments(project, store, record, list(compared), was, declared))
         answer = Replay(session.id, record.found, experiments, notes, interrupted=False, of=record.named, kept=kept)
-        _keep(answer, store, session, record, now, around, began, how, contained)
+        _keep(answer, store, session, record, now, around, began, options, contained)
         return answer
     finally:
         session.close()
@@ -196,7 +196,7 @@ def unrecorded(
     project: LoadedProject,
     store: Store,
     prefix: str,
-    how: How,
+    options: ReplayOptions,
     watch: Watch = lambda progress: None,
     say: Callable[[str], None] = lambda text: None,
 ) -> Replay:
@@ -204,14 +204,14 @@ def unrecorded(
 
     Raises the same, and UsageError for what would need the record: to keep folders, or to execute on a cluster.
     """
-    if how.keep:
+    if options.keep:
         raise UsageError("--keep leaves folders in the store; ask without --no-record")
-    if runners.find(how.runner, project.config.runners)(how.slots).stays:
-        raise UsageError(f"what {how.runner!r} executes is found again by the record; ask without --no-record")
+    if runners.find(options.runner, project.config.runners)(options.slots).stays:
+        raise UsageError(f"what {options.runner!r} executes is found again by the record; ask without --no-record")
     own = project.config.store.model_copy(update={"work": None})  # what is beside is elsewhere already
     inner = replace(project, config=project.config.model_copy(update={"store": own}))
     with store.beside(project.config.store.place()) as other:
-        return replay(inner, other, prefix, how, watch, say)
+        return replay(inner, other, prefix, options, watch, say)
 
 
 def _look_up(store: Store, found: Found, runs: int | None) -> _Record:
@@ -373,9 +373,9 @@ def _execute(
         watch(Progress(work.count, 0, len(done), len(bad()), running, queued=queued, waits=waits))
 
     with noted() as signals:
-        ears = Observer(took, tell, say)
+        observer = Observer(took, tell, say)
         recorder = Recorder(store, session.paths, context, kept, doubt)
-        following = Following(runner, recorder, store, session, ears, leave=lambda: False)
+        following = Following(runner, recorder, store, session, observer, leave=lambda: False)
         following.execute(work, signals)
     return bad(), bool(signals) or session.paths.cancelled.exists()
 
@@ -449,7 +449,7 @@ def _keep(
     now: Programs,
     around: Mapping[str, Any],
     began: datetime,
-    how: How,
+    options: ReplayOptions,
     contained: Isolation,
 ) -> None:
     """Record the replay and its verdicts."""
@@ -464,11 +464,11 @@ def _keep(
                 "batch": record.of.batch,
                 "started": began,
                 "ended": datetime.now(UTC),
-                "runner": how.runner,
+                "runner": options.runner,
                 "engine": contained.engine.name,
                 "runs": len(answer.runs),
                 "verdict": str(answer.verdict),
-                "tolerances": json.dumps(plain(how.tolerances)) if how.tolerances else None,
+                "tolerances": json.dumps(plain(options.tolerances)) if options.tolerances else None,
                 "environment": around["environment"],
                 "programs": now.id,
                 "lamport": stamp(session.number, session.id),
