@@ -182,9 +182,8 @@ def ls(as_json: AsJson = False) -> None:
     """
     from dataclasses import asdict
 
-    from sierra.cli.maintenance import size
     from sierra.cli.open_project import project
-    from sierra.cli.output import print_json, readable, table
+    from sierra.cli.output import print_json, readable, size, table
     from sierra.containers.images import short
 
     known = project().images()

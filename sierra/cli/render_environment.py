@@ -47,7 +47,7 @@ def print_image(image: Mapping[str, Any], reach: Sequence[str]) -> None:
 
 
 def _image(image: Mapping[str, Any], reach: Sequence[str]) -> Iterator[tuple[str, Any]]:
-    from sierra.cli.maintenance import size
+    from sierra.cli.output import size
 
     yield "name", image.get("name", "not recorded")
     yield "id", image["image"]
@@ -93,7 +93,7 @@ def _isolation(isolation: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
 
 
 def _limits(limits: Mapping[str, float]) -> str:
-    from sierra.cli.maintenance import size
+    from sierra.cli.output import size
 
     return ", ".join(f"{name} {size(int(value)) if name == 'memory' else f'{value:g}'}" for name, value in limits.items())
 

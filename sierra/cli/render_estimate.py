@@ -26,7 +26,7 @@ def show(proposal: Estimate, *, explain: bool, script: bool) -> None:
 
 
 def _lines(proposal: Estimate) -> Iterator[str]:
-    from sierra.cli.maintenance import size
+    from sierra.cli.output import size
     from sierra.cli.progress import duration
     from sierra.util.text import counted
 

@@ -1,56 +1,19 @@
-"""`sierra ls` and `sierra show`: what is in the store."""
+"""`sierra show`: show a batch, an experiment, a run or an execution."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from sierra.cli import complete
-
-if TYPE_CHECKING:
-    pass
 
 SHOWN_REASONS = 10
 MORE = 4
 """Columns that are named where the terminal has no room for them."""
 AT_MOST = {"attempts": 20, "nondeterminism": 10, "verdicts": 20}
 """Rows of tables that may be as long as a batch."""
-
-
-def ls(
-    as_json: Annotated[bool, typer.Option("--json", help="Print a JSON list instead.")] = False,
-) -> None:
-    """List the batches, the last asked for last.
-
-    \b
-    Example:
-      sierra ls
-    """
-    from sierra.cli.open_project import project
-    from sierra.cli.output import print_json, table
-    from sierra.util.hashing import short
-
-    batches = project().batches
-    if as_json:
-        print_json(batches)
-        return
-    columns = {
-        "batch": [short(row["batch"]) for row in batches],
-        "asked": [row["answered"] or row["created"] for row in batches],
-        **{name: [row[name] for row in batches] for name in ("query", "controller", "scenario")},
-        **_where_any("set", [" ".join(row["sets"]) for row in batches]),
-        **_where_any("other than before", [", ".join(row["unlike"]) for row in batches]),
-        **{name: [row[name] for row in batches] for name in ("experiments", "runs")},
-        "state": [_state(row) for row in batches],
-    }
-    table(tuple(columns), zip(*columns.values(), strict=True), right=("experiments", "runs"))
-
-
-def _where_any(name: str, texts: Sequence[str]) -> dict[str, Sequence[str]]:
-    """Return a column, where there is something in it."""
-    return {name: texts} if any(texts) else {}
 
 
 def show(
@@ -118,16 +81,6 @@ def _print_failures(failures: Sequence[Mapping[str, Any]]) -> None:
     if len(failures) > SHOWN_REASONS:
         runs = sum(failure["runs"] for failure in failures[SHOWN_REASONS:])
         print(f"  and {len(failures) - SHOWN_REASONS} more reasons, of {runs} runs (--json has them all)")
-
-
-def _state(row: dict[str, Any]) -> str:
-    from sierra.cli import detach
-
-    parts = [f"{row[name]} {name}" for name in ("failed", "missing") if row[name]] or ["complete"]
-    parts += [f"on {one['runner']} now ({detach.named(one['jobs'])})" for one in row["clusters"]]
-    if row["nondeterministic"]:
-        parts.append(f"{row['nondeterministic']} not deterministic")
-    return ", ".join(parts)
 
 
 def _print(shown: dict[str, Any]) -> None:

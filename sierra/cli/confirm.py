@@ -1,0 +1,18 @@
+"""Ask before something is removed."""
+
+from __future__ import annotations
+
+import sys
+
+import typer
+
+from sierra.errors import UsageError
+
+
+def agreed(lines: list[str], yes: bool, quiet: bool, what: str) -> bool:
+    """Return whether to go on: by --yes, or by an answer on a terminal. Raises UsageError where there is neither."""
+    if not yes and not (sys.stdin.isatty() and sys.stdout.isatty()):
+        raise UsageError(f"{what}: {'; '.join(lines)}; there is no terminal to ask on, so say --yes")
+    if not quiet:
+        print(f"{what}:\n" + "\n".join(f"  {line}" for line in lines))
+    return yes or typer.confirm("go on?", default=False)

@@ -1,0 +1,93 @@
+"""`sierra fsck`: check the store, and repair it."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from sierra.maintenance.fsck import Report
+
+SHOWN = 20
+
+
+def fsck(
+    repair: Annotated[bool, typer.Option("--repair", help="Make again what can be, and put aside what is damaged.")] = False,
+    dry_run: Annotated[bool, typer.Option("--dry-run", "-n", help="With --repair: only say what would be done.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead.")] = False,
+) -> None:
+    """Check all that is recorded, and name what is damaged.
+
+    Every byte is checked against what vouches for it; every id is made again from its record; all that records refer to must
+    be there; the recorded sources must still be in git. The exit code is 1 if anything of that is not so.
+
+    A repair deletes nothing: damaged segments are moved to .sierra/damaged, and what is sound in them is kept. What was lost is
+    executed again by sierra run.
+
+    \b
+    Examples:
+      sierra fsck
+      sierra fsck --json
+      sierra fsck --repair --dry-run
+    """
+    from sierra.cli import open_project
+    from sierra.cli.output import print_json
+
+    project, tell = open_project.project(), _telling(quiet=as_json)
+    done: tuple[str, ...] = ()
+    if repair or dry_run:
+        repaired = project.repair(dry_run=dry_run, tell=tell)
+        report, done = repaired.report, repaired.done
+    else:
+        report = project.fsck(tell=tell)
+    if as_json:
+        print_json({"repaired": list(done), **_report(report)})
+    else:
+        for line in done:
+            print(("would repair: " if dry_run else "repaired: ") + line)
+        _print(report)
+        if not done and any(one.kind.repairable for one in report.findings):
+            print("sierra fsck --repair puts aside what is damaged, and keeps the rest; sierra run makes again what is lost")
+    if not report.sound:
+        raise typer.Exit(1)
+
+
+def _report(report: Report) -> dict[str, Any]:
+    told = {name: getattr(report, name) for name in ("sound", "segments", "files", "bytes", "objects", "executions", "seconds")}
+    findings = [
+        {"kind": one.kind, "path": one.path, "what": one.what, **asdict(one.affected), "damage": not one.kind.fine}
+        for one in report.findings
+    ]
+    return {**told, "findings": findings}
+
+
+def _print(report: Report) -> None:
+    from sierra.cli.output import readable, size
+
+    for finding in report.findings[:SHOWN]:
+        print(readable(str(finding)))
+    if len(report.findings) > SHOWN:
+        print(f"and {len(report.findings) - SHOWN} more (--json has them all)")
+    wrong = sum(not finding.kind.fine for finding in report.findings)
+    print(
+        f"{'sound' if report.sound else f'{wrong} wrong'}: {report.segments} segments, {report.files} files, "
+        f"{size(report.bytes)}, {report.objects} objects, {report.executions} executions checked in {report.seconds:.1f} s"
+    )
+
+
+def _telling(*, quiet: bool) -> Callable[[str], None]:
+    """Return a function that writes to standard error how far the check has come, every 5 seconds."""
+    said = time.monotonic()
+
+    def tell(text: str) -> None:
+        nonlocal said
+        if not quiet and time.monotonic() - said > 5:
+            said = time.monotonic()
+            print(text, file=sys.stderr, flush=True)
+
+    return tell

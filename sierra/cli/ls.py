@@ -1,0 +1,52 @@
+"""`sierra ls`: list the batches."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Annotated, Any
+
+import typer
+
+
+def ls(
+    as_json: Annotated[bool, typer.Option("--json", help="Print a JSON list instead.")] = False,
+) -> None:
+    """List batches, most recent last.
+
+    \b
+    Example:
+      sierra ls
+    """
+    from sierra.cli.open_project import project
+    from sierra.cli.output import print_json, table
+    from sierra.util.hashing import short
+
+    batches = project().batches
+    if as_json:
+        print_json(batches)
+        return
+    columns = {
+        "batch": [short(row["batch"]) for row in batches],
+        "asked": [row["answered"] or row["created"] for row in batches],
+        **{name: [row[name] for row in batches] for name in ("query", "controller", "scenario")},
+        **_where_any("set", [" ".join(row["sets"]) for row in batches]),
+        **_where_any("other than before", [", ".join(row["unlike"]) for row in batches]),
+        **{name: [row[name] for row in batches] for name in ("experiments", "runs")},
+        "state": [_state(row) for row in batches],
+    }
+    table(tuple(columns), zip(*columns.values(), strict=True), right=("experiments", "runs"))
+
+
+def _where_any(name: str, texts: Sequence[str]) -> dict[str, Sequence[str]]:
+    """Return a column, where there is something in it."""
+    return {name: texts} if any(texts) else {}
+
+
+def _state(row: dict[str, Any]) -> str:
+    from sierra.cli import detach
+
+    parts = [f"{row[name]} {name}" for name in ("failed", "missing") if row[name]] or ["complete"]
+    parts += [f"on {one['runner']} now ({detach.named(one['jobs'])})" for one in row["clusters"]]
+    if row["nondeterministic"]:
+        parts.append(f"{row['nondeterministic']} not deterministic")
+    return ", ".join(parts)

@@ -1,0 +1,44 @@
+"""`sierra status`: show the state of cluster jobs."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import Annotated
+
+import typer
+
+from sierra.cli import complete
+
+
+def status(
+    prefix: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="HASH",
+            autocompletion=complete.ids,
+            help="A batch, or a session, by the beginning of its id (default: all).",
+        ),
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print a JSON list instead.")] = False,
+) -> None:
+    """Show the state of cluster jobs.
+
+    What has finished of that is recorded first, where no other process follows. The scheduler is asked once for each session,
+    how many elements are queued (and why, in its words) and how many are running. A session that is gone has ended with runs
+    missing: sierra attach submits them again.
+
+    \b
+    Examples:
+      sierra status
+      sierra status 774d --json
+    """
+    from sierra.cli import open_project, render_status
+    from sierra.cli.output import note, print_json
+
+    found = open_project.project().status(prefix, say=note)
+    if as_json:
+        print_json([asdict(one) for one in found])
+    elif found:
+        render_status.show(found)
+    else:
+        print("nothing is on a cluster" if prefix is None else f"nothing of {prefix} is on a cluster")
