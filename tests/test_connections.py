@@ -107,7 +107,7 @@ def test_what_a_large_question_wrote_to_the_disk_is_gone_with_it(
 ) -> None:
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     shutil.copytree(store.paths.root, tmp_path / "project")
-    with Store(tmp_path / "project").ask() as snapshot:
+    with Store(tmp_path / "project").snapshot() as snapshot:
         snapshot.run("SET memory_limit = '60MB'")
         snapshot.run("SET threads = 1")
         snapshot.run("CREATE TEMP TABLE large AS SELECT range AS a, hash(range) AS b FROM range(10000000)")

@@ -46,7 +46,7 @@ def test_runs_that_were_executed_again_without_a_replay_are_found_too(tmp_path: 
     project = make(tmp_path, NOISY, '[store]\nraw = false\n[outputs.swarm]\nfile = "swarm.csv"\n')  # else judged anew
     batch = project.run("population_size=1", figures=False).batch
     config = project.root / "sierra.toml"
-    config.write_text(config.read_text() + "min_rows = 2\n")
+    config.write_text(config.read_text().replace("[outputs.swarm]", "[outputs.other]"))
     again = sierra.open(project.root).run("population_size=1", figures=False)
     assert (again.batch, again.executed, again.again) == (batch, 2, 2)
     assert [row["nondeterministic"] for row in project.batches] == [2]

@@ -75,7 +75,8 @@ def test_the_next_command_that_is_said_gives_a_plot_from_any_folder_of_the_proje
 
 def test_no_heavy_library_is_loaded(folder: Path) -> None:
     program = (
-        "import sys; from sierra import start; from pathlib import Path; start.find_out(Path(), start.Options());"
+        "import sys; from pathlib import Path; from sierra.setup.init import answers, wizard;"
+        "wizard.find_out(Path(), answers.Options());"
         "print({'duckdb', 'pandas', 'pyarrow', 'matplotlib', 'numpy', 'fabric'} & sys.modules.keys())"
     )
     ended = subprocess.run([sys.executable, "-c", program], cwd=folder, capture_output=True, text=True, check=True)

@@ -24,7 +24,7 @@ from sierra.store.layout import StorePaths
 from sierra.util import entry_points
 
 SHIPPED = {
-    "none": "sierra.containers.engines.base:Uncontained",
+    "none": "sierra.containers.engines.base:NoEngine",
     "podman": "sierra.containers.engines.podman:Podman",
     "apptainer": "sierra.containers.engines.apptainer:Apptainer",
 }
