@@ -21,7 +21,7 @@ LOCKED = --no-compile --only-binary :all: --require-hashes --requirement require
 
 .DEFAULT_GOAL = help
 .DELETE_ON_ERROR:
-.PHONY: help install demo test slow soak check format bench schemas lock system dist clean
+.PHONY: help install demo test slow soak check format bench schemas docs lock system dist clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## /\1	/p' Makefile | expand -t 10
@@ -67,8 +67,12 @@ format: install ## rewrite the code in the project's style
 bench: install ## measure what SIERRA itself costs
 	$(BIN)/python tests/bench/run.py
 
-schemas: install ## write schemas/ from the code
+schemas: install ## write schemas/ and docs/reference/ from the code
 	$(BIN)/sierra schema --write schemas
+	$(BIN)/python docs/generate.py
+
+docs: install ## build the documentation as a site, in build/site
+	$(BIN)/mkdocs build --quiet --strict
 
 # An existing lock's versions stay unless pyproject.toml rules them out; UPGRADE=--upgrade takes the newest.
 lock: ## write requirements.lock from pyproject.toml
