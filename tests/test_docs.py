@@ -182,6 +182,14 @@ def test_every_link_leads_somewhere(page: Path) -> None:
             assert target.is_relative_to(DOCS), f"{name_of(page)}: {link} is not on the site"
 
 
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_every_file_of_the_repository_that_a_page_names_exists(page: Path) -> None:
+    if page.is_relative_to(DOCS / "reference"):
+        return
+    named = re.findall(r"`((?:sierra|tests|docs|schemas)/[\w./-]+)`", FENCE.sub("", page.read_text("utf-8")))
+    assert [path for path in named if not (ROOT / path).exists()] == []
+
+
 def test_the_site_lists_every_page() -> None:
     def listed(part: object) -> Iterator[str]:
         if isinstance(part, str):
