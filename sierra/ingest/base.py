@@ -1,4 +1,4 @@
-"""What all formats have in common: sorting files by their columns, writing what is sound, noting what is not."""
+"""The base class of all readers: it sorts files by their columns, writes valid files, and notes faults."""
 
 from __future__ import annotations
 
@@ -16,13 +16,16 @@ from sierra.store.names import column_names, identifier
 from sierra.store.scans import copy, parquet_metadata, read_parquet
 
 FILE = "# file"
-"""What DuckDB calls the file that a row is from: no name that a column is likely to have."""
+"""DuckDB's name for the column with a row's file; real columns are unlikely to have this name."""
 PARTS = 1000
-"""Sets of columns that one output may have: each is a file in each segment, and files are not to multiply with runs."""
+"""The limit on different sets of columns in one output. Each set is a file in each segment; files must not grow with runs."""
 
 
 class Reader:
-    """What all formats have in common: sorting files by their columns, writing what is sound, noting what is not."""
+    """The base class of the readers of all formats.
+
+    It sorts files by their columns, writes valid files, and notes faults.
+    """
 
     def __init__(self, connection: Any, shape: Shape, target: Path, siblings: Siblings) -> None:
         self.sql = connection
@@ -30,10 +33,10 @@ class Reader:
         self.siblings = siblings
         self.parts = list(shape.parts)
         self.part = Part(())
-        """The one that is being read."""
+        """The part that is being read."""
         self.target = self._first = target
         self._more = 0
-        """How many Parquet files hold what is not as in most files of their part."""
+        """The number of Parquet files for files whose values differ from most files of their part."""
         self.rows: dict[tuple[str, str], int] = {}
         self.counted: dict[tuple[str, str], int] = {}
         self.columns: dict[tuple[str, str], Mapping[str, str]] = {}
@@ -56,7 +59,7 @@ class Reader:
         return Reading(self.rows, self.counted, self.columns, self.hints, self.faults, shape)
 
     def _without_rows(self, files: Sequence[Written]) -> None:
-        """Note that files have neither rows nor columns, if a count of them agrees."""
+        """Record that files have neither rows nor columns, if a count of their rows agrees."""
         self.part = Part(())
         for file, fault in self._miscounted(files, {}):
             self.fault(file, fault)
@@ -65,7 +68,7 @@ class Reader:
             self.columns[file.execution, file.name] = {}
 
     def _one(self, files: Sequence[Written]) -> None:
-        """Read the files of one part, without those of which other rows are read than they have."""
+        """Read the files of one part. Files that turn out to be at fault are left out."""
         while files:
             try:
                 self.one(files)
@@ -79,7 +82,7 @@ class Reader:
                 return
 
     def _miscounted(self, files: Sequence[Written], rows: Mapping[tuple[str, str], int]) -> Iterator[tuple[Written, str]]:
-        """Yield the files that do not have so many rows by a count of their own, each with what is wrong."""
+        """Yield the files whose own count differs from `rows`, each with an error message."""
         for file in files:
             key = file.execution, file.name
             read = rows.get(key, 0)
@@ -90,18 +93,18 @@ class Reader:
                 yield file, counted if isinstance(counted, str) else self.miscount(file, counted, read)
 
     def count(self, file: Written, read: int) -> int | str:
-        """Return the rows of a file, counted without DuckDB, or why they can't be. `read`: how many DuckDB has read.
+        """Return the number of rows in a file, counted without DuckDB, or why it cannot be counted.
 
-        What takes long need only be done where `read` isn't what a quick count gives.
+        `read` is the number of rows that DuckDB has read. A slow count is only needed if a quick count differs from `read`.
         """
         raise NotImplementedError
 
     def miscount(self, file: Written, counted: int, read: int) -> str:
-        """Return a sentence that says that a file has other rows than were read."""
+        """Return the message for a file with a different number of rows than were read."""
         return f"{counted} rows are in it, but {read} were read: it is not as other readers take it"
 
     def sort(self, files: Sequence[Written]) -> Mapping[str, Part | None]:
-        """The columns (and delimiter) of each file that is not at fault, by its path; None where it has no rows nor columns."""
+        """Return the columns (and the delimiter) of each valid file by its path; None if it has no rows and no columns."""
         raise NotImplementedError
 
     def one(self, files: Sequence[Written]) -> None:
@@ -109,14 +112,14 @@ class Reader:
         raise NotImplementedError
 
     def targets(self) -> Iterator[Path]:
-        """Where the files of one part go: those that hold what most of them hold, then others."""
+        """Yield target paths for the files of one part: first for the usual kinds of values, then for others."""
         yield self.target
         while True:
             self._more += 1
             yield self._first.with_stem(f"{self._first.stem}~{PARTS + self._more}")
 
     def _by_part(self, files: Sequence[Written]) -> list[tuple[int | None, list[Written]]]:
-        """The files of each part, by its place."""
+        """Return the files of each part with the part's position; None for files without rows and columns."""
         found = self.sort(files)
         places = {self.key(part): place for place, part in enumerate(self.parts)}
         members: dict[int | None, list[Written]] = {}
@@ -132,7 +135,7 @@ class Reader:
         return list(members.items())
 
     def key(self, part: Part) -> Any:
-        """What is the same for files of one part. The order of columns matters in a CSV alone."""
+        """Return the key that files of one part share. The order of columns matters only in a CSV."""
         return frozenset(part.names)
 
     def fault(self, file: Written, what: str) -> None:
@@ -142,7 +145,7 @@ class Reader:
         return [file for file in files if file.execution not in self.faults]
 
     def done(self, target: Path, files: Sequence[Written], kinds: Mapping[str, Mapping[str, str]]) -> None:
-        """Note what was written to `target`: what these files have in each column, by their paths."""
+        """Record the files that were written to `target`; `kinds` are the kinds of values in their columns, by path."""
         for file in files:
             self.columns[file.execution, file.name] = kinds[file.path]
         self.rows |= dict.fromkeys(((file.execution, file.name) for file in files), 0)
@@ -160,7 +163,7 @@ class Reader:
                 self.columns[key] = dict.fromkeys(self.columns[key], "empty")
 
     def _lacking(self, target: Path) -> set[str]:
-        """The columns of a Parquet file that have no value in some row."""
+        """Return the columns of a Parquet file that have no value in some row."""
         rows = self.sql.execute(
             f"SELECT path_in_schema FROM {parquet_metadata(str(target))} GROUP BY 1 "
             "HAVING coalesce(max(stats_null_count), 1) > 0"
@@ -168,7 +171,7 @@ class Reader:
         return {row[0].partition(", ")[0] for row in rows} | {row[0] for row in rows}
 
     def halve(self, files: Sequence[Written], attempt: Callable[[Sequence[Written]], Any], explain: Callable[..., str]) -> None:
-        """Find the files with which `attempt` fails; they are at fault."""
+        """Find the files for which `attempt` fails, by repeated halving, and mark them as faulty."""
         try:
             if files:
                 attempt(files)
@@ -180,7 +183,7 @@ class Reader:
                     self.halve(half, attempt, explain)
 
     def write(self, target: Path, files: Sequence[Written], source: str, columns: Mapping[str, str]) -> None:
-        """Copy the rows that `source` (a relation on $files) gives, with whose they are; expressions by name."""
+        """Write the rows of `source` (a relation on $files) with their run and execution; `columns` are expressions by name."""
         import pyarrow as pa
 
         owners = pa.table(
@@ -197,7 +200,7 @@ class Reader:
         )
         name = "o.name AS file, " if self.shape.many else ""
         self.sql.register("owners", owners)
-        self.sql.execute("SET threads = 1")  # several would put the pieces of a large file in any order
+        self.sql.execute("SET threads = 1")  # several threads would write the pieces of a large file in any order
         try:
             rows = f"SELECT o.run, o.execution, {name}{named} FROM {source} t JOIN owners o ON t.{identifier(FILE)} = o.path"
             self.sql.execute(copy(rows, target), these(files))
@@ -210,21 +213,21 @@ class Reader:
             self.sql.unregister("owners")
 
     def _check_rows(self, target: Path, files: Sequence[Written]) -> None:
-        """Raise AtFaultError unless `target` has as many rows of each file as the file itself."""
+        """Raise AtFaultError if `target` has a different number of rows of a file than the file itself."""
         only = self._names(files)
         written = rows_by_file(target)
         if faults := list(self._miscounted(files, {(one, only[one, name]): rows for (one, name), rows in written.items()})):
             raise AtFaultError(faults)
 
     def _names(self, files: Sequence[Written]) -> dict[tuple[str, str | None], str]:
-        """The names of files as they are, by what a Parquet file says: the execution, and, of several, which."""
+        """Return the files' names by their keys in a Parquet file: the execution, and the file if a run writes several."""
         many = self.shape.many
         return {(file.execution, shown(file.name) if many else None): file.name for file in files}
 
     def _count(
         self, target: Path, files: Sequence[Written], columns: Sequence[str]
     ) -> Iterator[tuple[tuple[str, str], int, Sequence[int]]]:
-        """Of each execution and file, the rows that were written, and how many of them have a value in these columns."""
+        """Yield for each execution and file the number of written rows, and the number of values in these columns."""
         name = "file" if self.shape.many else "NULL"
         only = self._names(files)
         filled = "".join(f", count({identifier(column)})" for column in columns)

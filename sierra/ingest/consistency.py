@@ -1,4 +1,4 @@
-"""What the siblings of an execution, the other runs of its experiment, have: what most of them have is right."""
+"""Comparison of an execution with its siblings, the other runs of its experiment: the majority is taken as right."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ ANY_TABLE = "SELECT 1 FROM judged_artifacts WHERE kind = 'table' LIMIT 1"
 
 
 def find_odd(store: Store, session: SessionPaths, context: Context) -> set[str]:
-    """Find executions whose tables are not like their siblings', and record that; their runs.
+    """Find executions whose tables differ from their siblings', record findings, and return their runs.
 
-    Siblings are the good executions of one experiment with the same programs, whenever they were recorded. What most
-    of them have is right (of two that as many have, the more). Row counts and columns of an output with
-    `mismatch = "ragged"` may differ, and one that is not required may be absent. What a column holds (numbers, text, …)
-    must be the same among siblings; between experiments it may differ, for which `Recorder.notes` has a word.
+    Siblings are the successful executions of one experiment with the same programs, whenever they were recorded. The majority
+    is taken as right; in a tie, the greater number. Row counts and columns of an output with `mismatch = "ragged"` may
+    differ, and an output that is not required may be absent. The kind of values in a column (numbers, text, …) must be the
+    same among siblings. It may differ between experiments; `Recorder.notes` reports that.
     """
     with store.snapshot() as snapshot:
         if not snapshot.sql(ANY_TABLE).num_rows:
@@ -48,7 +48,7 @@ def find_odd(store: Store, session: SessionPaths, context: Context) -> set[str]:
 
 
 def asked(context: Context) -> dict[str, str]:
-    """What the statements below ask for."""
+    """Return the parameters of the statements below."""
     return {"batch": context.batch, "programs": context.programs, "reading": context.reading}
 
 
@@ -60,7 +60,7 @@ WITH good AS (
         AND e.programs = $programs AND e.reading = $reading
     GROUP BY ALL
 )"""
-"""The good executions of a batch, each by its last judgement, by the place of their experiment."""
+"""The successful executions of a batch, each with its last judgement and the position of its experiment."""
 
 
 ODD = """,
@@ -83,10 +83,10 @@ SELECT c.* FROM counted c JOIN differing USING (ordinal, output) ORDER BY execut
 
 
 def _odd(siblings: Sequence[Mapping[str, Any]], name: str, declared: Output | None) -> Iterator[tuple[str, str]]:
-    """The executions among siblings whose table `name` differs, and how."""
+    """Yield the executions among siblings whose table `name` differs, each with the difference."""
     having = [row for row in siblings if row["rows"] is not None]
     lacking = [row for row in siblings if row["rows"] is None]
-    count = len(siblings) - 1  # no run is a sibling of its own
+    count = len(siblings) - 1  # a run is not its own sibling
     ragged = declared is not None and declared.mismatch == "ragged"
     if declared is None or declared.required:
         if len(having) < len(lacking):
@@ -113,13 +113,13 @@ def _odd(siblings: Sequence[Mapping[str, Any]], name: str, declared: Output | No
 
 
 def _allowing(name: str, undeclared: str | None) -> str:
-    """How to say that tables may differ."""
+    """Return the hint about the declaration that allows tables to differ."""
     file = f"file = {json.dumps(undeclared, ensure_ascii=False)}, " if undeclared else ""
     return f'(if that may be so: {file}mismatch = "ragged" in [outputs.{name}])'
 
 
 def _likely(forms: Sequence[tuple[Mapping[str, Any], int]]) -> dict[str, Any]:
-    """What most tables look like, each in its turn: where they come from, their columns, what those hold, their end."""
+    """Return the most frequent properties of the tables, each on its own: source file, columns, kinds, line feed at the end."""
     files: Counter[str | None] = Counter()
     columns: Counter[tuple[str, ...]] = Counter()
     ended: Counter[bool] = Counter()
@@ -136,7 +136,7 @@ def _likely(forms: Sequence[tuple[Mapping[str, Any], int]]) -> dict[str, Any]:
 
 
 def _likely_kinds(forms: Iterable[tuple[Mapping[str, Any], int]]) -> dict[str, str]:
-    """What each column ought to hold, and whether as text (where all siblings with numbers have kept them so)."""
+    """Return the expected kind of each column, marked as text if all siblings with numbers keep them as text."""
     counts: dict[str, Counter[str]] = {}
     for form, number in forms:
         for name, kind in form["columns"].items():
@@ -146,13 +146,13 @@ def _likely_kinds(forms: Iterable[tuple[Mapping[str, Any], int]]) -> dict[str, s
 
 
 def _kind(kinds: Mapping[str, int]) -> str:
-    """What siblings ought to have in a column. Numbers that are text in all of them stay so: nothing of them is lost."""
+    """Return the kind that siblings should have in a column. Numbers that are text in all of them stay text."""
     right = right_kind(kinds)
     return right if right in kinds or right == "text" else right + AS_TEXT
 
 
 def _unlike(form: Mapping[str, Any], likely: Mapping[str, Any], ragged: bool, allow: str) -> str | None:
-    """What makes a table unlike its siblings', beside its rows."""
+    """Return how a table differs from its siblings', apart from the number of rows; None if it does not."""
     if form["file"] != likely["file"]:
         return f"comes from {form['file']!r} where its siblings' come from {likely['file']!r}"
     columns = tuple(form["columns"])
@@ -171,7 +171,7 @@ def _unlike(form: Mapping[str, Any], likely: Mapping[str, Any], ragged: bool, al
 
 
 def _misfit(columns: Mapping[str, str], kinds: Mapping[str, str]) -> tuple[str, str] | None:
-    """The first column that does not hold what it should, and what it holds. Where texts are, all may be kept as text."""
+    """Return the first column with an unexpected kind, and that kind. If text is expected, values kept as text are accepted."""
     for name, kind in columns.items():
         right = kinds.get(name, kind)
         if kind not in (right, "empty") and not (right == "text" and kind.endswith(AS_TEXT)):
@@ -180,13 +180,13 @@ def _misfit(columns: Mapping[str, str], kinds: Mapping[str, str]) -> tuple[str, 
 
 
 def many(kind: str) -> str:
-    """The cells of a column that holds such, in words."""
+    """Return the words for values of this kind."""
     own = own_kind(kind)
     return {"number": "numbers", "flag": "flags"}.get(own, own) + kind.removeprefix(own)
 
 
 def known(store: Store, context: Context, name: str) -> Siblings:
-    """What the store has of the table `name` in the experiments of this batch, whoever asked for them."""
+    """Return what the store knows about table `name` in the experiments of this batch, whichever session recorded it."""
     alike = {**asked(context), "output": name}
     with store.snapshot() as snapshot:
         if not snapshot.sql(ANY_TABLE).num_rows:
@@ -226,7 +226,7 @@ good AS (
         AND e.programs = $programs AND e.reading = $reading
     GROUP BY ALL
 )"""
-"""The good executions of the experiments of a batch, those with other numbers of runs of the same included."""
+"""The successful executions of a batch's experiments, including those of the same experiment with another number of runs."""
 SIBLINGS_FORMS = """
 SELECT DISTINCT a.form FROM judged_artifacts a
 WHERE a.kind = 'table' AND a.output = $output AND a.execution IN (SELECT execution FROM good)

@@ -1,4 +1,4 @@
-"""What recording needs to know of a session, and the hashes of what its project declares."""
+"""The data of a session that recording needs, and hashes of the project's ingest rules."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from sierra.util.hashing import digest
 
 ID, SESSION = re.compile("[0-9a-f]{64}"), re.compile("[0-9a-f]{16}")
 UNREAD = {"units", "time", "tolerance", "ordered", "volatile"}
-"""Of an output, what makes no difference to how it is recorded."""
+"""The settings of an output that do not influence how it is recorded."""
 SAVED = (
     *("session", "batch", "purpose", "environment", "programs", "engine", "isolation", "shared", "enforced", "number", "raw"),
 )
@@ -26,7 +26,7 @@ SAVED = (
 
 @dataclass(frozen=True, slots=True)
 class Context:
-    """All that recording needs to know of a session, so that another process can finish it."""
+    """All data of a session that recording needs, so that another process can finish it."""
 
     session: str
     batch: str
@@ -37,33 +37,33 @@ class Context:
     success: Success
     engine: str = "none"
     isolation: Mapping[str, Any] | None = None
-    """How the runs were contained, as a row of `isolations`; None where they were not."""
+    """The isolation of the runs as a row of `isolations`; None if they were not isolated."""
     shared: bool = False
     enforced: tuple[str, ...] = ()
     """The limits that the engine enforces."""
     number: int | None = None
-    """The session's Lamport number; None of a session that an older SIERRA began."""
+    """The session's Lamport number; None for a session that an older SIERRA began."""
 
     def lamport(self, position: int = 0) -> int | None:
-        """Return the place in the order of what the session records; `position` is that of an execution in it."""
+        """Return the `lamport` value of a record of this session; `position` is an execution's position in it."""
         return stamp(self.number, self.session, position)
 
     raw: bool = True
-    """Whether the bytes of files that become tables are kept too."""
+    """True if the bytes of files that become tables are stored too."""
 
     @property
     def reading(self) -> str:
-        """The hash of what decides whether an execution is good and what is kept of it."""
+        """The hash of the rules that decide if an execution is successful and what is recorded of it."""
         return self._declared({"mismatch", *UNREAD})
 
     @property
     def rules(self) -> str:
-        """The hash of the same, and of what may differ between siblings."""
+        """The hash of these rules and of the differences that are allowed between siblings."""
         return self._declared(UNREAD)
 
     @property
     def declared(self) -> str:
-        """What the project declares of outputs and success, as JSON."""
+        """The project's declarations of outputs and success, as JSON."""
         return json.dumps(self._tables())
 
     def _tables(self) -> dict[str, Any]:
@@ -82,7 +82,7 @@ class Context:
 
     @classmethod
     def load(cls, path: Path) -> Context:
-        """Raises FileNotFoundError, and Damaged for what nobody saved."""
+        """Load a saved context. Raises FileNotFoundError, and Damaged if the file is not a valid context."""
         fields = read_record(path)
         try:
             fields["outputs"], fields["success"] = rules_of(fields)
@@ -95,6 +95,6 @@ class Context:
 
 
 def rules_of(declared: Mapping[str, Any]) -> tuple[dict[str, Output], Success]:
-    """What a project declared of outputs and success, as `Context.declared` keeps it."""
+    """Return the declarations of outputs and success from the form of `Context.declared`."""
     outputs = {name: Output.model_validate(output) for name, output in declared["outputs"].items()}
     return outputs, Success.model_validate(declared["success"])

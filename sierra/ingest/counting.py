@@ -1,8 +1,8 @@
-"""Rows of files, counted without the parser that reads them: a parser that stops early says nothing.
+"""Row counts of files, independent of the parser that reads them: a parser that stops early does not report it.
 
-A worker counts lines and quotes while it hashes. Where a file has no quotes and its lines end alike, its rows follow from
-these counts. Where they do not, or where they differ from what was read, the file is read again: CSV by Python's `csv`
-module in the same dialect, JSON lines by their lines. Rows of Parquet are in its footer.
+A worker counts lines and quotes while it hashes a file. If the file has no quotes and all lines end alike, the row count
+follows from these counts. Otherwise, or if the result differs from the rows that were read, the file is read again: CSV by
+Python's `csv` module in the same dialect, JSON lines by their lines. The row count of Parquet is in its footer.
 """
 
 from __future__ import annotations
@@ -19,26 +19,26 @@ from sierra.ingest.model import Written
 
 
 def lines_of(file: Written, *, empty: bool = False) -> int | None:
-    """Return the lines of a text, the empty ones too if asked for; None where a worker has not counted them."""
+    """Return the number of lines of a text, with `empty` also the empty ones; None if a worker has not counted them."""
     if not file.alike or file.blank is None:
         return None
     return file.lines + (not file.ended) - (0 if empty else file.blank)
 
 
 def count_lines(file: Written) -> int:
-    """Return how many lines of a file have more than blanks in them."""
+    """Return the number of lines that are not blank."""
     with Path(file.path).open("rb") as lines:
         return sum(1 for line in lines if line.strip())
 
 
 def count_records(file: Written, delimiter: str, *, empty: bool = False) -> int:
-    """Return how many records a CSV has, its header included. Raises csv.Error where its quotes are not a CSV's."""
+    """Return the number of records in a CSV, its header included. Raises csv.Error if its quotes are invalid."""
     with Path(file.path).open(encoding="utf-8-sig", errors="surrogateescape", newline="") as text, any_size():
         return sum(1 for record in csv_reader(text, delimiter) if record or empty)
 
 
 def csv_reader(lines: Iterable[str], delimiter: str) -> Any:
-    """Return Python's reader of the dialect that SIERRA reads: blanks around quotes do not count."""
+    """Return Python's reader for the dialect that SIERRA reads, in which blanks around quotes are ignored."""
     padded = delimiter != " "
     return csv.reader(
         _without_padding(lines, delimiter) if padded else lines, delimiter=delimiter, skipinitialspace=padded, strict=True
@@ -46,7 +46,7 @@ def csv_reader(lines: Iterable[str], delimiter: str) -> Any:
 
 
 def _without_padding(lines: Iterable[str], delimiter: str) -> Iterator[str]:
-    """Yield the lines without blanks between a quote and the end of its field, which Python's reader would refuse."""
+    """Yield the lines without blanks between a closing quote and the end of its field, which Python's reader would refuse."""
     padding = re.compile(rf'" +(?=[{re.escape(delimiter)}\r\n]|$)')
     for line in lines:
         yield padding.sub('"', line) if '" ' in line else line
@@ -54,7 +54,7 @@ def _without_padding(lines: Iterable[str], delimiter: str) -> Iterator[str]:
 
 @contextlib.contextmanager
 def any_size() -> Iterator[None]:
-    """Let fields of a CSV be of any size."""
+    """Allow CSV fields of any size."""
     before = csv.field_size_limit(sys.maxsize)
     try:
         yield

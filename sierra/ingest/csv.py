@@ -1,4 +1,4 @@
-"""Delimited text."""
+"""The reader of delimited text."""
 
 from __future__ import annotations
 
@@ -20,23 +20,23 @@ from sierra.store.scans import csv_given
 
 DELIMITERS = (",", "\t", ";", "|")
 HEAD_BYTES = 4096
-"""So much of a first line a worker tells."""
+"""The number of bytes of a first line that a worker reports."""
 COMMENTS = "comments are not read; write them to another file"
 QUOTING = "write a field with quotes in it in quotes, and those in it twice"
 CONTROL = re.compile(r"[\x00-\x08\x0e-\x1f]")
-"""Characters that no column's name has."""
+"""Control characters that are not allowed in column names."""
 
 
 class Csv(Text):
-    """Delimited text."""
+    """The reader of delimited text."""
 
     _longest = 0
-    """Bytes of the longest line of the part, where it has files of megabytes."""
+    """The length of the longest line of the part in bytes; determined only for files of megabytes."""
 
     def __init__(self, connection: Any, shape: Shape, target: Path, siblings: Siblings) -> None:
         super().__init__(connection, shape, target, siblings)
         self._records: dict[str, int | str] = {}
-        """By path, what came of counting the records of a file."""
+        """The number of records in each file, or an error message, by path."""
 
     def sort(self, files: Sequence[Written]) -> Mapping[str, Part | None]:
         for file in files:
@@ -55,7 +55,7 @@ class Csv(Text):
         return part.names, part.delimiter
 
     def _described(self, heads: Counter[str]) -> dict[str, Part | str | None]:
-        """What the first lines say of columns; a sentence where they say nothing sensible."""
+        """Return the columns that each first line describes, or an error message."""
         if self.shape.header:
             return {head: self._named(head) for head in heads}
         delimiter = self.shape.delimiter or delimiter_of(heads.most_common(1)[0][0] if heads else "")
@@ -79,7 +79,7 @@ class Csv(Text):
         return Part(names, delimiter)
 
     def _numbered(self, head: str, delimiter: str) -> Part | None:
-        """Columns of a file without header: as declared, or as many as its first line has fields."""
+        """Return the columns of a file without header: as declared, or one for each field of its first line."""
         width = len(split(head, delimiter))
         if self.shape.names or width:
             return Part(self.shape.names or tuple(f"column{number}" for number in range(width)), delimiter)
@@ -92,7 +92,7 @@ class Csv(Text):
         self._quoted_well(self.sound(files))
 
     def _misquoted(self, file: Written) -> str | None:
-        """Return what is wrong with the quotes of a file. DuckDB may leave rows out after such, and say nothing."""
+        """Return the error in the quotes of a file, or None. DuckDB may silently skip rows after such an error."""
         if file.quotes == 0:
             return None
         if (file.quotes or 0) % 2:
@@ -116,7 +116,7 @@ class Csv(Text):
         return max(counted - header, 0) if isinstance(counted, int) else counted
 
     def _records_in(self, file: Written) -> int | str:
-        """Return how many records Python's csv reads in a file, its header included; a sentence where it refuses."""
+        """Return the number of records that Python's csv reads in a file, its header included, or an error message."""
         if (known := self._records.get(file.path)) is None:
             try:
                 known = count_records(file, self._delimiter, empty=self._empty)
@@ -131,12 +131,12 @@ class Csv(Text):
 
     @property
     def _empty(self) -> bool:
-        """Whether an empty line is a row, without a value."""
+        """True if an empty line is a row without a value."""
         return len(self.part.names) == 1
 
     @property
     def _delimiter(self) -> str:
-        """The delimiter of the part that is read; where a file has no columns, any will do."""
+        """The delimiter of the part that is being read; any delimiter for a file without columns."""
         return self.part.delimiter or ","
 
     def miscount(self, file: Written, counted: int, read: int) -> str:
@@ -146,7 +146,7 @@ class Csv(Text):
         return told or f"{super().miscount(file, counted, read)} ({QUOTING}, and end all lines alike)"
 
     def _unquoted(self, file: Written) -> str:
-        """Return where quotes are not as they should be; where each has its like, the first line with an odd number."""
+        """Return the position of the first error in quotes; if all quotes have a partner, the first line with an odd number."""
         for line, record, _ in _read_slowly(file, self._delimiter):
             if isinstance(record, str):
                 return f"line {line}: {record}"
@@ -158,7 +158,7 @@ class Csv(Text):
     def contradictions(
         self, files: Sequence[Written], found: Mapping[str, Mapping[str, str | None]]
     ) -> Iterator[tuple[Written, str]]:
-        """Yield the files in which the header is there again, as where a file was appended to: all columns are text then."""
+        """Yield the files that repeat their header, for example because a run appended to them; then all columns are text."""
         names = [name for place, name in enumerate(self.part.names) if name != f"column{place}" and not reads_as_number(name)]
         for file in files if self.shape.header else ():
             if names and all(found[name].get(file.path) == "VARCHAR" for name in names) and (line := self._header_again(file)):
@@ -166,7 +166,7 @@ class Csv(Text):
                 yield file, f"{told} (is it appended to? write it once, before all rows)"
 
     def _header_again(self, file: Written) -> int | None:
-        """Return the next line that is the header; None where a single column has it among texts, as it may be."""
+        """Return the first line that repeats the header; None if a single column of texts contains the name as a value."""
         again = None
 
         def fields(line: str) -> tuple[str, ...]:
@@ -193,7 +193,7 @@ class Csv(Text):
             return any(b"_" in piece for piece in iter(lambda: data.read(1 << 20), b""))
 
     def _cut(self, files: Sequence[Written]) -> None:
-        """A last line without its line feed is suspicious where at least half of all files have one."""
+        """Mark files whose last line has no line feed as faulty, if at least half of all files end with one."""
         cut = [file for file in files if not file.ended]
         ended = len(files) - len(cut) + self.shape.ended
         if ended >= len(cut) + self.shape.files - self.shape.ended:
@@ -224,7 +224,7 @@ class Csv(Text):
         return "some lines end in CR LF, and some in LF" if len(ends) > 1 else None
 
     def _fault_in(self, record: Sequence[str], names: Sequence[str], types: Mapping[str, str]) -> str | None:
-        """Return what is wrong with the fields of a line."""
+        """Return the error in the fields of a line, or None."""
         text = self._delimiter.join(record)
         if any("\udc80" <= character <= "\udcff" for character in text):
             return f"is not UTF-8: {shown(text)[:80]!r}"
@@ -238,13 +238,13 @@ class Csv(Text):
 
 
 def delimiter_of(head: str) -> str:
-    """The delimiter that occurs most often in a header line, outside quotes; a comma where none does."""
+    """Return the delimiter that occurs most often in a header line, outside quotes; a comma if there is none."""
     bare = re.sub(r'"[^"]*"', "", head)
     return max(DELIMITERS, key=lambda d: (bare.count(d), d == ","))
 
 
 def split(head: str, delimiter: str) -> tuple[str, ...]:
-    """The fields of a header line."""
+    """Return the fields of a header line."""
     if len(delimiter) != 1:
         return tuple(field.strip() for field in head.split(delimiter))
     reader = csv.reader(io.StringIO(head, newline=""), delimiter=delimiter, skipinitialspace=True)
@@ -252,7 +252,7 @@ def split(head: str, delimiter: str) -> tuple[str, ...]:
 
 
 def _first_record(file: Written) -> str:
-    """The first line of a CSV, whole: a worker tells its beginning only, and a quoted name may hold a line feed."""
+    """Return the whole header of a CSV. A worker reports only its beginning, and a quoted name may contain a line feed."""
     head = file.head
     if len(head.encode()) < HEAD_BYTES - 4 and head.count('"') % 2 == 0:
         return head.removeprefix("\ufeff").partition("\r")[0]
@@ -269,7 +269,7 @@ def _longest_line(file: Written) -> int:
 
 
 def _read_slowly(file: Written, delimiter: str) -> Iterator[tuple[int, list[str] | str, str]]:
-    """The records of a CSV with the lines they begin in and how those end; at last what cannot be read, as a sentence."""
+    """Yield each record of a CSV with its first line's number and its line ending; at an error, a message instead."""
     ends: list[str] = []
 
     def lines(text: Iterable[str]) -> Iterator[str]:
@@ -289,7 +289,7 @@ def _read_slowly(file: Written, delimiter: str) -> Iterator[tuple[int, list[str]
 
 
 def _end(ends: list[str]) -> str:
-    """How the last line that was read ended; a last line without an end is like its forerunners."""
+    """Return the ending of the last line that was read; a last line without one gets that of the line before."""
     end = ends[-1]
     return end if end in ("\n", "\r", "\r\n") else (ends[-2] if len(ends) > 1 else "\n")
 

@@ -1,4 +1,4 @@
-"""JSON lines: an object each."""
+"""The reader of JSON lines, with one object per line."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from sierra.store.scans import objects_given
 
 
 class Jsonl(Text):
-    """JSON lines: an object each."""
+    """The reader of JSON lines, with one object per line."""
 
     def sort(self, files: Sequence[Written]) -> Mapping[str, Part | None]:
         try:
@@ -30,7 +30,7 @@ class Jsonl(Text):
         return {file.path: Part(tuple(found[file.path])) if file.path in found else None for file in files}
 
     def _keys(self, files: Sequence[Written]) -> dict[str, dict[str, None]]:
-        """The keys that a file's objects have, by file."""
+        """Return the keys of each file's objects, by path."""
         rows = self.fetch(
             f"SELECT DISTINCT {identifier(FILE)}, CASE WHEN json_type(json) <> 'OBJECT' THEN error('not an object') "
             "WHEN len(json_keys(json)) <> len(list_distinct(json_keys(json))) THEN error('a key is there twice') "
@@ -81,4 +81,4 @@ class Jsonl(Text):
 
 
 class _Pairs(list[tuple[str, Any]]):
-    """A JSON object as it is written."""
+    """The key-value pairs of a JSON object, including duplicate keys."""

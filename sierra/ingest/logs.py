@@ -1,4 +1,4 @@
-"""What is kept of the logs of an execution."""
+"""The recorded parts of an execution's logs."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from pathlib import Path
 from sierra.store.layout import RUN_STDERR, RUN_STDOUT
 
 LOG_KEPT = 1 << 20
-"""Bytes of each log that are kept at most: its beginning and, thrice as much, its end."""
+"""The number of bytes that are kept of each log: a quarter from its beginning, three quarters from its end."""
 LOG_SHOWN = 2000
 
 
 def kept_of(path: str) -> tuple[bytes, int]:
-    """What is kept of a log, and how long it was. A link that a run put in its place is not followed."""
+    """Return the kept part of a log and the log's size in bytes. A link that a run put in its place is not followed."""
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
     except OSError:

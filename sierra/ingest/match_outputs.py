@@ -1,4 +1,4 @@
-"""Which files of an execution become tables: the declared ones, then what ends like a table."""
+"""Assignment of an execution's files to tables: first the declared ones, then files with a table's suffix."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ from sierra.util.text import natural
 
 AUTOMATIC = {".csv": "csv", ".tsv": "csv", ".parquet": "parquet", ".jsonl": "jsonl", ".ndjson": "jsonl"}
 AUTOMATIC_AT_MOST = 20
-"""Undeclared tables of one run; beyond, its undeclared files are kept as files."""
+"""The limit on undeclared tables of one run; if a run has more such files, all of them are recorded as files."""
 NOTED_AT_MOST = 1000
 IN_FOLDERS = 'undeclared, in a subfolder ([outputs.NAME] file = "{glob}" makes a table of them)'
 TOO_MANY = f'undeclared, and of more than {AUTOMATIC_AT_MOST} in a run ([outputs.NAME] file = "{{glob}}" makes a table of them)'
 TAKEN = 'undeclared, and another has the table of that name already ([outputs.NAME] file = "{file}" makes it a table)'
 NOT_UTF8 = "with a name that is no UTF-8"
-"""Why files that look like tables are kept as files."""
+"""The reasons why files that look like tables are recorded as files."""
 
 
 class OutputMatcher:
-    """Assigns files to tables, and remembers those that look like tables and become none."""
+    """The assignment of files to tables; it remembers the files that look like tables but are recorded as files."""
 
     def __init__(self, outputs: Mapping[str, Output]) -> None:
         self._outputs = outputs
         self.kept: dict[str, dict[str, None]] = {}
-        """Why such files are kept as files, and which."""
+        """The files that are recorded as files although they look like tables, by reason."""
 
     def of(self, result: Result) -> Iterator[tuple[str, Shape, OutputFile]]:
-        """The files of one execution that become tables: the declared ones, then what ends like a table."""
+        """Yield the files of one execution that become tables: first the declared ones, then files with a table's suffix."""
         automatic = []
         for file in sorted(result.outputs, key=lambda file: natural(file.path)):
             declared = next((n for n, o in self._outputs.items() if o.matches(file.path)), None)
@@ -61,21 +61,21 @@ class OutputMatcher:
                 yield name, Shape(_automatic(file.path)), file  # type: ignore[arg-type]
 
     def _keep(self, why: str, file: OutputFile) -> None:
-        """Note that a file is kept as it is, though it looks like a table."""
+        """Note that a file is recorded as a file although it looks like a table."""
         kept = self.kept.setdefault(why, {})
         if len(kept) < NOTED_AT_MOST:
             kept[shown(file.path)] = None
 
 
 def table_name(path: str) -> str:
-    """The table that an undeclared file becomes: by its name."""
+    """Return the name of the table for an undeclared file, derived from the file's name."""
     stem = "".join(c if c.isalnum() and c.isascii() else "_" for c in PurePosixPath(path).stem)
     name = ("_" if stem[:1].isdigit() else "") + stem or "_"
     return name if check_name(name) else name + "_"
 
 
 def _automatic(path: str) -> str | None:
-    """The format of what is a table by its ending."""
+    """Return the format of a file with a table's suffix, or None."""
     return AUTOMATIC.get(PurePosixPath(path).suffix.lower())
 
 

@@ -1,4 +1,4 @@
-"""How files and their columns are told of."""
+"""Texts about files and their columns."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from collections.abc import Iterable
 from sierra.util.text import few
 
 FEW = 10
-"""Names of columns that one line shows."""
+"""The number of column names in one message."""
 
 
 def difference(has: tuple[str, ...], names: tuple[str, ...]) -> str:
-    """What is wrong with a file's columns, seen from its siblings'."""
+    """Return how a file's columns differ from its siblings'."""
     missing = [name for name in names if name not in has]
     extra = [name for name in has if name not in names]
     parts = []
@@ -23,11 +23,11 @@ def difference(has: tuple[str, ...], names: tuple[str, ...]) -> str:
 
 
 def _few(names: Iterable[str]) -> str:
-    """Some names, and how many more there are; never `and 1 more`."""
+    """Return some names and the number of the others; never `and 1 more`."""
     names = list(names)
     return few(names, FEW if len(names) > FEW + 1 else len(names))
 
 
 def shown(path: str) -> str:
-    """A file's name as text: bytes of it that are no UTF-8 as escapes."""
+    """Return a file's name as text, with escapes for bytes that are not UTF-8."""
     return path.encode("utf-8", "backslashreplace").decode()

@@ -1,4 +1,4 @@
-"""What is read, how it is to be read, and what came of it."""
+"""The types of reading: files, how to read them, and the results."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ class Written:
     ended: bool
     bytes: int
     quotes: int | None = None
-    """What a worker has counted, as in `sierra.model.OutputFile`; None where it has not."""
+    """Counts by a worker, as in `sierra.model.OutputFile`; None if it did not count."""
     blank: int | None = None
     alike: bool | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """Those files of an output that have the same columns."""
+    """The files of an output that have the same columns."""
 
     names: tuple[str, ...]
     delimiter: str = ""
@@ -37,21 +37,21 @@ class Part:
 
 @dataclass(frozen=True, slots=True)
 class Shape:
-    """How the files of one output are to be read: as declared, and as earlier files were found to be."""
+    """Instructions for reading the files of one output: as declared, and as found in earlier files."""
 
     format: Literal["csv", "parquet", "jsonl"]
     delimiter: str = ""
-    """Of a CSV; found out, for each part, where it is empty."""
+    """The delimiter of a CSV; if it is empty, it is determined for each part."""
     header: bool = True
     names: tuple[str, ...] = ()
-    """The columns of a CSV without header, where they are declared."""
+    """The declared columns of a CSV without header."""
     many: bool = False
-    """Whether a run writes several such files; the table then has the column `file`."""
+    """True if a run writes several such files; the table then has the column `file`."""
     parts: tuple[Part, ...] = ()
     files: int = 0
-    """How many files were read before."""
+    """The number of files that were read before."""
     ended: int = 0
-    """How many of them had a line feed at their end."""
+    """The number of these files with a line feed at their end."""
 
 
 Group = Hashable
@@ -64,33 +64,33 @@ def _nobody(runs: Sequence[str]) -> tuple[Mapping[str, Group], Mapping[tuple[Gro
 
 @dataclass(frozen=True, slots=True)
 class Siblings:
-    """What is known of files that were read before."""
+    """Facts about files that were read before."""
 
     mixed: AbstractSet[str] = frozenset()
-    """Columns in which some of them have something else than numbers."""
+    """The columns in which some of these files have values that are not numbers."""
     ask: Callable[[Sequence[str]], tuple[Mapping[str, Group], Mapping[tuple[Group, str], Mapping[str, int]]]] = _nobody
-    """Of runs: the experiment that each belongs to, and how many of its files have which kind in which column."""
+    """A function of runs. It returns each run's experiment, and how many files have which kind in a column, by experiment."""
 
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """What came of it: rows and what columns hold, by execution and file; faults by execution; the shape that was found.
+    """The results of reading: row counts and kinds by execution and file, faults by execution, and the shape that was found.
 
-    What a column holds is number, text, flag, empty, or another type, and `number as text` where its siblings have text.
+    A column's kind is number, text, flag, empty, or another type; it is `number as text` if the siblings have text.
     """
 
     rows: Mapping[tuple[str, str], int]
     counted: Mapping[tuple[str, str], int]
-    """Rows by a count of the file itself, without the parser."""
+    """Row counts of the files themselves, without the parser."""
     columns: Mapping[tuple[str, str], Mapping[str, str]]
     hints: Mapping[tuple[str, str], Mapping[str, str]]
-    """By file and column, where text begins that most siblings read so far do not have."""
+    """By file and column: the place where text begins, in a column in which most siblings so far have numbers."""
     faults: Mapping[str, str]
     shape: Shape
 
 
 class AtFaultError(Exception):
-    """Files that are at fault, each with a sentence: the others are to be read without them."""
+    """Files that are at fault, each with an error message; the other files must be read without them."""
 
     def __init__(self, faults: Sequence[tuple[Written, str]]) -> None:
         super().__init__("; ".join(f"{file.name}: {fault}" for file, fault in faults))

@@ -1,4 +1,4 @@
-"""Parquet, which knows its types."""
+"""The reader of Parquet, which has types of its own."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from sierra.store.names import identifier
 from sierra.store.scans import parquet_given, parquet_schema
 
 DIGITS = 38
-"""Digits of a DECIMAL of DuckDB, at most; it reads decimals of more as DOUBLE, without a word."""
+"""The maximum number of digits of a DuckDB DECIMAL. DuckDB silently reads longer decimals as DOUBLE."""
 
 
 class Parquet(Reader):
-    """Parquet knows its types."""
+    """The reader of Parquet, which has types of its own."""
 
     def __init__(self, connection: Any, shape: Shape, target: Path, siblings: Siblings) -> None:
         super().__init__(connection, shape, target, siblings)
         self._found: Mapping[str, Mapping[str, str]] = {}
         self._wide: dict[str, str] = {}
-        """A column of each file that has decimals which DuckDB would turn to DOUBLE."""
+        """By path, a column with decimals that DuckDB would turn into DOUBLE."""
 
     def sort(self, files: Sequence[Written]) -> Mapping[str, Part | None]:
         try:
@@ -58,7 +58,7 @@ class Parquet(Reader):
             return str(error)
 
     def _write(self, files: Sequence[Written]) -> list[tuple[Path, list[Written]]]:
-        """Write the files, those whose columns are of one kind into one Parquet file: where, and which."""
+        """Write the files, with one Parquet file for each combination of column kinds. Return each target with its files."""
         kinds = {
             name: {file.path: None if (kind := self._found[file.path][name]) == EMPTY else kind for file in files}
             for name in self.part.names
@@ -76,7 +76,7 @@ class Parquet(Reader):
         return written
 
     def _inexact(self, files: Sequence[Written]) -> set[str]:
-        """The columns of whole numbers in some files, and fractions in others, that DOUBLE does not hold."""
+        """Return the columns that have fractions in some files, and in others whole numbers that DOUBLE cannot hold."""
         found = set()
         for name in self.part.names:
             whole = [file for file in files if is_whole(self._found[file.path][name])]
@@ -99,7 +99,7 @@ class Parquet(Reader):
         return self.sound(files)
 
     def _schemas(self, files: Sequence[Written]) -> dict[str, dict[str, str]]:
-        """Names and types of each file's columns; files that say the same are asked once."""
+        """Return the names and types of each file's columns, with one query for all files of the same schema."""
         rows = self.fetch(
             "SELECT file_name, list((name, type, type_length, num_children, converted_type, scale, precision, logical_type)"
             f"::VARCHAR), min(name) FILTER (precision > {DIGITS}) FROM {parquet_schema()} GROUP BY file_name",
@@ -118,7 +118,7 @@ class Parquet(Reader):
         return found
 
     def _type(self, name: str, files: Sequence[Written]) -> str:
-        """The type that files have in a column, all of one kind; the widest of numbers."""
+        """Return the type of a column in files that have one kind in it; of several number types, the widest."""
         kinds = {self._found[file.path][name] for file in files} - {EMPTY}
         if len(kinds) < 2:
             return kinds.pop() if kinds else EMPTY

@@ -1,19 +1,20 @@
-"""What runs wrote becomes tables: many files at once, each checked, none averaged away.
+"""Reading output files into tables: many files at once, each checked; differences are reported, none is averaged away.
 
-All files of one output that have the same columns make a *part*, which is one Parquet file: columns may differ between
-experiments, and whether they may differ between two runs is not for here to say (see `sierra.ingest.find_odd`). A part
-is read by one statement where all is as it should be. Where it is not, the files at fault are found by halving, and the
-fault is said with its line. A file is at fault if a line has too few or too many fields, if its last line is cut short, or
-if it cannot be read at all.
+The files of one output that have the same columns form a *part*, which is one Parquet file. Columns may differ between
+experiments. If they may differ between two runs of an experiment is decided later (see
+`sierra.ingest.consistency.find_odd`). A part without faults is read by one statement. Otherwise, the faulty files are found
+by halving, and each fault is reported with its line. A file is at fault if a line has too few or too many fields, if its last
+line is cut short, or if it cannot be read at all.
 
-What a column holds (numbers, flags, texts) is no fault here, since it would depend on which files are read together: files
-that hold other things go into Parquet files of their own, and `sierra.ingest.find_odd` judges. Where most of a file's
-siblings have text, its numbers are kept as the texts that they are: 007 and 1e5 are other texts as numbers.
+The kind of values in a column (numbers, flags, texts) is not a fault here, because that would depend on which files are read
+together. Files with other kinds go into separate Parquet files, and `find_odd` decides. If most of a file's siblings have
+text in a column, the file's numbers are kept as text, unchanged: as numbers, 007 and 1e5 would become other texts.
 
-Whole numbers are BIGINT (DECIMAL(38,0) where they are too great), other numbers DOUBLE, `true`/`false` BOOLEAN, all else
-VARCHAR; an empty field is NULL, and a column without any value BOOLEAN, which every other type can hold. A type is taken
-from a few files, but checked in all: DuckDB would round 1.5 to be a BIGINT and call 1 true. JSON's lists and objects are
-kept as JSON. A column called as one of ours, or as another but for case, gets a trailing underscore.
+Whole numbers are BIGINT (DECIMAL(38,0) if they are too large), other numbers DOUBLE, `true`/`false` BOOLEAN, and all other
+values VARCHAR. An empty field is NULL. A column without any value is BOOLEAN, which every other type can hold. Types are
+inferred from a few files but checked in all, because DuckDB would round 1.5 to fit BIGINT and read 1 as true. JSON's lists
+and objects are kept as JSON. A column whose name is a SIERRA column, or differs from another only in case, gets a trailing
+underscore.
 """
 
 from __future__ import annotations
@@ -49,10 +50,10 @@ __all__ = [
 
 
 def read(connection: Any, files: Sequence[Written], shape: Shape, target: Path, siblings: Siblings | None = None) -> Reading:
-    """Read all files, without those of executions that are at fault, into Parquet files: `target` and, where columns or
-    what they hold differ, others beside it (`target~2`, …).
+    """Read all files into Parquet files, without those of executions that are at fault.
 
-    Raises Missing where what is sound cannot be written.
+    The first Parquet file is `target`. If columns or kinds differ, there are others beside it (`target~2`, …).
+    Raises Missing if valid rows cannot be written.
     """
     connection.execute("SET disabled_optimizers = 'join_order,build_side_probe_side'")  # rows keep their order
     readers: Mapping[str, type[Reader]] = {"csv": Csv, "parquet": Parquet, "jsonl": Jsonl}

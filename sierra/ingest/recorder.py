@@ -1,4 +1,4 @@
-"""Results become segments of the store, now and then."""
+"""The recorder, which writes results to segments of the store from time to time."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ COPIES = "SELECT c.execution, c.attempt FROM copies c JOIN executions e USING (e
 
 
 class Recorder:
-    """Takes results, and writes them to the store now and then, and at the end."""
+    """A collector of results, which writes them to the store from time to time and at the end."""
 
     def __init__(
         self,
@@ -45,9 +45,10 @@ class Recorder:
         kept: Path | None = None,
         doubt: Callable[[], str | None] = lambda: None,
     ) -> None:
-        """`kept`: the folder that the runs' folders are moved to once they are recorded; without, they are removed.
+        """`kept`: the folder to which the runs' folders are moved once they are recorded; if None, they are removed.
 
-        `doubt` says, before anything is written, why none of what has ended since can be good.
+        `doubt`: a function that is called before each write. It returns the reason why none of the
+        pending executions can be successful, or None.
         """
         self._folder = kept
         self._doubt = doubt
@@ -58,11 +59,11 @@ class Recorder:
         self._pending: list[Judgement] = []
         self._beside: dict[str, list[Mapping[str, Any]]] = {}
         self._around: set[str] = set()
-        """Environments that are recorded, or will be: mostly one for all elements."""
+        """The environments that are recorded or will be; usually one for all elements."""
         self._ruled = 0
-        """In how many segments what all executions have in common is recorded."""
+        """The number of segments that record the data shared by all executions."""
         self._position: int | None = None
-        """That of the next execution in the session, which others may have recorded before."""
+        """The position of the next execution in the session; earlier ones may be other processes'. None if it is unknown."""
         self._copies: list[Result] = []
         self._copied = self._unlike = 0
         self._bytes = 0
@@ -72,7 +73,7 @@ class Recorder:
         self._left_out: dict[str, None] = {}
 
     def add(self, result: Result) -> Status:
-        """Take one result; how it is judged so far. One that was interrupted is not kept."""
+        """Add one result and return its preliminary status. An interrupted execution is not recorded."""
         result = self._ended(result)
         status, reason = judge(result, self._context.outputs, self._context.success)
         if status is Status.INTERRUPTED:
@@ -84,14 +85,14 @@ class Recorder:
         return status
 
     def _ended(self, result: Result) -> Result:
-        """The result, where an engine's client stood between the program and the worker."""
+        """Return the result as the engine classifies it, if the engine's client ran between the program and the worker."""
         if self._context.isolation is None or self._context.shared or result.exit_code == 0:
             return result
         said = kept_of(f"{result.directory}/{RUN_STDERR}")[0][-LOG_SHOWN:].decode("utf-8", "replace")
         return engines.find(self._context.engine).classify(result, said, frozenset(self._context.enforced))
 
     def beside(self, rows: Iterable[tuple[str, Mapping[str, Any]]], copies: Iterable[Result]) -> None:
-        """Take what else is to be recorded: rows by their table, and runs that were executed once more than was asked."""
+        """Add other records: rows by table, and runs that were executed once more than requested."""
         for table, row in rows:
             if table == "environments":
                 if row["environment"] in self._around:
@@ -101,16 +102,16 @@ class Recorder:
         self._copies += copies
 
     def due(self) -> bool:
-        """Whether it is time to write: soon at first, then ever less often, so that segments stay few."""
+        """Check if it is time to write: soon at first, then less and less often, so that there are few segments."""
         now = time.monotonic()
         patience = min(max(SOON_S, 0.5 * (now - self._began)), LATE_S)
         many = len(self._pending) >= PENDING_RUNS or self._bytes >= PENDING_BYTES
         return bool(self._pending) and (many or now - self._flushed >= patience)
 
     def flush(self) -> list[tuple[str, Status, str]]:
-        """Write what is pending; the executions among it that are not good: run, status, reason.
+        """Write everything pending; return the run, status and reason of each execution that is not successful.
 
-        Raises Missing where the disk is full or may not be written; nothing is lost then.
+        Raises Missing if the disk is full or read-only; then nothing is lost.
         """
         self._flushed = time.monotonic()
         if not (self._pending or self._beside or self._copies):
@@ -131,7 +132,7 @@ class Recorder:
         return [(one.result.run, one.status, one.reason or "") for one in judged if one.status is not Status.OK]
 
     def _compared(self) -> Iterator[dict[str, Any]]:
-        """The copies that are not recorded yet, each compared with what is recorded of its execution."""
+        """Yield the copies that are not recorded yet, each compared with the record of its execution."""
         if not self._copies:
             return
         recorded = {one.result.execution: result_hash(one.result.outputs) for one in self._pending}
@@ -154,22 +155,22 @@ class Recorder:
         discard(folder, self._session)
 
     def notes(self) -> list[str]:
-        """What was recorded and is allowed, and yet hardly meant; a line each.
+        """Return warnings about records that are allowed but probably not intended, one line each.
 
-        Asks the store, so it is to be called once, when all is recorded and `find_odd` has looked at it.
+        This queries the store, so call it once, after everything is recorded and `find_odd` has checked it.
         """
         remarks = TableWarnings(self._store, self._context, self._shapes)
         return [*self._twice(), *lost(list(self._left_out)), *as_files(self._assigning.kept), *remarks.all()]
 
     def _twice(self) -> Iterator[str]:
-        """Runs that two attempts executed at a time."""
+        """Yield a warning about runs that two attempts executed at the same time."""
         if self._copied:
             told = f"{self._copied} runs were executed twice, because copies of their elements lived at a time"
             unlike = f"; {self._unlike} of them came out differently: they are not deterministic" if self._unlike else ""
             yield f"{told}{unlike}; the table copies has them"
 
     def _write(self, writer: Writer) -> list[Judgement]:
-        """Write what is pending; how it is judged in the end."""
+        """Write everything pending and return the final judgements."""
         tables = tabled(self._pending, writer, self._store, self._context, self._assigning, self._shapes)
         judged = [tables.judged(one) for one in self._pending]
         objects = Objects(writer.path("objects"))
@@ -179,7 +180,7 @@ class Recorder:
         first = self._next()
         writer.rows("executions", (self._execution(one, place) for place, one in enumerate(judged, first)))
         self._position = first + len(judged)
-        if self._ruled < 2:  # twice, as where one segment is damaged no others are to be lost
+        if self._ruled < 2:  # in two segments, so that one damaged segment does not make the others useless
             writer.rows("readings", [{"reading": self._reading, "declared": self._context.declared}])
             writer.rows("isolations", [self._context.isolation] if self._context.isolation else [])
         return judged
@@ -223,7 +224,7 @@ class Recorder:
 
 
 def _artifacts(result: Result, tables: TableIngest, objects: Objects, *, raw: bool) -> Iterator[dict[str, Any]]:
-    """Yield a row for each file that a run left. Their bytes are put among the objects; those of tables only with `raw`."""
+    """Yield a row for each file that a run left, and store its bytes as an object; those of tables only with `raw`."""
     mine = {"execution": result.execution, "run": result.run}
     for file, row in zip(result.outputs, artifact_rows(result, tables), strict=True):
         if raw or row["kind"] == "file":
@@ -236,12 +237,12 @@ def _artifacts(result: Result, tables: TableIngest, objects: Objects, *, raw: bo
 
 
 def result_hash(outputs: Iterable[OutputFile]) -> str:
-    """The Merkle hash of an execution's outputs: their names and digests, in the order of the names."""
+    """Return the Merkle hash of an execution's outputs: their digests and names, in the order of the names."""
     return merkle("result", (f"{file.sha256} {shown(file.path)}" for file in sorted(outputs, key=lambda file: file.path)))
 
 
 def discard(folder: Path, session: SessionPaths) -> None:
-    """Remove a run's folder; what is recorded is not needed there any more. A run that could not begin has none of its own."""
+    """Remove a run's folder once it is recorded. A run that could not begin has no folder of its own."""
     if folder.name.isdigit() and folder not in (session.root, session.runs):
         worker.remove(str(folder))
 

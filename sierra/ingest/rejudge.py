@@ -1,22 +1,23 @@
-"""Judging recorded executions anew: by other rules, from their recorded files, without executing anything.
+"""Evaluation of recorded executions by changed rules, from their recorded files, without executing anything.
 
-An execution is one time that a run was executed. How it is judged depends on what the project declares of outputs and success,
-its rules, and these change. So each judgement is a record of its own:
+An execution is one time that a run was executed. Its judgement depends on the project's rules: the declarations of outputs
+and success. These change, so each judgement is a record of its own:
 
-- The first is made as the execution is recorded. It has no row of its own: its id, status and rules are the execution's.
-- Each later one is a row of `judgements`. Its artifacts and its rows of outputs are recorded once more, with the judgement's id
-  where the execution's stood.
+- The first judgement is made when the execution is recorded. It has no row of its own: its id, status and rules are in the
+  execution's row.
+- Each later judgement is a row of `judgements`. Its artifacts and its output rows are recorded once more, with the
+  judgement's id in place of the execution's.
 
-No row of an output is thus of two judgements. `counting` takes one judgement of each run, that by the rules of the batch's last
-asking, and the views of outputs show the rows of that one, with the id of the execution. Whoever reads the files of segments
-looks for judgements (`judged`, `judged_artifacts`), whoever counts what happened looks for `executions`. Going back to
-earlier rules finds the judgement by them, and judges nothing.
+So every output row belongs to exactly one judgement. `counting` takes one judgement of each run: the one by the rules of the
+batch's last session. The views of outputs show the rows of that judgement, with the id of the execution. Code that reads
+the files of segments uses judgements (`judged`, `judged_artifacts`). Code that counts executions uses `executions`. When a
+project returns to earlier rules, the earlier judgement is found, and nothing is evaluated.
 
-What can be judged anew is an execution with the same programs that ended by itself, and was good or failed by its rules alone.
-The bytes that the new rules look at must be in the store: those of each file that is to be a table, and of the marker. Rules
-that read tables as before (`min_rows`, `required`) look at no bytes of theirs: the rows that are recorded are copied. Where
-bytes are not there, where a log that is the marker was cut, and where an execution failed before and fails by the new rules
-at once, the run is executed. What is judged anew and is not good by that has failed, as if it had been executed.
+An execution can be evaluated again if it has the same programs, ended by itself, and was successful or failed only by its
+rules. The store must have the bytes that the new rules need: of each file that becomes a table, and of the marker. Rules
+that read tables as before (`min_rows`, `required`) need no bytes of tables: the recorded rows are copied. The run is executed
+instead if bytes are missing, if the marker is a log that was cut, or if the execution failed before and fails by the new
+rules too. An execution that is not successful by the new rules has failed, as if it had been executed.
 """
 
 from __future__ import annotations
@@ -50,9 +51,9 @@ from sierra.util.hashing import digest_plain
 from sierra.worker import worker
 
 AT_A_TIME = 4_000
-"""Runs that are looked at, and judged, at a time."""
+"""The number of runs that are examined and evaluated at a time."""
 BYTES = 256 << 20
-"""Bytes of their files, about."""
+"""The approximate number of bytes of files that are unpacked at a time."""
 LOGS = (RUN_STDOUT, RUN_STDERR)
 NOT_KEPT = "the bytes of {path!r} are not in the store ([store] raw = false, sierra gc --raw, or an older SIERRA)"
 CUT = "of its {path} only the beginning and the end are in the store"
@@ -61,36 +62,36 @@ Artifact = Mapping[str, Any]
 
 
 def judgement_id(execution: str, reading: str, session: str) -> str:
-    """Return the id of the judgement that a session makes of an execution, by the rules that `reading` is the hash of."""
+    """Return the id of the judgement of an execution by a session; `reading` is the hash of the rules."""
     return digest_plain("judgement", {"execution": execution, "reading": reading, "session": session})
 
 
 @dataclass(frozen=True, slots=True)
 class Past:
-    """A recorded execution, how it was judged last, and its files by that judgement."""
+    """A recorded execution with its last judgement, and its files by that judgement."""
 
     run: str
     execution: str
     status: str
     reason: str | None
     found: bool
-    """Whether it is not good because it was found to be unlike its siblings."""
+    """True if it is not successful because it differs from its siblings."""
     exit_code: int
     outputs: Mapping[str, Output]
     success: Success
-    """The rules by which it was judged."""
+    """The rules of its last judgement are `outputs` and `success`."""
     artifacts: tuple[Artifact, ...]
     judgement: str
-    """By which its artifacts and rows are recorded."""
+    """The judgement under which its artifacts and rows are recorded."""
     tabled: bool = False
-    """Whether the rows that its tables have by the new rules are recorded."""
+    """True if the rows of its tables by the new rules are already recorded."""
 
     @property
     def good(self) -> bool:
         return self.status == Status.OK
 
     def result(self, execution: str, directory: Path, files: Mapping[str, OutputFile]) -> Result:
-        """What a worker would have said of it; `files` are those whose bytes are in `directory`."""
+        """Return the result that a worker would have reported; `files` are the files whose bytes are in `directory`."""
         outputs = (files.get(row["path"]) or _unread(row) for row in self.artifacts if row["kind"] != "log")
         return Result(
             run=self.run,
@@ -110,7 +111,7 @@ class Past:
         )
 
     def failed_by_rules(self, result: Result) -> bool:
-        """Check that its rules alone are why it is not good: that they give the same reason once more."""
+        """Check that it was successful, or failed only by its rules, which then give the same reason again."""
         if self.good or self.status == Status.MISMATCH:
             return True
         reasons = {judge(result, self.outputs, self.success)[1]}
@@ -122,22 +123,22 @@ class Past:
 
 
 def _unread(row: Artifact) -> OutputFile:
-    """A file whose bytes nobody looks at."""
+    """Return the description of a file whose bytes are not read."""
     return OutputFile(row["path"], row["size"], row["sha256"], 0, True, "")
 
 
 @dataclass(frozen=True, slots=True)
 class Foreseen:
-    """What can be judged anew, and what cannot and why not, by run."""
+    """The executions that can be evaluated again, and the reasons why others cannot, by run."""
 
     possible: Mapping[str, Past]
     lacking: Mapping[str, str]
 
 
 def foresee(store: Store, context: Context, runs: Iterable[str], *, mismatched: bool = False) -> Iterator[Foreseen]:
-    """Find the executions of these runs that can be judged anew, by the rules of `context`; of a few thousand runs at a time.
+    """Yield the executions of these runs that can be evaluated by the rules of `context`, for a few thousand runs at a time.
 
-    `mismatched`: also those that were found to be unlike their siblings, as what may differ between siblings has changed.
+    `mismatched`: include executions that differ from their siblings, because the rules on such differences have changed.
     """
     pending = iter(sorted(runs))
     while some := list(islice(pending, AT_A_TIME)):
@@ -174,7 +175,7 @@ ARTIFACTS = "SELECT a.* FROM judged_artifacts a SEMI JOIN chosen USING (executio
 
 
 def _past(snapshot: Snapshot, context: Context, runs: Iterable[str], *, mismatched: bool) -> Iterator[Past]:
-    """Of each run, the execution to judge anew: the last of the good ones, or else the last one."""
+    """Yield for each run the execution to evaluate again: the last successful one, or else the last one."""
     import pyarrow as pa
 
     snapshot.register("wanted", pa.table({"run": pa.array(sorted(runs), pa.string())}))
@@ -195,7 +196,7 @@ def _past(snapshot: Snapshot, context: Context, runs: Iterable[str], *, mismatch
 
 
 def _is_tabled(one: Past, context: Context) -> bool:
-    """Check whether the files that are to be tables are recorded as those tables, read in the same way, with their rows."""
+    """Check that the files that become tables are already recorded as these tables, read in the same way, with their rows."""
     recorded = {(row["output"], row["path"]) for row in one.artifacts if row["rows"] is not None}
     before, now = ({(n, file.path): shape for n, shape, file in _tables(one, o)} for o in (one.outputs, context.outputs))
     return before == now and now.keys() == recorded
@@ -206,7 +207,7 @@ def _tables(one: Past, outputs: Mapping[str, Output]) -> Iterator[tuple[str, Sha
 
 
 def _is_hopeless(one: Past, context: Context) -> bool:
-    """Check whether it is known without any bytes that a run must be executed: it fails still, or its rules were not why."""
+    """Check, without reading any bytes, if a run must be executed: it still fails, or did not fail by its rules."""
     if one.good:
         return False
     result = one.result(one.execution, Path(), {})
@@ -225,7 +226,7 @@ def _kept(snapshot: Snapshot, digests: AbstractSet[str]) -> dict[str, int]:
 
 
 def _lacking(one: Past, context: Context, sizes: Mapping[str, int]) -> str | None:
-    """Why an execution cannot be judged anew from what is in the store."""
+    """Return why the store does not have enough to evaluate an execution again; None if it has."""
     for row in needed(one, context):
         if row["sha256"] not in sizes:
             return NOT_KEPT.format(path=row["path"])
@@ -235,7 +236,7 @@ def _lacking(one: Past, context: Context, sizes: Mapping[str, int]) -> str | Non
 
 
 def needed(one: Past, context: Context) -> list[Artifact]:
-    """Return the files that are read to judge an execution: those that are to be tables and are none yet, and the markers."""
+    """Return the files to read for an evaluation: files that become tables and are not yet tables, and the markers."""
     tables = set() if one.tabled else {file.path for _, _, file in _tables(one, context.outputs)}
     markers = {context.success.marker, *(() if one.good else (one.success.marker,))} - {""}
     files = [row for row in one.artifacts if row["kind"] != "log" and row["path"] in tables | markers]
@@ -244,17 +245,17 @@ def needed(one: Past, context: Context) -> list[Artifact]:
 
 @dataclass(slots=True)
 class Rejudged:
-    """What judging anew has come to."""
+    """The results of evaluating executions by changed rules."""
 
     judged: set[str] = field(default_factory=set)
-    """Runs of which an execution was judged anew; whether it is good, the store says."""
+    """The runs of which an execution was evaluated; the store has the results."""
     unread: dict[str, str] = field(default_factory=dict)
-    """Runs that were not, because their files cannot be read, and why that is."""
+    """The runs that were not evaluated because their files cannot be read, with the reasons."""
     notes: list[str] = field(default_factory=list)
 
 
 def judge_anew(store: Store, session: SessionPaths, context: Context, runs: Iterable[str], *, mismatched: bool) -> Rejudged:
-    """Judge anew what can be of these runs, and record that. Raises Missing where the disk is full; nothing is lost then."""
+    """Evaluate and record these runs as far as possible. Raises Missing if the disk is full; then nothing is lost."""
     anew = Rejudged()
     assigning, shapes = OutputMatcher(context.outputs), dict[str, Shape]()
     for foreseen in foresee(store, context, runs, mismatched=mismatched):
@@ -271,7 +272,7 @@ def judge_anew(store: Store, session: SessionPaths, context: Context, runs: Iter
 
 
 def _by_weight(past: Iterable[Past], context: Context) -> Iterator[list[Past]]:
-    """Executions of one kind of which not too much must lie unpacked on the disk at a time; one at least."""
+    """Yield groups of executions of one kind, with a limit on the bytes unpacked at a time; each group has at least one."""
     some: list[Past] = []
     weight = 0
     for one in past:
@@ -287,7 +288,7 @@ def _by_weight(past: Iterable[Past], context: Context) -> Iterator[list[Past]]:
 
 @dataclass(frozen=True, slots=True)
 class _Group:
-    """Some executions, judged anew in one segment."""
+    """Executions that are evaluated together, into one segment."""
 
     store: Store
     session: SessionPaths
@@ -297,7 +298,7 @@ class _Group:
     anew: Rejudged
 
     def judge(self, past: Sequence[Past]) -> None:
-        """Judge them, and publish the segment."""
+        """Evaluate the executions and publish the segment."""
         results = {result.execution: (one, result) for one, result in self._results(past)}
         first = [
             Judgement(result, *judge(result, self.context.outputs, self.context.success)) for _, result in results.values()
@@ -318,7 +319,7 @@ class _Group:
         self.anew.judged |= {of.run for of, _ in made}
 
     def _copied(self, good: Sequence[tuple[Past, Result]], writer: Writer) -> TableIngest:
-        """Write the rows that are recorded once more. Raises Damaged where these are not as many as their artifacts say."""
+        """Copy recorded rows. Raises Damaged if their number differs from the number in their artifacts."""
         recorded = {
             (result.execution, row["path"]): row for one, result in good for row in one.artifacts if row["rows"] is not None
         }
@@ -333,11 +334,11 @@ class _Group:
         return Recalled(self.context.outputs, recorded=recorded)
 
     def _is_worth(self, past: Past, one: Judgement) -> bool:
-        """Whether it is recorded how an execution is judged now; where it failed before and fails still, it is executed."""
+        """Return False if the execution failed before and still fails: then its run is executed, and nothing is recorded."""
         return past.good or one.status is Status.OK
 
     def _results(self, past: Sequence[Past]) -> Iterator[tuple[Past, Result]]:
-        """What a worker would have said of each, with the bytes of the files that are needed in a folder."""
+        """Yield the results that a worker would have reported, with the bytes of the needed files in a folder."""
         folders = {one.execution: self.session.anew / str(number) for number, one in enumerate(past)}
         read, lost = self._unpacked(past, folders)
         for one in past:
@@ -351,7 +352,7 @@ class _Group:
     def _unpacked(
         self, past: Sequence[Past], folders: Mapping[str, Path]
     ) -> tuple[dict[str, dict[str, OutputFile]], dict[str, str]]:
-        """Write the files that are needed; each as a worker describes it, and why some could not be."""
+        """Write the needed files; return a worker's descriptions of them, and the reasons why some could not be written."""
         read: dict[str, dict[str, OutputFile]] = {}
         lost: dict[str, str] = {}
         files = [_recorded(one, row) for one in past for row in needed(one, self.context)]
@@ -390,7 +391,7 @@ class _Group:
 
 @dataclass(frozen=True, slots=True)
 class Recalled(TableIngest):
-    """What is recorded of the tables of judgements, by which others have the same."""
+    """The recorded tables of earlier judgements, which the new judgements share."""
 
     recorded: Mapping[tuple[str, str], Artifact] = field(default_factory=dict)
 
@@ -414,18 +415,18 @@ class Recalled(TableIngest):
 
 
 def _recorded(one: Past, row: Artifact) -> Recorded:
-    """A file as `sierra.store.files` knows it; a table too is read as the bytes that it was."""
+    """Return a file as `sierra.store.files` describes it, with kind `file` for a table, so that its bytes are read."""
     taken = Taken("", 0, 0, one.run, one.execution, one.status, "asked", one.execution)
     kind = "log" if row["kind"] == "log" else "file"
     return Recorded(taken, row["path"], kind, row["size"], row["sha256"], row["size"], None, None, None)
 
 
 def _target(folder: Path, file: Recorded) -> Path:
-    """Return where a file is written. Raises Damaged for a path that leads out of the folder."""
+    """Return the path to which a file is written. Raises Damaged for a path that leads out of the folder."""
     return inside(folder if file.kind == "log" else folder / RUN_OUTPUT, file.path)
 
 
 def _artifacts(past: Past, result: Result, tables: TableIngest) -> Iterator[dict[str, Any]]:
-    """Yield the artifacts of an execution as they are judged now; logs are what they were."""
+    """Yield the artifacts of an execution by its new judgement; logs do not change."""
     yield from artifact_rows(result, tables)
     yield from ({**row, "execution": result.execution} for row in past.artifacts if row["kind"] == "log")

@@ -1,4 +1,4 @@
-"""Whether an execution is good, by what is known as soon as it has ended."""
+"""The success of an execution, as far as it is known immediately after its end."""
 
 from __future__ import annotations
 
@@ -22,21 +22,21 @@ STOPPED = {
 
 @dataclass(frozen=True, slots=True)
 class Judgement:
-    """An execution, and how it is judged so far."""
+    """An execution with its preliminary or final status."""
 
     result: Result
     status: Status
     reason: str | None
-    """Why it is not good."""
+    """The reason why it is not successful."""
 
 
 def doubted(one: Judgement, doubt: str) -> Judgement:
-    """The same, not good because of what is doubted."""
+    """Return the judgement as failed because of the doubt, if it was successful."""
     return Judgement(one.result, Status.FAILED, doubt) if one.status is Status.OK else one
 
 
 def judge(result: Result, outputs: Mapping[str, Output], success: Success) -> tuple[Status, str | None]:
-    """Whether an execution is good by what is known at once, and why not."""
+    """Return the status of an execution by what is known immediately, and the reason if it is not successful."""
     if result.error is not None:
         return Status.FAILED, result.error
     if result.stopped is not None:
@@ -57,7 +57,7 @@ def _marked(result: Result, success: Success) -> tuple[Status, str | None]:
     log = success.marker in (RUN_STDOUT, RUN_STDERR)
     marker = Path(result.directory, "" if log else RUN_OUTPUT, success.marker)
     there = not marker.is_symlink() and marker.is_file()
-    if not there and not log:  # a log that is not there is empty
+    if not there and not log:  # a missing log is an empty log
         return Status.FAILED, f"did not write its marker {success.marker!r}"
     if success.contains and not (there and success.contains.encode() in marker.read_bytes()):
         return Status.FAILED, f"its marker {success.marker!r} does not contain {success.contains!r}"

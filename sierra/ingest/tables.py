@@ -1,4 +1,4 @@
-"""The tables of some executions, read into one segment."""
+"""The tables of several executions, read into one segment."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ from sierra.store.store import Store
 
 @dataclass(frozen=True, slots=True)
 class TableIngest:
-    """Which file is which table's, and what was read of it."""
+    """The assignment of files to tables, and the results of reading them."""
 
     outputs: Mapping[str, Output]
     belongs: dict[tuple[str, str], str] = field(default_factory=dict)
-    """The table of each file, by its execution and path."""
+    """The table of each file, by execution and path."""
     readings: dict[str, Reading] = field(default_factory=dict)
     faults: dict[str, str] = field(default_factory=dict)
-    """Why executions are at fault."""
+    """The reasons why executions are at fault."""
 
     def judged(self, one: Judgement) -> Judgement:
-        """The same, knowing what its tables were like."""
+        """Return the judgement after the tables were read."""
         execution = one.result.execution
         if execution in self.faults:
             return Judgement(one.result, Status.MISMATCH, self.faults[execution])
@@ -46,21 +46,21 @@ class TableIngest:
         return one
 
     def table(self, execution: str, file: OutputFile) -> str | None:
-        """The table of a file, also where none of it could be read."""
+        """Return the table of a file, even if nothing could be read from it."""
         return self.belongs.get((execution, file.path))
 
     def rows(self, execution: str, file: OutputFile) -> int | None:
-        """How many rows a file gave its table; None of what has none."""
+        """Return the number of rows that a file added to its table; None for a file without a table."""
         name = self.table(execution, file)
         return self.readings[name].rows.get((execution, file.path)) if name else None
 
     def counted(self, execution: str, file: OutputFile) -> int | None:
-        """Return the rows of a file by a count of the file itself; None of what has none."""
+        """Return the number of rows by a count of the file itself; None for a file without a table."""
         name = self.table(execution, file)
         return self.readings[name].counted.get((execution, file.path)) if name else None
 
     def form(self, execution: str, file: OutputFile) -> str:
-        """What a table looks like, for a comparison with its siblings'. Only a CSV's columns have an order of their own."""
+        """Return the properties of a table as JSON, for comparison with its siblings. Only a CSV's columns have an order."""
         reading = self.readings[self.belongs[execution, file.path]]
         columns = reading.columns[execution, file.path]
         csv = reading.shape.format == "csv"
@@ -76,12 +76,12 @@ class TableIngest:
 
 
 def too_few(path: str, rows: int, name: str, output: Output) -> str:
-    """Say that a file has fewer rows than its output asks for."""
+    """Return the message that a file has fewer rows than its output requires."""
     return f"{path}: {rows} rows; [outputs.{name}] min_rows asks for {output.min_rows}"
 
 
 def artifact_rows(result: Result, tables: TableIngest) -> Iterator[dict[str, Any]]:
-    """Yield a row of `artifacts` for each file of an execution that is no log."""
+    """Yield a row of `artifacts` for each file of an execution except its logs."""
     for file in result.outputs:
         count = tables.rows(result.execution, file)
         yield {
@@ -106,7 +106,7 @@ def tabled(
     assigning: OutputMatcher,
     shapes: dict[str, Shape],
 ) -> TableIngest:
-    """Read all tables of good executions into a segment; `shapes` learns those of tables that it has not."""
+    """Read all tables of successful executions into a segment; add new tables to `shapes`."""
     from sierra.store.connections import connect
 
     made = TableIngest(context.outputs)

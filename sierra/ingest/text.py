@@ -1,4 +1,4 @@
-"""Formats whose fields are texts: what the texts of a column look like decides its type."""
+"""Formats whose fields are texts: the texts of a column decide its type."""
 
 from __future__ import annotations
 
@@ -17,32 +17,32 @@ from sierra.store.names import column_names, identifier, quote
 from sierra.store.scans import read_parquet
 
 Found = Mapping[str, Mapping[str, str | None]]
-"""By column and file, the type that holds what is there."""
+"""The type that holds a column's values, by column and path; None if it has no values."""
 Target = tuple[Path, list[Written], dict[str, dict[str, str]]]
-"""A Parquet file that was written, of which files, and what these have in each column."""
+"""A Parquet file that was written, its source files, and the kinds of their columns."""
 AT_ONCE = 50
-"""Columns that a statement looks at side by side: what DuckDB needs to plan it grows with their square."""
+"""The number of columns that a statement tests side by side; DuckDB's planning cost grows with its square."""
 
 
 class Text(Reader):
-    """Formats whose fields are texts: what the texts of a column look like decides its type."""
+    """The base class of readers of formats whose fields are texts: the texts of a column decide its type."""
 
     def relation(self, names: Sequence[str], types: Mapping[str, str]) -> str:
-        """A relation on $files with the columns c0, c1, … and the file; those that may be VARCHAR or as in `types`."""
+        """Return a relation on $files with the columns c0, c1, … and the file. Columns are VARCHAR or as in `types`."""
         raise NotImplementedError
 
     def text(self, cell: str) -> str:
-        """The text that a cell holds, where its column is a column of texts."""
+        """Return the SQL expression for a cell's text, in a column of texts."""
         return cell
 
     def first_fault(self, file: Written, names: Sequence[str], types: Mapping[str, str]) -> str | None:
-        """The first line of a file that is not as it should be, found the slow way."""
+        """Return the first faulty line of a file, found by a slow search; None if there is none."""
         raise NotImplementedError
 
     def contradictions(
         self, files: Sequence[Written], found: Mapping[str, Mapping[str, str | None]]
     ) -> Iterable[tuple[Written, str]]:
-        """Return the files that contradict themselves, each with a sentence; `found`: what they hold, by column and path."""
+        """Return files that contradict themselves, each with an error message; `found`: their types by column and path."""
         return ()
 
     def one(self, files: Sequence[Written]) -> None:
@@ -54,7 +54,7 @@ class Text(Reader):
             self.done(target, some, kinds)
 
     def _slowly_written(self, files: Sequence[Written]) -> list[Target]:
-        """Write what is sound of files, of which some are not; what `_write` gives."""
+        """Write the valid files among these, some of which are faulty; return the same as `_write`."""
         names = self.part.names
         texts = dict.fromkeys(names, "VARCHAR")
 
@@ -66,7 +66,7 @@ class Text(Reader):
         try:
             return self._exactly(files, self._seen(files, names), by_text=True) if files else []
         except self.error as error:
-            for file in files:  # what each shows alone, many together may hide
+            for file in files:  # an error that a file shows alone may be hidden among many
                 self.halve([file], lambda some: self._try(some, names), explain)
             sound = self.sound(files)
             if len(sound) == len(files):
@@ -74,7 +74,7 @@ class Text(Reader):
             return self._slowly_written(sound)
 
     def _exactly(self, files: Sequence[Written], found: Found, *, by_text: bool = False) -> list[Target]:
-        """As `_write`, with whole numbers that DOUBLE does not hold apart from fractions of other files."""
+        """Call `_write`, and keep whole numbers that DOUBLE cannot hold separate from other files' fractions."""
         apart: frozenset[str] = frozenset()
         while True:
             try:
@@ -86,9 +86,9 @@ class Text(Reader):
     def _write(
         self, files: Sequence[Written], found: Found, apart: frozenset[str] = frozenset(), *, by_text: bool = False
     ) -> list[Target]:
-        """Write what the files hold, as their types were found; with `by_text`, slower, numbers too that DuckDB does not know.
+        """Write the files with the types that were found, and return the targets.
 
-        Where it was written, what, and what it is.
+        `by_text`: also read numbers that DuckDB does not parse; this is slower.
         """
         if faults := list(self.contradictions(files, found)):
             raise AtFaultError(faults)
@@ -100,7 +100,7 @@ class Text(Reader):
             targets = self.targets()
             usual = next(targets)
             for some in alike(files, kept, apart):
-                # what will hardly count goes where SQL does not look for types (see `Views._holding`)
+                # executions that will hardly be effective go where SQL does not look for types (see `Views._holding`)
                 odd = any((file.execution, file.name) in self.hints for file in some)
                 target = next(targets) if odd or written else usual
                 types = {name: common(kept[name].get(file.path) for file in some) for name in names}
@@ -120,7 +120,7 @@ class Text(Reader):
     def _kept(
         self, files: Sequence[Written], found: Mapping[str, Mapping[str, str | None]]
     ) -> dict[str, Mapping[str, str | None]]:
-        """The type that each file's columns are kept as: text among siblings that have text."""
+        """Return the type in which each file's columns are kept: text among siblings that have text."""
         doubtful = [
             name
             for name, seen in found.items()
@@ -150,13 +150,13 @@ class Text(Reader):
         return kept
 
     def _hint(self, file: Written, name: str) -> None:
-        """Note where a file has text, since most of its siblings have numbers."""
+        """Note the place where a file has text, if most of its siblings have numbers."""
         types = dict.fromkeys(self.part.names, "VARCHAR") | {name: "DOUBLE"}
         if told := self.first_fault(file, self.part.names, types):
             self.hints.setdefault((file.execution, file.name), {})[name] = f"{shown(file.name)}: {told}"
 
     def _misread(self, target: Path, files: Sequence[Written], names: Sequence[str], types: Mapping[str, str]) -> bool:
-        """Whether something that is no number was written as one: looked for only where there is a sign of it."""
+        """Check if a text that is not a number was written as one; search only if there is a sign of it."""
         doubles = [name for name in names if types[name] == "DOUBLE"]
         if not doubles or not files:
             return False
@@ -171,8 +171,9 @@ class Text(Reader):
         return self._any(odd("{}"), (f"c{places[name]}" for name in doubles), relation, these(files))
 
     def _rounded(self, target: Path, files: Sequence[Written], types: Mapping[str, str]) -> Found:
-        """Columns of great numbers written as DOUBLE in which some files have whole ones alone, and others fractions: the
-        type in each file.
+        """Return the types by column and file for columns of large numbers that were written as DOUBLE.
+
+        These are columns in which some files have only whole numbers, and others have fractions.
         """
         stored = dict(zip(self.part.names, column_names(self.part.names), strict=True))
         doubles = [name for name, kind in types.items() if kind == "DOUBLE" and len(files) > 1]
@@ -191,7 +192,7 @@ class Text(Reader):
         }
 
     def _any(self, condition: str, cells: Iterable[str], relation: str, given: Mapping[str, Any]) -> bool:
-        """Whether a condition holds for any of these cells of any row."""
+        """Check if a condition holds for any of these cells in any row."""
         cells = list(cells)
         either = " OR ".join(condition.replace("{}", cell) for cell in cells)
         if len(cells) > AT_ONCE:
@@ -199,16 +200,16 @@ class Text(Reader):
         return bool(self.sql.execute(f"SELECT 1 FROM {relation} WHERE {either} LIMIT 1", given).fetchall())
 
     def has_underscores(self, file: Written) -> bool:
-        """Whether there may be an underscore within a number."""
+        """Check if a file may have an underscore within a number."""
         return False
 
     def _typed(self, cell: str, kind: str, by_text: bool) -> str:
-        """A cell as a value of its column's type; what does not fit is an error, never rounded."""
+        """Return the SQL expression of a cell in its column's type. A value that does not fit is an error; none is rounded."""
         match kind:
             case "VARCHAR":
                 return self.text(cell)
             case "DOUBLE":
-                return f"CAST({no_nan(cell) if by_text else cell} AS DOUBLE)"  # and see `_misread`
+                return f"CAST({no_nan(cell) if by_text else cell} AS DOUBLE)"  # also checked by `_misread`
             case "BOOLEAN":
                 sound = f"regexp_full_match({cell}, {quote(LOGICAL)})"
                 value = f"CAST(trim({cell}) AS BOOLEAN)"
@@ -222,7 +223,7 @@ class Text(Reader):
         self.fetch(f"SELECT count(COLUMNS(*)) FROM {relation}", files)
 
     def _quickly_seen(self, files: Sequence[Written], names: Sequence[str]) -> dict[str, dict[str, str | None]]:
-        """Each column's type in a few of the files, taken for that in all; where that leaves a doubt, as each file has it."""
+        """Return each column's type by file, inferred from a few files if they leave no doubt, else from each file."""
         sample = [files[place] for place in sorted({0, len(files) // 2, len(files) - 1})]
         found = self._seen(sample, names)
         if len(sample) == len(files):
@@ -241,7 +242,7 @@ class Text(Reader):
     def _seen(
         self, files: Sequence[Written], names: Sequence[str], wanted: Sequence[str] | None = None
     ) -> dict[str, dict[str, str | None]]:
-        """The narrowest type that holds all of a column, by column and file; None where it has no value."""
+        """Return the narrowest type that holds all values, by column and file; None if a column has no values."""
         wanted = names if wanted is None else wanted
         relation = self.relation(names, dict.fromkeys(names, "VARCHAR"))
         places = {name: place for place, name in enumerate(names)}
@@ -263,13 +264,13 @@ class Text(Reader):
 
 
 class _MisreadError(Exception):
-    """Something that is no number was written as one."""
+    """The error that a text that is not a number was written as one."""
 
 
 class _RoundedError(Exception):
-    """Whole numbers were written as DOUBLE that may not hold them."""
+    """The error that whole numbers were written as DOUBLE, which may not hold them exactly."""
 
     def __init__(self, found: Found) -> None:
-        """`found`: by column and file, what there is."""
+        """`found`: the types by column and file."""
         super().__init__()
         self.found = found

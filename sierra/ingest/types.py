@@ -1,4 +1,4 @@
-"""The types that the columns of many files have, so that files of the same types are read together."""
+"""Types of the columns of many files, so that files of the same types are read together."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from sierra.store.column_types import AS_TEXT, EMPTY, is_whole, kind_of
 def alike(
     files: Sequence[Written], kept: Mapping[str, Mapping[str, str | None]], apart: Collection[str] = ()
 ) -> list[list[Written]]:
-    """Return the files sorted by what their columns are to hold; a column without values goes with those that have most.
+    """Return the files grouped by the kinds of their columns; a column without values joins the most frequent kind.
 
-    `apart`: columns in which whole numbers are not kept with fractions, as DOUBLE does not hold them.
+    `apart`: the columns in which whole numbers are kept separate from fractions, because DOUBLE cannot hold them.
     """
 
     def sort(name: str, kind: str) -> str:
@@ -35,7 +35,7 @@ def kinds_of(
     found: Mapping[str, Mapping[str, str | None]],
     kept: Mapping[str, Mapping[str, str | None]],
 ) -> dict[str, dict[str, str]]:
-    """What each file has in each column, and whether that is kept as text."""
+    """Return the kind of each column in each file, marked if it is kept as text."""
     told = {}
     same: dict[tuple[str, ...], dict[str, str]] = {}
     for file in files:

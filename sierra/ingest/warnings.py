@@ -1,4 +1,4 @@
-"""What of the tables that were recorded is allowed, and yet hardly meant."""
+"""Warnings about recorded tables: properties that are allowed but probably not intended."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ SEVERAL = "is it several columns? (delimiter = {delimiter} in [outputs.{output}]
 
 
 class TableWarnings:
-    """Looks at the tables of a session, each with its shape."""
+    """The warnings about the tables of one session; `shapes` are the tables."""
 
     def __init__(self, store: Store, context: Context, shapes: Mapping[str, Shape]) -> None:
         self._store = store
@@ -33,7 +33,10 @@ class TableWarnings:
         self._shapes = shapes
 
     def all(self) -> list[str]:
-        """A line each. Asks the store, so it is to be called once, when all is recorded and `find_odd` has looked at it."""
+        """Return the warnings, one line each.
+
+        This queries the store, so call it once, after everything is recorded and `find_odd` has checked it.
+        """
         if not self._shapes:
             return []
         rows = self._store.rows(GOOD + FORMS, **asked(self._context))
@@ -41,7 +44,7 @@ class TableWarnings:
         return [*self._alone(forms), *self._renamed(forms), *self._of_kinds(forms)]
 
     def _alone(self, forms: Sequence[Mapping[str, Any]]) -> Iterator[str]:
-        """Columns that one run alone has in its whole batch, as it may be where there is one run per experiment."""
+        """Yield warnings about columns that only one run of the batch has, which is possible with one run per experiment."""
         sets: dict[str, Counter[tuple[str, ...]]] = {}
         for row in forms:
             sets.setdefault(row["output"], Counter())[tuple(row["columns"])] += row["executions"]
@@ -53,7 +56,7 @@ class TableWarnings:
                 yield f"output {name!r}: {whose} that no other run has; none of its experiment shows whether that is right"
 
     def _renamed(self, forms: Sequence[Mapping[str, Any]]) -> Iterator[str]:
-        """Columns that SQL knows by another name, because an axis has theirs, and not their values."""
+        """Yield warnings about columns that have another name in SQL, because an axis has their name but other values."""
         columns: dict[str, set[str]] = {}
         for row in forms:
             columns.setdefault(row["output"], set()).update(map(str.lower, row["columns"]))
@@ -65,7 +68,7 @@ class TableWarnings:
                     yield f"{told}: {axis!r} there is the independent variable, and its values are others"
 
     def _of_kinds(self, forms: Sequence[Mapping[str, Any]]) -> Iterator[str]:
-        """Columns that hold one thing in some runs and another in others, and texts that were hardly meant as such."""
+        """Yield warnings about columns of different kinds in different runs, and about texts that are probably numbers."""
         kinds: dict[tuple[str, str], Counter[str]] = {}
         for row in forms:
             for name, kind in row["columns"].items():
@@ -81,7 +84,7 @@ class TableWarnings:
         yield from self._texts(kinds)
 
     def _texts(self, kinds: Mapping[tuple[str, str], Counter[str]]) -> Iterator[str]:
-        """Columns that are text in all runs, and were hardly meant as such."""
+        """Yield warnings about columns that are text in all runs, but were probably not intended as text."""
         texts = [key for key, counts in kinds.items() if all(kind == "text" or kind.endswith(AS_TEXT) for kind in counts)]
         for output, name in texts[:NOTED_AT_MOST]:
             if told := self._as_one_column(kinds, output, name) or self._numeric(kinds, output, name):
@@ -89,7 +92,7 @@ class TableWarnings:
                 yield f"column {name!r} of output {output!r} is text in {counted(runs, 'run')}, and has no figure: {told}"
 
     def _as_one_column(self, kinds: Iterable[tuple[str, str]], output: str, name: str) -> str | None:
-        """Return what to write where a table is one column because its delimiter or its header was not seen as such."""
+        """Return advice for a table that has one column because its delimiter or its header was not recognized."""
         if self._shapes[output].format != "csv" or not _only_column(kinds, output, name):
             return None
         if name.startswith("#"):
@@ -99,7 +102,7 @@ class TableWarnings:
         return SEVERAL.format(delimiter='" "', output=output) if len(name.split()) > 1 else None
 
     def _numeric(self, kinds: Iterable[tuple[str, str]], output: str, name: str) -> str | None:
-        """Return what to write in a column of texts most of which look like numbers, by the first rows that are there."""
+        """Return advice for a column of texts that mostly look like numbers, judged by the first rows."""
         with self._store.snapshot(self._context.batch) as snapshot:
             snapshot.views.make((output,))
             named = {row[0].lower(): row[0] for row in snapshot.run(f"DESCRIBE {identifier(output)}")}
@@ -120,7 +123,7 @@ class TableWarnings:
 
 
 def _instead(output: str, name: str, look: str, cells: int, example: str) -> str:
-    """Return what to write instead of a cell that keeps its column from being one of numbers."""
+    """Return what to write instead of a cell that prevents its column from being numeric."""
     match look.partition(" "):
         case ("comma", _, _):
             return f"write {example.replace(',', '.')!r} for {example!r}, with a decimal point"
@@ -136,14 +139,14 @@ def _instead(output: str, name: str, look: str, cells: int, example: str) -> str
 
 
 def lost(names: Sequence[str]) -> Iterator[str]:
-    """What runs left in their outputs that is no file."""
+    """Yield a warning about entries of the output folder that are not files."""
     if names:
         others = f" and {counted(len(names) - 1, 'other')} are" if len(names) > 1 else " is"
         yield f"{shown(names[0])!r}{others} not recorded: only files are, and where a link leads is not followed"
 
 
 def as_files(kept: Mapping[str, Mapping[str, None]]) -> Iterator[str]:
-    """Files that look like tables, and became none."""
+    """Yield warnings about files that look like tables but are recorded as files."""
     for why, files in kept.items():
         first = PurePosixPath(next(iter(files)))
         told = why.replace("{glob}", str(first.with_name("*" + first.suffix))).replace("{file}", str(first))
@@ -167,7 +170,7 @@ GROUP BY ALL ORDER BY ALL
 """
 NUMBER = r"[-+]?([0-9]+[.]?[0-9]*|[.][0-9]+)([eE][-+]?[0-9]+)?"
 MISSING = "n[./]?a[.]?|#n/a|null|none|nil|missing|undefined|-+|[?]"
-"""What is written where there is no number, so that such cells tell nothing of what a column holds."""
+"""Texts that stand for a missing number; such cells do not show the kind of a column."""
 LOOKS = """
 WITH cells AS (
     SELECT trim(cell) AS cell FROM (SELECT {column}::VARCHAR AS cell FROM {table} LIMIT 200000) WHERE cell IS NOT NULL
@@ -184,11 +187,11 @@ WITH cells AS (
 )
 SELECT look, count(*), min(cell) FROM looking GROUP BY look ORDER BY count(*) DESC, look LIMIT 1000
 """
-"""What cells look like: how many, and one of them."""
+"""The appearances of cells, each with the number of cells and an example."""
 
 
 def _hidden(snapshot: Snapshot, name: str, axes: Mapping[str, str]) -> Iterator[tuple[str, str, str]]:
-    """The columns of an output that an axis hides in SQL, where their values differ: axis, column, what it is called there."""
+    """Yield the columns that an axis with other values hides in SQL: axis, column, and the column's name in SQL."""
     snapshot.views.make((name,))
     for column, called in snapshot.views.called.get(name.lower(), {}).items():
         axis = axes.get(column.lower())

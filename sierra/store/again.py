@@ -1,4 +1,4 @@
-"""Rows of outputs that one judgement recorded, written again for another that reads the same of the same files."""
+"""Copies of recorded output rows, written under a new judgement that reads the same files in the same way."""
 
 from __future__ import annotations
 
@@ -17,9 +17,10 @@ HOLDING = "SELECT DISTINCT o.filename FROM {files} o SEMI JOIN made m ON o.execu
 
 
 def write_again(snapshot: Snapshot, writer: Writer, outputs: Iterable[str], made: Mapping[str, str]) -> dict[str, int]:
-    """Write the rows of these outputs (in lower case), in their order, for the judgements that `made` has by those before.
+    """Write the rows of these outputs again, in their order, under new judgements.
 
-    How many rows each output has. Raises Missing where the disk is full, Damaged for what cannot be read.
+    `outputs` are names in lower case. `made` maps each known judgement to the new judgement.
+    Return the number of rows per output. Raises Missing if the disk is full, Damaged if the store cannot be read.
     """
     import duckdb
     import pyarrow as pa
@@ -39,7 +40,7 @@ def write_again(snapshot: Snapshot, writer: Writer, outputs: Iterable[str], made
 
 
 def _output(connection: Any, snapshot: Snapshot, writer: Writer, name: str) -> int:
-    """Write the rows of one output: a file for all that have the same columns."""
+    """Write the rows of one output and return their number. Files with the same columns become one file."""
     import pyarrow.parquet as pq
 
     called = {path: called for segment in snapshot.segments for called, path in segment.outputs() if called.lower() == name}

@@ -1,4 +1,4 @@
-"""What columns hold, by the texts of their cells and by the types that are known."""
+"""Types of columns: inferred from the texts of cells, and combined from known types."""
 
 from __future__ import annotations
 
@@ -8,22 +8,25 @@ from collections.abc import Iterable, Mapping
 from sierra.store.names import quote
 
 WHOLE = r" *([+]?[0-9]+|-0*[1-9][0-9]*) *"
-"""-0 is a number, but no whole one: a BIGINT has no such zero."""
+"""The pattern of a whole number. -0 does not match: it is a number, but BIGINT has no negative zero."""
 LOGICAL = r" *(?i:true|false) *"
 HUGE = "DECIMAL(38,0)"
 EMPTY = '"NULL"'
-"""What DuckDB calls the type of a Parquet column that says itself that it has no values."""
+"""DuckDB's name for the type of a Parquet column that is declared to have no values."""
 AS_TEXT = " as text"
 
 
 def own_kind(kind: str) -> str:
-    """What a file has in a column, however it is kept."""
+    """Return the kind of values that a file has in a column, without the mark that they are stored as text."""
     return kind.removesuffix(AS_TEXT)
 
 
 def right_kind(kinds: Mapping[str, int]) -> str:
-    """What siblings ought to have in a column, by how many of them have what: what at least half of them have (of two that
-    as many have: numbers), else text, which holds all."""
+    """Return the kind that sibling files are expected to have in a column, from the number of files per kind.
+
+    This is the kind that at least half of the files have; in a tie, numbers win. Otherwise it is text, which can hold
+    everything.
+    """
     counts: Counter[str] = Counter()
     for kind, number in kinds.items():
         if kind != "empty":
@@ -33,7 +36,7 @@ def right_kind(kinds: Mapping[str, int]) -> str:
 
 
 def kind_of(kind: str) -> str:
-    """number, text, flag, empty, or the type itself."""
+    """Return number, text, flag, empty, or the type itself."""
     if is_number(kind):
         return "number"
     return {"VARCHAR": "text", "BOOLEAN": "flag", EMPTY: "empty"}.get(kind, kind)
@@ -48,12 +51,12 @@ def is_whole(kind: str) -> bool:
 
 
 def is_inexact(column: str, kind: str) -> str:
-    """The condition that a number of some type is not the same as DOUBLE."""
+    """Return the SQL condition that a number of type `kind` changes when it is converted to DOUBLE."""
     return f"{column} IS NOT NULL AND TRY_CAST(CAST({column} AS DOUBLE) AS {kind}) IS DISTINCT FROM {column}"
 
 
 def bit(cell: str) -> str:
-    """Which kind of text a cell holds: one bit each; none where it is empty."""
+    """Return the SQL expression that classifies the text of a cell: one bit for each kind, 0 for an empty cell."""
     whole = f"regexp_full_match({cell}, {quote(WHOLE)})"
     return (
         f"CASE WHEN {cell} IS NULL THEN 0 WHEN {whole} AND TRY_CAST({cell} AS BIGINT) IS NOT NULL THEN 2 "
@@ -64,22 +67,22 @@ def bit(cell: str) -> str:
 
 
 def no_nan(cell: str) -> str:
-    """The same text, but for the -nan that C prints, as DuckDB knows it."""
+    """Return an SQL expression for the cell's text in which -nan, as C prints it, is nan, as DuckDB requires."""
     return f"CASE WHEN regexp_full_match({cell}, ' *[-+](?i:nan) *') THEN 'nan' ELSE {cell} END"
 
 
 def odd(cell: str) -> str:
-    """Whether DuckDB takes a text for a number that it is not: 12_34 for 1234, 1e400 for infinity."""
+    """Return the SQL condition that DuckDB misreads a text as a number: 12_34 as 1234, or 1e400 as infinity."""
     return f"(contains({cell}, '_') OR (isinf(TRY_CAST({cell} AS DOUBLE)) AND regexp_matches({cell}, '[0-9]')))"
 
 
 def reads_as(cell: str, kind: str) -> str:
-    """The number that a text is, as a type of numbers; NULL where it is none."""
+    """Return the SQL expression that parses a text as a number of type `kind`; NULL if it is not a number."""
     return f"CASE WHEN NOT {odd(cell)} THEN TRY_CAST({no_nan(cell)} AS {kind}) END"
 
 
 def narrowest(bits: int) -> str | None:
-    """The narrowest type that holds all of these kinds."""
+    """Return the narrowest type that holds all kinds of text whose bits (see `bit`) are set."""
     if bits in (0, 1):
         return "BOOLEAN" if bits else None
     if bits & 17:
@@ -88,7 +91,7 @@ def narrowest(bits: int) -> str | None:
 
 
 def common(kinds: Iterable[str | None]) -> str:
-    """The narrowest type that holds all of these."""
+    """Return the narrowest type that holds the values of all these types."""
     some = {kind for kind in kinds if kind}
     if len(some) < 2:
         return some.pop() if some else "BOOLEAN"

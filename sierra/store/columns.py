@@ -1,11 +1,12 @@
-"""The files of one table as one relation: what is a number in some of them stays one, and what is none is told apart.
+"""The files of one table as one relation, in which a column of numbers stays numeric.
 
-A column that a file does not have is NULL there. One that holds numbers in some files, and texts, flags or dates in others,
-becomes two: the numbers under its name, and beside them, with `_text` behind the name, the cells of the other files as they
-are. A text that reads as a number is in both. Whole numbers and decimals that DOUBLE cannot hold are told apart in the same
-way where other files have fractions: the nearest number under the name, all digits beside it.
+A column that a file does not have is NULL there. A column that holds numbers in some files, and texts, flags or dates in
+others, becomes two columns. The first has the original name and holds the numbers. The second has the suffix `_text` and
+holds the cells of the other files unchanged. A text that reads as a number is in both. A similar split applies to whole
+numbers and decimals that DOUBLE cannot hold exactly, if other files have fractions: the first column has the nearest
+DOUBLE, the second has all digits.
 
-DuckDB's own union would make texts of all numbers, 1 of true, dates of whole numbers, and whole numbers of decimals.
+DuckDB's own union would turn all numbers into texts, true into 1, whole numbers into dates, and decimals into whole numbers.
 """
 
 from __future__ import annotations
@@ -19,31 +20,31 @@ from sierra.store.names import column_names, identifier
 from sierra.store.scans import parquet_schema, read_parquet, steady
 
 Fetch = Callable[[str], Sequence[Sequence[Any]]]
-"""Executes a statement; its rows."""
+"""A function that executes a statement and returns its rows."""
 PLACES = ("filename", "file_row_number")
-"""Columns that say where a row is from; they stand behind all others."""
+"""Columns that identify a row's origin; they come after all other columns."""
 TEXT = "_text"
 NUMBERS = 2 | 4 | 8
-"""What `bit` says of texts that are numbers."""
+"""The bits of `bit` for texts that are numbers."""
 
 
 @dataclass(frozen=True, slots=True)
 class Relation:
-    """Rows of several files: `sql` is what stands behind FROM."""
+    """The rows of several files; `sql` is the expression to put after FROM."""
 
     sql: str
     types: Mapping[str, str]
-    """By column, its type, without those of `PLACES`."""
+    """The type of each column, without the columns of `PLACES`."""
     texts: Mapping[str, str] = field(default_factory=dict)
-    """By column of numbers, the one beside it for what is none there."""
+    """The `_text` column that belongs to each split numeric column."""
     rounded: frozenset[str] = frozenset()
-    """Those of them in which all are numbers, and some have more digits than DOUBLE."""
+    """The split columns that hold only numbers, some of them with more digits than DOUBLE can hold."""
 
 
 def relation(fetch: Fetch, files: Sequence[str], where: str = "true", *, rows: bool = False) -> Relation:
-    """Return the rows of these files. What is only in rows that do not meet the condition `where` decides no type.
+    """Return the rows of these files. Rows that do not meet the condition `where` do not influence the types.
 
-    `rows`: with the columns of `PLACES`.
+    `rows`: include the columns of `PLACES`.
     """
     described = _described(fetch, files)
     names = _names(described)
@@ -71,11 +72,11 @@ def relation(fetch: Fetch, files: Sequence[str], where: str = "true", *, rows: b
 
 
 Described = Sequence[tuple[Sequence[str], Mapping[str, str]]]
-"""Files that have the same columns, and the types of these."""
+"""Groups of files that have the same columns, each with the types of these columns."""
 
 
 def _names(described: Described) -> dict[str, str]:
-    """The columns of all files in their order, as the first file calls them, by their names in lower case."""
+    """Return the columns of all files in order: their names in lower case, each with the spelling of the first file."""
     found: dict[str, str] = {}
     for _, columns in described:
         for name in columns:
@@ -84,7 +85,7 @@ def _names(described: Described) -> dict[str, str]:
 
 
 def _by_type(described: Described) -> dict[str, dict[str, list[str]]]:
-    """The files by column, in lower case, and type."""
+    """Return the files by column (in lower case) and type."""
     found: dict[str, dict[str, list[str]]] = {}
     for files, columns in described:
         for name, kind in columns.items():
@@ -93,7 +94,7 @@ def _by_type(described: Described) -> dict[str, dict[str, list[str]]]:
 
 
 def _parts(described: Described, several: Sequence[str]) -> dict[tuple[str | None, ...], list[str]]:
-    """The files by what types they have in these columns."""
+    """Return the files by the types that they have in these columns."""
     found: dict[tuple[str | None, ...], list[str]] = {}
     for files, columns in described:
         theirs = {name.lower(): kind for name, kind in columns.items()}
@@ -102,7 +103,7 @@ def _parts(described: Described, several: Sequence[str]) -> dict[tuple[str | Non
 
 
 def _scan(mixed: Iterable[_Mixed], kinds: Iterable[str | None], files: Sequence[str], *, rows: bool) -> str:
-    """The query for rows of files that have these types in columns which others have otherwise."""
+    """Return the query for the rows of files that have types `kinds` in the columns `mixed`."""
     those = [(one, kind) for one, kind in zip(mixed, kinds, strict=True) if kind is not None]
     cells = ", ".join(f"{one.cell(kind)} AS {identifier(one.name)}" for one, kind in those)
     texts = "".join(f", {text} AS {identifier(one.beside)}" for one, kind in those if (text := one.text(kind)))
@@ -110,7 +111,7 @@ def _scan(mixed: Iterable[_Mixed], kinds: Iterable[str | None], files: Sequence[
 
 
 def _described(fetch: Fetch, files: Sequence[str]) -> list[tuple[list[str], dict[str, str]]]:
-    """The files that have the same columns, and these with their types; in the order of the files."""
+    """Return the files grouped by equal columns, with the columns' types, in the order of the files."""
     groups = [list(files)]
     if len(files) > 1:
         own = {steady(file): file for file in files}
@@ -128,23 +129,23 @@ def _described(fetch: Fetch, files: Sequence[str]) -> list[tuple[list[str], dict
 
 @dataclass(frozen=True, slots=True)
 class _Mixed:
-    """A column that has several types."""
+    """A column that has different types in different files."""
 
     name: str
     beside: str
-    """What a column beside it is called."""
+    """The name of the `_text` column."""
     type: str
-    """That it becomes; empty where DuckDB's own is right."""
+    """The resulting type; empty if DuckDB's own union gives the right type."""
     empty: frozenset[str]
-    """Types of files in which it has no value."""
+    """The types of the files in which the column has no values."""
     other: bool = False
-    """Whether numbers are among other things."""
+    """True if some files hold numbers and others hold other values."""
     rounded: bool = False
-    """Whether there are numbers that DOUBLE does not hold."""
+    """True if DOUBLE cannot hold some of the numbers exactly."""
 
     @property
     def apart(self) -> bool:
-        """Whether something stands in a column beside it."""
+        """True if the column needs a `_text` column."""
         return self.other or self.rounded
 
     @property
@@ -152,11 +153,11 @@ class _Mixed:
         return identifier(self.name)
 
     def types(self) -> dict[str, str]:
-        """What it becomes: itself, and the column beside it."""
+        """Return the resulting columns with their types."""
         return {self.name: self.type, **({self.beside: "VARCHAR"} if self.apart else {})}
 
     def cell(self, kind: str) -> str:
-        """The expression of its value, in files where it has this type."""
+        """Return the SQL expression for the column's value in files where it has type `kind`."""
         if kind in self.empty:
             return f"NULL::{self.type or kind}"
         if not self.type:
@@ -166,7 +167,7 @@ class _Mixed:
         return f"CAST({self.column} AS {self.type})"
 
     def text(self, kind: str) -> str | None:
-        """The expression of what stands beside it."""
+        """Return the SQL expression for the value of the `_text` column; None if there is none."""
         if not self.apart or kind in self.empty:
             return None
         if not is_number(kind):
@@ -175,7 +176,7 @@ class _Mixed:
 
 
 def _mixed(fetch: Fetch, name: str, beside: str, kinds: Mapping[str, Sequence[str]], where: str) -> _Mixed:
-    """How a column is read that has these types, each in some files."""
+    """Decide how to read a column that has these types, each in some files."""
     column = identifier(name)
 
     def seen(kind: str, what: str) -> Any:
@@ -198,14 +199,14 @@ def _mixed(fetch: Fetch, name: str, beside: str, kinds: Mapping[str, Sequence[st
 
 
 def _common(kinds: Sequence[str]) -> str:
-    """The type that holds what are no numbers; empty where DuckDB's own does."""
+    """Return the type that holds these types that are not numbers; empty if DuckDB's own union gives the right type."""
     if len(kinds) < 2:
         return next(iter(kinds), "BOOLEAN")
     return "" if all(map(_is_time, kinds)) or not any(map(_is_plain, kinds)) else "VARCHAR"
 
 
 def _widest(kinds: Sequence[str]) -> str:
-    """The type that holds all of these numbers: whole ones exactly, others as DOUBLE."""
+    """Return the type that holds all of these numbers: whole numbers exactly, others as DOUBLE."""
     if len(set(kinds)) == 1:
         return kinds[0]
     if all(map(is_whole, kinds)):

@@ -1,11 +1,11 @@
-"""Segments written anew, without some of their rows, in the place of others.
+"""Compaction: new segments that replace old ones, merged or without some of their rows.
 
-New segments are written beside the store first, then they take the place of the old ones at one moment (see
-`sierra.store.segments`): whoever is killed leaves the store as it was before, or as it is after. Old segments do not count
-from then on; `tidy` removes them once nobody reads them, then or at any later time.
+New segments are written outside the store first. Then one rename replaces the old segments (see `sierra.store.segments`).
+A process that is killed leaves the store in its state before or after that rename. After it, the old segments are
+ignored. `tidy` removes them when nobody reads them, then or at any later time.
 
-What stays of a file is row for row what it was, in the same order: a file of which every row stays, and that is not merged
-with others, is copied byte for byte; where DuckDB writes an output's rows again, both are compared afterwards.
+The rows that are kept do not change, and neither does their order. A file that keeps all rows and is not merged with others
+is copied byte for byte. When DuckDB rewrites the rows of an output, the old and the new rows are compared afterwards.
 """
 
 from __future__ import annotations
@@ -33,19 +33,19 @@ from sierra.store.segments import AFTER, MANIFEST, OUTPUT, REPLACES, Segment, Wr
 from sierra.store.store import Snapshot
 
 Drop = Mapping[str, Mapping[str, AbstractSet[str]]]
-"""By table (`output`: all outputs) and column: a row goes where its value is one of these."""
+"""Rows to remove, by table (`output` stands for all outputs) and column: those whose value is in the set."""
 LINES = 65_536
 
 
 @dataclass(frozen=True, slots=True)
 class Group:
-    """Segments of one batch that become one; every file of a name has the same columns in all of them."""
+    """Segments of one batch that are merged into one. Files of the same name have the same columns in all of them."""
 
     segments: tuple[Segment, ...]
 
 
 def groups(segments: Iterable[Segment]) -> list[Group]:
-    """Segments that can become one each: those of one batch, as far as their columns agree."""
+    """Group the segments that can be merged: segments of one batch whose columns agree."""
     found: list[tuple[str, dict[str, Any], list[Segment]]] = []
     for segment in segments:
         schemas = {name: _written(name, path) for name, path in segment.files.items()}
@@ -60,7 +60,7 @@ def groups(segments: Iterable[Segment]) -> list[Group]:
 
 
 def touched(snapshot: Snapshot, segments: Iterable[Segment], drop: Drop) -> list[Segment]:
-    """Those segments that have a row which goes."""
+    """Return the segments that have a row to remove."""
     import pyarrow as pa
 
     for table, columns in drop.items():
@@ -84,18 +84,18 @@ def touched(snapshot: Snapshot, segments: Iterable[Segment], drop: Drop) -> list
 
 
 def _table(name: str) -> str:
-    """What a segment's file is called in a `Drop`."""
+    """Return the key in a `Drop` for a file of a segment."""
     return "output" if name.startswith(OUTPUT) else name
 
 
 def _written(name: str, path: str) -> Any:
-    """Return the schema that a file has once it is written again: later columns are added to older records."""
+    """Return the schema that a file will have after it is rewritten: later columns are added to older records."""
     schema = _schema(path)
     return arrow_schema(name) if name in LATER and is_table(name, schema) else schema
 
 
 def _schema(path: str) -> Any:
-    """Names and types. (Whether a column may lack values is no part of it: DuckDB notes that where it happens to know.)"""
+    """Return a file's column names and types. Nullability is left out, because DuckDB records it only sometimes."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
@@ -104,10 +104,10 @@ def _schema(path: str) -> Any:
 
 
 class Compaction:
-    """New segments in the place of old ones: `write` them, then `publish` at one moment."""
+    """New segments that replace old ones: call `write` for each group, then `publish` to replace all at once."""
 
     def __init__(self, paths: StorePaths, folder: Path, name: str) -> None:
-        """`folder`: where they are written, in the store's file system; `name`: what no other rewriting is called."""
+        """`folder`: a folder for the new segments, in the store's file system; `name`: a unique name for this compaction."""
         self._paths = paths
         self._folder = folder
         self._name = name
@@ -115,7 +115,7 @@ class Compaction:
         self._replaced: list[Segment] = []
 
     def write(self, group: Group, drop: Drop) -> None:
-        """Write what stays of a group. Raises Missing where the disk is full, Damaged where an old file cannot be read."""
+        """Write the kept rows of a group. Raises Missing if the disk is full, Damaged if an old file cannot be read."""
         writer = Writer(self._folder / str(len(self._replaced)), group.segments[0].batch)
         for name in sorted({name for segment in group.segments for name in segment.files}):
             paths = [segment.files[name] for segment in group.segments if name in segment.files]
@@ -126,7 +126,7 @@ class Compaction:
             self._writers.append((group.segments[0].batch, writer))
 
     def publish(self) -> None:
-        """Put all that was written in the place of what it replaces."""
+        """Replace the old segments by those that were written."""
         if not self._replaced:
             return
         names = {name for segment in self._replaced for name in (segment.name, *segment.replaces)}
@@ -146,7 +146,7 @@ class Compaction:
 
 
 def _write(target: Path, name: str, paths: Sequence[str], drop: Mapping[str, AbstractSet[str]]) -> None:
-    """One file of what stays of some; none where nothing does."""
+    """Write the kept rows of several files into one file; write none if no row is kept."""
     if len(paths) == 1 and not _any_dropped(paths[0], drop):
         shutil.copyfile(paths[0], target)
     elif name.startswith(OUTPUT):
@@ -180,7 +180,7 @@ def _is_in(column: Any, values: AbstractSet[str]) -> Any:
 
 
 def _staying(paths: Sequence[str], drop: Mapping[str, AbstractSet[str]]) -> Iterator[Any]:
-    """What stays of tables of records, some rows at a time."""
+    """Yield the kept rows of tables of records, some rows at a time."""
     import pyarrow as pa
     import pyarrow.compute as pc
     import pyarrow.parquet as pq
@@ -195,7 +195,7 @@ def _staying(paths: Sequence[str], drop: Mapping[str, AbstractSet[str]]) -> Iter
 
 
 def _staying_objects(paths: Sequence[str], drop: AbstractSet[str]) -> Iterator[Any]:
-    """What stays of objects, each once, in row groups as they are written."""
+    """Yield the kept objects, each once, in row groups of the usual size."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
@@ -220,7 +220,7 @@ def _staying_objects(paths: Sequence[str], drop: AbstractSet[str]) -> Iterator[A
 
 
 def _in_groups(table: Any) -> Iterator[Any]:
-    """Row groups no larger than those that are written."""
+    """Yield the rows in row groups that are no larger than those of `sierra.store.objects`."""
     begin = held = 0
     for row, content in enumerate(table.column("content")):
         size = content.as_buffer().size
@@ -232,7 +232,7 @@ def _in_groups(table: Any) -> Iterator[Any]:
 
 
 def _write_tables(target: Path, tables: Iterable[Any], schema: Any) -> None:
-    """Write tables; columns that they do not have are NULL."""
+    """Write tables; fill columns that they lack with NULL."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
@@ -250,7 +250,7 @@ def _write_tables(target: Path, tables: Iterable[Any], schema: Any) -> None:
 
 
 def _write_output(target: Path, paths: Sequence[str], executions: AbstractSet[str]) -> None:
-    """DuckDB wrote these rows, and writes those again that stay: it alone has all their types."""
+    """Write the kept rows of an output. DuckDB wrote them and rewrites them, because only DuckDB has all their types."""
     import duckdb
     import pyarrow as pa
 
@@ -281,12 +281,12 @@ def _counted(paths: Sequence[str]) -> Counter[Written]:
 
 
 SUM = "SELECT count(*), sum(hash(place, line))::VARCHAR FROM (SELECT row_number() OVER () AS place, t AS line FROM ({rows}) t)"
-"""A number for rows and their order."""
+"""The query for a checksum over rows and their order."""
 
 
 @contextlib.contextmanager
 def _readable(path: str) -> Iterator[None]:
-    """Turns what pyarrow says of a damaged file into Damaged. (An error in writing is an OSError, and has a number.)"""
+    """Turn pyarrow's errors about a damaged file into Damaged; raise write errors (OSError with an errno) unchanged."""
     import pyarrow as pa
 
     try:
@@ -300,9 +300,9 @@ def _readable(path: str) -> Iterator[None]:
 
 
 def out_of_use(paths: StorePaths) -> list[Segment]:
-    """Segments that do not count, and those that said so of others which are not there any more.
+    """Return the segments that are ignored, and the segments that only replace segments which no longer exist.
 
-    To be called where no rewriting is being published: within `sierra.execution.sessions.exclusively`.
+    Call it only while no compaction is being published: within `sierra.execution.sessions.exclusively`.
     """
     found = list(on_disk(paths.segments))
     hidden = out_of_date(found)
@@ -316,7 +316,7 @@ def out_of_use(paths: StorePaths) -> list[Segment]:
 
 
 def tidy(paths: StorePaths, aside: Path) -> int:
-    """Remove segments that do not count, if nobody reads; how many. `aside` is a folder for them, in the same file system."""
+    """Remove ignored segments if nobody reads; return how many. `aside` is a folder for them, in the same file system."""
     with alone(paths.reading) as nobody:
         if not nobody:
             return 0
@@ -324,7 +324,7 @@ def tidy(paths: StorePaths, aside: Path) -> int:
         hidden = out_of_date(list(on_disk(paths.segments)))
         aside.mkdir(parents=True, exist_ok=True)
         for segment in sorted(unused, key=lambda segment: segment.name not in hidden):
-            if segment.name not in hidden:  # what it hides is gone for good before it goes itself
+            if segment.name not in hidden:  # replaced segments must be gone from the disk before this one
                 sync(paths.segments)
             (paths.segments / segment.name).rename(aside / segment.name)
         if unused:

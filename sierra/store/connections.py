@@ -1,9 +1,9 @@
-"""Connections to DuckDB, in memory, that never reach for the network; the last one that answered answers again.
+"""In-memory connections to DuckDB that never use the network; the last one is reused.
 
-Making one takes longer than most questions do (DuckDB enters thousands of functions into a catalogue), so the last is
-kept for the next snapshot on the same store. No snapshot finds anything of another: what is temporary or registered goes
-with the question's cursor, its views are dropped, its settings reset, and one that failed, or that was so large that it
-wrote to the disk, is not kept at all.
+Opening a connection takes longer than most queries, because DuckDB enters thousands of functions into a catalogue. So the
+last connection is kept for the next snapshot of the same store. A snapshot sees nothing of an earlier one: temporary and
+registered objects are dropped with the query's cursor, its views are dropped, and its settings are reset. A connection
+that failed, or whose query was so large that it wrote to the disk, is not kept.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from sierra.store.scans import steady
 
 
 class Connection:
-    """A cursor on a DuckDB of its own, which may read some folders and nothing else; for one snapshot at a time."""
+    """A cursor on a DuckDB database that may read only some folders; used by one snapshot at a time."""
 
     def __init__(self, *folders: Path) -> None:
         self._folders = tuple(steady(f"{folder}/") for folder in folders)
@@ -33,12 +33,12 @@ class Connection:
         self.cursor = self._database.cursor()
 
     def note(self, statement: str) -> None:
-        """A statement is about to be executed; if it sets something, that is reset in the end."""
+        """Record a setting that a statement is about to change, so that it is reset at the end."""
         if setting := re.match(r"SET (\w+)", statement):
             self._settings.append(setting[1])
 
     def keep(self, views: Iterable[str]) -> None:
-        """Close the cursor, and keep its DuckDB for the next snapshot, emptied of these views."""
+        """Drop these views, close the cursor, and keep the database for the next snapshot."""
         import duckdb
 
         try:
@@ -61,7 +61,7 @@ class Connection:
 
 
 _idle: dict[int, tuple[tuple[str, ...], Any]] = {}
-"""By process, as what another has forked from has threads that are not there: folders, and the DuckDB that may read them."""
+"""The kept databases with the folders that they may read, by process id: a forked process does not inherit DuckDB's threads."""
 
 
 def _locked(folders: tuple[str, ...]) -> Any:
@@ -72,7 +72,7 @@ def _locked(folders: tuple[str, ...]) -> Any:
 
 
 def connect() -> Any:
-    """A DuckDB connection in memory that never reaches for the network."""
+    """Return an in-memory DuckDB connection that never uses the network."""
     import duckdb
 
     return duckdb.connect(
@@ -80,7 +80,7 @@ def connect() -> Any:
         config={
             "autoinstall_known_extensions": "false",
             "autoload_known_extensions": "false",
-            # DuckDB allows to read what lies there, so it is nobody's; made and removed where it is needed.
+            # DuckDB allows reads there, so the folder has a random name; DuckDB makes and removes it as needed.
             "temp_directory": steady(str(Path(tempfile.gettempdir(), f"sierra-{secrets.token_hex(8)}"))),
             "python_enable_replacements": "false",
         },

@@ -1,4 +1,4 @@
-"""Rows of Parquet files, counted by pyarrow: another door than the one by which they are written and queried."""
+"""Row counts of Parquet files by pyarrow, independent of DuckDB, which writes and queries them."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from sierra.errors import Damaged
 from sierra.store.errors import first_line
 
 HELD = 256 << 20
-"""Bytes that the columns counted may take in one row group: no file of ours comes near."""
+"""The limit, in bytes, for the counted columns of one row group. Row groups that SIERRA writes are far smaller."""
 
 Written = tuple[str, str | None]
-"""An execution, and, where it wrote several files of an output, which."""
+"""An execution and, if it wrote several files of one output, the file."""
 
 
 def rows_by_file(path: str | Path) -> Counter[Written]:
     """Return how many rows each execution, and each of its files, has in one Parquet file of an output.
 
-    Raises Damaged where the file cannot be read.
+    Raises Damaged if the file cannot be read.
     """
     import pyarrow as pa
     import pyarrow.parquet as pq
@@ -39,7 +39,7 @@ def rows_by_file(path: str | Path) -> Counter[Written]:
 
 
 def rows_in(path: str | Path) -> int:
-    """Return how many rows a Parquet file says to have in its footer. Raises Damaged where it cannot be read."""
+    """Return the number of rows that a Parquet file's footer states. Raises Damaged if the footer cannot be read."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 

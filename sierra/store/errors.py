@@ -1,4 +1,4 @@
-"""What DuckDB complains of, in one line."""
+"""DuckDB's error messages in one line."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import re
 from sierra.store.scans import plain
 
 NESTED = re.compile(r'"exception_message":("(?:[^"\\]|\\.)*")')
-"""Where a thread that writes complains, within another complaint, as JSON."""
+"""The pattern of a writing thread's error, which is JSON within another error."""
 MOST = 400
 
 
@@ -20,7 +20,7 @@ def duckdb_error() -> type[Exception]:
 
 
 def explain(error: Exception) -> str:
-    """All of it that is not about where in a statement."""
+    """Return an error's message without the lines that show a position in the statement."""
     lines = [line.strip() for line in _plain(error).splitlines() if line.strip()]
     kept = [line for line in lines if not line.startswith(("LINE ", "^"))]
     return " ".join(kept)[:MOST]

@@ -1,12 +1,12 @@
-"""Recorded files written out again: into a folder that nothing leaves, over no file that is there.
+"""Export of recorded files into a folder; existing files are never overwritten.
 
-    FOLDER/<experiment>/<number>/input/<name>     what the run was given
-    FOLDER/<experiment>/<number>/output/<path>    what it wrote; a table whose name is not .csv or .tsv has .csv added
-    FOLDER/<experiment>/<number>/stdout, stderr   its logs
+    FOLDER/<experiment>/<number>/input/<name>     input files
+    FOLDER/<experiment>/<number>/output/<path>    output files; a table without the suffix .csv or .tsv gets the suffix .csv
+    FOLDER/<experiment>/<number>/stdout, stderr   logs
 
-<experiment> is the first ten digits of the experiment's id, <number> the run's number in it. Names come from runs, or from a
-stranger's store: no link below FOLDER is followed, and what would lead out of it is refused. A file appears whole or not
-at all.
+<experiment> is the first ten digits of the experiment's id. <number> is the number of the run in the experiment. Names come
+from runs, perhaps from someone else's store. Therefore links below FOLDER are not followed, and paths that lead out of
+FOLDER are refused. Each file appears complete or not at all.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
 
 @dataclass(frozen=True, slots=True)
 class Listing:
-    """What is recorded of what an id names: its runs, and their files."""
+    """The runs that an id names, and their recorded files."""
 
     kind: str
     id: str
@@ -45,22 +45,22 @@ class Listing:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What became of one file."""
+    """The result of exporting one file."""
 
     file: Recorded
     path: str
-    """Below the folder."""
+    """The path relative to the folder."""
     identical: bool
-    """Whether it is, byte for byte, what the run had: a table may not be, and a log may have been cut."""
+    """True if the bytes are exactly the run's: a table may have been rebuilt from its rows, and a log may have been cut."""
     failure: str | None = None
-    """Why it was not written."""
+    """The reason why the file was not written."""
 
 
 def listing(store: Store, prefix: str, patterns: Sequence[str] = ()) -> Listing:
-    """The files of an execution, a run, an experiment or a batch, by a beginning of its id.
+    """Return the recorded files of an execution, a run, an experiment or a batch, by a prefix of its id.
 
-    `patterns` are paths as they are listed; else such without `input/` or `output/`, or globs (`*` matches slashes).
-    Raises NotFound for one that matches nothing.
+    `patterns` are paths as in the listing, the same paths without `input/` or `output/`, or globs (`*` also matches slashes).
+    Raises NotFound for a pattern that matches nothing.
     """
     found = store.resolve(prefix)
     with store.snapshot() as snapshot:
@@ -70,9 +70,9 @@ def listing(store: Store, prefix: str, patterns: Sequence[str] = ()) -> Listing:
 
 
 def content(store: Store, file: Recorded, target: IO[bytes]) -> bool:
-    """Write one file's bytes to `target`; whether they are those that the run had.
+    """Write one file's bytes to `target`. Return True if they are exactly the bytes that the run had.
 
-    Raises Damaged where they are not what was recorded; `target` holds some of them then.
+    Raises Damaged if they differ from the record; `target` has some of them by then.
     """
     with store.snapshot() as snapshot:
         one = next(contents(snapshot, [file]))
@@ -82,9 +82,9 @@ def content(store: Store, file: Recorded, target: IO[bytes]) -> bool:
 
 
 def extract(store: Store, listed: Listing, folder: Path) -> Iterator[Outcome]:
-    """Write these files into a folder, which is made; what became of each, as it is written.
+    """Write these files into a folder and yield the outcome of each one. The folder is created if necessary.
 
-    Raises UsageError for a folder within the store, Missing where it cannot be made, or has no room.
+    Raises UsageError if the folder is within the store, Missing if it cannot be created or the disk is full.
     """
     if folder.resolve().is_relative_to(store.paths.root.resolve()):
         raise UsageError(f"{folder} is in the store itself; name another folder")
@@ -114,7 +114,7 @@ def extract(store: Store, listed: Listing, folder: Path) -> Iterator[Outcome]:
 
 
 def target_path(file: Recorded) -> str:
-    """Where a file is written, below the folder."""
+    """Return the path of an exported file, relative to the folder."""
     name = file.path
     if file.from_rows and not name.lower().endswith(AS_THEY_ARE):
         name += AS_THEY_ARE[0]
@@ -137,7 +137,7 @@ def _chosen(files: Sequence[Recorded], patterns: Sequence[str]) -> Iterator[Reco
 
 
 def _matches(path: str, pattern: str, *, listed: bool, named: bool) -> bool:
-    """Return whether a file is meant by a pattern, which is no glob where it is a file's path, or else its name, literally."""
+    """Check if a pattern selects a file. A pattern that equals some file's path or name is taken literally, not as a glob."""
     if listed or named:
         return pattern == (path if listed else _name(path))
     return any(fnmatch.fnmatchcase(name, pattern) for name in (path, _name(path)))
@@ -148,9 +148,9 @@ def _name(path: str) -> str:
 
 
 class _Whole:
-    """A new file below an open folder, which appears when it is complete; a context manager. No link is followed.
+    """A context manager for a new file below an open folder. The file appears when it is complete; links are not followed.
 
-    Raises Damaged for a path that leads out of the folder, UsageError for one where something is already.
+    Raises Damaged for a path that leads out of the folder, UsageError if the target exists.
     """
 
     def __init__(self, root: int, path: str) -> None:
@@ -185,7 +185,7 @@ class _Whole:
             os.close(self._folder)
 
     def _below(self) -> int:
-        """The folder that the file goes to, made and opened from the root, a step at a time."""
+        """Create and open the target folder, one step at a time from the root; return its descriptor."""
         flags = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC
         folder = os.dup(self._root)
         for name in self._folders:
@@ -201,7 +201,7 @@ class _Whole:
         return folder
 
     def _appear(self) -> None:
-        """Give the file its name, if that is still free: a hard link never replaces anything."""
+        """Give the file its final name if that is free. A hard link never replaces an existing file."""
         try:
             os.link(self._unfinished, self._name, src_dir_fd=self._folder, dst_dir_fd=self._folder)
         except FileExistsError:

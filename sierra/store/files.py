@@ -1,11 +1,11 @@
-"""Recorded files: which there are of which runs, and their bytes, streamed and checked.
+"""Recorded files of runs: their list, and their bytes, streamed and verified.
 
-Input files, logs and outputs lie in the store byte for byte, as objects. Of an output that became a table, the bytes may not be
-there (`[store] raw = false`, `sierra gc --raw`, a record of an older SIERRA). Then it is written from its rows, as CSV with the
-names that its columns had, each value as it is recorded (a float with the fewest digits that give it back). Often those are the
-very bytes that the run wrote, which their SHA-256 tells.
+The store has input files, logs and outputs byte for byte, as objects. An exception is an output that became a table: its
+bytes may be missing (`[store] raw = false`, `sierra gc --raw`, or a record of an older SIERRA). Then the file is rebuilt from
+its rows as CSV, with the original names of the columns and each value as recorded (a float with the fewest digits that
+reproduce it). The result often equals the run's file byte for byte; its SHA-256 shows if it does.
 
-Memory goes with the number of files that are asked for, never with their bytes.
+Memory use grows with the number of requested files, not with their sizes.
 """
 
 from __future__ import annotations
@@ -35,14 +35,14 @@ from sierra.util.text import natural
 INPUT_FOLDER = "input/"
 OUTPUT_FOLDER = "output/"
 LINES = 1 << 16
-"""Lines of a table in memory at a time."""
+"""The number of lines of a table that are in memory at a time."""
 UNREADABLE = (OSError, ValueError)
-"""What pyarrow raises for a damaged file; its ArrowInvalid is a ValueError."""
+"""The errors that pyarrow raises for a damaged file; its ArrowInvalid is a ValueError."""
 
 
 @dataclass(frozen=True, slots=True)
 class Taken:
-    """A run in its place in a batch, and the execution of it whose files are meant."""
+    """A run at its position in a batch, with the execution whose files are requested."""
 
     experiment: str
     ordinal: int
@@ -51,14 +51,14 @@ class Taken:
     execution: str | None
     status: str | None
     which: str
-    """`counts`, `last` (none counts), `asked` (it was named itself), or `none` (it was never executed)."""
+    """`counts` (the effective execution), `last` (none is effective), `asked` (the id names it), or `none` (never executed)."""
     judgement: str | None = None
-    """The judgement of the execution that is meant, by which its files and rows are recorded."""
+    """The judgement under which the execution's files and rows are recorded."""
 
 
 @dataclass(frozen=True, slots=True)
 class Recorded:
-    """One file that is recorded of a run."""
+    """One recorded file of a run."""
 
     taken: Taken
     path: str
@@ -67,21 +67,21 @@ class Recorded:
     """input, table, file or log."""
     bytes: int | None
     sha256: str | None
-    """Of a log that was cut: of what is kept. None for an input that the store does not know by its name."""
+    """The SHA-256; of a log that was cut, that of the kept part. None for an input that the store does not know by its name."""
     kept: int | None
-    """How many of its bytes are in the store; None where they are not, though the rows of a table may be."""
+    """The number of its bytes in the store. None if the bytes are missing, even if the rows of its table are there."""
     output: str | None
     form: str | None
     rows: int | None
 
     @property
     def from_rows(self) -> bool:
-        """Whether it can only be written from the rows of its table."""
+        """True if the file can only be rebuilt from the rows of its table."""
         return self.kind == "table" and self.kept is None
 
     @property
     def remark(self) -> str:
-        """What is not as one would expect, in a few words."""
+        """A short note on anything unusual; otherwise empty."""
         match self.kind:
             case "table" if self.kept is None:
                 return "written from the table; bytes may differ"
@@ -94,9 +94,9 @@ class Recorded:
 
 
 def take(snapshot: Snapshot, found: Found) -> list[Taken]:
-    """The runs that an id names, in order, each with its execution that counts, else its last one.
+    """Return the runs that an id names, in order, each with its effective execution or else its last one.
 
-    A run or an experiment of several batches is taken as it stands in the one that was last asked for.
+    A run or an experiment that belongs to several batches is taken from the batch that was submitted last.
     """
     with _readable():
         place = where(snapshot, found)
@@ -106,7 +106,7 @@ def take(snapshot: Snapshot, found: Found) -> list[Taken]:
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where what an id names stands: in a batch, or a part of it."""
+    """The position of a named batch, experiment, run or execution in a batch."""
 
     batch: str
     ordinal: int | None = None
@@ -115,7 +115,7 @@ class Place:
 
     @property
     def only(self) -> str:
-        """The condition on `members` m, beside that of the batch."""
+        """The SQL condition on `members` m that selects the part of the batch."""
         return (self.ordinal is not None) * "AND m.ordinal = $o " + (self.run is not None) * "AND m.run = $r"
 
     @property
@@ -125,7 +125,7 @@ class Place:
 
 
 def where(snapshot: Snapshot, found: Found) -> Place:
-    """Where it stands: a run or an experiment of several batches in the one that was last asked for."""
+    """Return the position of an id. If several batches contain it, the batch that was submitted last is taken."""
     snapshot.views.make(("members", "experiments", "batches", "executions", "judged", "counting", "sessions"))
     run = found.id if found.kind == "run" else None
     if found.kind == "batch":
@@ -139,7 +139,7 @@ def where(snapshot: Snapshot, found: Found) -> Place:
 
 @contextlib.contextmanager
 def _readable() -> Iterator[None]:
-    """Turns what DuckDB says of a damaged segment into Damaged."""
+    """Turn DuckDB's errors about a damaged segment into Damaged."""
     import duckdb
 
     try:
@@ -176,7 +176,7 @@ FROM t LEFT JOIN judged e ON e.judgement = t.judgement ORDER BY t.ordinal, t.num
 
 
 def recorded(snapshot: Snapshot, runs: Sequence[Taken], *, inputs: bool = False) -> list[Recorded]:
-    """All files of these runs, in their order: input files, what they wrote, logs; or the input files alone."""
+    """Return the recorded files of these runs, in order: input files, outputs, logs; with `inputs`, only the input files."""
     import pyarrow as pa
 
     columns = {"place": range(len(runs)), "run": [t.run for t in runs], "execution": [t.judgement for t in runs]}
@@ -188,7 +188,7 @@ def recorded(snapshot: Snapshot, runs: Sequence[Taken], *, inputs: bool = False)
 
 
 PARTS = {"input": 0, "log": 2}
-"""The order of kinds of files; what runs wrote stands in the middle."""
+"""The order of the kinds of files; outputs come between inputs and logs."""
 FILES = f"""
 WITH inputs AS (
     SELECT t.place, m.inputs, r.files, unnest(range(len(r.files))) AS nth
@@ -210,29 +210,26 @@ FROM listed l LEFT JOIN kept k ON k.sha256 = l.sha256
 """
 
 
-# The bytes of files.
-
-
 class Content:
-    """One file's bytes, to be read once, and before the next file's."""
+    """One file's bytes; they can be read once, and only before the next file's."""
 
     def __init__(self, file: Recorded, pieces: Callable[[Content], Iterator[bytes]]) -> None:
         self.file = file
         self.identical: bool | None = None
-        """Whether these are the bytes that the run had; known at the end of `pieces`."""
+        """True if these are exactly the bytes that the run had; known when `pieces` ends."""
         self.pieces = pieces(self)
-        """The bytes in order. Raises Damaged where they are not what was recorded: at the end, for a table."""
+        """The bytes in order. Raises Damaged if they differ from the record; for a table, only at the end."""
 
 
 def contents(snapshot: Snapshot, files: Sequence[Recorded]) -> Iterator[Content]:
-    """What these files hold, in the order in which it lies in the store; each of them once."""
+    """Yield the contents of these files, each once, in the order of the store."""
     those = holding(snapshot, {file.taken.judgement for file in files if file.taken.judgement})
     yield from _objects(snapshot.segments, those, [file for file in files if not file.from_rows])
     yield from _tables(snapshot, those, [file for file in files if file.from_rows])
 
 
 def holding(snapshot: Snapshot, judgements: Iterable[str]) -> list[Segment]:
-    """The segments in which these judgements are recorded."""
+    """Return the segments that contain these judgements."""
     import pyarrow as pa
 
     snapshot.register("asked", pa.table({"execution": pa.array(judgements, pa.string())}))
@@ -240,7 +237,7 @@ def holding(snapshot: Snapshot, judgements: Iterable[str]) -> list[Segment]:
         return recording(snapshot.run, snapshot.segments, "SELECT execution FROM asked")
 
 
-# Objects: found by their digests first, then read a row group at a time.
+# Objects: they are first located by their digests, then read one row group at a time.
 
 
 def _objects(segments: Sequence[Segment], holding: Sequence[Segment], files: Sequence[Recorded]) -> Iterator[Content]:
@@ -256,17 +253,17 @@ def _objects(segments: Sequence[Segment], holding: Sequence[Segment], files: Seq
 
 
 class _Groups:
-    """Objects in some files; the row group that was read last stays in memory (32 MiB at most)."""
+    """Objects in several files. The row group that was read last stays in memory (at most 32 MiB)."""
 
     def __init__(self, paths: Sequence[str]) -> None:
         self._paths = paths
         self._parts: dict[str, list[tuple[int, int, int]]] = {}
-        """Where the parts of each object are: file, row group, row."""
+        """The location of each object's parts: file, row group, row."""
         self._file: tuple[int, Any] = (-1, None)
         self._group: tuple[tuple[int, int], Any] = ((-1, -1), None)
 
     def find(self, wanted: Iterable[str]) -> Callable[[str], tuple[int, int, int]]:
-        """Find these digests; where each begins, as a key to sort them by."""
+        """Locate these digests. Return a sort key for digests: the location of the first part."""
         missing = set(wanted)
         for place in range(len(self._paths)):
             if not missing:
@@ -277,7 +274,7 @@ class _Groups:
         return lambda digest: self._parts[digest][0] if digest in self._parts else (-1, -1, -1)
 
     def _in_file(self, place: int, wanted: set[str]) -> Iterator[tuple[str, int, int]]:
-        """Parts of wanted objects: digest, row group, row. What cannot be read is missed later, by its digest."""
+        """Yield the parts of wanted objects: digest, row group, row. Skip unreadable parts; `pieces` reports them."""
         with contextlib.suppress(*UNREADABLE):
             for group in range(self._open(place).num_row_groups):
                 with contextlib.suppress(*UNREADABLE):
@@ -285,7 +282,7 @@ class _Groups:
                     yield from ((digest, group, row) for row, digest in enumerate(digests) if digest in wanted)
 
     def pieces(self, content: Content) -> Iterator[bytes]:
-        """One object, all of it hashed before its first byte is given."""
+        """Yield the bytes of one object. The whole object is verified by its hash before the first byte is yielded."""
         file = content.file
         if file.sha256 is None:
             raise Damaged(file.remark)
@@ -319,15 +316,15 @@ class _Groups:
         return piece
 
 
-# Tables: each file of a segment is read once, in its order, and cut where another file's rows begin.
+# Tables: each file of a segment is read once, in its order, and split where the rows of another file begin.
 
 
 Key = tuple[str, str]
-"""A judgement, and, where its execution wrote several files of one table, which of them."""
+"""A judgement and, if its execution wrote several files of one table, the file."""
 
 
 def _tables(snapshot: Snapshot, holding: Sequence[Segment], files: Sequence[Recorded]) -> Iterator[Content]:
-    """Each of these files; of those that have the same rows (a run that is in two experiments), one at a time."""
+    """Yield these files. If several have the same rows (a run in two experiments), read each in a separate pass."""
     if not files:
         return
     import pyarrow as pa
@@ -358,13 +355,13 @@ def _once(snapshot: Snapshot, holding: Sequence[Segment], files: dict[tuple[str,
 
 
 def _key(file: Recorded) -> tuple[str, Key]:
-    """What of which table's rows are this file's."""
+    """Return the table and the key of the rows that make up this file."""
     name = file.path.removeprefix(OUTPUT_FOLDER) if json.loads(file.form or "{}").get("file", "") is None else ""
     return file.output or "", (file.taken.judgement or "", name)
 
 
 class _Part:
-    """A file of a segment that holds the rows of one table."""
+    """A file of a segment that has the rows of one table."""
 
     def __init__(self, snapshot: Snapshot, path: str) -> None:
         import duckdb
@@ -380,9 +377,9 @@ class _Part:
         self.names = tuple(name for name, _ in self._columns)
 
     def chunks(self) -> Iterator[tuple[Key, int, bytes]]:
-        """Lines in their order: whose they are, how many, and their text, a line feed before each.
+        """Yield lines in order: their key, their number, and their text, with a line feed before each line.
 
-        Ends early where the file cannot be read on.
+        Ends early if the rest of the file cannot be read.
         """
         import duckdb
         import pyarrow.compute as pc
@@ -407,7 +404,7 @@ class _Part:
                     begin = end
 
     def is_sound(self) -> bool:
-        """Whether the file is the one that its segment vouches for."""
+        """Check that the file's hash is the one in its segment's MANIFEST."""
         if self._sound is None:
             path = Path(self._path)
             try:
@@ -425,7 +422,7 @@ def _csv(
     names: Sequence[str],
     is_sound: Callable[[], bool],
 ) -> Iterator[bytes]:
-    """A table's rows as the text of a file. Raises Damaged at the end where these are not the rows that were recorded."""
+    """Yield a table's rows as the text of a CSV file. Raises Damaged at the end if they are not the recorded rows."""
     file = content.file
     form = json.loads(file.form or "{}")
     own = tuple(form.get("columns", ()))
@@ -452,7 +449,7 @@ def _csv(
 
 
 def _cell(value: str, kind: str) -> str:
-    """A value as a field of a CSV, in SQL."""
+    """Return the SQL expression for a value as a CSV field."""
     text = f"{value}::VARCHAR"
     if re.fullmatch(r"BOOLEAN|DATE|TIME|TIMESTAMP.*", kind) or is_number(kind):
         return f"coalesce({text}, '')"

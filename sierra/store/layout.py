@@ -1,30 +1,30 @@
-"""All names of files that SIERRA writes, in one place.
+"""The names of all files that SIERRA writes.
 
-$XDG_CONFIG_HOME/sierra/config.toml a user's own defaults
-$XDG_CACHE_HOME/sierra/             what can be found out again: digests.json, versions.json, images.json,
+$XDG_CONFIG_HOME/sierra/config.toml user settings
+$XDG_CACHE_HOME/sierra/             caches that can be rebuilt: digests.json, versions.json, images.json,
                                     engines.json, clusters.json, apptainer/
-$XDG_STATE_HOME/sierra/             reports of faults; what was asked at the SQL prompt
+$XDG_STATE_HOME/sierra/             crash reports; the history of the SQL prompt
 PROJECT/sierra.toml
-PROJECT/sierra.lock                 what the names of images stand for; committed with the project
-PROJECT/figures/<batch>/            what is drawn, and in .drawn.json from what
-PROJECT/.sierra/files               hashes of the project's files outside git; made again where it is gone
+PROJECT/sierra.lock                 the images that image names stand for; committed with the project
+PROJECT/figures/<batch>/            figures, and in .drawn.json the data that they were drawn from
+PROJECT/.sierra/files               hashes of the project's files outside git; rebuilt if it is missing
 PROJECT/.sierra/format              the version of the store's format
-PROJECT/.sierra/id                  the store's own id; see sierra.store.marks
-PROJECT/.sierra/segments/<segment>/ what is recorded; see sierra.store.segments
-PROJECT/.sierra/work/<session>/     what executes now; gone once it is recorded
+PROJECT/.sierra/id                  the store's id; see sierra.store.marks
+PROJECT/.sierra/segments/<segment>/ records; see sierra.store.segments
+PROJECT/.sierra/work/<session>/     the work of a session; removed once it is recorded
     lock  owner.0  left.0  claims.json  context.json  journal.jsonl  segment/  elsewhere
     <number>/                       one run: input files, stdout, stderr, home/ tmp/ output/; or in the folder that
                                     `elsewhere` names
-    anew/                           recorded files, while they are judged anew
-    source/                         the code, where it is not executed from the project itself
+    anew/                           recorded files, while they are evaluated by changed rules
+    source/                         the code, if it is not executed from the project itself
     asking.json  submission.json  worker.py  array_task.py  machine.py  element.json  cancelled  engine/
     elements/<index>.{jobs,failed,alone}  results/<index>.<attempt>.pack
     results/probe.<attempt>.pack  logs/  sent/<number>.json
-                                    on a cluster: what was submitted, and what came of it; see sierra.worker.array_task
-PROJECT/.sierra/images/<id>/        what is in an image, and its files as apptainer runs them; made again from the image
+                                    on a cluster: the submission and its results; see sierra.worker.array_task
+PROJECT/.sierra/images/<id>/        the description of an image, and its files as apptainer runs them; rebuilt from the image
     image.json  files.jsonl  rootfs.sqfs  rootfs.<user>/
-PROJECT/.sierra/damaged/<segment>/  segments that `sierra fsck --repair` put aside
-PROJECT/.sierra/kept/<replay>/      what `sierra replay --keep` leaves: source/, and the folder of each run by its id
+PROJECT/.sierra/damaged/<segment>/  segments that `sierra fsck --repair` moved out of the way
+PROJECT/.sierra/kept/<replay>/      files that `sierra replay --keep` leaves: source/, and each run's folder by its id
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ RUN_OUTPUT = "output"
 
 @dataclass(frozen=True, slots=True)
 class ProjectPaths:
-    """The paths of one project, whose root is an absolute folder."""
+    """The paths of one project; `root` is an absolute path."""
 
     root: Path
 
@@ -63,7 +63,7 @@ class ProjectPaths:
 
     @property
     def lock(self) -> Path:
-        """What the names of images stand for."""
+        """The file that pins image names to images."""
         return self.root / LOCK
 
     @property
@@ -71,20 +71,20 @@ class ProjectPaths:
         return self.root / FIGURES
 
     def drawn(self, batch: str) -> Path:
-        """What the figures of a batch were drawn from: their names, each with a hash."""
+        """Return the file that lists the data of a batch's figures: their names, each with a hash."""
         return inside(self.figures, batch) / DRAWN
 
 
 @dataclass(frozen=True, slots=True)
 class StorePaths:
-    """The paths within one store."""
+    """The paths in one store."""
 
     MARK: ClassVar[str] = "mark"
-    """The file by which a folder is known as one that SIERRA made; see `sierra.store.marks`."""
+    """The name of the file that shows that SIERRA made a folder; see `sierra.store.marks`."""
     NAMES: ClassVar[frozenset[str]] = frozenset(
         (".gitignore", "CACHEDIR.TAG", "damaged", "files", "format", "id", "images", "kept", "numbers", "segments", "work")
     )
-    """All that lies in a store."""
+    """The names of all entries of a store."""
     root: Path
 
     @property
@@ -109,17 +109,17 @@ class StorePaths:
 
     @property
     def files(self) -> Path:
-        """What is remembered of the project's files outside git, so that not all are read again; nobody misses it."""
+        """The cache of hashes of the project's files outside git, which avoids reading all of them again; may be deleted."""
         return self.root / "files"
 
     @property
     def numbers(self) -> Path:
-        """The highest Lamport number of the segments that were seen, so that not all are read again; nobody misses it."""
+        """The cache of the known segments' highest Lamport number, which avoids reading all of them again; may be deleted."""
         return self.root / "numbers"
 
     @property
     def images(self) -> Path:
-        """Where images are described and kept for apptainer; all of it can be made again."""
+        """The folder of image descriptions and of images for apptainer; all of it can be rebuilt."""
         return self.root / "images"
 
     def image(self, folder: str) -> ImagePaths:
@@ -127,7 +127,7 @@ class StorePaths:
 
     @property
     def identity(self) -> Path:
-        """The file with the store's own id."""
+        """The file with the store's id."""
         return self.root / "id"
 
     @property
@@ -140,16 +140,16 @@ class StorePaths:
 
     @property
     def reading(self) -> Path:
-        """The file whose lock readers share: it is always there, and never written."""
+        """The file that readers lock in shared mode. It always exists, and readers never write it."""
         return self.format
 
     @property
     def damaged(self) -> Path:
-        """Where `sierra fsck --repair` puts damaged segments aside."""
+        """The folder to which `sierra fsck --repair` moves damaged segments."""
         return self.root / "damaged"
 
     def kept(self, replay: str) -> Path:
-        """What a replay leaves because it was asked to."""
+        """Return the folder of the files that `sierra replay --keep` leaves."""
         return inside(self.root / "kept", replay)
 
     def session(self, session: str) -> SessionPaths:
@@ -158,7 +158,7 @@ class StorePaths:
 
 @dataclass(frozen=True, slots=True)
 class ImagePaths:
-    """The paths of what is known of one image."""
+    """The paths of the description and the files of one image."""
 
     root: Path
 
@@ -177,26 +177,26 @@ class ImagePaths:
         return self.root / "rootfs.sqfs"
 
     def sandbox(self, user: int) -> Path:
-        """The image's files in a folder, for a user who can't mount a squashfs."""
+        """Return the folder of the image's files for a user who can't mount a squashfs."""
         return self.root / f"rootfs.{user}"
 
 
 @dataclass(frozen=True, slots=True)
 class SessionPaths:
-    """The paths of one session's work: one asking of one query by one process."""
+    """The paths of the work of one session."""
 
     root: Path
     elsewhere: Path | None = None
-    """The folder where its runs execute, if that is another."""
+    """The folder where the session's runs execute, if it is not `root`."""
 
     @property
     def runs(self) -> Path:
-        """The folder in which each run has one."""
+        """The folder that contains a folder for each run."""
         return self.elsewhere or self.root
 
     @property
     def elsewhere_file(self) -> Path:
-        """Names the folder where runs execute, if that is another."""
+        """The file that names the folder where runs execute, if it is not `root`."""
         return self.root / "elsewhere"
 
     @property
@@ -207,12 +207,12 @@ class SessionPaths:
         return self.root / f"owner.{generation}"
 
     def left(self, generation: int) -> Path:
-        """Is there once that owner has left what it submitted to itself, on a file system without locks."""
+        """Return the file that exists once that owner has detached from its submission, on a file system without locks."""
         return self.root / f"left.{generation}"
 
     @property
     def number(self) -> Path:
-        """The session's Lamport number."""
+        """The file with the session's Lamport number."""
         return self.root / "number"
 
     @property
@@ -225,7 +225,7 @@ class SessionPaths:
 
     @property
     def source(self) -> Path:
-        """Where a replay puts the recorded source."""
+        """The folder of the restored source during a replay."""
         return self.root / "source"
 
     @property
@@ -234,42 +234,42 @@ class SessionPaths:
 
     @property
     def anew(self) -> Path:
-        """Where recorded files lie while executions are judged anew."""
+        """The folder of recorded files while executions are evaluated by changed rules."""
         return self.root / "anew"
 
     @property
     def asking(self) -> Path:
-        """What is to be recorded of an asking whose process may be gone when it is answered."""
+        """The data to record about a session whose process may be gone when it ends."""
         return self.root / "asking.json"
 
     @property
     def submission(self) -> Path:
-        """What was submitted to a cluster. A session that has it lives without a process."""
+        """The cluster submission. A session with this file lives without a process."""
         return self.root / "submission.json"
 
     @property
     def sent(self) -> Path:
-        """A file for each job that was handed to a scheduler, written before that."""
+        """The folder with a file for each job, written before the job is submitted to a scheduler."""
         return self.root / "sent"
 
     @property
     def cancelled(self) -> Path:
-        """Is there once the user has cancelled what was submitted."""
+        """The file that exists once the user has cancelled the submission."""
         return self.root / "cancelled"
 
     @property
     def worker(self) -> Path:
-        """What executes runs, for hosts that do not have SIERRA."""
+        """The program that executes runs, for hosts without SIERRA."""
         return self.root / "worker.py"
 
     @property
     def engine(self) -> Path:
-        """The folder of what an engine needs to start containers, for hosts that do not have SIERRA."""
+        """The folder of files that an engine needs to start containers, for hosts without SIERRA."""
         return self.root / "engine"
 
     @property
     def element_settings(self) -> Path:
-        """What all elements have in common."""
+        """The settings that all elements share."""
         return self.root / "element.json"
 
     def jobs(self, element: int) -> Path:
@@ -277,25 +277,25 @@ class SessionPaths:
 
     @property
     def rest(self) -> Path:
-        """The jobs that are not dealt out to elements yet."""
+        """The jobs that are not assigned to elements yet."""
         return self.root / "elements" / "rest.jobs"
 
     def given_up(self, element: int) -> Path:
-        """Executions of an element that are not to be begun again, a line each."""
+        """Return the list of an element's executions that must not be started again, one per line."""
         return self.root / "elements" / f"{element}.failed"
 
     def alone(self, element: int) -> Path:
-        """Executions of an element that are executed by themselves, before all others, a line each."""
+        """Return the list of an element's executions that execute one at a time, before all others, one per line."""
         return self.root / "elements" / f"{element}.alone"
 
     @property
     def results(self) -> Path:
-        """The folder of packs."""
+        """The folder of result logs (packs)."""
         return self.root / "results"
 
     @property
     def logs(self) -> Path:
-        """The folder of what elements print."""
+        """The folder of the elements' standard output and error."""
         return self.root / "logs"
 
     @property
@@ -304,46 +304,46 @@ class SessionPaths:
 
 
 def user_settings() -> Path:
-    """The file of a user's own defaults; it need not be there."""
+    """Return the file of the user's settings; it may be missing."""
     return _user("XDG_CONFIG_HOME", ".config") / "config.toml"
 
 
 def user_state() -> Path:
-    """A folder of the user's for what outlives a command, and nobody misses; it need not be there."""
+    """Return the user's folder for state that outlives a command and may be deleted; it may be missing."""
     return _user("XDG_STATE_HOME", ".local/state")
 
 
 def user_digests() -> Path:
-    """The file of hashes of files that have not changed since; it need not be there."""
+    """Return the cache of hashes of unchanged files; it may be missing."""
     return _user("XDG_CACHE_HOME", ".cache") / "digests.json"
 
 
 def user_versions() -> Path:
-    """The file of what programs said of themselves; it need not be there."""
+    """Return the cache of the versions that programs reported; it may be missing."""
     return _user("XDG_CACHE_HOME", ".cache") / "versions.json"
 
 
 def user_images() -> Path:
-    """The file of what podman said of images; it need not be there."""
+    """Return the cache of image descriptions from podman; it may be missing."""
     return _user("XDG_CACHE_HOME", ".cache") / "images.json"
 
 
 def user_engines() -> Path:
-    """The file of what engines can do here; it need not be there."""
+    """Return the cache of the engines' capabilities on this host; it may be missing."""
     return _user("XDG_CACHE_HOME", ".cache") / "engines.json"
 
 
 def user_clusters() -> Path:
-    """The file of clusters whose nodes were found to be fine; it need not be there."""
+    """Return the cache of clusters whose nodes passed the checks; it may be missing."""
     return _user("XDG_CACHE_HOME", ".cache") / "clusters.json"
 
 
 def user_apptainer() -> Path:
-    """The folder of how apptainer is configured for runs; it need not be there."""
+    """Return the folder of apptainer's configuration for runs; it may be missing."""
     return _user("XDG_CACHE_HOME", ".cache") / "apptainer"
 
 
 def _user(variable: str, fallback: str) -> Path:
-    """By the XDG Base Directory Specification: a path there that is not absolute is not heeded."""
+    """Return SIERRA's folder by the XDG Base Directory Specification, which ignores a variable that is not an absolute path."""
     said = Path(os.environ.get(variable, ""))
     return (said if said.is_absolute() else Path.home() / fallback) / "sierra"

@@ -1,14 +1,14 @@
-"""What bears SIERRA's own mark, and so may be removed. All else is left alone, and `sierra fsck` names it.
+"""Marks of files that SIERRA made and therefore may remove. All other files are left alone, and `sierra fsck` names them.
 
-.sierra/id                  the id of the store: 24 digits made by chance, and 8 of their SHA-256
-.sierra/work/mark           the id of the store whose sessions these are
-.sierra/work/<session>/     a session: named by 16 hexadecimal digits, and signed in `owner.0` by the process that made it
-    elsewhere               the path of the folder where its runs execute, if that is not here
+.sierra/id                  the id of the store: 24 random digits, and the first 8 of their SHA-256
+.sierra/work/mark           the id of the store that owns these sessions
+.sierra/work/<session>/     a session: its name has 16 hexadecimal digits, and the process that made it signed `owner.0`
+    elsewhere               the path of the folder where its runs execute, if it is not this one
 PATH/<id>/mark              the id of the store whose runs execute here: `[store] work = "PATH"`, which many stores may share
 PATH/<id>/<session>/mark    the id of the session
 
-Stores that were made before there were marks get theirs when something executes next. A work folder that is a symbolic link may
-lead anywhere, so it needs more: it must be empty, or bear the mark of this very store.
+Stores that are older than marks get them when something executes next. A work folder that is a symbolic link may lead
+anywhere. Therefore it must be empty, or have the mark of this very store.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ from sierra.worker import worker
 ID = re.compile(rb"([0-9a-f]{32})\n")
 SESSION = re.compile(r"[0-9a-f]{16}")
 SIGNED = {"pid", "where"}
-"""What the file of an owner says at least."""
+"""The fields that an owner file has at least."""
 MOST = 1 << 16
-"""Bytes that are read of a mark."""
+"""The limit on the bytes that are read from a mark."""
 ADVICE = 'remove the link; to execute runs elsewhere, write in sierra.toml: [store] work = "PATH"'
 
 
 def identity(store: StorePaths) -> str:
-    """Return the store's id; make one where there is none. Raises Damaged for a file that holds no id."""
+    """Return the store's id; create one if there is none. Raises Damaged if the file does not contain a valid id."""
     if not os.path.lexists(store.identity):
         _write_once(store.identity, _checked(secrets.token_hex(12)))
     if (found := id_in(store.identity)) is None:
@@ -46,19 +46,19 @@ def identity(store: StorePaths) -> str:
 
 
 def id_in(path: Path) -> str | None:
-    """Return the id of a store that a file holds; None where it holds none."""
+    """Return the store id in a file; None if the file does not contain a valid id."""
     matched = ID.fullmatch(_beginning(path))
     said = matched[1].decode() if matched else ""
     return said if said and said == _checked(said[:24]) else None
 
 
 def _checked(digits: str) -> str:
-    """Add to the digits of an id what tells whether one has changed."""
+    """Append a checksum to the digits of an id."""
     return digits + sha256(digits.encode())[:8]
 
 
 def mark_work(store: StorePaths) -> None:
-    """Check that the work folder is this store's own, and mark it. Raises Missing where it may be somebody else's."""
+    """Check that the work folder belongs to this store, and mark it. Raises Missing if it may belong to something else."""
     work = store.work
     if work.is_symlink() and not work.is_dir():
         raise Missing(f"{work} is a link to {str(work.readlink())!r}, which is no folder; {ADVICE}")
@@ -74,7 +74,7 @@ def mark_work(store: StorePaths) -> None:
 
 
 def _check_link(store: StorePaths) -> None:
-    """Raise Missing for a link to a folder where SIERRA cannot work, or that holds anything."""
+    """Raise Missing if the link leads to another file system, or to a folder that is not empty."""
     work = store.work
     if work.stat().st_dev != store.root.stat().st_dev:
         raise Missing(f"{work} is a link to another file system ({work.resolve()}); {ADVICE}")
@@ -83,7 +83,7 @@ def _check_link(store: StorePaths) -> None:
 
 
 def _others(folder: Path) -> list[str]:
-    """Return the names in a folder that are not those of its lock and its mark, written or still to be."""
+    """Return the names in a folder, without its lock and its mark, complete or unfinished."""
     own = ("lock", StorePaths.MARK)
     return sorted(
         path.name for path in folder.iterdir() if path.name not in own and not path.name.startswith(f".{StorePaths.MARK}.")
@@ -91,7 +91,7 @@ def _others(folder: Path) -> list[str]:
 
 
 def is_session(folder: Path) -> bool:
-    """Check that a folder is a session's, whether it was just made or is half removed. No file of a session is a link."""
+    """Check that a folder is a session's, even if it is new or half removed. No file of a session is a symbolic link."""
     if not SESSION.fullmatch(folder.name) or not worker.is_folder(str(folder)):
         return False
     paths = SessionPaths(folder)
@@ -103,7 +103,7 @@ def is_session(folder: Path) -> bool:
 
 
 def _is_signed(owner: Path) -> bool:
-    """Check that a file names a process, or is empty: whoever began to write it was killed."""
+    """Check that a file names a process, or is empty because the process that began to write it was killed."""
     text = _beginning(owner)
     with contextlib.suppress(ValueError, RecursionError):
         said = json.loads(text or "{}")
@@ -119,7 +119,7 @@ def sessions(store: StorePaths) -> Iterator[SessionPaths]:
 
 
 def strange(store: StorePaths) -> Iterator[Path]:
-    """Yield what lies among the sessions and is none."""
+    """Yield the paths among the sessions that are not sessions."""
     own = {store.work_lock, store.work_mark}
     yield from (path for path in _below(store.work) if path not in own and not is_session(path))
 
@@ -131,11 +131,8 @@ def _below(folder: Path) -> list[Path]:
         return []
 
 
-# ---------------------------------------------------------------- elsewhere
-
-
 def make_elsewhere(store: StorePaths, session: SessionPaths, folder: Path) -> SessionPaths:
-    """Make a folder below `folder` where the runs of a session execute. Raises Missing where that is somebody else's."""
+    """Make a folder below `folder` for the runs of a session. Raises Missing if the store's folder there is not SIERRA's."""
     own = identity(store)
     mine = folder / own
     mine.mkdir(parents=True, exist_ok=True)
@@ -150,7 +147,7 @@ def make_elsewhere(store: StorePaths, session: SessionPaths, folder: Path) -> Se
 
 
 def _elsewhere(store: StorePaths, session: Path) -> Path | None:
-    """Return where a session says that its runs execute; None where that is not said, or the folder does not bear its marks."""
+    """Return the folder where a session's runs execute; None if none is named, or if that folder lacks its marks."""
     said = _beginning(SessionPaths(session).elsewhere_file)
     if not said or b"\0" in said:
         return None
@@ -166,7 +163,7 @@ def _is_marked(folder: Path, text: str) -> bool:
 
 
 def _beginning(path: Path) -> bytes:
-    """Return what a plain file begins with; nothing where there is none."""
+    """Return the beginning of a regular file; empty if there is no such file."""
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
     except OSError:
@@ -178,13 +175,13 @@ def _beginning(path: Path) -> bytes:
 
 
 def _write_once(path: Path, text: str) -> None:
-    """Write a line to a file that appears whole, and never replaces another."""
+    """Write a line to a file that appears complete and never replaces another."""
     unfinished = path.with_name(f".{path.name}.{os.getpid()}")
     try:
         unfinished.write_text(f"{text}\n")
         try:
             os.link(unfinished, path)
-        except OSError:  # it is there already, or the file system has no hard links
+        except OSError:  # the target exists, or the file system has no hard links
             if not os.path.lexists(path):
                 unfinished.rename(path)
     finally:

@@ -1,4 +1,4 @@
-"""Names in SQL: texts and identifiers as statements hold them, and what columns of outputs are called."""
+"""SQL literals, SQL identifiers, and column names of outputs."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ from sierra.store.schema import BESIDE_OUTPUTS
 
 
 def quote(text: str) -> str:
-    """A text as an SQL literal."""
+    """Return a text as an SQL literal."""
     return "'" + text.replace("'", "''") + "'"
 
 
 def identifier(name: str) -> str:
-    """A name as an SQL identifier."""
+    """Return a name as an SQL identifier."""
     return '"' + name.replace('"', '""') + '"'
 
 
 def column_names(names: Sequence[str], taken: Iterable[str] = BESIDE_OUTPUTS) -> tuple[str, ...]:
-    """The names that the columns of a run's output have in the store, where case makes no difference."""
+    """Return the names of an output's columns in the store; they are unique without regard to case."""
     seen = {name.lower() for name in taken}
     kept = []
     for number, name in enumerate(names):

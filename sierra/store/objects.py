@@ -1,7 +1,7 @@
-"""Files by the hash of their content, many to a Parquet file, large ones in parts.
+"""Files stored under the hash of their content, many in one Parquet file, large ones in parts.
 
-A file of any size is written with bounded memory: rows of at most 8 MiB, gathered to row groups of at most
-32 MiB and 8192 rows. What is the same is kept once in a segment.
+A file of any size is written with bounded memory: rows of at most 8 MiB, collected into row groups of at most
+32 MiB and 8192 rows. A segment stores equal files once.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ ROWS = 8192
 
 
 class Objects:
-    """Writes one `objects.parquet`; `close` finishes it."""
+    """A writer of one `objects.parquet`; `close` finishes it."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -30,18 +30,18 @@ class Objects:
         self._writer: Any = None
 
     def add(self, content: bytes) -> str:
-        """Keep `content`; its SHA-256."""
+        """Add `content` and return its SHA-256."""
         digest = sha256(content)
         self._add(digest, len(content), (content[at : at + PART] for at in range(0, max(len(content), 1), PART)))
         return digest
 
     def add_file(self, path: Path, digest: str, size: int) -> None:
-        """Keep a file whose SHA-256 is known already."""
+        """Add a file whose SHA-256 is already known."""
         with path.open("rb") as file:
             self._add(digest, size, iter(lambda: file.read(PART), b"") if size else (b"",))
 
     def _add(self, digest: str, size: int, parts: Iterable[bytes]) -> None:
-        key = bytes.fromhex(digest[:32])  # half of it: there may be 100,000
+        key = bytes.fromhex(digest[:32])  # half of the digest saves memory: there may be 100,000
         if key in self._known:
             return
         self._known.add(key)

@@ -1,7 +1,7 @@
-"""Readers share a lock for as long as they read; whoever removes what is replaced takes it alone.
+"""The lock of a store's readers: readers share it, and a process that removes replaced segments takes it exclusively.
 
-Nobody waits for a reader: where it cannot be had alone soon, removing is left for another time. Where a file system has
-no locks, or may not be written, there is none.
+Nobody waits long for readers: if the exclusive lock is not available soon, the removal is postponed. On a file system that
+has no locks or is read-only, nothing is locked.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ PATIENCE_S = 2.0
 
 
 class Shared:
-    """The lock, shared with other readers, until it is closed."""
+    """The shared lock, held until it is closed."""
 
     def __init__(self, path: Path) -> None:
         self._descriptor = _open(path)
@@ -33,7 +33,7 @@ class Shared:
 
 @contextlib.contextmanager
 def alone(path: Path, patience: float = PATIENCE_S) -> Iterator[bool]:
-    """Whether nobody reads for the moment; True also where nobody can tell."""
+    """Take the lock exclusively, within `patience` seconds. Yield True if nobody reads, or if locks do not work; else False."""
     descriptor = _open(path)
     try:
         yield descriptor is None or _locked(descriptor, time.monotonic() + patience)

@@ -1,4 +1,4 @@
-"""What executions wrote, whether they count or not: rows of tables, and the bytes of files, of many at a time."""
+"""Outputs of many executions, effective or not: the rows of tables and the bytes of files."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from sierra.util.hashing import sha256
 OWN = ("run", "execution", "file", "filename", "file_row_number")
 
 Key = tuple[str, str, str | None]
-"""A judgement, an output, and, where its execution wrote several files of it, which."""
+"""A judgement, an output and, if the execution wrote several files of it, the file."""
 
 
 def rows_of(snapshot: Snapshot, executions: Iterable[str], outputs: Iterable[str]) -> dict[Key, Any]:
-    """The tables of these outputs by these judgements of executions, each a pyarrow.Table with its rows in their order."""
+    """Return the tables of these outputs and judgements, each a pyarrow.Table with its rows in order."""
     import pyarrow as pa
 
     found: dict[Key, Any] = {}
@@ -34,7 +34,7 @@ def rows_of(snapshot: Snapshot, executions: Iterable[str], outputs: Iterable[str
 
 
 def _tables(snapshot: Snapshot, path: str) -> Iterator[tuple[str, str | None, Any]]:
-    """The tables in one file of a segment, cut where another one's rows begin."""
+    """Yield the tables in one file of a segment: the execution, the file, and the rows."""
     import pyarrow.compute as pc
 
     source = read_parquet([path], rows=True)
@@ -52,7 +52,7 @@ def _tables(snapshot: Snapshot, path: str) -> Iterator[tuple[str, str | None, An
 
 
 def objects(snapshot: Snapshot, digests: Iterable[str]) -> dict[str, bytes]:
-    """Recorded files by their SHA-256. Raises Damaged where one is not there, or not what it was."""
+    """Return recorded files by their SHA-256. Raises Damaged if one is missing or has changed."""
     import pyarrow as pa
 
     digests = set(digests)

@@ -1,6 +1,7 @@
-"""One batch, ready for statistics: who belongs to it, and its output columns as samples over time.
+"""The data of one batch for statistics: its runs, and its output columns as samples over time.
 
-Only one execution of a run counts: see the table `counting`. A run without one is missing, and is said to be.
+Only one execution of a run is effective: see the table `counting`. A run without an effective execution is reported as
+missing.
 """
 
 from __future__ import annotations
@@ -31,25 +32,25 @@ NUMERIC = (*WHOLE, "DOUBLE", "FLOAT", "DECIMAL", "UHUGEINT")
 
 @dataclass(frozen=True, slots=True)
 class OutputTable:
-    """An output of a batch: its numeric columns, and how many rows its longest run has. False is 0, and true is 1."""
+    """An output of a batch: its numeric columns, and the number of rows of its longest run. Flags are numeric: 0 and 1."""
 
     name: str
     columns: tuple[str, ...]
     all_columns: tuple[str, ...]
     rows: int
     files: int
-    """How many files the run with most of them has."""
+    """The largest number of files that one run has."""
     mixed: tuple[str, ...]
-    """Columns that hold numbers in some runs, and other things in others."""
+    """The columns that hold numbers in some runs, and other values in others."""
     whole: tuple[str, ...] = ()
-    """The numeric columns that hold nothing but whole numbers, or truth values."""
+    """The numeric columns that hold only whole numbers or flags."""
 
 
 class Frame:
-    """What statistics are computed on. A context manager; see `sierra.stats.aggregate.Frame` for the contract."""
+    """A context manager for the data of a batch; `sierra.stats.aggregate.Frame` is its contract."""
 
     def __init__(self, store: Store, batch: str, these: Mapping[str, str] | None = None) -> None:
-        """`these`: instead of those that count, the execution of each of these runs, or the judgement of it that is meant."""
+        """`these`: the execution, or the judgement of it, to use for each run instead of the effective one."""
         self.batch = batch
         self._snapshot: Snapshot = store.snapshot(batch)
         self._loaded: set[str] = set()
@@ -84,7 +85,7 @@ class Frame:
         )
 
     def _output_files(self) -> dict[str, list[str]]:
-        """The output files of the segments that hold an execution that counts."""
+        """Return the files of each output, from the segments that hold an effective execution."""
         batches = {row[0][:12] for row in self._snapshot.run("SELECT DISTINCT batch FROM membership")}
         segments = [segment for segment in self._snapshot.segments if segment.batch in batches]
         files: dict[str, list[str]] = {}
@@ -94,14 +95,14 @@ class Frame:
         return {name: self._counting(paths) for name, paths in files.items()}
 
     def _counting(self, files: list[str]) -> list[str]:
-        """Of an output whose columns differ, the files with an execution that counts."""
+        """Return the files with an effective execution, if the columns of the files differ; else all files."""
         if all(map(is_first_part, files)):
             return files
         found = self._snapshot.run(files_with(files, MEMBERS))
         return [file for file in files if (file,) in found] or files
 
     def axes(self) -> tuple[Axis, ...]:
-        """The batch's axes with their values in order (labels and units are the project's)."""
+        """Return the batch's axes with their values in order; labels and units come from the project. Raises NotFound."""
         found = self._snapshot.run("SELECT axes FROM batches WHERE batch = $b", {"b": self.batch})
         if not found:
             raise NotFound(f"no batch {self.batch[:12]}")
@@ -113,7 +114,7 @@ class Frame:
         return tuple(axes)
 
     def cells(self) -> dict[int, dict[str, Value]]:
-        """The values of the axes of each experiment, by its place in the batch."""
+        """Return the values of the axes for each experiment, by its position in the batch."""
         fixed = {column.name for column in RECORDED["experiments"].columns}
         table = self._snapshot.connection.sql(
             "SELECT * FROM experiments WHERE batch = $b ORDER BY ordinal", params={"b": self.batch}
@@ -124,7 +125,7 @@ class Frame:
         }
 
     def counts(self) -> dict[int, tuple[int, int]]:
-        """For each experiment, by its place: runs that count, and runs that there are."""
+        """Return by experiment position how many runs have an effective execution, and how many runs there are."""
         rows = self._snapshot.run(
             "SELECT w.ordinal, count(m.run), count(*) FROM wanted w LEFT JOIN membership m "
             "ON m.run = w.run AND m.experiment = w.ordinal GROUP BY w.ordinal"
@@ -132,7 +133,7 @@ class Frame:
         return {row[0]: (row[1], row[2]) for row in rows}
 
     def outputs(self) -> tuple[OutputTable, ...]:
-        """The tables that the batch's runs wrote."""
+        """Return the tables that the batch's runs wrote."""
         found = []
         for name, files in sorted(self._files.items()):
             source = self._relation(name, files)
@@ -150,14 +151,16 @@ class Frame:
         return tuple(found)
 
     def _relation(self, table: str, files: Sequence[str]) -> Relation:
-        """The rows of an output, whether they count or not."""
+        """Return all rows of an output, effective or not."""
         if table not in self._relations:
             self._relations[table] = relation(self._snapshot.run, files, f"execution IN ({MEMBERS})", rows=True)
         return self._relations[table]
 
     def shared_axis(self, table: str, columns: Sequence[str]) -> str | None:
-        """Return the first of these numeric columns that behaves like a time: from row to row it increases, and it has the same
-        values in all runs, as far as each goes. There must be two runs at least, as anything that grows is alike in one.
+        """Return the first of these numeric columns that behaves like a time; None if none does.
+
+        A time increases from row to row. It also has the same values in all runs, as far as each run goes. At least two runs
+        are needed, because in a single run any increasing column would qualify.
         """
         if table not in self._loaded:
             self._load(table, self._files[table])
@@ -168,7 +171,7 @@ class Frame:
         )
 
     def _growing(self, data: str, columns: Sequence[str]) -> set[str]:
-        """The columns that increase from row to row in the longest run."""
+        """Return the columns that increase from row to row in the longest run."""
         if not columns:
             return set()
         longest = (
@@ -186,7 +189,7 @@ class Frame:
         return {column for column, grows in zip(columns, rows[0], strict=True) if grows}
 
     def samples(self, table: str, column: str, time: str = "") -> None:
-        """Make `samples` be one column of one output. Raises NotFound for what the batch does not have."""
+        """Create the view `samples` of one column of one output. Raises NotFound for an unknown output or column."""
         files = self._files.get(table)
         if files is None:
             raise NotFound(f"no output {table!r} in this batch; it has {', '.join(sorted(self._files)) or 'none'}")
@@ -225,7 +228,7 @@ class Frame:
         self._loaded.add(table)
 
     def sql(self, text: str, **parameters: Any) -> pa.Table:
-        """The answer to a statement on `samples`. Raises SqlError."""
+        """Return the result of a statement on `samples`. Raises SqlError."""
         import duckdb
 
         try:
@@ -243,13 +246,13 @@ SELECT 1 FROM (SELECT count(DISTINCT run) AS runs FROM {data}) WHERE runs > 1 AN
 
 
 def _pairs(columns: Sequence[str]) -> list[tuple[str, str]]:
-    """Each column, and what its value in the row before is called, in SQL."""
+    """Return each column and the name of its value in the previous row, as SQL identifiers."""
     return [(identifier(column), identifier(f"# before {column}")) for column in columns]
 
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """One column of one output, as statistics see it: a frame whose `samples` are its values."""
+    """One column of one output as a frame for statistics, with the column's values in `samples`."""
 
     frame: Frame
     table: str
@@ -266,11 +269,11 @@ def _mixed(relation: Relation) -> tuple[str, ...]:
 
 
 def _is_one_of(kind: str, kinds: Sequence[str]) -> bool:
-    """Return whether a type of DuckDB's is one of these: `DECIMAL(18,3)` is a DECIMAL, `BIGINT[]` is no BIGINT."""
+    """Check if a DuckDB type is one of these: `DECIMAL(18,3)` is a DECIMAL, but `BIGINT[]` is not a BIGINT."""
     return kind.partition("(")[0] in kinds and not kind.endswith("]")
 
 
 def like(name: str, known: Sequence[str]) -> str:
-    """Say which of these names may be meant."""
+    """Return a hint: the known name that is closest to `name`, or a list of the known names."""
     close = difflib.get_close_matches(name, known, 1, cutoff=0.5)
     return f"did you mean {close[0]!r}?" if close else f"it has {', '.join(known[:10])}{', …' if len(known) > 10 else ''}"

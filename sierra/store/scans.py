@@ -1,11 +1,12 @@
-"""The one door through which DuckDB reads and writes files: nothing is inferred from a path, a name or a sample.
+"""The only module through which DuckDB reads and writes files; nothing is inferred from a path, a name or a sample.
 
-DuckDB takes columns from folder names (`v=7`), names for patterns (`robot[0].csv` reads `robot0.csv`), endings for
-compression, and samples for types. Every function here names each such feature and turns it off; no other module may call
-a table function that reads files, which a test checks.
+By default, DuckDB infers columns from folder names (`v=7`), treats names as patterns (`robot[0].csv` reads `robot0.csv`),
+infers compression from suffixes, and infers types from samples. Every function here names each such feature and turns it
+off. No other module may call a table function that reads files; a test checks this.
 
-A pattern's characters cannot be escaped everywhere (DuckDB 2.0 fails in folders, and where it may read one folder alone), so
-DuckDB never gets a path that has one: `steady` names the same file through an open folder, `Aliases` through a link.
+The characters of a pattern cannot be escaped everywhere (DuckDB 2.0 fails for folders, and if it may read only one folder).
+Therefore DuckDB never gets a path with such a character: `steady` names the same file through an open folder, `Aliases`
+through a symbolic link.
 """
 
 from __future__ import annotations
@@ -21,14 +22,14 @@ from sierra.errors import Missing
 from sierra.store.names import quote
 
 ODD = re.compile(r"^~|[*?\[\udc80-\udcff]")
-"""What DuckDB does not take literally in a path: patterns, the home folder, and bytes that are no UTF-8."""
+"""The parts of a path that DuckDB does not take literally: patterns, the home folder, and bytes that are not UTF-8."""
 OPEN = "/proc/self/fd"
-"""Where Linux has a process's open files by number."""
+"""The folder of a process's open files by number, on Linux."""
 UNNAMED = "cannot be read under this name here; rename what has one of the characters ~ * ? [ in its name"
 UNGUESSED = "hive_partitioning = false, hive_types_autocast = false"
 
 _open: dict[str, int] = {}
-"""Open folders, by their path, as `steady` uses them: as many as there are stores in odd places."""
+"""The folders that `steady` holds open, by path: one for each store whose path has special characters."""
 
 
 def read_parquet(
@@ -41,9 +42,9 @@ def read_parquet(
 ) -> str:
     """Return the relation of these files' rows.
 
-    `union`: columns are found by their names in each file; else all files have those of the first. `filename`: also the file
-    that a row is from. `rows`: that, and the row's place in it. `schema`: the columns of these names and types, and NULL where
-    a file does not have one.
+    `union`: match the columns of each file by name; otherwise all files must have the columns of the first. `filename`: add the
+    path of a row's file. `rows`: add that, and the row's number in the file. `schema`: the names and types of the columns; a
+    column that a file does not have is NULL.
     """
     options = f"union_by_name = {_sql(union)}, filename = {_sql(filename or rows)}, file_row_number = {_sql(rows)}"
     if schema is not None:
@@ -57,24 +58,24 @@ def read_parquet(
 
 
 def parquet_given(file: str) -> str:
-    """Return the relation of the rows of $files, whose columns may differ, with a column called `file` for the path."""
+    """Return the relation of the rows of $files, whose columns may differ. The column named by `file` has the path."""
     return f"read_parquet($files, {UNGUESSED}, union_by_name = true, filename = {quote(file)}, file_row_number = false)"
 
 
 def parquet_schema(files: Sequence[str] = ()) -> str:
-    """Return the relation of what the footers of these files, else of $files, say of columns."""
+    """Return the relation of the column descriptions in the footers of these files, or of $files."""
     return f"parquet_schema({f'[{_listed(files)}]' if files else '$files'})"
 
 
 def parquet_metadata(file: str) -> str:
-    """Return the relation of what a file's footer says of its row groups."""
+    """Return the relation of the row group descriptions in a file's footer."""
     return f"parquet_metadata({quote(steady(file))})"
 
 
 def csv_given(columns: Mapping[str, str], file: str, *, delimiter: str, header: bool, longest: int | None = None) -> str:
-    """Return the relation of the rows of $files, of columns with these types, with a column called `file` for the path.
+    """Return the relation of the rows of $files, whose columns have these types. The column named by `file` has the path.
 
-    `longest`: the bytes of the longest line, where DuckDB's own limit is too low.
+    `longest`: the length of the longest line in bytes, if DuckDB's own limit is too low.
     """
     typed = ", ".join(f"{name}: {quote(kind)}" for name, kind in columns.items())
     limit = "" if longest is None else f", max_line_size = {longest}"
@@ -88,7 +89,7 @@ def csv_given(columns: Mapping[str, str], file: str, *, delimiter: str, header: 
 
 
 def objects_given(file: str) -> str:
-    """Return the relation of the lines of $files, each as JSON, with a column called `file` for the path."""
+    """Return the relation of the lines of $files, each as JSON. The column named by `file` has the path."""
     return (
         f"read_ndjson_objects($files, {UNGUESSED}, union_by_name = false, filename = {quote(file)}, "
         "format = 'newline_delimited', compression = 'none', ignore_errors = false)"
@@ -102,7 +103,7 @@ def copy(rows: str, target: Path) -> str:
 
 
 def steady(path: str) -> str:
-    """Return a name of the same file that DuckDB takes literally. Raises Missing where there is none."""
+    """Return a path of the same file that DuckDB takes literally. Raises Missing if there is none."""
     if not ODD.search(path):
         return path
     folder = _odd_folder(path)
@@ -110,7 +111,7 @@ def steady(path: str) -> str:
 
 
 def check_folder(path: Path) -> None:
-    """Check that files in a folder can be read and written by their names. Raises Missing."""
+    """Check that DuckDB can read and write files in a folder by their paths. Raises Missing."""
     try:
         str(path).encode()
     except UnicodeEncodeError as error:
@@ -121,7 +122,7 @@ def check_folder(path: Path) -> None:
 
 
 def _odd_folder(path: str) -> str:
-    """The beginning of a path up to its last odd name, which must be a folder's."""
+    """Return the path of the last folder with a special name. Raises Missing if the file's own name is special."""
     *_, last = ODD.finditer(path)
     end = path.find("/", last.end())
     if end < 0 or not Path(OPEN).is_dir():
@@ -130,7 +131,7 @@ def _odd_folder(path: str) -> str:
 
 
 def _descriptor(folder: str) -> int:
-    """The number of a folder that is open, and stays so."""
+    """Return the descriptor of a folder; the folder is opened once and stays open."""
     found = _open.get(folder)
     try:
         if found is None or not os.path.samestat(os.fstat(found), Path(folder).stat()):
@@ -141,14 +142,14 @@ def _descriptor(folder: str) -> int:
 
 
 def plain(text: str) -> str:
-    """Return a text, such as an error of DuckDB's, with folders called as they are."""
+    """Return a text, such as a DuckDB error, with the real paths of folders."""
     for folder, descriptor in _open.items():
         text = text.replace(f"{OPEN}/{descriptor}/", f"{folder}/")
     return text
 
 
 class Aliases:
-    """Other names for files that have odd ones, as long as they are read; a context manager."""
+    """A context manager for temporary links to files with special names."""
 
     def __init__(self) -> None:
         self._folder: tempfile.TemporaryDirectory[str] | None = None
@@ -162,7 +163,7 @@ class Aliases:
             self._folder.cleanup()
 
     def of(self, path: str) -> str:
-        """Return a name of a file that DuckDB takes literally: mostly its own. Raises Missing where no link can be made."""
+        """Return a path of a file that DuckDB takes literally, usually its own. Raises Missing if no link can be created."""
         if not ODD.search(path):
             return path
         try:

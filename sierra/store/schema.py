@@ -1,7 +1,7 @@
-"""What the store's tables mean: each column with its type, its unit and a sentence.
+"""The schema of the store's tables: each column with its type, its unit and a sentence.
 
-`sierra schema` prints this, `schemas/store.sql` is generated from it, and every segment is written with it.
-The tables of the runs' own outputs are not here: their columns are the runs'.
+`sierra schema` prints this schema, `schemas/store.sql` is generated from it, and every segment is written with it.
+The tables of the runs' own outputs are not here: the runs define their columns.
 """
 
 from __future__ import annotations
@@ -441,7 +441,7 @@ LATER = {
     "sessions": ("lamport",),
     "replays": ("lamport",),
 }
-"""By table, the last columns: those that older files do not have, and whose values are NULL there."""
+"""The last columns of tables: older files do not have them, and their values are NULL there."""
 
 DERIVED = {
     table.name: table
@@ -515,22 +515,22 @@ DERIVED = {
 RESERVED = frozenset(
     ("batch", "experiment", "run", "number", "seed", "execution", "row", "file", "session", "ordinal", "runs", "good", "failed")
 ) | {column.name for table in DERIVED.values() if not table.name.startswith("judged") for column in table.columns}
-"""Names that no axis may have, because a column of the store has them."""
+"""Names that are not allowed for axes, because a column of the store has them."""
 
 BESIDE_OUTPUTS = frozenset(("run", "execution", "file", "number", "filename", "file_row_number"))
-"""Names that no column of an output has in the store: there it gets a trailing underscore."""
+"""Names that output columns cannot have in the store; such a column gets a trailing underscore."""
 
 TABLE_NAMES = frozenset(RECORDED) | frozenset(DERIVED)
 
 
 def check_name(name: str) -> bool:
-    """Whether an output may be called so: no table of the store's own may be shadowed, and case makes no difference."""
+    """Check that an output may have this name: it must not hide a table of the store; case is ignored."""
     return name.lower() not in TABLE_NAMES
 
 
 @cache
 def arrow_schema(name: str) -> Any:
-    """A recorded table's schema, as pyarrow has it."""
+    """Return a recorded table's schema as a pyarrow.Schema."""
     import pyarrow as pa
 
     types = {
@@ -546,7 +546,7 @@ def arrow_schema(name: str) -> Any:
 
 
 def is_table(name: str, schema: Any) -> bool:
-    """Return whether a file with this Arrow schema holds the columns of a recorded table, all of them or the older ones."""
+    """Check if a file with this Arrow schema holds the columns of a recorded table: all of them, or an older version's."""
     import pyarrow as pa
 
     whole = arrow_schema(name)
@@ -555,7 +555,7 @@ def is_table(name: str, schema: Any) -> bool:
 
 
 def sql() -> str:
-    """The whole schema as SQL with comments: what `schemas/store.sql` holds."""
+    """Return the whole schema as SQL with comments: the content of `schemas/store.sql`."""
     parts = []
     for table in (*RECORDED.values(), *DERIVED.values()):
         lines = [f"-- {table.meaning}", f"CREATE TABLE {table.name} ("]

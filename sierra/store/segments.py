@@ -1,24 +1,25 @@
-"""What is recorded, as folders that appear whole: one rename publishes all that was recorded at one time.
+"""Segments: folders of records that appear as a whole, by one rename.
 
     segments/<batch, 12 digits>-<16 digits>/
         MANIFEST                      SHA-256 and name of each file, as `sha256sum -c` reads it
         executions.parquet …          records, a file for each table
-        output.<table>.parquet …      what the runs wrote, a file for each output; where some have other columns
-                                      than others, output.<table>~2.parquet … for these
+        output.<table>.parquet …      rows that the runs wrote, a file for each output; rows with other columns are in
+                                      output.<table>~2.parquet …
 
-The last 16 digits are the beginning of the SHA-256 of MANIFEST, so that a segment's name vouches for all in
-it. A segment is written beside its target, synced and renamed; a name that exists holds the same content.
-Nothing here is ever changed. Folders of any number of processes and hosts can be added at once.
+The last 16 digits are the beginning of the SHA-256 of MANIFEST. So a segment's name verifies all of its files. A segment is
+written outside the folder `segments`, synced, and renamed to its final name. If that name exists already, it has the same
+content. Segments never change. Any number of processes and hosts can add segments at the same time.
 
-Rows are merged, or removed, by writing new segments in the place of old ones. So that this happens at one moment, which
-is one rename, a segment may have two files more, listed in MANIFEST as all others:
+Rows are merged or removed by writing new segments that replace old ones. The replacement must take effect at one moment,
+by one rename. For this, a segment may have two more files, listed in MANIFEST like all others:
 
-    REPLACES    names of segments, a line each, that do not count any more, as long as this one is there
-    AFTER       the name of a segment: this one counts only once that is there
+    REPLACES    names of segments, one per line; they are ignored as long as this segment exists
+    AFTER       the name of a segment; this one is ignored until that segment exists
 
-One new segment names those that it replaces. Of several, each is published first, to count AFTER a last one, which has
-nothing but REPLACES. To remove what is replaced is only tidying up, at any later time (see `sierra.store.compaction`); who
-replaces a segment also names what that has replaced. A line that is no segment's name means nothing.
+A single new segment names the segments that it replaces. Several new segments are published first, each with AFTER naming
+a last segment, which has nothing but REPLACES. Replaced segments can be removed at any later time (see
+`sierra.store.compaction`). A segment that replaces another one also names the segments that the other one replaced. A line
+that is not a segment's name has no effect.
 """
 
 from __future__ import annotations
@@ -39,22 +40,23 @@ from sierra.util.fs import inside
 from sierra.util.hashing import sha256, sha256_file
 
 FORMAT = "sierra store 3\n"
-"""Of what segments hold, and of what it means that they lie there. Raised whenever an older SIERRA would read it wrongly."""
+"""The format of segments and of their role in the store. It is raised whenever an older SIERRA would misread it."""
 READABLE = (FORMAT, "sierra store 2\n")
-"""Formats that are read. A store of an older one is of the newest as soon as a segment is added; what its records lack is
-NULL."""
+"""The formats that this version reads. Adding a segment raises an older store to the newest format. Columns that its records
+lack are NULL.
+"""
 MANIFEST = "MANIFEST"
 OUTPUT = "output."
 SUFFIX = ".parquet"
 REPLACES = "REPLACES"
 AFTER = "AFTER"
 MARK_BYTES = 16 << 20
-"""More is read of no REPLACES."""
+"""The limit on the bytes that are read from REPLACES."""
 
 
 @dataclass(frozen=True, slots=True)
 class Segment:
-    """One folder of records: the beginning of its batch's id, and its Parquet files by name."""
+    """A folder of records: the beginning of its batch's id, and its Parquet files by name."""
 
     batch: str
     files: Mapping[str, str]
@@ -63,26 +65,26 @@ class Segment:
     after: str | None = None
 
     def outputs(self) -> Iterator[tuple[str, str]]:
-        """What the runs wrote: the table's name and the file, of each file."""
+        """Yield the table name and the path of each file that holds rows of an output."""
         for name, path in self.files.items():
             if name.startswith(OUTPUT):
                 yield name.removeprefix(OUTPUT).partition("~")[0], path
 
 
 def is_first_part(path: str) -> bool:
-    """Whether a file of an output holds those of its rows that have the usual columns."""
+    """Check if a file of an output holds the rows with the usual columns."""
     return "~" not in Path(path).name
 
 
 def listed(folder: Path) -> Iterator[Segment]:
-    """All segments that count now, in the order of their names."""
+    """Yield all segments that are not ignored, in the order of their names."""
     found = list(on_disk(folder))
     hidden = out_of_date(found)
     yield from (segment for segment in found if segment.name not in hidden)
 
 
 def out_of_date(segments: Sequence[Segment]) -> set[str]:
-    """The names of those that do not count: replaced, or waiting for one that is not there."""
+    """Return the names of ignored segments: replaced, or waiting for a segment that does not exist."""
     names = {segment.name for segment in segments}
     waiting = {segment.name for segment in segments if segment.after is not None and segment.after not in names}
     replaced = {name for segment in segments if segment.name not in waiting for name in segment.replaces}
@@ -90,13 +92,13 @@ def out_of_date(segments: Sequence[Segment]) -> set[str]:
 
 
 def on_disk(folder: Path) -> Iterator[Segment]:
-    """All segments that are there, whether they count or not, in the order of their names."""
+    """Yield all existing segments, ignored or not, in the order of their names."""
     try:
         names = sorted(entry.name for entry in os.scandir(folder) if entry.is_dir())
     except FileNotFoundError:
         return
     for name in names:
-        with contextlib.suppress(FileNotFoundError):  # somebody has tidied it up meanwhile
+        with contextlib.suppress(FileNotFoundError):  # another process removed it meanwhile
             yield _segment(folder / name)
 
 
@@ -115,7 +117,7 @@ def _lines(path: str) -> list[str]:
 
 
 class Writer:
-    """A segment that is being written, in `folder`; `publish` makes it appear among the others."""
+    """A segment that is being written in `folder`; `publish` adds it to the store."""
 
     def __init__(self, folder: Path, batch: str) -> None:
         self.folder = folder
@@ -125,11 +127,11 @@ class Writer:
             folder.mkdir(parents=True)
 
     def path(self, name: str) -> Path:
-        """Where the Parquet file of that name belongs, for whoever writes it itself."""
+        """Return the path for the Parquet file of this name, for callers that write it themselves."""
         return self.folder / (name + SUFFIX)
 
     def rows(self, name: str, rows: Iterable[Mapping[str, Any]]) -> None:
-        """Records of one table; nothing is written where there are none."""
+        """Write records of one table; write no file if there are none."""
         import pyarrow as pa
 
         rows = list(rows)
@@ -137,11 +139,11 @@ class Writer:
             self.table(name, pa.Table.from_pylist(rows, schema=arrow_schema(name)))
 
     def table(self, name: str, table: Any) -> None:
-        """An Arrow table, as it is."""
+        """Write an Arrow table unchanged."""
         self.tables(name, (table,))
 
     def tables(self, name: str, parts: Iterable[Any]) -> None:
-        """Arrow tables of one schema, one after the other: a row group each. There must be one at least."""
+        """Write Arrow tables of one schema into one file, each as a row group. At least one table is required."""
         import pyarrow.parquet as pq
 
         parts = iter(parts)
@@ -156,7 +158,7 @@ class Writer:
             (self.folder / name).write_text("".join(f"{line}\n" for line in lines))
 
     def seal(self) -> str:
-        """Write MANIFEST and sync all; the name that the segment will have. Nothing may be written after that."""
+        """Write MANIFEST, sync all files, and return the segment's future name. Nothing may be written afterwards."""
         with disk_errors(self.folder):
             files = sorted(file for file in self.folder.iterdir() if file.name != MANIFEST)
             text = manifest(files)
@@ -166,7 +168,7 @@ class Writer:
         return f"{self._batch}-{sha256(text)[:16]}"
 
     def publish(self, segments: Path) -> bool:
-        """Sync all, and rename; True if there was anything to publish."""
+        """Sync all files and rename the folder. Return False if it was empty."""
         if not any(self.folder.iterdir()):
             self.folder.rmdir()
             return False
@@ -184,7 +186,7 @@ class Writer:
 
 
 def _raise_format(path: Path) -> None:
-    """Have a store say that it is of the newest format. The file stays in its place, because it is a lock, too."""
+    """Raise the store's format to the newest one. The file is changed in place, because it is also a lock."""
     with contextlib.suppress(FileNotFoundError), path.open("rb") as file:
         if file.read(len(FORMAT) + 1).decode("utf-8", "replace") in READABLE[1:]:
             with path.open("r+b") as changed:
@@ -193,7 +195,7 @@ def _raise_format(path: Path) -> None:
 
 
 def manifest(files: Iterable[Path]) -> bytes:
-    """What MANIFEST says of these files, which are in the order of their names."""
+    """Return the content of MANIFEST for these files, which must be sorted by name."""
     return "".join(f"{sha256_file(file)}  {file.name}\n" for file in files).encode()
 
 
@@ -207,7 +209,7 @@ def sync(path: Path) -> None:
 
 
 class disk_errors:
-    """Turns what a full or forbidden disk raises into Missing, naming the folder."""
+    """A context manager that turns errors of a full or read-only disk into Missing, with the folder's name."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder

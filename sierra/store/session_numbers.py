@@ -1,7 +1,7 @@
-"""Lamport numbers of sessions: the next one is 1 more than the highest that can be seen (see `sierra.store.order`).
+"""Lamport numbers of sessions: the next one is 1 more than the highest known number (see `sierra.store.order`).
 
-Segments never change, so that each is looked at once: the highest number of those that were seen is kept beside them, in a
-file that nobody misses, and that is not heeded where it is not what was written.
+Segments never change, so each is read only once. A cache file in the store keeps the highest number of the segments that
+were read. The file may be deleted, and it is ignored if its checksum is wrong.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ from sierra.util.hashing import sealed, unsealed
 
 
 def following(paths: StorePaths, living: Iterable[int]) -> int:
-    """Return the number of a session that begins now; `living` are those of sessions that have not ended.
+    """Return the number for a session that begins now; `living` are the numbers of sessions that have not ended.
 
-    Whoever asks looks for living sessions first: one that ends meanwhile has recorded by then. Raises Damaged where the store
-    cannot be read, or has a number that SIERRA does not give.
+    Determine the living sessions before the call: a session that ends in between has recorded by then. Raises Damaged if the
+    store cannot be read, or has a number that SIERRA never assigns.
     """
     highest = max((_recorded(paths), *living))
     if highest >= HIGHEST:
@@ -34,7 +34,7 @@ def following(paths: StorePaths, living: Iterable[int]) -> int:
 
 
 def _recorded(paths: StorePaths) -> int:
-    """Return the highest number of all segments."""
+    """Return the highest number in all segments."""
     highest, seen = _load(paths.numbers)
     with Store(paths.root).snapshot() as snapshot:
         new = [segment for segment in snapshot.segments if segment.name not in seen]
@@ -53,7 +53,7 @@ def _highest(snapshot: Snapshot, segments: Iterable[Segment]) -> int:
 
 
 def _load(path: Path) -> tuple[int, set[str]]:
-    """Return the highest number of the segments that were seen, and their names."""
+    """Return the highest number of the segments that were read, and their names."""
     try:
         kept = unsealed(path.read_bytes())
     except OSError:

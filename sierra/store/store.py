@@ -1,8 +1,8 @@
-"""The store: immutable segments of records, read as SQL.
+"""The store: immutable segments of records, queried with SQL.
 
-Truth is files that are only ever added (see `sierra.store.segments`); DuckDB reads them through views that are
-made anew for each snapshot, so that any number of processes write at once and none waits for another. There is
-no catalogue to get out of step.
+The data are files that are only ever added (see `sierra.store.segments`). DuckDB reads them through views that are created
+anew for each snapshot. So any number of processes can write at the same time, and none waits for another. There is no
+catalogue that could disagree with the files.
 """
 
 from __future__ import annotations
@@ -30,38 +30,38 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 FORMAT_BYTES = 100
-"""Are read of what says the format."""
+"""The limit on the bytes that are read from the file `format`."""
 CACHEDIR = (
     "Signature: 8a477f597d28d172789f06886806bc55\n"
     "# This folder was made by SIERRA and holds recorded experiments: do not delete it as if it were a cache.\n"
 )
 NOTE = "sierra:note"
-"""What a schema's metadata call that which a reader of an answer must know."""
+"""The key, in the metadata of a result's schema, of notes for the reader of the result."""
 GITIGNORE = b"*\n"
 UNFINISHED = (".format.", "..gitignore.", ".CACHEDIR.TAG.")
-"""How files begin that are written beside their targets while a store is made."""
+"""The name prefixes of unfinished files while a store is created."""
 PREFIX = re.compile(r"[0-9a-f]{4,64}")
 
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """What an id names: `kind` is batch, experiment, run or execution."""
+    """The meaning of an id; `kind` is batch, experiment, run or execution."""
 
     kind: str
     id: str
     batch: str | None
-    """A batch that it belongs to."""
+    """A batch to which it belongs."""
 
 
 class Store:
-    """One store; cheap to make, holds nothing open. Any number of them may be used at once."""
+    """A store. It is cheap to create and holds no open files; any number of instances may be used at the same time."""
 
     def __init__(self, root: Path) -> None:
-        """Open the store in the folder `root`. Raises Missing where there is none, Damaged where it is of another format."""
+        """Open the store in the folder `root`. Raises Missing if there is none, Damaged if its format is not readable."""
         check_folder(root)
         self.paths = StorePaths(root)
         self._beneath: Path | None = None
-        """The segments of another store, which are read too."""
+        """The folder of another store's segments, which are read too."""
         try:
             with self.paths.format.open("rb") as file:
                 found = file.read(FORMAT_BYTES).decode("utf-8", "backslashreplace")
@@ -75,7 +75,7 @@ class Store:
 
     @classmethod
     def create(cls, root: Path) -> Store:
-        """The store in `root`, made there if there is none. Any number of processes may do so at once."""
+        """Return the store in `root`; create it if there is none. Any number of processes may do so at the same time."""
         check_folder(root)
         paths = StorePaths(root)
         if not paths.format.exists():
@@ -90,7 +90,7 @@ class Store:
         return cls(root)
 
     def segments(self) -> list[Segment]:
-        """All segments that count now."""
+        """Return all segments that are not ignored."""
         shared = Shared(self.paths.reading)
         try:
             return self._listed()
@@ -102,24 +102,24 @@ class Store:
         return [*beneath, *listed(self.paths.segments)]
 
     def writer(self, folder: Path, batch: str) -> Writer:
-        """A segment to be written in `folder` (in this store's file system) and then published."""
+        """Return a writer for a segment in `folder`, which must be in this store's file system."""
         return Writer(folder, batch)
 
     def publish(self, writer: Writer) -> bool:
-        """Make a written segment part of the store, whole; False if there was nothing in it."""
+        """Add a written segment to the store as a whole. Return False if it was empty."""
         return writer.publish(self.paths.segments)
 
     @contextlib.contextmanager
     def beside(self, folder: Path | None = None) -> Iterator[Store]:
-        """A store with the segments that this one has now, to be written to instead of it; it is removed at the end.
+        """Yield a temporary store that contains this store's current segments. New segments go only into the temporary store.
 
-        It is made in `folder`, or where temporary files belong.
+        It is created in `folder` or the system's temporary folder, and removed at the end.
         """
         with disk_errors(folder or Path(tempfile.gettempdir())):
             if folder is not None:
                 folder.mkdir(parents=True, exist_ok=True)
             made = tempfile.TemporaryDirectory(prefix="sierra-beside-", dir=folder, ignore_cleanup_errors=True)
-        shared = Shared(self.paths.reading)  # until the end: nobody tidies segments up
+        shared = Shared(self.paths.reading)  # held until the end, so that nobody removes segments
         try:
             with made as root:
                 other = Store.create(Path(root, "store"))
@@ -128,13 +128,11 @@ class Store:
         finally:
             shared.close()
 
-    # ------------------------------------------------------------ SQL
-
     def sql(self, text: str, *, within: str | None = None, **parameters: Any) -> pa.Table:
-        """The answer to one statement as an Arrow table. Nothing but this store can be read, and nothing written.
+        """Return the result of one statement as an Arrow table. It can read only this store and write nothing.
 
-        `$name` in the statement takes its value from the keyword `name`. With `within`, a batch's id, members, runs and
-        outputs are those of that batch. Raises SqlError.
+        `$name` in the statement takes its value from the keyword `name`. `within` is a batch's id; it limits members, runs and
+        outputs to that batch. Raises SqlError.
         """
         with self.snapshot(within) as snapshot:
             return snapshot.sql(text, **parameters)
@@ -149,18 +147,16 @@ class Store:
             raise
 
     def rows(self, text: str, **parameters: Any) -> list[dict[str, Any]]:
-        """The answer to one statement, as a list of rows."""
+        """Return the result of one statement as a list of rows."""
         rows: list[dict[str, Any]] = self.sql(text, **parameters).to_pylist()
         return rows
 
     def outputs(self) -> list[str]:
-        """The names of all tables that runs wrote."""
+        """Return the names of all tables that runs wrote."""
         return outputs(self.segments())
 
-    # ------------------------------------------------------------ ids
-
     def resolve(self, prefix: str) -> Found:
-        """What a beginning of an id (at least 4 digits) names. Raises NotFound."""
+        """Return the object whose id begins with `prefix` (at least 4 digits). Raises NotFound for none or several."""
         text = prefix.lower()
         if not PREFIX.fullmatch(text):
             raise NotFound(f"{prefix!r} is not an id: 4 to 64 hexadecimal digits, as `sierra ls` shows them")
@@ -181,7 +177,7 @@ class Store:
         return Found(**found[0])
 
     def object(self, digest: str) -> bytes:
-        """The content of a recorded file, by its SHA-256. Raises NotFound, Damaged."""
+        """Return the content of a recorded file by its SHA-256. Raises NotFound or Damaged."""
         from sierra.util.hashing import sha256
 
         rows = self.rows("SELECT DISTINCT ON (part) content FROM objects WHERE sha256 = $d ORDER BY part", d=digest)
@@ -193,13 +189,13 @@ class Store:
         return content
 
     def blob(self, blob: str) -> bytes | None:
-        """The content of a file of a source, by git's hash of it; None where only git has it. Raises NotFound, Damaged."""
+        """Return the content of a source file by its git hash; None if only git has it. Raises NotFound or Damaged."""
         rows = self.rows("SELECT sha256 FROM blobs WHERE blob = $b LIMIT 1", b=blob)
         return self.object(rows[0]["sha256"]) if rows else None
 
 
 def check_free(root: Path) -> None:
-    """Raise Missing for a folder that has no store, and holds what is no part of one."""
+    """Raise Missing if a folder has no store but holds files that are not part of a store."""
     paths = StorePaths(root)
     held = sorted(path.name for path in root.iterdir()) if root.is_dir() else []
     strange = [name for name in held if name not in paths.NAMES and not name.startswith(UNFINISHED)]
@@ -212,7 +208,7 @@ def check_free(root: Path) -> None:
 
 
 class Snapshot:
-    """One connection, on one state of the store; a context manager."""
+    """A context manager for one connection to one state of the store."""
 
     def __init__(
         self,
@@ -223,9 +219,9 @@ class Snapshot:
         *,
         beneath: Path | None = None,
     ) -> None:
-        """`shared`: the lock that keeps these segments where they are, until the snapshot is closed.
+        """`shared`: the lock that protects these segments from removal until the snapshot is closed.
 
-        `beneath`: the folder of those that are another store's.
+        `beneath`: the folder of segments that belong to another store.
         """
         self._shared = shared
         self._opened = Connection(StorePaths(root).segments, *([beneath] if beneath else []))
@@ -246,7 +242,7 @@ class Snapshot:
             self._shared.close()
 
     def sql(self, text: str, **parameters: Any) -> pa.Table:
-        """The answer to one statement that only reads. Raises SqlError."""
+        """Return the result of one statement that only reads. Raises SqlError."""
         import duckdb
 
         try:
@@ -254,7 +250,7 @@ class Snapshot:
             self.views.make(tables_of(text))
             try:
                 answer = self._answer(text, parameters)
-            except duckdb.CatalogException:  # a table named in a way that `tables_of` does not see: main.runs
+            except duckdb.CatalogException:  # a table name that `tables_of` does not recognize: main.runs
                 self.views.make()
                 answer = self._answer(text, parameters)
             if answer is None:
@@ -265,11 +261,11 @@ class Snapshot:
             raise self._wrong(error) from error
 
     def _noted(self, text: str) -> bool:
-        """Whether what is to be known of columns belongs to an answer: not to a list of all tables."""
+        """Check if notes on columns belong to a result; a list of all tables does not need them."""
         return bool(self.views.told) and tables_of(text) is not None
 
     def _wrong(self, error: Exception) -> SierraError:
-        """What DuckDB complains of: the store's files, or the statement."""
+        """Return Damaged if DuckDB's error is about the store's files, else SqlError for the statement."""
         import duckdb
 
         if f"{self._root}/segments/" in plain(str(error)) and not isinstance(error, duckdb.PermissionException):
@@ -289,7 +285,7 @@ class Snapshot:
             raise SqlError(f"the store is read-only here; {statements[0].type.name} statements are refused")
 
     def each(self, statement: str, parameters: Mapping[str, Any]) -> Iterator[tuple[Any, ...]]:
-        """The rows of a statement of SIERRA's own, of which there may be many, a few thousand in memory at a time."""
+        """Yield the rows of one of SIERRA's own statements, with a few thousand rows in memory at a time."""
         import duckdb
 
         try:
@@ -300,9 +296,9 @@ class Snapshot:
             raise self._wrong(error) from error
 
     def cells(self, batch: str) -> dict[int, dict[str, Any]]:
-        """What is recorded of each experiment of a batch, by its place: its id, and the values of axes as they were given.
+        """Return the recorded id and the original axis values of each experiment of a batch, by its position.
 
-        In the table `experiments`, a column has one type for all batches.
+        The table `experiments` can differ: there a column has one type for all batches.
         """
         files = [s.files["experiments"] for s in self.segments if s.batch == batch[:12] and "experiments" in s.files]
         if not files:
@@ -314,11 +310,11 @@ class Snapshot:
         return {row["ordinal"]: row for row in rows.to_arrow_table().to_pylist()}
 
     def register(self, name: str, table: Any) -> None:
-        """Make an Arrow table known to this connection by a name."""
+        """Register an Arrow table under a name on this connection."""
         self.connection.register(name, table)
 
     def run(self, statement: str, parameters: Mapping[str, Any] | None = None) -> list[tuple[Any, ...]]:
-        """A statement of SIERRA's own, which may make temporary tables."""
+        """Execute one of SIERRA's own statements, which may create temporary tables, and return its rows."""
         import duckdb
 
         self._opened.note(statement)
@@ -330,7 +326,7 @@ class Snapshot:
 
 
 def apart(answer: pa.Table) -> pa.Table:
-    """The same; several columns of one name (`SELECT * FROM runs JOIN executions …`) are named as in a table: run, run_1."""
+    """Return the table with unique column names: repeated names (`SELECT * FROM runs JOIN executions …`) become run, run_1."""
     names: list[str] = []
     for name in answer.column_names:
         others = (f"{name}_{number}" for number in itertools.count(1))

@@ -1,4 +1,4 @@
-"""The store as SQL sees it: views over the segments' files, made only for the tables that a statement names."""
+"""SQL views over the files of segments, created only for the tables that a statement names."""
 
 from __future__ import annotations
 
@@ -40,18 +40,18 @@ ONCE = {
     "readings": ("reading",),
     "findings": ("execution",),
 }
-"""Records that two writers may both have made: what makes them the same."""
+"""Tables to which two writers may add the same record, with the columns that identify a record."""
 
 FIRST = {"batches": "lamport", "findings": "lamport"}
 
 
 def outputs(segments: Iterable[Segment]) -> list[str]:
-    """The names of the tables that runs wrote."""
+    """Return the names of the tables that runs wrote."""
     return sorted({name for segment in segments for name, _ in segment.outputs()})
 
 
 class Views:
-    """Makes views on one connection; each once."""
+    """The views of one connection; each is created once."""
 
     def __init__(self, connection: Any, segments: Sequence[Segment], within: str | None = None) -> None:
         self._sql = connection
@@ -67,14 +67,14 @@ class Views:
         self._own = [segment for segment in segments if within is not None and segment.batch == within[:12]]
         self._segments = segments
         self.called: dict[str, dict[str, str]] = {}
-        """By output (in lower case) whose view is made, what its columns are called there."""
+        """The names of an output's columns in SQL, by output (in lower case) whose view exists."""
         self.told: list[str] = []
-        """What must be known of columns that are not of one type."""
+        """Notes for the user on columns with several types."""
         self._made: set[str] = set()
         self._there: list[str] = []
 
     def _execute(self, statement: str, parameters: Mapping[str, Any] | None = None) -> Any:
-        """A statement of these views, with whatever is wrong in the store's files turned into Damaged."""
+        """Execute a statement of these views. Raises Damaged for errors in the store's files."""
         import duckdb
 
         try:
@@ -83,18 +83,18 @@ class Views:
             raise Damaged(f"the store cannot be read: {first_line(error)}") from error
 
     def make(self, names: Iterable[str] | None = None) -> None:
-        """Views of these tables and of what they need; of all where no names are given."""
+        """Create the views of these tables and of the tables that they need; of all tables if `names` is None."""
         wanted = None if names is None else {name.lower() for name in names}
         for name in (*RECORDED, *DERIVED, *sorted(self._outputs)):
             if wanted is None or name.lower() in wanted:
                 self._make(name)
 
     def made(self) -> list[str]:
-        """The views that are there, as SQL names them."""
+        """Return the existing views as SQL identifiers."""
         return self._there
 
     def axes(self) -> list[str]:
-        """The independent variables as columns: those of all batches, as in `experiments`; of one batch, in its order."""
+        """Return the axes that are columns: of all batches, as in `experiments`; or of one batch, in its order."""
         if self._within is not None:
             self._make("batches")
             rows = self._execute("SELECT unnest(axes) FROM batches WHERE batch = $batch", {"batch": self._within})
@@ -127,7 +127,7 @@ class Views:
         self._there.append(identifier(name))
 
     def _make_recorded(self, name: str) -> None:
-        """Make a view of records; where none of the files has the later columns, in the way that takes longer to prepare."""
+        """Create a view of records. If no file has the later columns, use the query that takes longer to prepare."""
         import duckdb
 
         view = f"CREATE VIEW {identifier(name)} AS "
@@ -159,16 +159,16 @@ class Views:
         return f"SELECT * FROM {source}"
 
     def _records(self, name: str, files: list[str], *, older: bool) -> str:
-        """Records as they stand in files; `older`: of which none has the later columns."""
+        """Return the relation of records in these files; `older`: no file has the later columns."""
         source = records(name, files) if older else read_parquet(files, union=name in LATER)
         if name not in LATER:
             return source
-        values = {"lamport": STAMPED.format(time=TIMES.get(name))}  # DuckDB refuses those that no file has
+        values = {"lamport": STAMPED.format(time=TIMES.get(name))}  # DuckDB refuses columns that no file has
         later = ", ".join(f"{values.get(column, column)} AS {column}" for column in LATER[name])
         return f"(SELECT * REPLACE ({later}) FROM {source})"
 
     def _experiments(self, files: list[str]) -> str:
-        """The values of axes: those of one batch as they are, those of all with numbers apart from texts."""
+        """Return the relation of axis values: unchanged for one batch, with numbers split from texts for all batches."""
         own = [segment.files["experiments"] for segment in self._own if "experiments" in segment.files]
         found = relation(self._fetch, own or files)
         self._tell("experiments", found, {name: name for name in found.types})
@@ -179,7 +179,7 @@ class Views:
         return rows
 
     def _tell(self, table: str, found: Relation, called: Mapping[str, str]) -> None:
-        """Note which columns have another one beside them."""
+        """Note which columns have a `_text` column."""
         for name, text in found.texts.items():
             column, beside = f"column {called[name]!r} of {table}", repr(called[text])
             holds = "numbers in some runs, and other things in others: these are"
@@ -189,7 +189,7 @@ class Views:
 
     @property
     def _anew(self) -> bool:
-        """Whether anything was judged anew."""
+        """True if any execution was evaluated by changed rules."""
         return "judgements" in self._files
 
     def _executions(self, source: str) -> str:
@@ -199,7 +199,7 @@ class Views:
         return f"SELECT e.* REPLACE ({said}) FROM {source} e JOIN ({LAST}) l USING (execution)"
 
     def _judged(self, *, older: bool = False) -> str:
-        """Every judgement, the first of each execution and those made anew, with what was found out about it since."""
+        """Return the query for all judgements, the first and the later ones, with findings that were added afterwards."""
         files = self._files.get("executions")
         if files is None:
             columns = ", ".join(f"NULL::{c.type} AS {identifier(c.name)}" for c in DERIVED["judged"].columns)
@@ -280,7 +280,7 @@ class Views:
         )
 
     def _holding(self, files: list[str]) -> list[str]:
-        """Of an output whose columns may differ, the files with an execution that counts; what others have, nobody sees."""
+        """Return the files that have an effective execution, if columns may differ; columns of other files are not visible."""
         if self._within is not None:
             mine = self._of_batch(files)
             files = [file for file in files if file in mine] or files
@@ -290,7 +290,7 @@ class Views:
         return [file for file in files if file in found] or files
 
     def _of_batch(self, files: Sequence[str]) -> set[str]:
-        """Of these files, those of batches that recorded an execution that counts."""
+        """Return the files of batches that recorded an effective execution."""
         batches = {
             row[0][:12] for row in self._fetch(f"SELECT DISTINCT batch FROM judged SEMI JOIN ({COUNTED}) USING (judgement)")
         }
@@ -309,13 +309,15 @@ latest AS (
     FROM asked GROUP BY batch
 )
 """
-"""The programs and the rules of each batch's last asking, as the relation `latest`."""
+"""The relation `latest`: the programs and the rules of each batch's last session."""
 
 COUNTS = "e.status = 'ok' AND e.purpose = 'run' AND e.programs = l.programs AND e.reading = l.reading"
-"""Whether a judgement e may count in a batch of which l is `latest`; of those that may, the last execution's last one does."""
+"""The SQL condition that a judgement e may be effective in a batch with `latest` l. Of all such judgements of a run, the last
+judgement of the last execution is effective.
+"""
 
 ORDER = "(e.lamport, e.place, e.judgement)"
-"""The order of judgements e: that of their executions, then their own."""
+"""The order of judgements e: by their executions, then by their own positions."""
 
 COUNTING = f"""{LATEST}
 SELECT batch, ordinal, run, c.execution AS execution, c.judgement AS judgement, asked, lamport
@@ -361,32 +363,35 @@ COUNTED = """
 SELECT run, c.execution AS execution, c.judgement AS judgement
 FROM (SELECT run, arg_max({'execution': execution, 'judgement': judgement}, lamport) AS c FROM counting GROUP BY run)
 """
-"""A run's execution that counts for the batch last asked for, and the judgement of it."""
+"""Each run's effective execution and its judgement, in the batch that was submitted last."""
 
 
 def _value(axis: str) -> str:
-    """An axis's value in an experiment; a controller or a scenario may be that of the whole batch."""
+    """Return the SQL expression for an axis's value in an experiment; controller and scenario may be the batch's."""
     return f"coalesce(x.{axis}, b.{axis})" if axis in ("controller", "scenario") else f"x.{identifier(axis)}"
 
 
 def _only(column: str) -> str:
-    """The one value that a column has in a group, or NULL where it has several."""
+    """Return the SQL expression for the single value of a column in a group; NULL if there are several."""
     return f"CASE WHEN min({column}) = max({column}) THEN max({column}) END"
 
 
 def _pick(column: str, first: str | None) -> str:
-    """One of several records of the same: the first, where that can be told. What is not asked for is not read."""
+    """Return the SQL expression that picks a column's value from duplicate records: the first record's, if an order is known.
+
+    DuckDB does not read columns that a query does not use.
+    """
     name = identifier(column)
     return f"any_value({name})" if first is None else f"min({name})" if column == first else f"arg_min({name}, {first})"
 
 
 def files_with(files: Sequence[str], judgements: str, column: str = "execution") -> str:
-    """The statement for which of these files have a row of one of the judgements that a query gives."""
+    """Return the statement that lists the files with a row of the judgements; `judgements` is a query for them."""
     return f"SELECT DISTINCT filename FROM {read_parquet(files, filename=True)} WHERE {column} IN ({judgements})"
 
 
 def recording(run: Callable[[str], list[tuple[Any, ...]]], segments: Sequence[Segment], judgements: str) -> list[Segment]:
-    """Return the segments in which judgements are recorded that a query gives: with their executions, or made anew."""
+    """Return the segments that contain first or later judgements of executions; `judgements` is a query for these."""
     found: set[str] = set()
     for name, column in (("executions", "execution"), ("judgements", "judgement")):
         files = {segment.files[name]: segment.name for segment in segments if name in segment.files}
@@ -396,9 +401,9 @@ def recording(run: Callable[[str], list[tuple[Any, ...]]], segments: Sequence[Se
 
 
 def records(name: str, files: Sequence[str], *, filename: bool = False) -> str:
-    """Return the relation of files of records, whatever columns they have; what older ones do not have is NULL.
+    """Return the relation of files of records with all current columns; columns that older files lack are NULL.
 
-    DuckDB takes twice as long to prepare it as without a schema.
+    With a schema, DuckDB takes twice as long to prepare it.
     """
     schema = {column.name: column.type for column in RECORDED[name].columns} if name in LATER else None
     return read_parquet(files, union=name == "experiments", schema=schema, filename=filename)
@@ -411,7 +416,7 @@ ALL = re.compile(r"\b(?:show\s+(?:all\s+)?tables|information_schema|duckdb_\w+|p
 
 
 def tables_of(text: str) -> set[str] | None:
-    """What a statement may name as tables, in lower case (some of it is none); None where it may be all."""
+    """Return the names in a statement that may be tables, in lower case; None if the statement may use all tables."""
     if ALL.search(text):
         return None
     return {(quoted.replace('""', '"') or plain).lower() for quoted, plain in NAMED.findall(text)}
