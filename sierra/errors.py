@@ -1,30 +1,30 @@
-"""One tree of errors; each carries the exit code with which the command line ends.
+"""The tree of SIERRA's errors. Each class carries the exit code with which the command line ends.
 
-Exit codes: 0 fine, 1 failed or different, 2 usage, 3 something needed is missing, 130 interrupted.
-A message is one line that says what is wrong, which one, and what would be right.
+Exit codes: 0 success, 1 failure or difference, 2 usage error, 3 something needed is missing, 130 interrupted. A message is one
+line that says what is wrong, which thing is wrong, and what would be right.
 """
 
 from __future__ import annotations
 
 
 class SierraError(Exception):
-    """What SIERRA says to a user instead of a traceback."""
+    """An error that is shown to the user as one line, without a traceback."""
 
     exit_code = 1
 
 
 class UsageError(SierraError):
-    """What was asked for is not well formed."""
+    """Invalid input from the user."""
 
     exit_code = 2
 
 
 class QueryError(UsageError):
-    """A research query that cannot be read, or asks for what does not exist."""
+    """A research query that cannot be parsed, or that refers to something that does not exist."""
 
 
 class ConfigError(UsageError):
-    """`sierra.toml` is not as it should be."""
+    """An invalid `sierra.toml`."""
 
 
 class TemplateError(UsageError):
@@ -32,22 +32,22 @@ class TemplateError(UsageError):
 
 
 class NotFound(UsageError):
-    """A hash or a name that names nothing, or more than one thing."""
+    """An unknown or ambiguous hash or name."""
 
 
 class SqlError(UsageError):
-    """A statement that DuckDB refuses."""
+    """A SQL statement that DuckDB rejects."""
 
 
 class Missing(SierraError):
-    """Something that is needed is not there: a program, a file, a right, room on the disk."""
+    """A missing requirement: a program, a file, a permission, space on the disk."""
 
     exit_code = 3
 
 
 class Full(Missing):
-    """A scheduler takes no more jobs for now."""
+    """A scheduler that accepts no more jobs for now."""
 
 
 class Damaged(SierraError):
-    """What is recorded is not what was recorded."""
+    """A record that differs from what was recorded."""

@@ -1,11 +1,11 @@
 """The nouns: query, batch, experiment, run, execution, and the changes that make a run's input.
 
-A *query* names one or more *criteria*. Each criterion spans one *axis*: an ordered list of values of an
-independent variable. The Cartesian product of the axes is a *batch* of *experiments*; an experiment is
-repeated in *runs* that differ in their seed. A run is the unit of identity: its input, command, platform,
-seed, source, image and declared environment, hashed. An *execution* is one time that a run was executed.
+A *query* names one or more *criteria*. Each criterion spans one *axis*: an ordered list of values of an independent variable.
+The Cartesian product of the axes is a *batch* of *experiments*. An experiment is repeated in *runs* that differ in their seed.
+A run is the unit of identity: the hash of its input, command, platform, seed, source, image and declared environment. An
+*execution* is one time that a run was executed.
 
-All here is frozen; nothing here reads a file or knows a library.
+All dataclasses here are frozen. This module reads no files and imports only the standard library.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from fractions import Fraction
 from typing import Any
 
 Value = int | float | str
-"""A value of an independent variable: numeric or the name of a group of changes."""
+"""A value of an independent variable: a number, or the name of a group of changes."""
 
 
 # ---------------------------------------------------------------- the query
@@ -25,14 +25,14 @@ Value = int | float | str
 
 @dataclass(frozen=True, slots=True)
 class Log:
-    """`.Log8`: 1, 2, 4, … up to `end`, a power of two."""
+    """The scale `.Log8`: 1, 2, 4, … up to `end`, a power of two."""
 
     end: int
 
 
 @dataclass(frozen=True, slots=True)
 class Linear:
-    """`.Linear100.C10`: `count` equal whole steps up to `end`: 10, 20, … 100."""
+    """The scale `.Linear100.C10`: `count` equal whole steps up to `end`: 10, 20, … 100."""
 
     end: int
     count: int
@@ -40,7 +40,7 @@ class Linear:
 
 @dataclass(frozen=True, slots=True)
 class Steps:
-    """`.1.9.C5`: `count` whole numbers from `start` to `end` with equal gaps: 1, 3, 5, 7, 9."""
+    """The scale `.1.9.C5`: `count` whole numbers from `start` to `end` with equal gaps: 1, 3, 5, 7, 9."""
 
     start: int
     end: int
@@ -49,7 +49,7 @@ class Steps:
 
 @dataclass(frozen=True, slots=True)
 class Span:
-    """`=0:1:5`: `count` numbers from `start` to `end` with equal gaps: 0, 0.25, … 1."""
+    """The scale `=0:1:5`: `count` numbers from `start` to `end` with equal gaps: 0, 0.25, … 1."""
 
     start: Fraction
     end: Fraction
@@ -58,21 +58,21 @@ class Span:
 
 @dataclass(frozen=True, slots=True)
 class Listed:
-    """`=0.2,0.4,1.6` or `=low,high`: the values themselves, all numbers or all names."""
+    """The scale `=0.2,0.4,1.6` or `=low,high`: a list of values, all numbers or all names."""
 
     values: tuple[Value, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class MonteCarlo:
-    """`montecarlo.C20`: `count` experiments that differ in nothing but their seeds."""
+    """The criterion `montecarlo.C20`: `count` experiments that differ only in their seeds."""
 
     count: int
 
 
 @dataclass(frozen=True, slots=True)
 class ConstantDensity:
-    """`.5p0.I16.C4`: `count` arenas, each side `increment` m longer, at `density` percent of robots per m²."""
+    """The scale `.5p0.I16.C4`: `count` arenas, each with sides `increment` m longer, at `density` percent of robots per m²."""
 
     density: Fraction
     increment: Fraction
@@ -81,7 +81,7 @@ class ConstantDensity:
 
 @dataclass(frozen=True, slots=True)
 class VariableDensity:
-    """`.1p0.5p0.C4`: one arena, `count` densities from `start` to `end` percent of robots per m²."""
+    """The scale `.1p0.5p0.C4`: one arena, `count` densities from `start` to `end` percent of robots per m²."""
 
     start: Fraction
     end: Fraction
@@ -101,7 +101,7 @@ class Criterion:
 
 @dataclass(frozen=True, slots=True)
 class Query:
-    """What a researcher asks: criteria, runs per experiment, and what holds for all experiments."""
+    """A research query: criteria, runs per experiment, and the settings that all experiments share."""
 
     criteria: tuple[Criterion, ...]
     runs: int
@@ -116,10 +116,10 @@ class Query:
 
 @dataclass(frozen=True, slots=True)
 class Set:
-    """Give attributes or texts a value: of all that `path` (XPath 1.0) selects.
+    """A change that sets the value of all attributes or texts that `path` (XPath 1.0) selects.
 
-    A path that selects attributes sets them; one that selects elements sets their text, or, with
-    `attribute`, that attribute of them, adding it where it is absent. `value` may hold `{expressions}`.
+    If the path selects attributes, their values are set. If it selects elements, their text is set; with `attribute`, that
+    attribute of the elements is set instead, and added if absent. `value` may contain `{expressions}`.
     """
 
     path: str
@@ -131,9 +131,9 @@ class Set:
 
 @dataclass(frozen=True, slots=True)
 class Add:
-    """Put a new child, `xml`, into each element that `path` selects: before child element `at`, or last.
+    """A change that adds a new child `xml` to each element that `path` selects: before the child element `at`, or last.
 
-    Attributes and texts in `xml` may hold `{expressions}`.
+    Attributes and texts in `xml` may contain `{expressions}`.
     """
 
     path: str
@@ -145,7 +145,7 @@ class Add:
 
 @dataclass(frozen=True, slots=True)
 class Remove:
-    """Take away the elements or attributes that `path` selects."""
+    """A change that removes the elements or attributes that `path` selects."""
 
     path: str
     expect: int | None = None
@@ -154,7 +154,7 @@ class Remove:
 
 @dataclass(frozen=True, slots=True)
 class Rename:
-    """Give the elements that `path` selects another tag; `to` may be one `{name}` of a value."""
+    """A change that renames the tag of the elements that `path` selects. `to` may be one `{name}` of a value."""
 
     path: str
     to: str
@@ -163,7 +163,7 @@ class Rename:
 
 
 Change = Set | Add | Remove | Rename
-"""`expect`: how many matches there must be (None: at least one). `why`: who asks, for messages."""
+"""A change to the template. `expect`: required number of matches (None: at least one). `why`: its origin, for messages."""
 
 
 # ---------------------------------------------------------------- the batch
@@ -171,7 +171,7 @@ Change = Set | Add | Remove | Rename
 
 @dataclass(frozen=True, slots=True)
 class Axis:
-    """One independent variable as it is spanned: its values in order, and how to label it."""
+    """One independent variable of a query: its values in order, and its label."""
 
     name: str
     values: tuple[Value, ...]
@@ -185,12 +185,12 @@ class Axis:
 
 @dataclass(frozen=True, slots=True)
 class Point:
-    """One value of an axis, and all that it changes in the template."""
+    """One value of an axis, and all changes to the template that it causes."""
 
     value: Value
     changes: tuple[Change, ...]
     stream: int = 0
-    """Which run numbers it takes its seeds from: `stream * 2**16` onwards."""
+    """The number of the stream of seeds: the run numbers for its seeds begin at `stream * 2**16`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,7 +205,7 @@ class Cell:
 
 @dataclass(frozen=True, slots=True)
 class Design:
-    """What a query expands to, before any input is made."""
+    """The expansion of a query before any input is generated."""
 
     query: Query
     axes: tuple[Axis, ...]
@@ -213,24 +213,24 @@ class Design:
     per_run: tuple[Change, ...]
     """Changes whose values may use `seed` and `run` (the run's number), applied last."""
     lists: Mapping[str, tuple[Value, ...]] = field(default_factory=dict)
-    """Values from a list, by name: run number n takes item n (modulo its length)."""
+    """Lists of values, by name: run number n takes item n (modulo the list's length)."""
     independent_seeds: bool = False
 
 
 @dataclass(frozen=True, slots=True)
 class Recipe:
-    """What all runs of a batch have in common; with an input and a seed it makes a run."""
+    """The run specification that all runs of a batch share. An input and a seed complete it to a run."""
 
     platform: str
     command: tuple[str, ...]
-    """With placeholders: before any path of this machine is filled in."""
+    """The command with its placeholders, before any path of this machine is filled in."""
     environment: Mapping[str, str]
     source: str | None
-    """The id of the source's tree (`swh:1:dir:…`), or None where nothing of the source counts."""
+    """The id of the source's tree (`swh:1:dir:…`), or None if the source is not part of the identity."""
     image: str | None = None
-    """The content identity of the container image; None without one."""
+    """The content identity of the container image; None without an image."""
     reach: tuple[str, ...] = ()
-    """What runs reach beyond the image and their own folder, sorted: `network`, `device /dev/dri`, `mount /data`."""
+    """The host access of runs beyond the image and their own folder, sorted: `network`, `device /dev/dri`, `mount /data`."""
 
     def preimage(self) -> dict[str, Any]:
         return {
@@ -244,22 +244,22 @@ class Recipe:
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """One template + changes + seed: the unit that executes, and the unit of identity."""
+    """One template with changes and a seed: the unit that executes, and the unit of identity."""
 
     id: str
     experiment: int
     """The ordinal of its experiment in the batch."""
     number: int
-    """Counts from 0 within the experiment."""
+    """The number of the run in its experiment, from 0."""
     seed: int
     names: tuple[str, ...]
-    """Its input files; one tuple for all runs of a batch, which may be 100,000 in memory."""
+    """The names of its input files. All runs of a batch share one tuple, because 100,000 of them may be in memory."""
     digests: bytes
-    """Their SHA-256, 32 bytes each."""
+    """The SHA-256 of each input file, 32 bytes each."""
 
     @property
     def inputs(self) -> tuple[tuple[str, str], ...]:
-        """Name and SHA-256 of each input file."""
+        """Return the name and SHA-256 of each input file."""
         digests = (self.digests[at : at + 32].hex() for at in range(0, len(self.digests), 32))
         return tuple(zip(self.names, digests, strict=True))
 
@@ -276,14 +276,14 @@ class Experiment:
 
 @dataclass(frozen=True, slots=True)
 class Times:
-    """What runs are expected to take, in the order in which they are dealt out."""
+    """The expected durations of runs, in the order in which they are distributed over elements."""
 
     each: tuple[float, ...]
-    """Seconds of each run."""
+    """The seconds of each run."""
     new: tuple[int, ...]
-    """The places of those whose values were never timed: they are estimated."""
+    """The positions of runs whose values were never timed; their durations are estimated."""
     how: str
-    """Where all of this comes from, in words."""
+    """The origin of these durations, in words."""
 
     @property
     def mean(self) -> float:
@@ -292,7 +292,7 @@ class Times:
 
 @dataclass(frozen=True, slots=True)
 class Batch:
-    """What a query expands to: an ordered set of experiments."""
+    """The ordered set of experiments that a query expands to."""
 
     id: str
     axes: tuple[Axis, ...]
@@ -306,80 +306,83 @@ class Batch:
         object.__setattr__(self, "runs", tuple(run for experiment in self.experiments for run in experiment.runs))
 
 
-# ---------------------------------------------------------------- executing
+# ---------------------------------------------------------------- execution
 
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What one execution may use; None is no limit. A limit is never part of an identity."""
+    """The limits of one execution; None means no limit. A limit is never part of an identity."""
 
     wall_s: float | None = None
     cpu_s: float | None = None
     memory_bytes: int | None = None
     output_bytes: int | None = None
     grace_s: float = 5.0
-    """Between SIGTERM and SIGKILL."""
+    """The seconds between SIGTERM and SIGKILL."""
 
 
 @dataclass(frozen=True, slots=True)
 class Client:
-    """A program that starts a container, and stays as long as it."""
+    """A program that starts a container and exists as long as the container."""
 
     argv: tuple[str, ...]
     environment: Mapping[str, str]
     stop: tuple[str, ...] = ()
-    """What ends the container where the client can't any more."""
+    """The command that ends the container if the client cannot do it any more."""
 
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """A run made ready for a worker, on any host.
+    """A run that is ready for a worker, on any host.
 
-    In these, and in those of `client`, the character NUL (which no argument can hold) stands for the run's
+    In `argv`, `environment` and those of `client`, the character NUL (which no argument can contain) stands for the run's
     directory, which only the worker knows.
     """
 
     run: str
     execution: str
-    """The id that this execution will have, wherever it is executed."""
+    """The id of this execution, on any host."""
     argv: tuple[str, ...]
     environment: Mapping[str, str]
     files: tuple[tuple[str, bytes], ...]
     limits: Limits
     client: Client | None = None
-    """What starts the container of the run, or, where `shared`, that of all runs of a slot, in which a worker executes it."""
+    """The client that starts the run's container.
+
+    If `shared`, the container is that of a slot, where a worker executes all runs.
+    """
     shared: bool = False
 
 
 @dataclass(frozen=True, slots=True)
 class Requirement:
-    """A file that must be where runs execute as it is here."""
+    """A file that must be the same on the executing host as it is here."""
 
     name: str
     path: str
     sha256: str = ""
-    """Empty: it is enough that it is there."""
+    """The SHA-256 of the file; empty if it only has to exist."""
     search: str = ""
-    """The PATH by which the name is found, where runs call it by that: what is found there counts."""
+    """The PATH by which runs find the name, if they call the file by name. The file that is found there is checked."""
     link: bool = False
-    """Whether it is a link, and not what it leads to: its hash is that of the path that it says."""
+    """True for a symbolic link that is itself required. `sha256` is then the hash of the path that it contains."""
     holds: tuple[str, ...] | None = None
-    """What is installed in the folders of a Python (`path`, as in a PATH), as `array_task.installed` lists it."""
+    """The packages installed in the folders of a Python (`path`, written like a PATH), as `array_task.installed` lists them."""
 
 
 class Status(StrEnum):
-    """How an execution ended."""
+    """The outcome of an execution."""
 
     OK = "ok"
     FAILED = "failed"
-    """Its exit status, a missing output or marker, or too few rows says so."""
+    """A failure: by its exit status, a missing output or marker, or too few rows."""
     TIMEOUT = "timeout"
     MEMORY = "memory"
     CPU = "cpu"
     OUTPUT = "output"
     """More bytes written than the limit allows."""
     MISMATCH = "mismatch"
-    """It ended well, but a table it wrote is cut short, or not shaped like its siblings'."""
+    """A program that ended successfully, but wrote a table that is cut short or has another shape than its siblings."""
     INTERRUPTED = "interrupted"
 
 
@@ -391,46 +394,46 @@ class OutputFile:
     bytes: int
     sha256: str
     lines: int
-    """Line feeds in it."""
+    """The number of line feeds in it."""
     ended: bool
-    """Whether its last byte is a line feed (or it is empty)."""
+    """True if its last byte is a line feed, or if it is empty."""
     head: str
-    """Its first line, at most 4096 bytes of it."""
+    """The first line, at most 4096 bytes."""
     quotes: int | None = None
-    """Double quotes in it; None, as what follows, of what is no text, and where an older worker did not count."""
+    """The number of double quotes. It and the fields below are None for a file that is not text, or from an older worker."""
     blank: int | None = None
-    """Lines in it without a character."""
+    """The number of lines without a character."""
     alike: bool | None = None
-    """Whether all its lines end alike, in LF or in CR LF."""
+    """True if all its lines end in the same way, in LF or in CR LF."""
 
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """What a worker says of one execution."""
+    """A worker's report on one execution."""
 
     run: str
     execution: str
     directory: str
-    """Where its files are, until they are recorded."""
+    """The folder of its files until they are recorded."""
     started: float
     """Seconds since the epoch."""
     ended: float
     exit_code: int | None
     signal: int | None
     stopped: str | None
-    """Why the worker ended it: a `Status`, or None where the program ended by itself."""
+    """The reason why the worker ended it, a `Status`; None if the program ended by itself."""
     user_s: float | None
-    """CPU seconds; None where the program ended in a container before anything was seen of it."""
+    """CPU seconds; None if the program ended in a container before its usage could be measured."""
     system_s: float | None
     max_rss_bytes: int | None
     host: str
     slot: int
     outputs: tuple[OutputFile, ...]
     error: str | None = None
-    """Why the program could not be started, or why what it left can't be read."""
+    """The reason why the program could not be started, or why its outputs cannot be read."""
     attempt: str | None = None
     """On a cluster, the attempt at an element in which it was executed."""
     environment: str | None = None
-    """What was around it, where that is not what is around this process."""
+    """The environment of the execution, if it differs from that of this process."""
     left_out: tuple[str, ...] = ()
-    """What it left that is no output, as it is neither a file nor a folder: links, sockets; not all where there are many."""
+    """Entries of its output folder that are neither files nor folders: links, sockets. A long list is incomplete."""

@@ -1,4 +1,4 @@
-"""The containers of one session: made ready before anything executes, and what is recorded of how they isolate."""
+"""The containers of one session: they are prepared before anything executes, and their isolation is recorded."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ from sierra.util.hashing import digest, sha256
 
 NETWORK, GPU, DEVICE, MOUNT = "network", "gpu", "device ", "mount "
 MOUNTS = "{mount}"
-"""What the name of a file begins with that is mounted."""
+"""The prefix of the name of a mounted file."""
 WATCHED = frozenset(("memory",))
-"""Limits that the worker watches over where the engine does not enforce them."""
+"""The limits that the worker checks if the engine does not enforce them."""
 NVIDIA = Path("/proc/driver/nvidia")
 MOUNTED = Path("/proc/self/mountinfo")
 ESCAPED = re.compile(rb"\\([0-7]{3})")
 SPARE_S = 60.0
-"""Beyond a run's time limit, until its container ends by itself: whoever watched over it must be gone."""
+"""The seconds after a run's time limit until its container ends by itself, in case that nothing else ends it."""
 
 
 def reach(container: Container | None) -> tuple[str, ...]:
-    """What runs reach beyond their image and their own folder, as their identity holds it."""
+    """Return the host access of runs beyond their image and their own folder, in the form that is part of their identity."""
     if container is None:
         return ()
     flags = [name for name, given in ((NETWORK, container.network), (GPU, container.gpu)) if given]
@@ -44,12 +44,12 @@ def reach(container: Container | None) -> tuple[str, ...]:
 
 
 def other_reach(was: Sequence[str], now: Sequence[str]) -> list[str]:
-    """What runs reach now that they did not, and the other way round, in words."""
+    """Return the differences between two lists of host access, in words."""
     return [*(f"{one} is new" for one in now if one not in was), *(f"{one} is gone" for one in was if one not in now)]
 
 
 def limits(row: Mapping[str, Any]) -> dict[str, dict[str, float]]:
-    """The limits in a row of `isolations`: those asked for, and of these the enforced, the watched, and the ignored."""
+    """Return the limits in a row of `isolations`: all requested ones, divided into enforced, watched and ignored ones."""
     asked, enforced = (json.loads(row[name]) for name in ("limits_asked", "limits_enforced"))
     left = {name: limit for name, limit in asked.items() if name not in enforced}
     return {
@@ -61,10 +61,10 @@ def limits(row: Mapping[str, Any]) -> dict[str, dict[str, float]]:
 
 
 def data(named: Programs, container: Container, project: Path) -> Programs:
-    """The files that count beside image and source: those of the project that a template names, and all that is mounted.
+    """Return the data files that are part of the identity: project files that a template names, and all mounted files.
 
-    What a template names elsewhere is the image's. What is mounted counts by its whole path (`{mount}/data/map`), as two files
-    may have one name; and a link by where it leads, which is another place in a container.
+    Other files that a template names belong to the image. A mounted file is named by its whole path (`{mount}/data/map`),
+    because two files may have the same name. A link is hashed by its target path, which is another place in a container.
     """
     digests = HashCache()
     mounted = []
@@ -85,24 +85,24 @@ def data(named: Programs, container: Container, project: Path) -> Programs:
 
 @dataclass(frozen=True, slots=True)
 class Isolation:
-    """What contains the runs of a session: nothing, or containers that are alike."""
+    """The isolation of a session's runs: none, or containers with the same settings."""
 
     engine: Engine
     abilities: Capabilities
     box: ContainerSpec | None = None
     notes: tuple[str, ...] = ()
     seen: ChangeGuard | None = None
-    """The image, as it was when it was found to be the pinned one, where it is a file of the user's own, who may replace it."""
+    """A guard for the image, if it is a file that its user may replace: its state when it was found to be the pinned one."""
 
     @property
     def row(self) -> dict[str, Any] | None:
-        """The row of `isolations`, whose id is the hash of all else in it; None where nothing contains the runs."""
+        """Return the row of `isolations`, whose id is the hash of its other fields; None without containers."""
         fields = self._fields()
         return {"isolation": digest("isolation", fields), **fields} if fields else None
 
     @property
     def context(self) -> dict[str, Any]:
-        """What recording needs to know of it."""
+        """Return the facts that are needed to record executions."""
         if self.box is None:
             return {"engine": self.engine.name}
         enforced = tuple(sorted(self.enforced))
@@ -110,7 +110,7 @@ class Isolation:
 
     @property
     def needed(self) -> tuple[Requirement, ...]:
-        """What must be wherever runs execute: devices, and the image where it is a file."""
+        """Return what every executing host must have: the devices, and the image if it is a file."""
         if self.box is None:
             return ()
         devices = tuple(Requirement("[container] devices", path) for path in self.box.devices)
@@ -118,7 +118,7 @@ class Isolation:
         reference = self.box.reference
         if not Path(reference).is_absolute() or not Path(reference).is_file():
             return (*devices, *driver)
-        if self.seen:  # whatever lies there by now
+        if self.seen:  # whatever the file contains by now
             return (*devices, *driver, Requirement("the image", reference, self.box.image.sha256))
         digests = HashCache()
         found = digests.of(reference)
@@ -126,26 +126,26 @@ class Isolation:
         return (*devices, *driver, Requirement("the image", reference, found))
 
     def doubt(self) -> str | None:
-        """Why what has been executed since cannot be ascribed to the image: its file is another than then, or was."""
+        """Return why executions since then cannot be attributed to the image, or None. Its file was replaced or changed."""
         if self.box is None or self.seen is None or self.seen.doubt() is None:
             return None
         return f"the image {self.box.image.name} has changed since the runs began: {self.box.reference} was replaced"
 
     def close(self) -> None:
-        """Remove all containers that are left."""
+        """Remove all remaining containers of the session."""
         if self.box is not None:
             self.engine.sweep([self.box.session])
 
     @property
     def enforced(self) -> frozenset[str]:
-        """The limits that the engine enforces."""
+        """Return the limits that the engine enforces."""
         return frozenset(self.box.limits) & self.abilities.enforced if self.box else frozenset()
 
     def _fields(self) -> dict[str, Any]:
         box, able = self.box, self.abilities
         if box is None:
             return {}
-        # a replay's code lies in a folder of its own
+        # the code of a replay is in a folder of its own
         mounts = tuple(replace(one, source="{project}") if one.target == PROJECT else one for one in box.mounts)
         said = self.engine.client(replace(box, session="", mounts=mounts, files=""), Process((), {}, (), "/"))
         return {
@@ -177,10 +177,11 @@ def contain(
     session: str,
     elsewhere: bool = False,
 ) -> Isolation:
-    """Make all ready that containers of runs need; `code` is the folder of it, `container` what the project says now.
+    """Prepare everything that the containers of runs need.
 
-    Runs that execute `elsewhere` use the devices of those hosts, which look for them (`Containment.needed`).
-    Raises Missing where the image or the engine can't be had, or a mount is not there.
+    `code` is the folder of the code, `container` is the project's current configuration. Runs that execute `elsewhere` use the
+    devices of those hosts, which check for them (`Isolation.needed`). Raises Missing if the image or the engine is unavailable,
+    or a mount does not exist.
     """
     if image is None or engine.name == "none":
         return Isolation(engine, Capabilities(""))
@@ -209,7 +210,7 @@ def contain(
         network=NETWORK in recipe.reach,
         devices=tuple(one.removeprefix(DEVICE) for one in recipe.reach if one.startswith(DEVICE)),
         gpu=GPU in recipe.reach,
-        # in a container that is shared, the worker would starve with the run: it looks itself
+        # in a shared container, the limit would also hit the worker: it checks memory itself
         memory=None if shared else bounds.memory_bytes,
         cpus=given.cpus,
         pids=given.pids,
@@ -221,7 +222,7 @@ def contain(
 
 
 def _mounts(recipe: Recipe, given: Container, project: Path) -> Iterator[Mount]:
-    """The further mounts that a recipe names, with what the project has there."""
+    """Yield the additional mounts of a run specification, with the project's sources. Raises ConfigError, Missing."""
     for target in (one.removeprefix(MOUNT) for one in recipe.reach if one.startswith(MOUNT)):
         if target not in given.mounts:
             raise ConfigError(f"runs need a mount at {target}; name what is to be there in [container] mounts")
@@ -229,7 +230,7 @@ def _mounts(recipe: Recipe, given: Container, project: Path) -> Iterator[Mount]:
 
 
 def _with_below(mounts: Iterable[Mount]) -> Iterator[Mount]:
-    """The same, and what the host has mounted below their sources: what is said of a mount does not hold for these."""
+    """Yield the mounts, each followed by the host's own mounts below its source, because its options do not apply to these."""
     try:
         lines = MOUNTED.read_bytes().splitlines()
     except OSError:
@@ -244,7 +245,7 @@ def _with_below(mounts: Iterable[Mount]) -> Iterator[Mount]:
 
 
 def _there(project: Path, target: str, source: str) -> Path:
-    """What is mounted. Raises Missing."""
+    """Return the path of a mount's source. Raises Missing if it does not exist."""
     path = project / source
     if not path.exists():
         raise Missing(f"[container] mounts: {path} is not there, which runs are to have at {target}")
@@ -252,7 +253,7 @@ def _there(project: Path, target: str, source: str) -> Path:
 
 
 def _check_devices(recipe: Recipe) -> None:
-    """That what runs are to use of this machine is there. Raises Missing."""
+    """Check that this machine has the devices that runs use. Raises Missing."""
     for path in (one.removeprefix(DEVICE) for one in recipe.reach if one.startswith(DEVICE)):
         if not Path(path).exists():
             raise Missing(f"[container] devices: there is no {path} on this machine")
@@ -261,13 +262,19 @@ def _check_devices(recipe: Recipe) -> None:
 
 
 def _check_variables(image: Image, inside: Contents) -> None:
-    """That the pinned variables are the image's: runs get them, and only its id counts. Raises Missing."""
+    """Check that the pinned variables are those of the image: runs get them, but only the image's id is in the identity.
+
+    Raises Missing.
+    """
     if inside.config and dict(image.variables) != oci.variables(inside.config):
         raise Missing(f"the variables of {image.name} in sierra.lock are not the image's; run: sierra image pin {image.name}")
 
 
 def program(command: Sequence[str], path: str | None, inside: Contents) -> str:
-    """The program that runs begin with: its path in the image, or the word that names a file of the project. Raises Missing."""
+    """Return the program of a run's command: its path in the image, or the word if it names a file of the project.
+
+    Raises Missing if the image does not have it.
+    """
     word = PYTHON if command[0] == "{python}" else command[0]
     found = word if "{" in word else inside.program(word, path)
     if found is None:
@@ -276,7 +283,10 @@ def program(command: Sequence[str], path: str | None, inside: Contents) -> str:
 
 
 def _ignored(engine: Engine, able: Capabilities, box: ContainerSpec) -> Iterator[str]:
-    """The limits that are asked for, and that nobody enforces: over memory, the worker watches."""
+    """Yield a note for each requested limit that is not enforced, and for a network that is not isolated.
+
+    Memory is not among them, because the worker checks it.
+    """
     for name in sorted(box.limits.keys() - able.enforced - WATCHED):
         yield f"LIMIT IGNORED: {engine.name} does not enforce {name} here ({able.version})"
     if not box.network and not able.isolated:

@@ -1,1 +1,1 @@
-"""Small tools that know nothing of SIERRA: text, files, hashes, caches, signals, entry points."""
+"""Small tools that do not depend on the rest of SIERRA: text, files, hashes, caches, signals, entry points."""

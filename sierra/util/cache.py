@@ -1,4 +1,4 @@
-"""What was found out and can be found out again: a small file in the user's cache folder, which may vanish at any time."""
+"""A small file of facts in the user's cache folder. It can be deleted at any time, because the facts can be found again."""
 
 from __future__ import annotations
 
@@ -12,7 +12,10 @@ from sierra.util.hashing import sealed, unsealed
 
 
 class Cache:
-    """Facts by a text, JSON each; the `most` that were used last are kept. What cannot be read or written is forgotten."""
+    """A cache of JSON facts by text key, which keeps the `most` recently used ones.
+
+    Errors of reading and writing are ignored.
+    """
 
     def __init__(self, path: Path, most: int) -> None:
         self._path = path
@@ -21,10 +24,10 @@ class Cache:
         self._new = False
 
     def get(self, key: str) -> Any:
-        """What is known of a key, or None."""
+        """Return the fact for a key, or None."""
         if key not in self._known:
             return None
-        self._known[key] = self._known.pop(key)  # to the end: used last
+        self._known[key] = self._known.pop(key)  # move to the end: most recently used
         return self._known[key]
 
     def put(self, key: str, fact: Any) -> None:
@@ -33,7 +36,10 @@ class Cache:
         self._new = True
 
     def save(self) -> None:
-        """Write what is new. Of two processes that do so at once, one forgets what it found."""
+        """Write the cache if it has new facts.
+
+        If two processes write at the same time, the new facts of one of them are lost.
+        """
         if not self._new:
             return
         kept = dict(list(self._known.items())[-self._most :])

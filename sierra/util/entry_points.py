@@ -1,6 +1,6 @@
-"""What can be named: shipped classes, and those that other packages add by entry points.
+"""Classes that are found by name: those shipped with SIERRA, and those that other packages add by entry points.
 
-A table of shipped ones maps a name to `module:Class`, so that nothing is imported before it is asked for.
+A table of the shipped classes maps a name to `module:Class`, so that a module is imported only when it is needed.
 """
 
 from __future__ import annotations
@@ -15,9 +15,10 @@ from sierra.errors import ConfigError
 
 
 def find(kind: str, shipped: Mapping[str, str], name: str) -> Any:
-    """The class called `name` among the shipped ones, or in the entry points of the group `sierra.<kind>s`.
+    """Return the class called `name`, from the shipped ones or from the entry points of the group `sierra.<kind>s`.
 
-    `kind` is singular, as messages call it: platform, runner, engine. Raises ConfigError where there is none.
+    `kind` is the singular word that messages use: platform, runner, engine. Raises ConfigError if there is no such class, or if
+    it cannot be loaded.
     """
     if name in shipped:
         module, _, attribute = shipped[name].partition(":")
@@ -32,12 +33,12 @@ def find(kind: str, shipped: Mapping[str, str], name: str) -> Any:
 
 
 def _one_line(error: Exception) -> str:
-    """What somebody else's error says, with its kind."""
+    """Return the type and message of an error of another package in one line."""
     return " ".join(f"{type(error).__name__}: {error}".split())
 
 
 def names(kind: str, shipped: Mapping[str, str]) -> tuple[str, ...]:
-    """All names that `find` knows here, the shipped ones first."""
+    """Return all names that `find` knows, the shipped ones first."""
     return (*shipped, *sorted({point.name for point in _entry_points(kind)} - shipped.keys()))
 
 
@@ -47,7 +48,10 @@ def _entry_points(kind: str) -> Any:
 
 @cache
 def _installed(path: tuple[str, ...]) -> Any:
-    """All entry points of what is installed on `path`: to look through that takes 6 ms, and may be asked for at each plan."""
+    """Return all entry points of the packages installed on `path`.
+
+    The result is cached: a search takes 6 ms, and a plan may need it.
+    """
     from importlib.metadata import entry_points
 
     return entry_points()

@@ -1,4 +1,4 @@
-"""Files: names that must stay inside a folder, records that are read back, and files that appear whole."""
+"""Files: names that must stay inside a folder, records that are read back, and files that are written whole."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from sierra.errors import Damaged
 
 
 def inside(root: Path, name: str, *, link: bool = False) -> Path:
-    """Return the path that a name from a record has in the folder `root`. Every such name goes through here before it is used.
+    """Return the path of a name from a record in the folder `root`. Every such name must pass this check before it is used.
 
-    Raises Damaged for a name that leads outside: an absolute one, one with `..` in it, one that passes through a symbolic link
-    to somewhere else; and for an empty one, or one with the character NUL. `link`: the last part may be a link to anywhere,
-    because the caller does not follow it.
+    Raises Damaged for an empty name, a name with the character NUL, and a name that leads outside: an absolute path, a path
+    with `..`, or a path through a symbolic link to somewhere else. `link`: the last part may be a link to any place, because
+    the caller does not follow it.
     """
     parts = PurePosixPath(name).parts
     if not parts or "\0" in name or parts[0].startswith("/") or ".." in parts:
@@ -35,18 +35,18 @@ def _outside(root: Path, name: str) -> str:
 
 
 def read_record(path: Path) -> dict[str, Any]:
-    """Return the JSON object that a file of a session holds. Raises FileNotFoundError, and Damaged for what is none."""
+    """Return the JSON object in a file of a session. Raises FileNotFoundError, and Damaged if the file is not a JSON object."""
     try:
         found = json.loads(path.read_bytes())
         if isinstance(found, dict):
             return found
-    except (ValueError, RecursionError):  # no UTF-8, no JSON, or one that never ends
+    except (ValueError, RecursionError):  # not UTF-8, not JSON, or nested too deeply
         pass
     raise Damaged(f"{path}: holds no record that SIERRA wrote; move {path.parent} away, what is in it is not recorded yet")
 
 
 def write_whole(path: Path, data: bytes) -> Path:
-    """Write a file that appears whole, in the place of what was there, or not at all."""
+    """Write a file completely or not at all, replacing an existing one."""
     unfinished = path.with_name(f".{path.name}.{os.getpid()}")
     try:
         unfinished.write_bytes(data)

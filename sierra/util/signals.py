@@ -1,4 +1,4 @@
-"""Signals that ask this process to end: by Ctrl-C, by another process, or because its terminal is gone."""
+"""Signals that ask this process to end: Ctrl-C, a signal from another process, or the loss of its terminal."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 def heed() -> None:
-    """Have each of them end this process as Ctrl-C does; but those that whoever started it has it ignore (nohup)."""
+    """Make each of these signals end this process as Ctrl-C does, except signals that are already ignored (nohup)."""
     for number in ENDING:
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, _interrupt)
@@ -21,9 +21,10 @@ def heed() -> None:
 
 @contextlib.contextmanager
 def noted(already: bool = False) -> Iterator[list[int]]:
-    """Signals to end that arrive meanwhile: noted, so that nothing is torn apart (in the main thread; others get none).
+    """Collect the signals to end that arrive inside the `with` block, so that they do not interrupt it.
 
-    `already`: as if one had arrived.
+    Yields the list of their numbers. In other threads than the main thread the list stays as it begins. `already`: begin with
+    one signal, as if it had arrived.
     """
     noted: list[int] = [signal.SIGINT] if already else []
     if threading.current_thread() is not threading.main_thread():
@@ -51,7 +52,7 @@ def _interrupt(number: int, frame: object) -> None:
 
 
 def _hang_up(number: int) -> None:
-    """Where the terminal is gone: neither write to it nor read from it any more, which fails."""
+    """Redirect the terminal's descriptors to the null device after SIGHUP, because reading and writing would fail."""
     if number != signal.SIGHUP:
         return
     nothing = os.open(os.devnull, os.O_RDWR)

@@ -1,4 +1,4 @@
-"""Many things in one line: the first few of them, and how many more there are; names in the order of their numbers."""
+"""Short texts for lists and numbers: the first items and the number of the others, plurals, ranges, natural sorting."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from collections.abc import Iterable, Sequence
 
 
 def few(things: Sequence[str], most: int) -> str:
-    """At most so many of them by name, and the others by number: `a, b and 3 more`."""
+    """Return at most `most` names, and the number of the others: `a, b and 3 more`."""
     more = f" and {len(things) - most} more" if len(things) > most else ""
     return ", ".join(things[:most]) + more
 
 
 def counted(count: int, noun: str) -> str:
-    """So many of them: `1 element`, `2 elements`."""
+    """Return a number with its noun: `1 element`, `2 elements`."""
     return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
 
 
@@ -24,7 +24,7 @@ def natural(name: str) -> tuple[tuple[str | int, ...], str]:
 
 
 def spans(numbers: Iterable[int]) -> list[tuple[int, int]]:
-    """The first and the last of each row of numbers that follow each other; they come ascending."""
+    """Return the first and last number of each series of consecutive numbers. `numbers` must be ascending."""
     found: list[tuple[int, int]] = []
     for number in numbers:
         if found and found[-1][1] == number - 1:
@@ -35,5 +35,5 @@ def spans(numbers: Iterable[int]) -> list[tuple[int, int]]:
 
 
 def ranges(numbers: Iterable[int], between: str = ",") -> str:
-    """Numbers, ascending, in short: `0-5,7`."""
+    """Return ascending numbers in short form: `0-5,7`."""
     return between.join(f"{first}-{last}" if last > first else f"{first}" for first, last in spans(numbers))

@@ -1,4 +1,4 @@
-"""Two files, line by line: the patch between them, as `diff -u` writes it."""
+"""A line-by-line comparison of two files, as the patch that `diff -u` writes."""
 
 from __future__ import annotations
 
@@ -6,21 +6,21 @@ import difflib
 from dataclasses import dataclass
 
 LONGEST = 4 << 20
-"""Bytes of a file beyond which lines are not matched."""
+"""The size in bytes beyond which files are not compared by lines."""
 
 
 @dataclass(frozen=True, slots=True)
 class Patch:
-    """What must be done to one text to get the other."""
+    """The changes that turn one text into another."""
 
     added: int | None
-    """Lines; None where one of the files is no text, or is too long."""
+    """The number of added lines; None if one of the files is not text or is too long."""
     removed: int | None
     lines: tuple[str, ...]
 
 
 def patch(before: bytes, after: bytes, name: str) -> Patch:
-    """How two files of one name differ. What is no UTF-8 is shown with U+FFFD in its place."""
+    """Return the patch from one content of a file to another. Bytes that are not UTF-8 appear as U+FFFD."""
     if not (is_text(before) and is_text(after)) or max(len(before), len(after)) > LONGEST:
         return Patch(None, None, ())
     old, new = (content.decode("utf-8", "replace").split("\n") for content in (before, after))
@@ -30,5 +30,5 @@ def patch(before: bytes, after: bytes, name: str) -> Patch:
 
 
 def is_text(content: bytes) -> bool:
-    """As git decides it: no zero byte in the first 8000."""
+    """Return whether content is text by git's rule: no zero byte in the first 8000 bytes."""
     return b"\0" not in content[:8000]

@@ -1,1 +1,1 @@
-"""The programs that execute runs on a node; they import nothing of SIERRA, and need Python 3.8 alone."""
+"""The programs that execute runs on a node. They import nothing else of SIERRA, and need only Python 3.8."""

@@ -1,59 +1,61 @@
-"""What a task of a cluster starts on its node: it executes the runs of one element by the worker, and packs what they leave.
+"""The program of an array task on its node: it executes the runs of one element by the worker, and packs their results.
 
     python3 -I -S FOLDER/array_task.py FOLDER [--wall=SECONDS] INDEX
 
-Three files on the standard library alone (Python 3.8 or newer) lie in the session's folder, FOLDER, on the file system that
-nodes and login nodes share: this one, `worker.py`, which executes, and `machine.py`, which says what a node is. Beside them:
+Three files that need only the standard library (Python 3.8 or newer) are in the session's folder, FOLDER, on the file system
+that nodes and login nodes share: this one, `worker.py`, which executes runs, and `machine.py`, which describes a node. Beside
+them:
 
-    element.json            what all elements of the session have in common: see `Settings`
-    elements/INDEX.jobs     the element's jobs: gzip (of several members, perhaps), lines of JSON; see `jobs`
-    elements/INDEX.failed   where it is there, executions, one a line, that were begun too often: they are not begun again
-    elements/INDEX.alone    where it is there, executions, one a line, that may be what ended earlier attempts: each is executed
-                            with the element for itself, one after the other, before all others
-    results/INDEX.<attempt>.pack    what one attempt at the element has recorded
-    cancelled               where it is there, nothing more is begun, and what runs is ended
+    element.json            settings that all elements of the session share: see `Settings`
+    elements/INDEX.jobs     the element's jobs: gzip (possibly several members), lines of JSON; see `jobs`
+    elements/INDEX.failed   optional: executions, one a line, that were started too often; they are not started again
+    elements/INDEX.alone    optional: executions, one a line, that may have ended earlier attempts; each is executed alone on
+                            the element, one after the other, before all others
+    results/INDEX.<attempt>.pack    the records of one attempt at the element
+    cancelled               if it exists, no further run is started, and running ones are ended
 
-An *attempt* is one time that an element is executed: a task may be requeued, its node may be lost, and the first copy may
-live on beside the second. So each attempt writes into a file of its own, made with O_EXCL, and begins with reading what
-other attempts at its element have recorded: it executes only what is missing, or damaged. Runs execute in a folder of the
-node's own (`scratch`), which is removed at the end, or by the next attempt of the session on this node; nothing but packs is
-written to the shared side, and locks are not needed there.
+An *attempt* is one execution of an element. There may be several: a task may be requeued, its node may be lost, and the first
+copy may still live beside the second. So each attempt writes into a file of its own, made with O_EXCL. It first reads the
+records of other attempts at its element, and executes only runs whose results are missing or damaged. Runs execute in a local
+folder of the node (`scratch`), which is removed at the end, or by the next attempt of the session on this node. Only packs are
+written to the shared file system, and no locks are needed there.
 
-A pack is only ever appended to. It is a sequence of records: a line of JSON, and where that has a `size`, as many bytes and a
-line feed after it. The last key of a line is `check`, the beginning of the SHA-256 of the line without it. What is not there
-as a whole, to the last line feed, is not there yet (on a network file system, bytes may arrive in any order); nothing follows
-it but in the writer's memory. A record that can't be written whole is taken back (truncated), and the attempt ends. Events:
+A pack is only ever appended to. It is a sequence of records: a line of JSON and, if that has a `size`, as many bytes followed
+by a line feed. The last key of a line is `check`, the beginning of the SHA-256 of the line without it. A record that is not
+complete, up to its last line feed, counts as not written (on a network file system, bytes may arrive in any order); nothing is
+written after it. If a record cannot be written completely, it is removed (by truncation), and the attempt ends. Events:
 
     attempt     first, once: attempt, session, element, job, node, started, slots, cpus, memory (bytes), gpus, allocation (the
                 scheduler's variables), facts (`machine.facts`), variables (those that `record` names), python, clock (seconds
                 that the node's clock is ahead of the shared file system's)
-    start       a run has begun: execution, time; and alone: where it has the element for itself
+    start       a run has begun: execution, time; and alone, if no other run executes on the element meanwhile
     stalled     all processes of a run are stopped by a signal: run, execution, pid, since
-    end         a run has ended, by itself or by a limit: all fields of sierra.model.Result but `directory`, `attempt`
+    end         a run has ended, by itself or by a limit: all fields of sierra.model.Result except `directory`, `attempt`
                 and `environment`; `files`: a list of [path, bytes, sha256], in the order of the payload: `stdout`, `stderr`
-                (left out where empty), and `output/…` for each of the outputs; `size`: all of it
-    requeue     the scheduler is asked to begin the task anew: time; and refused: why it does not do that
-    trouble     why the attempt could not go on, in a line: reason; and full: whether that is a disk without room
-    finished    all that was missing has been executed: time
+                (omitted if empty), and `output/…` for each of the outputs; `size`: the total size in bytes
+    requeue     the scheduler is requested to start the task again: time; and refused: the reason if it refuses
+    trouble     the attempt could not continue: reason, in a line; and full: whether a disk without space is the reason
+    finished    all missing runs have been executed: time
 
-A run that was interrupted (the task was asked to end, by a time limit or by somebody) has a start and no end. A scheduler
-sends its SIGTERM to all processes of a task, and a run that heeds it may look as if it had ended by itself. So nothing is
-packed that ended less than HOLD_S before this process was asked. What has begun is packed at once, and what executes alone
-before it begins: it may end all that there is at once.
+An interrupted run (the task was told to end, by a time limit or by a user) has a start and no end. A scheduler sends its
+SIGTERM to all processes of a task, and a run that reacts to it may look as if it had ended by itself. Therefore no run is
+packed that ended less than HOLD_S before this process got the signal. The start of a run is packed at once. The start of a run
+that executes alone is written to the disk before it begins, because the run may end the whole task at once.
 
-Before anything executes, every file that `needs` names is hashed, once: where it is another than on the host that submitted,
-that is the trouble, and nothing executes. Where it becomes another later, no run is packed that has ended since.
-SIGTERM ends what runs, with the grace time that jobs have, a second one without. Where FOLDER, or the attempt's own pack, has
-been removed, nobody waits for the results any more: what runs is ended. Exit status 0: finished; 1: asked to end; 3: trouble,
-which is said on stderr too, and so is how long the task had lasted when it was asked.
+Before anything executes, every file in `needs` is hashed once. If one differs from the file on the submitting host, the attempt
+ends with `trouble`, and nothing executes. If one changes later, no run that has ended since is packed. SIGTERM ends the running
+runs with the grace time of their jobs, a second SIGTERM without it. If FOLDER or the attempt's own pack has been removed,
+nobody waits for the results any more, and running runs are ended. The exit status is 0 if finished, 1 if told to end, and 3 for
+trouble. The reason is also written to stderr, and so is the time that the task had run when it was told to end.
 
-A task whose time would be over before its runs are (`--wall=SECONDS`: what it has) asks its scheduler to be begun anew, once,
-and shortly before: by the command `requeue` of the settings, with its own id. It does that only where a run has ended, so that
-it gets on each time, and where nothing is cancelled. It submits nothing. Where it is refused, it goes on as long as it may.
+A task whose time (`--wall=SECONDS`) will be over before its runs are finished requests its scheduler to start it again, once
+and shortly before the end: by the command `requeue` of the settings, with its own id. It does so only if a run has ended, so
+that each attempt makes progress, and if nothing is cancelled. It submits no new jobs. If the request is refused, it continues
+as long as it may.
 
     python3 -I -S FOLDER/array_task.py FOLDER --probe INDEX
 
-does all that but execute, and records it as results/probe.<attempt>.pack.
+does all of this without executing runs, and records it in results/probe.<attempt>.pack.
 """
 
 import binascii
@@ -80,18 +82,21 @@ from collections import deque
 from functools import partial
 from typing import Any, BinaryIO, Callable, Deque, Dict, Iterable, Iterator, List, NamedTuple, Optional, Set, Tuple
 
-# No `from __future__ import annotations`: to a Python before 3.7, that were an error, and no line that says what is needed.
+# No `from __future__ import annotations`: a Python before 3.7 would fail on it without a line that names the needed version.
 
 HOLD_S = 0.2
 BEFORE_S = 60.0
-"""How long before its end a task asks to be begun anew; a sixth of its time, where that is less."""
+"""The seconds before its end at which a task requests to be started again; at most a sixth of its time."""
 REQUEUE_S = 20.0
 GIVE_UP_S = 5.0
-"""How long what has ended is still packed once the task is asked to end."""
+"""The seconds in which ended runs are still packed after the task was told to end."""
 BUSY_S, IDLE_S = 0.02, 0.1
 SYNC_S = 2.0
 AHEAD, AHEAD_EACH = 64, 8
-"""Runs that the worker is sent before one has ended (or is packed, where it has left much), and so many more per slot."""
+"""The number of runs that are sent to the worker in advance, plus so many for each slot.
+
+A run that has left little frees its place when it has ended, any other run when it is packed.
+"""
 CHUNK = 1 << 20
 LINE_BYTES = 1 << 28
 LOGS = ("stdout", "stderr")
@@ -109,49 +114,54 @@ ALLOCATION = (
     *("CUDA_VISIBLE_DEVICES", "NVIDIA_VISIBLE_DEVICES", "ROCR_VISIBLE_DEVICES", "HIP_VISIBLE_DEVICES", "GPU_DEVICE_ORDINAL"),
     "ZE_AFFINITY_MASK",
 )
-"""Variables of a scheduler that say what was allotted."""
+"""The variables of a scheduler that describe the allocated resources."""
 
 Event = Dict[str, Any]
 File = Tuple[str, int, str]
 
 
 class Trouble(Exception):
-    """Why an attempt can't go on, in a line."""
+    """The reason, in one line, why an attempt cannot continue."""
 
 
 class Unwanted(Exception):
-    """The task is to end, before all was read or packed that could be."""
+    """The task must end before everything was read or packed."""
 
 
 class Changed(Exception):
-    """A file is not as the worker saw it."""
+    """A file differs from what the worker saw."""
 
 
 class Settings(NamedTuple):
-    """What `element.json` holds."""
+    """The contents of `element.json`."""
 
     session: str
     slots: int
-    """How many runs execute at a time, where the node has as many cores."""
+    """The greatest number of runs at a time; fewer if the node has fewer cores."""
     scratch: Optional[str]
-    """A folder of the node, with `$NAME` or `${NAME}` of its environment; None: $SLURM_TMPDIR, $TMPDIR or /tmp."""
+    """A folder of the node.
+
+    `$NAME` and `${NAME}` are replaced by the node's variables. None: $SLURM_TMPDIR, $TMPDIR or /tmp.
+    """
     needs: List[Dict[str, Any]]
-    """Files that must be as they are where it was submitted: `name`, `path`, `sha256` (empty: it must be there), and `search`:
-    the PATH by which runs find what they call by that name (empty: they name it by its path); where it is a `link`, what that
-    says is what counts, and not what it leads to. Or, where there is a list `holds`, folders (`path`, as in a PATH) that must
-    have these distributions, and no others: see `installed`.
+    """The files that must be the same as on the submitting host.
+
+    Keys: `name`, `path`, `sha256` (empty: the file only has to exist), and `search`: the PATH on which runs find the program
+    `name` (empty: they use `path`). For a `link`, the hash is that of the link's own target path, not of the target's content.
+    An entry with a list `holds` is different: its folders (`path`, as in a PATH) must have exactly these distributions: see
+    `installed`.
     """
     record: List[str]
-    """Names, or patterns, of variables to record."""
+    """The names, or patterns of names, of variables to record."""
     requeue: Tuple[str, ...] = ()
-    """The command that has a task begun anew, to which its id is added; empty: there is none."""
+    """The command that starts a task again, to which the task's id is added; empty: there is none."""
 
 
 # ---------------------------------------------------------------- packs
 
 
 def line_of(record: Event) -> bytes:
-    """A record's line."""
+    """Return the line for a record."""
     text = json.dumps(record, separators=(",", ":")).encode()
     return text[:-1] + CHECK + check_of(text) + b'"}\n'
 
@@ -161,7 +171,7 @@ def check_of(text: bytes) -> bytes:
 
 
 def record_in(line: bytes) -> Optional[Event]:
-    """The record that a line holds; None where it is cut short or damaged."""
+    """Return the record in a line; None if the line is incomplete or damaged."""
     text, check, rest = line.rpartition(CHECK)
     text += b"}"
     if not check or rest != check_of(text) + b'"}\n':
@@ -171,7 +181,7 @@ def record_in(line: bytes) -> Optional[Event]:
 
 
 def records(file: BinaryIO, offset: int) -> Iterator[Tuple[Event, int, int]]:
-    """The whole records from `offset` on, each with where its payload begins and where the next record does."""
+    """Yield the complete records from `offset` on, each with the offsets of its payload and of the next record."""
     while True:
         file.seek(offset)
         line = file.readline(LINE_BYTES)
@@ -188,10 +198,10 @@ def records(file: BinaryIO, offset: int) -> Iterator[Tuple[Event, int, int]]:
 
 
 class Pack:
-    """The file of this attempt: whole records are appended, and what is not whole is taken back."""
+    """The result file of this attempt. Complete records are appended to it, and incomplete ones are removed."""
 
     def __init__(self, folder: str, index: str, attempt: str) -> None:
-        """Raises FileExistsError where there is one of that name."""
+        """Create the file. Raises FileExistsError if the name is taken."""
         self.path = os.path.join(folder, "%s.%s.pack" % (index, attempt))
         self._file = os.open(self.path, os.O_CREAT | os.O_EXCL | os.O_WRONLY | os.O_CLOEXEC, 0o644)
         self._whole = self._synced = 0
@@ -199,11 +209,11 @@ class Pack:
         self._sync_at = 0.0
 
     def ahead(self) -> float:
-        """Seconds that this node's clock is ahead of the file system's, which has just made the file."""
+        """Return the seconds that this node's clock is ahead of the file system's, by the time of the new file."""
         return time.time() - os.fstat(self._file).st_mtime
 
     def add(self, record: Event, chunks: Iterable[bytes] = ()) -> None:
-        """Append a record; its payload, where it has a `size`, comes in chunks. What they raise leaves the pack as it was."""
+        """Append a record; its payload, if it has a `size`, comes in chunks. If `chunks` raises, the pack stays as it was."""
         line = line_of(record)
         if "size" not in record:
             self._pending += line
@@ -240,7 +250,7 @@ class Pack:
         return at
 
     def sync(self, now: float) -> None:
-        """Let the disk have all of it, if it is time to: a network file system says only then that there is no room."""
+        """Flush the data to the disk, if it is time to: a network file system reports only then that there is no space."""
         self.flush()
         if now < self._sync_at or self._synced == self._whole:
             return
@@ -258,13 +268,13 @@ class Pack:
             os.ftruncate(self._file, size)
 
     def say(self, reason: str, *, full: bool) -> None:
-        """Record the trouble, if there is room for it."""
+        """Record the trouble, if there is space for it."""
         with contextlib.suppress(OSError):
             self.add({"event": "trouble", "reason": reason, "full": full})
             self.sync(float("inf"))
 
     def is_gone(self) -> bool:
-        """Whether it, or the folder that it lies in, has been removed."""
+        """Return whether the pack, or its folder, has been removed."""
         try:
             return not os.path.samestat(os.stat(self.path), os.fstat(self._file))
         except OSError as error:
@@ -272,7 +282,7 @@ class Pack:
 
 
 def executed(folder: str, index: str, own: str, asked: "Asked") -> Set[bytes]:
-    """The executions whose end other attempts have recorded, with all files as they should be. Raises Unwanted."""
+    """Return the executions whose end other attempts have recorded with all files intact. Raises Unwanted."""
 
     def go_on() -> None:
         if asked.times:
@@ -290,7 +300,7 @@ def executed(folder: str, index: str, own: str, asked: "Asked") -> Set[bytes]:
 
 
 def listed(path: str) -> List[str]:
-    """The executions in a list, in order; none where there is no list."""
+    """Return the executions in a list, in order; none if there is no such file."""
     try:
         with open(path) as file:
             return [line.strip() for line in file]
@@ -299,7 +309,7 @@ def listed(path: str) -> List[str]:
 
 
 def is_sound(file: BinaryIO, at: int, files: List[File], go_on: Callable[[], None] = lambda: None) -> bool:
-    """Whether a payload is what was written. Calls `go_on` for each chunk."""
+    """Return whether a payload matches its hashes. Calls `go_on` for each chunk."""
     file.seek(at)
     for _, size, sha256 in files:
         digest = hashlib.sha256()
@@ -316,7 +326,7 @@ def is_sound(file: BinaryIO, at: int, files: List[File], go_on: Callable[[], Non
 
 
 def short(execution: str) -> bytes:
-    """An execution in little memory."""
+    """Return a short hash of an execution's id, to save memory."""
     return hashlib.sha256(execution.encode()).digest()[:16]
 
 
@@ -324,11 +334,11 @@ def short(execution: str) -> bytes:
 
 
 def jobs(path: str) -> Iterator[Event]:
-    """The jobs of an element, as the worker takes them.
+    """Yield the jobs of an element, in the form that the worker reads. Raises Trouble if their number is wrong.
 
-    The first line is `{"common": JOB}`, the last `{"end": how many}`. Each between is a job without what is equal there: its
-    keys, and those of its `environment`. A file in it that begins and ends as the common job's of that name is
-    [bytes of that beginning, what is between, bytes of that end]. Contents are base64.
+    The first line is `{"common": JOB}`, the last line is `{"end": COUNT}`. Each line between is a job without the keys that
+    equal those of the common job, also within `environment`. A file that begins and ends like the common job's file of that
+    name is [bytes of the common beginning, the content between, bytes of the common end]. Contents are base64.
     """
     count = 0
     with gzip.open(path, "rb") as lines:
@@ -352,7 +362,7 @@ def whole(job: Event, common: Event) -> Event:
 
 
 def content_of(file: Any, common: Optional[str]) -> str:
-    """A file's content, in base64."""
+    """Return a file's content in base64."""
     if isinstance(file, str):
         return file
     head, between, tail = file
@@ -362,7 +372,10 @@ def content_of(file: Any, common: Optional[str]) -> str:
 
 
 class Feeder(threading.Thread):
-    """Sends the worker what is missing, but only so many runs ahead that large outputs do not pile up on the node."""
+    """A thread that sends missing jobs to the worker.
+
+    Few are sent in advance, so that large outputs do not fill up the node.
+    """
 
     def __init__(self, path: str, wanted: Callable[[str], bool], ahead: int, pipe: Any, write: Any) -> None:
         super().__init__(daemon=True)
@@ -372,7 +385,7 @@ class Feeder(threading.Thread):
         self._write = write
         self.permits = threading.Semaphore(ahead)
         self.spare: Deque[int] = deque()
-        """Folders of runs that are packed, for others; see the worker."""
+        """The numbers of folders of packed runs, which other runs can reuse; see the worker."""
         self.sent = 0
         self.error: Optional[Trouble] = None
 
@@ -387,10 +400,10 @@ class Feeder(threading.Thread):
                     self.sent += 1
             self._send({"end": True})
         except BrokenPipeError:
-            pass  # the worker has ended, and says itself why
+            pass  # the worker has ended, and reports the reason itself
         except Exception as error:
             self.error = error if isinstance(error, Trouble) else Trouble("%s cannot be read: %s" % (self._path, error))
-            self._pipe.close()  # ends the worker
+            self._pipe.close()  # closing the pipe ends the worker
 
     def _send(self, record: Event) -> None:
         self._write(self._pipe.fileno(), json.dumps(record, separators=(",", ":")).encode() + b"\n")
@@ -400,7 +413,10 @@ class Feeder(threading.Thread):
 
 
 def opened(root: int, path: str) -> int:
-    """A regular file below an open folder, opened; no link on the way is followed."""
+    """Open a regular file below an open folder, and return its descriptor. Does not follow links on the way.
+
+    Raises OSError.
+    """
     *folders, name = path.encode("utf-8", "surrogateescape").split(b"/")
     with contextlib.ExitStack() as stack:
         for folder in folders:
@@ -414,7 +430,7 @@ def opened(root: int, path: str) -> int:
 
 
 def logs_in(root: int) -> Iterator[File]:
-    """What a run has printed, where it is anything."""
+    """Yield the non-empty logs of a run."""
     for name in LOGS:
         try:
             if not os.stat(name, dir_fd=root, follow_symlinks=False).st_size:
@@ -432,7 +448,10 @@ def logs_in(root: int) -> Iterator[File]:
 
 
 def contents(root: int, files: Iterable[File], go_on: Callable[[], None]) -> Iterator[bytes]:
-    """What is in files, one after the other. Raises Changed where one is not as it should be. Calls `go_on` for each chunk."""
+    """Yield the contents of files, one after the other. Calls `go_on` for each chunk.
+
+    Raises Changed if a file does not have the expected size and hash.
+    """
     for path, size, sha256 in files:
         digest = hashlib.sha256()
         try:
@@ -455,7 +474,7 @@ def contents(root: int, files: Iterable[File], go_on: Callable[[], None]) -> Ite
 
 
 def said_of(settings: Settings, index: int, facts: Event, slots: int) -> Event:
-    """The first record, all but the attempt's own name."""
+    """Return the first record, without the attempt's own name."""
     variables = os.environ
     return {
         "event": "attempt",
@@ -478,19 +497,19 @@ def said_of(settings: Settings, index: int, facts: Event, slots: int) -> Event:
 
 
 def task_of(variables: Any) -> str:
-    """The task, as its scheduler calls it."""
+    """Return the task's id in its scheduler."""
     if "SLURM_ARRAY_JOB_ID" in variables:
         return "%s_%s" % (variables["SLURM_ARRAY_JOB_ID"], variables.get("SLURM_ARRAY_TASK_ID", ""))
     return str(variables.get("SLURM_JOB_ID") or variables.get("PBS_JOBID") or "")
 
 
 def number(variables: Any, *names: str) -> Optional[int]:
-    """The first of these that is a number."""
+    """Return the first of these variables that is a number."""
     return next((int(variables[name]) for name in names if variables.get(name, "").isdigit()), None)
 
 
 def memory_of(variables: Any) -> Optional[int]:
-    """Bytes that SLURM has allotted; PBS does not say."""
+    """Return the bytes of memory that SLURM has allocated; None for PBS, which does not report them."""
     megabytes, each = number(variables, "SLURM_MEM_PER_NODE"), number(variables, "SLURM_MEM_PER_CPU")
     if megabytes is None and each is not None:
         megabytes = each * (number(variables, "SLURM_CPUS_ON_NODE") or 1)
@@ -506,7 +525,7 @@ def usable_cores() -> int:
 
 
 def name_of_attempt(suffix: int) -> str:
-    """`job.restart.host.process`; what another attempt has taken gets a suffix."""
+    """Return the name `job.restart.host.process`, with a suffix if another attempt has taken it."""
     job = os.environ.get("SLURM_JOB_ID") or os.environ.get("PBS_JOBID") or "none"
     process = "%d-%d" % (os.getpid(), suffix) if suffix else str(os.getpid())
     parts = (job, os.environ.get("SLURM_RESTART_COUNT") or "0", os.uname().nodename, process)
@@ -514,7 +533,7 @@ def name_of_attempt(suffix: int) -> str:
 
 
 def new_pack(folder: str, index: str, told: Event) -> Pack:
-    """The pack of this attempt, begun."""
+    """Create the pack of this attempt, with its first record."""
     suffix = 0
     while True:
         told["attempt"] = name_of_attempt(suffix)
@@ -530,10 +549,10 @@ def new_pack(folder: str, index: str, told: Event) -> Pack:
 
 
 class Needs:
-    """The files that must be, and stay, as they are where it was submitted."""
+    """The files that must be, and stay, the same as on the submitting host."""
 
     def __init__(self, needs: List[Dict[str, Any]]) -> None:
-        """Raises Trouble where distributions of a Python are not what they were."""
+        """Find the files. Raises Trouble if the distributions of a Python differ from those on the submitting host."""
         self._needs = [{**need, "path": found_by_name(need)} for need in needs if need.get("holds") is None]
         for need in needs:
             if need.get("holds") is not None:
@@ -541,7 +560,10 @@ class Needs:
         self._seen: Dict[str, Tuple[int, ...]] = {}
 
     def check(self) -> None:
-        """Raises Trouble where one is not; what seems untouched since the last time is not read again."""
+        """Check all files.
+
+        Raises Trouble if one differs. A file that seems unchanged since the last check is not read again.
+        """
         for need in self._needs:
             try:
                 found = os.stat(need["path"], follow_symlinks=not need.get("link"))
@@ -554,7 +576,7 @@ class Needs:
 
 
 def installed(folders: str) -> Tuple[str, ...]:
-    """The distributions in folders (as in a PATH), by the paths of what describes them; these have name and version."""
+    """Return the distributions in folders (as in a PATH), as the paths of their metadata, which contain name and version."""
     found = []
     for folder in folders.split(os.pathsep):
         with contextlib.suppress(OSError):
@@ -564,7 +586,7 @@ def installed(folders: str) -> Tuple[str, ...]:
 
 
 def check_installed(name: str, there: Set[str], here: Set[str]) -> None:
-    """Raises Trouble where the distributions here are not those that were there."""
+    """Raise Trouble if the distributions here differ from those on the submitting host."""
     other = ["%s is not here" % path for path in sorted(there - here)]
     other += ["%s is only here" % path for path in sorted(here - there)]
     if other:
@@ -573,13 +595,13 @@ def check_installed(name: str, there: Set[str], here: Set[str]) -> None:
 
 
 def found_by_name(need: Dict[str, Any]) -> str:
-    """The path of a file; of what is called by its name, that which is found here."""
+    """Return the path of a file; for a program that runs call by name, the path found here."""
     found = shutil.which(need["name"], path=need["search"]) if need.get("search") else None
     return found or str(need["path"])
 
 
 def hash_of(need: Dict[str, Any]) -> str:
-    """Of a file's content, or of what a link says."""
+    """Return the SHA-256 of a file's content, or of a link's target path."""
     return hashlib.sha256(os.fsencode(os.readlink(need["path"]))).hexdigest() if need.get("link") else digest_of(need["path"])
 
 
@@ -593,9 +615,9 @@ def digest_of(path: str) -> str:
 
 @contextlib.contextmanager
 def scratch(settings: Settings, remove: Any) -> Iterator[Tuple[str, int]]:
-    """A folder of this attempt's own on its node, and the lock by which others see that it lives.
+    """Yield a folder on the node for this attempt, and a lock that shows to other attempts that this one is alive.
 
-    The worker holds the lock too: it may outlive this process by the grace time of what runs.
+    The worker holds the lock too, because it may outlive this process by the grace time of its runs.
     """
     root = scratch_root(settings.scratch)
     prefix = "sierra-%s-" % settings.session
@@ -606,7 +628,7 @@ def scratch(settings: Settings, remove: Any) -> Iterator[Tuple[str, int]]:
     folder = tempfile.mkdtemp(prefix=prefix, dir=root)
     lock = os.open(os.path.join(folder, "owner"), os.O_CREAT | os.O_RDWR | os.O_CLOEXEC, 0o600)
     try:
-        with contextlib.suppress(OSError):  # a file system without locks: nobody ever takes it for dead
+        with contextlib.suppress(OSError):  # a file system without locks: no attempt ever considers the folder abandoned
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
             os.write(lock, owner())
         yield folder, lock
@@ -640,12 +662,12 @@ def value_of(name: str, wanted: str) -> str:
 
 
 def owner() -> bytes:
-    """This host: its locks may be unknown to others who reach the same folder."""
+    """Return this host's name. Other hosts that reach the same folder may not see this host's locks."""
     return os.uname().nodename.encode()
 
 
 def remove_dead(folder: str, remove: Any) -> None:
-    """Remove what an attempt has left that died on this host."""
+    """Remove the folder of an attempt that died on this host."""
     found = os.lstat(folder)
     if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.geteuid():
         return
@@ -659,18 +681,18 @@ def remove_dead(folder: str, remove: Any) -> None:
 
 
 def remove_own(folder: str, remove: Any) -> None:
-    """Remove an attempt's folder, last of all the file that says whose it is: who is killed meanwhile leaves it to the next."""
+    """Remove an attempt's folder, the file `owner` last. If this process is killed meanwhile, the next attempt continues."""
     with contextlib.suppress(OSError):
         for name in os.listdir(folder):
             remove(os.path.join(folder, name))
     remove(folder)
 
 
-# ---------------------------------------------------------------- executing
+# ---------------------------------------------------------------- execution
 
 
 class Asked:
-    """How often this process was asked to end."""
+    """A counter of the signals that told this process to end."""
 
     def __init__(self) -> None:
         self.times = 0
@@ -684,14 +706,14 @@ class Asked:
 
 
 def born() -> float:
-    """When the task began, by the clock since boot: its script has become this process, by `exec`."""
+    """Return the start of the task in seconds since boot: the job script has become this process, by `exec`."""
     with open("/proc/self/stat", "rb") as file:
         ticks = int(file.read().rpartition(b")")[2].split()[19])
     return ticks / os.sysconf("SC_CLK_TCK")
 
 
 class Again:
-    """Asks the scheduler to begin this task anew, before its time is over: once, and only where it has got on."""
+    """The request to the scheduler to start this task again before its time is over: once, and only after progress."""
 
     def __init__(self, folder: str, pack: Pack, command: Iterable[str], wall: Optional[float]) -> None:
         self._cancelled = os.path.join(folder, "cancelled")
@@ -701,7 +723,7 @@ class Again:
         self.got_on = False
 
     def ask(self) -> None:
-        """Ask, if it is time to. Where the scheduler agrees, this task is asked to end soon."""
+        """Send the request if it is time to. If the scheduler agrees, it soon tells this task to end."""
         if not self.got_on or time.clock_gettime(time.CLOCK_BOOTTIME) < self._at or os.path.exists(self._cancelled):
             return
         self._at = float("inf")
@@ -720,7 +742,7 @@ class Again:
 
 
 class Journal:
-    """What the worker says, read while it grows."""
+    """The worker's journal, read while it grows."""
 
     def __init__(self, path: str) -> None:
         self._path = path
@@ -728,7 +750,7 @@ class Journal:
         self._offset = 0
 
     def read(self) -> List[Event]:
-        """The next events. A line that is cut short is not there yet, and may be taken back."""
+        """Return the next events. An incomplete line counts as not written, and may be removed."""
         if self._file is None:
             try:
                 self._file = os.open(self._path, os.O_RDONLY | os.O_CLOEXEC)
@@ -744,7 +766,7 @@ class Journal:
 
 
 class Execution:
-    """The worker at work, and what it says on the way into the pack."""
+    """A worker process, and the transfer of its events into the pack."""
 
     def __init__(
         self,
@@ -758,7 +780,7 @@ class Execution:
         needs: Needs,
         scratch: str,
     ) -> None:
-        """`scratch`: a folder of the node, which is made; `lock`: what the worker holds as long as it lives."""
+        """Make `scratch`, a folder of the node. The worker holds `lock` as long as it lives."""
         os.mkdir(scratch)
         self._session = session
         self._lock = lock
@@ -778,7 +800,7 @@ class Execution:
         self._look_at = 0.0
 
     def run(self, slots: int, path: str, wanted: Callable[[str], bool]) -> bool:
-        """Execute the wanted jobs of a file; whether all were. Raises Trouble, OSError where that is not to be had."""
+        """Execute the wanted jobs of a file, and return whether all were executed. Raises Trouble, OSError."""
         self._process = subprocess.Popen(
             [sys.executable, "-I", "-S", "-X", "utf8", self._program, self._scratch, str(slots)],
             stdin=subprocess.PIPE,
@@ -816,7 +838,7 @@ class Execution:
             time.sleep(pause)
 
     def _hear(self, now: float, event: Event) -> None:
-        """Say at once what has begun; hold what has ended."""
+        """Record at once that a run has begun; hold a run's end back."""
         if event["event"] == "end":
             self._held.append((now, event))
             if is_small(event):
@@ -827,7 +849,7 @@ class Execution:
             self.begin(event["execution"])
 
     def begin(self, execution: str, *, alone: bool = False) -> None:
-        """Record that a run begins, once; that one will begin `alone`, on the disk."""
+        """Record once that a run begins. With `alone`, write that to the disk first."""
         if execution != self._begun:
             event = {"event": "start", "execution": execution, "time": time.time()}
             self._pack.add({**event, "alone": True} if alone else event)
@@ -836,10 +858,10 @@ class Execution:
             self._pack.sync(float("inf"))
 
     def _heed(self, now: float) -> None:
-        """End the worker where that is asked for, or where nobody waits any more."""
+        """End the worker if that was requested, or if nobody waits for the results any more."""
         if not self._stopping and (self._asked.times or self._is_unwanted(now)):
             self._stopping = True
-            self._signal(signal.SIGHUP)  # not SIGTERM: a scheduler has sent one, perhaps, and a second one leaves no grace
+            self._signal(signal.SIGHUP)  # not SIGTERM: the scheduler may have sent one, and a second skips the grace time
         if self._asked.times > 1:
             self._signal(signal.SIGTERM)
 
@@ -854,7 +876,7 @@ class Execution:
             self._process.send_signal(number)
 
     def _take(self, now: float) -> None:
-        """Pack what is held for long enough; nothing more once this process is asked to end."""
+        """Pack the ends that were held back long enough; none after this process was told to end."""
         if self._stopping or self._process.returncode == 1:
             self._held.clear()
         if self._held and now - self._held[0][0] >= HOLD_S:
@@ -877,13 +899,13 @@ class Execution:
             self._feeder.permits.release()
 
     def _is_own(self, directory: str) -> bool:
-        """Whether it is the folder of one run; one that could not begin has none."""
+        """Return whether it is the folder of one run. A run that could not be prepared has none."""
         return os.path.dirname(directory) == self._scratch and os.path.basename(directory).isdigit()
 
     def _remove(self, directory: str) -> None:
         self._worker.remove(directory)
         with contextlib.suppress(OSError):
-            os.unlink(directory)  # a link, in its place
+            os.unlink(directory)  # a link in place of the folder
 
     def _pack_run(self, event: Event, directory: str) -> None:
         root = None
@@ -910,14 +932,14 @@ class Execution:
         self._pack.add({**event, "files": files, "size": size}, contents(root, files, self._go_on))
 
     def _go_on(self) -> None:
-        """Raise Unwanted where a run is packed for nobody any more, or the task has no more time for it."""
+        """Raise Unwanted if nobody waits for the results any more, or if there is no time left for packing."""
         self._heed(time.monotonic())
         asked = self._asked
         if self._stopping and (asked.times != 1 or time.clock_gettime(time.CLOCK_BOOTTIME) - asked.when > GIVE_UP_S):
             raise Unwanted
 
     def _end(self) -> None:
-        """Wait for the worker's end, whatever has happened, and end what it has left."""
+        """Wait for the worker's end in any case, and end the processes that it has left."""
         while self._process.poll() is None:
             self._stopping = True
             self._signal(signal.SIGTERM if self._asked.times > 1 else signal.SIGHUP)
@@ -942,15 +964,15 @@ class Execution:
 
 
 def is_small(event: Event) -> bool:
-    """Whether it is the end of a run that has left little."""
+    """Return whether it is the end of a run with small outputs."""
     return event["event"] == "end" and sum(int(file["bytes"]) for file in event["outputs"]) <= CHUNK
 
 
 def adopt_orphans() -> None:
-    """Become the parent of what a worker leaves that is killed (Linux only).
+    """Become the parent of orphans if a worker is killed (Linux only).
 
-    (Not the worker's own function: this process must not end with the thread that started it, which a scheduler may do away
-    with long before.)
+    (The worker's own function is not used: this process must not end with the thread that started it, which a scheduler may end
+    much earlier.)
     """
     with contextlib.suppress(ImportError, OSError, AttributeError):
         import ctypes
@@ -960,7 +982,7 @@ def adopt_orphans() -> None:
 
 
 def module(folder: str, name: str) -> Any:
-    """A file of the session's, as a module; it leaves none beside it."""
+    """Return a file of the session as an imported module, without writing bytecode beside it."""
     sys.dont_write_bytecode = True
     spec = importlib.util.spec_from_file_location(name, os.path.join(folder, name + ".py"))
     if spec is None or spec.loader is None:
@@ -971,7 +993,7 @@ def module(folder: str, name: str) -> Any:
 
 
 def attempt(folder: str, index: int, asked: Asked, *, wall: Optional[float] = None, probing: bool) -> bool:
-    """Execute what is missing of an element; whether it is finished. Raises Trouble and OSError."""
+    """Execute the missing runs of an element, and return whether it is finished. Raises Trouble and OSError."""
     with open(os.path.join(folder, "element.json"), "rb") as file:
         settings = Settings(**json.load(file))
     worker, machine = module(folder, "worker"), module(folder, "machine")
@@ -1003,7 +1025,7 @@ def attempt(folder: str, index: int, asked: Asked, *, wall: Optional[float] = No
 
 
 def execute(named: str, done: Set[bytes], slots: int, scratch: str, execution: Callable[[str], Execution]) -> bool:
-    """Execute what is not done of an element, first what may be dangerous to others, by itself; whether all was."""
+    """Execute an element's runs that are not done, first those that must be alone. Return whether all were executed."""
     for number, one in enumerate(listed(named + ".alone")):
         if short(one) not in done:
             done.add(short(one))
@@ -1015,7 +1037,7 @@ def execute(named: str, done: Set[bytes], slots: int, scratch: str, execution: C
 
 
 def reason_of(error: BaseException) -> str:
-    """In one line, and on which node."""
+    """Return the reason of an error in one line, with the node's name."""
     if isinstance(error, Trouble):
         reason = str(error)
     else:
@@ -1031,7 +1053,7 @@ def say(text: str) -> None:
 
 
 def main(arguments: List[str]) -> int:
-    if sys.version_info < (3, 8):  # noqa: UP036 - that is what is to be said
+    if sys.version_info < (3, 8):  # noqa: UP036 - this check reports it
         say("Python %s on %s is too old; 3.8 or newer is needed" % (platform.python_version(), os.uname().nodename))
         return 3
     asked = Asked()

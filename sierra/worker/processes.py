@@ -1,4 +1,4 @@
-"""Processes of this host that are known by a mark: a NAME=value in the environment that they were started with (Linux)."""
+"""Processes of this host that are found by a mark: a NAME=value in the environment with which they were started (Linux)."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from sierra.worker import worker
 
 
 def marked(marks: AbstractSet[bytes]) -> set[int]:
-    """Those that have one of these marks; zombies have none, and others' processes can't be told."""
+    """Return the ids of processes that have one of these marks. Zombies and other users' processes are not found."""
     try:
         pids = [int(name) for name in os.listdir("/proc") if name.isdigit()]  # noqa: PTH208 - as quick as can be
     except OSError:

@@ -1,61 +1,63 @@
-"""Executes runs, wherever they are to be executed: on this machine, in an array task, in a container, on a robot.
+"""The worker: executes runs on this machine, in an array task, in a container or on a robot.
 
-One file on the standard library alone (Python 3.8 or newer), so that a node needs nothing installed:
+It is one file that needs only the standard library (Python 3.8 or newer), so that nothing has to be installed on a node:
 
     worker.py FOLDER SLOTS [JOURNAL | - PLACES] < jobs
 
-Jobs come as lines of JSON, one run each, and end with the line `{"end": true}`. Whoever sends them through a
-pipe holds it open until the worker has ended. A pipe that is closed before, or an input that ends without that
-line, means that nobody waits for the results any more: the runs in flight are ended, and nothing more is
-started. SIGTERM asks for the same, and a second SIGTERM for doing so without grace.
+Jobs are lines of JSON, one for each run, and end with the line `{"end": true}`. A sender that uses a pipe keeps it open until
+the worker has ended. A pipe that is closed earlier, or an input that ends without that line, means that nobody waits for the
+results any more: the worker then ends the running runs and starts no others. SIGTERM requests the same, and a second SIGTERM
+requests it without grace time.
 
-For each job the worker makes the folder FOLDER/<number>/ with the input files, `home`, `tmp` and `output`,
-starts the program in a session (and so a process group) of its own with `output` as its working directory,
-enforces the limits, and hashes the files that were left in `output`. In argv and environment, the character NUL stands
-for the run's folder.
+For each job the worker makes the folder FOLDER/<number>/ with the input files, `home`, `tmp` and `output`. It starts the
+program in a session (and so a process group) of its own with `output` as its working directory, enforces the limits, and hashes
+the files that were left in `output`. In argv and environment, the character NUL stands for the run's folder.
 
-A job with `used` in it lets a short run do without folders that are made and removed, which may take longer than itself: where
-a run has left little, and has not touched more of its folder than the outputs and its logs, its `end` says that it is `spare`.
-Whoever does not need it any more may have its number be the `used` of a later job (else it is null), for which what was touched
-is made anew. A folder is spare only where nothing lives that its run has started; where that can't be told (a Python without
-ctypes, no /proc), none is.
+A job with the key `used` lets a short run reuse a folder, because making and removing folders may take longer than the run. If
+a run has left little, and has changed only outputs and logs in its folder, its `end` has the key `spare`. A sender that does
+not need that folder any more may give its number as `used` in a later job (otherwise `used` is null); the worker then makes the
+changed parts of the folder again. A folder is spare only if no process that its run has started is alive. If that is unknown (a
+Python without ctypes, no /proc), no folder is spare.
 
-What happened is appended to JOURNAL (FOLDER/journal.jsonl), a line for each event: `start` (process id and its start
-time, so that an orphan can be recognised) and `end` (sierra.model.Result). A line that is cut short was never
-written. The exit status is 0 where all jobs have been executed, 1 where the worker was asked to stop, and 3
-where it could not go on (4: a disk has no room); its last line on stderr then says why.
+Events are appended to JOURNAL (FOLDER/journal.jsonl), one line each: `start` (process id and its start time, so that an orphan
+can be recognised) and `end` (sierra.model.Result). An incomplete line counts as not written. The exit status is 0 if all jobs
+have been executed, 1 if the worker was told to stop, and 3 if it could not continue (4: a disk has no space); its last line on
+stderr then gives the reason.
 
-Where the disk has no room when a run has ended, no `end` is told of it, whatever its exit status (it may have
-failed for that, or not have noticed), and the worker can't go on.
+If the disk has no space when a run has ended, no `end` is written for it, whatever its exit status (the run may have failed for
+that reason, or may not have noticed), and the worker cannot continue.
 
-`started` is the clock's time just before the program was started, and `ended` lies after it by the time that
-went by, whatever was done to the clock meanwhile: no run takes less than no time, or less than its CPU time.
+`started` is the clock's time just before the program was started. `ended` is `started` plus the elapsed time by a monotonic
+clock, so that changes to the system clock have no effect: no run has a negative duration, or a duration below its CPU time.
 
-A job of a cluster may ask for what its scheduler has allotted: in an environment (and in a client's argv) the character
-\\1 and one of the names of DEVICES stand for the variable of that name that the worker has, or for nothing. Where a list of
-several devices can be divided among the slots, each slot has its own.
+A job of a cluster may use the devices that its scheduler has allotted. In an environment (and in a client's argv), the
+character \\1 followed by a name from DEVICES stands for the value of the worker's variable of that name, or for nothing if
+there is none. If a list of several devices can be divided among the slots, each slot gets its own part.
 
-A run whose processes are all stopped (SIGSTOP) for STALLED_S gets an event `stalled`, with `since` in seconds since the epoch.
-Its time counts, and it may be continued. The worker continues what it asks to end, so that a program can heed SIGTERM.
+If all processes of a run are stopped (SIGSTOP) for STALLED_S, the worker writes an event `stalled`, with `since` in seconds
+since the epoch. The run's time limit continues to apply, and the run may be continued. The worker continues the processes that
+it tells to end, so that a program can react to SIGTERM.
 
-A worker that stops, for whatever reason, reads for GIVE_UP_S more what runs have left that had ended by then. What is not read
-by then counts as interrupted. Outputs are counted, and read, by their apparent size: that of a file with holes is its length.
+A worker that stops, for whatever reason, continues for GIVE_UP_S to read the outputs of runs that had ended by then. Runs whose
+outputs are not read by then count as interrupted. Outputs are counted, and read, by their apparent size: the size of a file
+with holes is its length.
 
-Processes that leave their group are found all the same: the worker is their subreaper (Linux), so an orphan
-becomes a child of the worker's main thread, which starts no process itself.
+Processes that leave their group are still found: the worker is their subreaper (Linux), so an orphan becomes a child of the
+worker's main thread, which starts no process itself.
 
-A job may come with a `client`, which starts a container engine. Then it is executed instead of the job's own
-argv, in its own environment; the run's processes are those that have SIERRA_EXECUTION in theirs, wherever the
-engine starts them. Their use of resources is what was seen of them from outside, at intervals of a twentieth of
-the time that they have run; where they ended before they were seen, it is not known (null). Where the client was
-killed, its `stop` ends the container. A container that is `shared` has all runs of a slot, one after the other: it is
-started with the first of them, with a folder of its own (the NUL in its argv) and in it this worker, which takes
-jobs from its standard input, and with the argument `-` writes its journal to its standard output. What a run has put into one
-of PLACES, folders of the container's own, is removed with its end, so that the next finds these as the first did. Of that
-folder, runs reach `runs` alone. They may write to the container's standard output too (/proc/1/fd/1), stop the
-worker that is in there with them, or change what earlier runs have left. So each job has a `seal`, a word that its
-run can't know: what does not bear it is not heeded. A run that has ended has nothing left that lives, and its folder
-is taken out of the container before it is looked at; a worker that is late in ending one is ended with the container.
+A job may have a `client`, which starts a container engine. The client is then executed instead of the job's own argv, in its
+own environment. The run's processes are those with SIERRA_EXECUTION in their environment, wherever the engine starts them.
+Their use of resources is measured from outside, at intervals of a twentieth of the time that they have run; if they end before
+the first measurement, it is unknown (null). If the client was killed, its `stop` ends the container.
+
+A `shared` container executes all runs of a slot, one after the other. It is started with the first of them, with a folder of
+its own (the NUL in its argv). This worker also runs inside the container: it takes jobs from its standard input and, with the
+argument `-`, writes its journal to its standard output. Everything that a run leaves in one of PLACES, folders of the
+container's own, is removed when the run ends, so that the next run finds them unchanged. Of the container's folder, runs can
+reach only `runs`. Runs can also write to the container's standard output (/proc/1/fd/1), stop the worker in the container, or
+change what earlier runs have left. Therefore each job has a `seal`, a word that its run cannot know, and events without it are
+ignored. When a run has ended, none of its processes is left alive, and its folder is taken out of the container before it is
+read. If the worker in a container is late in ending a run, the whole container is ended.
 """
 
 from __future__ import annotations
@@ -86,31 +88,31 @@ RUNS = "runs"
 POLL_S = 0.25
 HEAD_BYTES = 4096
 EMPTY_LINE = re.compile(rb"(?<=\n)\r?\n")
-LOG_BYTES = 256 << 20  # of standard output or error, whatever the limits say
+LOG_BYTES = 256 << 20  # limit for standard output and for standard error, independent of the configured limits
 CHUNK = 1 << 20
 SETTLE_S = 2.0
-CLEAN_S = 10.0  # for what an engine has yet to do when its containers have ended
+CLEAN_S = 10.0  # for an engine's cleanup after its containers have ended
 START_S = 60.0  # for an engine to start a container
-GIVE_UP_S = 5.0  # to read what runs have left, once the worker stops
-STALLED_S = 5.0  # of nothing but stopped processes, until that is told
+GIVE_UP_S = 5.0  # to read the outputs of ended runs after the worker was told to stop
+STALLED_S = 5.0  # with only stopped processes, until a run is reported as stalled
 SAMPLE_S = 0.05
 ALLOTTED = "\1"
 ROCR = "ROCR_VISIBLE_DEVICES"
-BELOW_ROCR = ("CUDA_VISIBLE_DEVICES", "HIP_VISIBLE_DEVICES", "GPU_DEVICE_ORDINAL")  # what AMD's count among those of ROCR
+BELOW_ROCR = ("CUDA_VISIBLE_DEVICES", "HIP_VISIBLE_DEVICES", "GPU_DEVICE_ORDINAL")  # for AMD, indices into ROCR's list
 DEVICES = (*BELOW_ROCR, ROCR, "NVIDIA_VISIBLE_DEVICES", "ZE_AFFINITY_MASK")
 LINE_BYTES = 1 << 16
-MOST_NAMED = 10  # of what a run leaves that is neither a file nor a folder
+MOST_NAMED = 10  # entries that a run leaves and that are neither files nor folders
 
 
 class GivenUp(Exception):
-    """The worker stops, and does not read any more what a run has left."""
+    """The worker stops, and no longer reads the outputs of a run."""
 
 
 class Journal:
-    """Lines appended to one file, each whole or not at all."""
+    """A file to which lines are appended, each of them completely or not at all."""
 
     def __init__(self, path: str | None) -> None:
-        """`None`: standard output, which somebody reads through a pipe."""
+        """Open the file, or use standard output for `None`, which another process reads through a pipe."""
         flags = os.O_CREAT | os.O_WRONLY | os.O_APPEND | os.O_CLOEXEC
         self._file = os.dup(1) if path is None else os.open(path, flags, 0o644)
         self._piped = path is None
@@ -120,7 +122,7 @@ class Journal:
         line = json.dumps(event, separators=(",", ":")).encode() + b"\n"
         with self._lock:
             if self._piped:
-                write_all(self._file, b"\n" + line)  # somebody else may have begun a line
+                write_all(self._file, b"\n" + line)  # another process may have begun a line
                 return
             written = os.write(self._file, line)
             if written != len(line):
@@ -129,9 +131,9 @@ class Journal:
 
 
 class Bell:
-    """Wakes the main thread: rung by any thread, by a signal handler, or by the closing of a pipe.
+    """A means to wake the main thread from any thread, from a signal handler, or when a pipe is closed.
 
-    (Python's own events and queues hold locks, and so must not be touched by a signal handler.)
+    (Python's own events and queues hold locks, so a signal handler must not use them.)
     """
 
     def __init__(self) -> None:
@@ -143,7 +145,7 @@ class Bell:
         self._pipe: int | None = None
 
     def mind(self, pipe: int) -> None:
-        """Ring also when the other end of `pipe` is closed, even while there is something to read in it."""
+        """Ring also when the other end of `pipe` is closed, even if data in it is still unread."""
         self._pipe = pipe
         self._poll.register(pipe, 0)
 
@@ -154,7 +156,7 @@ class Bell:
             pass
 
     def wait(self, seconds: float) -> bool:
-        """Wait so long, or until rung; False once the pipe is closed."""
+        """Wait for so many seconds or until rung. Return False if the pipe was closed."""
         rung = [descriptor for descriptor, _ in self._poll.poll(seconds * 1000)]
         if self._ear in rung:
             os.read(self._ear, 4096)
@@ -165,7 +167,7 @@ class Bell:
 
 
 class Running:
-    """A program that runs now; its lock guards the time at which its process id stops being its own."""
+    """A running program. Its lock guards the moment from which its process id may belong to another process."""
 
     def __init__(self, job: dict[str, Any], folder: str, process: subprocess.Popen[bytes]) -> None:
         self.run, self.execution = job["run"], job["execution"]
@@ -189,29 +191,29 @@ class Running:
         wall: float | None = self.limits.get("wall_s")
         if wall is None or self.meter is None:
             return None if wall is None else self.started + wall
-        # what an engine takes to start a container is not the run's
+        # the time in which an engine starts a container does not count for the run
         return wall + (self.started + START_S if self.meter.since is None else self.meter.since)
 
     def stop(self, reason: str) -> None:
-        """Ask the whole group to end; `kill` follows after the grace time."""
+        """Tell the whole group to end; `kill` follows after the grace time."""
         with self.lock:
             if self.stopped is None and not self.over and not has_ended(self.pid):
                 self.stopped = reason
                 self.kill_at = time.monotonic() + self.limits.get("grace_s", 5.0)
                 signal_group(self.pid, signal.SIGTERM)
-                for pid in self.pids():  # a stopped process heeds SIGTERM only once it is continued
+                for pid in self.pids():  # a stopped process reacts to SIGTERM only when it is continued
                     if stat_of(pid)[:1] == [b"T"]:
                         signal_process(pid, signal.SIGCONT)
 
     def pids(self) -> list[int]:
-        """The processes of the run, as far as /proc tells."""
+        """Return the ids of the run's processes, as far as /proc lists them."""
         if self.meter:
             return self.meter.pids()
         roots = [self.pid, *(pid for pid in orphans() if belongs(pid, self.execution, self.pid))]
         return [pid for root in roots for pid in descendants(root)]
 
     def stalled(self, now: float) -> bool:
-        """Look, if it is time to, whether nothing of the run has gone on for too long; True once for each time."""
+        """Check at intervals whether all processes of the run are stopped for too long. Returns True once per such period."""
         if now < self.look_at:
             return False
         self.look_at = now + 1.0
@@ -225,7 +227,7 @@ class Running:
         return True
 
     def hurry(self) -> None:
-        """Let no grace time be left."""
+        """Skip the rest of the grace time."""
         if self.kill_at is not None:
             self.kill_at = 0.0
 
@@ -244,7 +246,7 @@ class Running:
 
 
 class Meter:
-    """What the processes of a contained run have used, as it was seen from outside."""
+    """The resources that the processes of a contained run have used, measured from outside."""
 
     def __init__(self, running: Running) -> None:
         self._running = running
@@ -255,7 +257,7 @@ class Meter:
         self.due = 0.0
 
     def read(self, now: float) -> None:
-        """Look once, if it is time to."""
+        """Measure once, if a measurement is due."""
         if now < self.due:
             return
         self.due = now + min(POLL_S, max(SAMPLE_S, (now - self._running.started) / 20))
@@ -267,7 +269,7 @@ class Meter:
             self.max_rss = max(self.max_rss, max(peak_of(pid) for pid in pids))
 
     def pids(self) -> list[int]:
-        """The processes of the run that live now."""
+        """Return the ids of the run's living processes."""
         self._roots = [(pid, born) for pid, born in self._roots if birth(pid) == born]
         if not self._roots:
             started = [pid for root in [self._running.pid, *orphans()] for pid in descendants(root)]
@@ -283,7 +285,7 @@ class Meter:
 
 
 class Container:
-    """What the runs of a slot share: a client, and at the other end of its pipes this worker, in the container."""
+    """The container that the runs of a slot share: a client here, and this worker inside, connected by pipes."""
 
     def __init__(self, client: dict[str, Any], folder: str) -> None:
         self.runs = os.path.join(folder, RUNS)
@@ -306,7 +308,10 @@ class Container:
         self.lock = threading.Lock()
 
     def execute(self, job: dict[str, Any]) -> Iterator[dict[str, Any]]:
-        """What the worker in the container says of a run, until it has ended; cut short where the container has."""
+        """Yield the events of the worker in the container about a run, until the run has ended.
+
+        Stops early if the container ends.
+        """
         seal = base64.b64encode(os.urandom(18)).decode()
         inner = {name: value for name, value in job.items() if name not in ("client", "shared")}
         self.allow(job["limits"], START_S)
@@ -322,12 +327,12 @@ class Container:
                 return
 
     def allow(self, limits: dict[str, Any], spare: float) -> None:
-        """Expect the end of a run after its time limit, with some to spare."""
+        """Set the deadline for a run's end: its time limit and grace time, plus `spare` seconds."""
         if limits.get("wall_s") is not None:
             self.deadline = time.monotonic() + limits["wall_s"] + limits.get("grace_s", 5.0) + spare
 
     def events(self, seal: str) -> Iterator[dict[str, Any]]:
-        """What the worker in the container says; a run, whatever it says, does not know the seal."""
+        """Yield the events of the worker in the container. Lines without the seal are ignored; a run cannot know it."""
         said = self.process.stdout
         for line in iter(lambda: said.readline(LINE_BYTES) if said else b"", b""):
             try:
@@ -346,10 +351,10 @@ class Container:
             self.process.stdin.flush()
 
     def stop(self, grace: float) -> None:
-        """Close the pipe: the worker inside ends what runs, and itself."""
+        """Close the pipe, so that the worker inside ends the running run and itself."""
         if self.kill_at is None:
             self.kill_at = time.monotonic() + grace + CLEAN_S
-        if self.lock.acquire(blocking=False):  # else a job is being sent, to one that does not read yet: asked again
+        if self.lock.acquire(blocking=False):  # else a job is being sent that is not read yet; tried again later
             try:
                 self.shut()
             finally:
@@ -371,13 +376,13 @@ class Container:
         signal_group(self.pid, signal.SIGKILL)
 
     def expire(self, now: float) -> None:
-        """Kill it where the worker in it should have ended a run long since."""
+        """Kill the container if the worker in it is too late in ending a run."""
         if self.deadline is not None and now >= self.deadline:
             self.late = True
             self.kill()
 
     def close(self) -> str:
-        """End it, the way it is meant to end if possible; the end of what it said beside."""
+        """End the container, regularly if possible. Return the last line of its standard error, or else its status."""
         try:
             self.send({"end": True})
             self.process.wait(CLEAN_S)
@@ -395,7 +400,7 @@ class Container:
 
 
 class Worker:
-    """Slots that take jobs from a queue, each a thread, and the main thread that watches over them."""
+    """Slots, each a thread, which take jobs from a queue; and the main thread, which watches over them."""
 
     def __init__(
         self,
@@ -406,9 +411,10 @@ class Worker:
         adopts: bool = False,
         places: tuple[str, ...] = (),
     ) -> None:
-        """`adopts`: whether this process becomes the parent of all orphans of its runs. `places`: folders that runs share.
+        """Prepare a worker in `folder` with `slots` slots.
 
-        `journal` is a file, by default in the folder; None is standard output.
+        `adopts`: this process becomes the parent of all orphans of its runs. `places`: folders that runs share. `journal` is a
+        file, by default in the folder; None is standard output.
         """
         self.folder = folder
         self.adopts = adopts
@@ -430,7 +436,7 @@ class Worker:
         self.shared = {place: names_in(place) for place in places}
 
     def work(self, stream: TextIO) -> bool:
-        """Execute all jobs that `stream` holds; True if it was read to its end and none was cut off."""
+        """Execute all jobs in `stream`. Return True if it was read to its end and no run was cut off."""
         kind = os.fstat(stream.fileno()).st_mode
         if stat.S_ISFIFO(kind) or stat.S_ISSOCK(kind):
             self.bell.mind(stream.fileno())
@@ -447,7 +453,7 @@ class Worker:
         return not self.stopping
 
     def read(self, stream: TextIO) -> None:
-        """Put the jobs in the queue until the stream says that it is over."""
+        """Put the jobs into the queue, until the line that ends them."""
         try:
             for line in stream:
                 job = json.loads(line)
@@ -461,23 +467,23 @@ class Worker:
         self.stop()
 
     def stop(self) -> None:
-        """Start nothing more, and end what runs. May be called by a signal handler."""
+        """Start no further runs, and end the running ones. Can be called by a signal handler."""
         self.give_up_at = self.give_up_at or time.monotonic() + GIVE_UP_S
         self.stopping = True
         self.bell.ring()
 
     def go_on(self) -> None:
-        """Raise GivenUp where the worker has stopped for so long that what a run has left is not read to its end."""
+        """Raise GivenUp if the worker was told to stop so long ago that outputs are no longer read."""
         if self.stopping and (self.hurried or time.monotonic() >= self.give_up_at):
             raise GivenUp
 
     def terminate(self) -> None:
-        """Stop; asked again, leave no grace time. For a signal handler."""
+        """Stop the worker; at the second call, without grace time. For a signal handler."""
         self.hurried, self.terminated = self.terminated, True
         self.stop()
 
     def fail(self, error: BaseException) -> None:
-        """Say why the worker cannot go on, and stop."""
+        """Note why the worker cannot continue, and stop."""
         if self.failure is None:
             self.failure = explain(error)
             self.full = getattr(error, "errno", None) in (errno.ENOSPC, errno.EDQUOT)
@@ -506,7 +512,7 @@ class Worker:
         self.bell.ring()
 
     def execute_inside(self, job: dict[str, Any], slot: int) -> None:
-        """One run in the slot's container, which is started where there is none."""
+        """Execute one run in the slot's container. Starts the container if there is none."""
         container = self.containers.get(slot)
         began, started = time.time(), time.monotonic()
         if container is None:
@@ -536,7 +542,7 @@ class Worker:
         self.journal.write(self.report(job, slot, folder, began, wall, stopped=stopped, error=trouble))
 
     def taken_out(self, job: dict[str, Any], container: Container, event: dict[str, Any]) -> dict[str, Any]:
-        """What a run has left, in a folder that no other run of its container reaches."""
+        """Move a run's folder out of the container's reach, and return the fields of its report that describe its outputs."""
         folder = self.next_folder()
         inside = os.path.join(container.runs, os.path.basename(event["directory"]))
         if is_folder(inside):
@@ -551,7 +557,7 @@ class Worker:
             return os.path.join(self.folder, prefix + str(next(self.numbers)))
 
     def execute(self, job: dict[str, Any], slot: int) -> None:
-        """One run, from its folder to the line in the journal."""
+        """Execute one run, from making its folder to writing its line in the journal."""
         folder = self.next_folder()
         place = prepare(job, folder, self.spare.pop(job.get("used") or 0, None))
         began, started = time.time(), time.monotonic()
@@ -577,14 +583,14 @@ class Worker:
         with self.lock:
             del self.running[running.pid]
         running.clean(status)
-        # one with a seal has the container for itself
+        # a run with a seal is alone in its container
         alone = end_orphans(None if running.seal else running.execution, running.pid)
         if running.stopped is None and self.stopping and os.WIFSIGNALED(status):
             running.stopped = "interrupted"
         if running.stopped != "interrupted" and not running.seal:
             check_room(self.folder)
         spare = alone and self.adopts and place is not None and place.is_spare()
-        # with a seal, whoever takes its folder out of the container looks at it
+        # the folder of a run with a seal is read by the worker that takes it out of the container
         left: dict[str, Any] = {"stopped": running.stopped, "error": self.tidied(folder) if running.seal else None}
         if not running.seal:
             left = left_behind(folder, running.limits, running.stopped, self.go_on, spare)
@@ -606,7 +612,7 @@ class Worker:
         )
 
     def tell_stalled(self, running: Running) -> None:
-        """Say that nothing of a run goes on."""
+        """Report that all processes of a run are stopped."""
         named = {"run": running.run, "execution": running.execution, "pid": running.pid}
         event = {"event": "stalled", **named, "since": time.time() - STALLED_S}
         try:
@@ -615,8 +621,9 @@ class Worker:
             self.fail(error)
 
     def tidied(self, folder: str) -> str | None:
-        """Remove what a run has left beside its folder in places that the next run has too; why that can't be done, or why
-        the run may have lacked room there.
+        """Remove the files that a run has left in folders that the next run shares.
+
+        Return why that failed, or that the run may have lacked space there, or None.
         """
         full = [place for place in self.shared if is_full(place)]
         for place, before in self.shared.items():
@@ -628,7 +635,7 @@ class Worker:
         return "there was no room left in its container: " + full[0] if full else None
 
     def report(self, job: dict[str, Any], slot: int, folder: str, began: float, wall: float, **fields: Any) -> dict[str, Any]:
-        """The line in the journal; `began` in seconds since the epoch, `wall` in seconds."""
+        """Return the line for the journal; `began` is in seconds since the epoch, `wall` in seconds."""
         report = {
             "event": "end",
             "run": job["run"],
@@ -653,7 +660,7 @@ class Worker:
         return report
 
     def watch(self) -> float:
-        """Enforce what is due; the seconds until something may be due again (None: until woken)."""
+        """Enforce the limits that are due, and return the seconds until the next check."""
         with self.lock:
             running = list(self.running.values())
         now = time.monotonic()
@@ -699,7 +706,7 @@ class Worker:
 
 
 class Place:
-    """A run's folder as it was made, to tell what the run has touched of it."""
+    """A run's folder in the state in which it was made, so that changes by the run can be found."""
 
     def __init__(self, folder: str, files: list[str]) -> None:
         self.folder = folder
@@ -714,7 +721,7 @@ class Place:
         return [name for name in names if seen(os.path.join(self.folder, name)) != self.seen[name]]
 
     def is_spare(self) -> bool:
-        """Whether only outputs and logs were touched, and logs are short."""
+        """Return whether the run has changed only outputs and logs, and the logs are short."""
         try:
             sizes = [size_of_file(os.path.join(self.folder, name)) for name in LOGS]
             return sum(sizes) <= CHUNK and not self.touched("", "home", "tmp", *self.files)
@@ -722,7 +729,7 @@ class Place:
             return False
 
     def clear(self) -> bool:
-        """Make what was touched anew; False where that can't be."""
+        """Make the changed parts of the folder again. Return False if that fails."""
         try:
             for name in self.touched("output", *LOGS):
                 path = os.path.join(self.folder, name)
@@ -738,7 +745,7 @@ class Place:
         return True
 
     def serve(self, job: dict[str, Any], folder: str) -> None:
-        """Become the folder of another run."""
+        """Turn the folder into that of another run."""
         os.rename(self.folder, folder)
         self.folder = folder
         for name, content in job["files"].items():
@@ -748,7 +755,7 @@ class Place:
 
 
 def seen(path: str) -> tuple[Any, ...]:
-    """What is another where somebody has touched a folder or a file. (In one tick of its clock, ctime is not.)"""
+    """Return values of a folder or a file that differ after it was changed (ctime may not, within one tick of the clock)."""
     found = os.lstat(path)
     inside = sorted(os.listdir(path)) if stat.S_ISDIR(found.st_mode) else found.st_size
     own = (found.st_ino, found.st_mode, found.st_nlink, found.st_uid, found.st_gid, found.st_ctime_ns)
@@ -756,15 +763,15 @@ def seen(path: str) -> tuple[Any, ...]:
 
 
 def attributes_of(path: str) -> list[str]:
-    """The names of its extended attributes, rights for others among them."""
+    """Return the names of its extended attributes, which include access control lists."""
     try:
         return os.listxattr(path, follow_symlinks=False) if hasattr(os, "listxattr") else []
-    except OSError:  # a file system without
+    except OSError:  # a file system without extended attributes
         return []
 
 
 def prepare(job: dict[str, Any], folder: str, used: Place | None = None) -> Place | None:
-    """Make the run's folder, with its input files, or take one that is spare. Where that fails, the worker cannot go on."""
+    """Make the run's folder with its input files, or reuse a spare one. If that fails, the worker cannot continue."""
     if used is not None:
         if used.files == list(job["files"]) and used.clear():
             used.serve(job, folder)
@@ -786,7 +793,7 @@ def make_log(path: str) -> None:
 
 
 def allotted(job: dict[str, Any], slot: int, slots: int) -> dict[str, Any]:
-    """The job with the devices of its slot, where it asks for them."""
+    """Return the job with the devices of its slot, if it requests any."""
     if not any(job["environment"].get(name) == ALLOTTED + name for name in DEVICES):
         return job
     given = devices(slot, slots)
@@ -804,7 +811,7 @@ def with_devices(variables: dict[str, str], given: dict[str, str]) -> dict[str, 
 
 
 def with_device(text: str, given: dict[str, str]) -> str | None:
-    """The text with the variable that it ends with; None where there is no such variable."""
+    """Return the text with the value of the variable that it ends with; None if there is no such variable."""
     head, mark, name = text.partition(ALLOTTED)
     if not mark or name not in DEVICES:
         return text
@@ -812,7 +819,7 @@ def with_device(text: str, given: dict[str, str]) -> str | None:
 
 
 def devices(slot: int, slots: int) -> dict[str, str]:
-    """The devices that a slot may use, by what the scheduler has set: its part of them, or all."""
+    """Return the devices that a slot may use, from the scheduler's variables: its part of them, or all."""
     whole = {name: os.environ[name] for name in DEVICES if name in os.environ}
     parts = {name: part_of(value.split(","), slot, slots) for name, value in whole.items()}
     if parts != whole and ROCR in parts and os.path.exists("/dev/kfd"):
@@ -821,7 +828,7 @@ def devices(slot: int, slots: int) -> dict[str, str]:
 
 
 def part_of(found: list[str], slot: int, slots: int) -> str:
-    """The part of a slot, where so many can be divided among the slots, or the slots among them; else all."""
+    """Return a slot's part of the devices if they can be divided equally among the slots, or the slots among them; else all."""
     if len(found) % slots == 0:
         each = len(found) // slots
         found = found[slot * each : (slot + 1) * each]
@@ -850,7 +857,7 @@ def start(job: dict[str, Any], folder: str) -> subprocess.Popen[bytes]:
 
 
 def client_in(client: dict[str, Any], folder: str) -> dict[str, Any]:
-    """What starts a program, with the paths of the folder that it is given."""
+    """Return the program's words and environment with the path of the given folder."""
     return {
         "argv": [word.replace("\0", folder) for word in client["argv"]],
         "environment": {name: value.replace("\0", folder) for name, value in client["environment"].items()},
@@ -859,7 +866,7 @@ def client_in(client: dict[str, Any], folder: str) -> dict[str, Any]:
 
 
 def end_container(client: dict[str, Any]) -> None:
-    """End the container of a client that is gone, or does not heed anybody."""
+    """End the container of a client that is gone or does not react."""
     if client.get("stop"):
         try:
             subprocess.run(
@@ -872,13 +879,13 @@ def end_container(client: dict[str, Any]) -> None:
                 start_new_session=True,
             )
         except (OSError, subprocess.TimeoutExpired):
-            pass  # whoever asks next looks for it again
+            pass  # a later check looks for the container again
 
 
 def await_end(running: Running) -> tuple[int, Any]:
-    """Wait for the program's end, kill what is left of its group, and only then give its process id back.
+    """Wait for the program's end, kill the rest of its group, and only then release its process id.
 
-    Where the program was asked to end, what it had started keeps the rest of the grace time.
+    If the program was told to end, the processes that it had started keep the rest of the grace time.
     """
     if hasattr(os, "waitid"):
         os.waitid(os.P_PID, running.pid, os.WEXITED | os.WNOWAIT)
@@ -893,13 +900,13 @@ def await_end(running: Running) -> tuple[int, Any]:
 
 
 def used(usage: Any) -> dict[str, Any]:
-    """What a program and all that it waited for have used, by the kernel's account."""
+    """Return the resources that a program and its awaited children have used, as the kernel reports them."""
     unit = 1 if sys.platform == "darwin" else 1024
     return {"user_s": usage.ru_utime, "system_s": usage.ru_stime, "max_rss_bytes": usage.ru_maxrss * unit}
 
 
 def is_full(place: str) -> bool:
-    """Whether what could be written to has no room left."""
+    """Return whether a writable file system has no space left."""
     try:
         found = os.statvfs(place)
     except OSError:
@@ -908,26 +915,26 @@ def is_full(place: str) -> bool:
 
 
 def check_room(folder: str) -> None:
-    """Raises OSError where a file system has no room left."""
+    """Raise OSError if a file system has no space or no inodes left."""
     found = os.statvfs(folder)
-    if (found.f_blocks and found.f_bavail == 0) or (found.f_files and found.f_favail == 0):  # a ramfs counts neither
+    if (found.f_blocks and found.f_bavail == 0) or (found.f_files and found.f_favail == 0):  # a ramfs reports neither
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), folder)
 
 
 def left_behind(
     folder: str, limits: dict[str, Any], stopped: str | None, go_on: Callable[[], None], spare: bool = False
 ) -> dict[str, Any]:
-    """Why a run was stopped (as far as its files tell), and its outputs, or why they cannot be read.
+    """Return why a run was stopped (as far as its files show it), and its outputs or why they cannot be read.
 
-    What nobody needs any more is removed, but where the folder is spare. Outputs of a run that was interrupted are not read,
-    nor are those beyond the limit on outputs. `go_on` is called for each chunk that is read; it may raise GivenUp.
+    Folders that are no longer needed are removed, unless the run's folder is spare. The outputs of an interrupted run are not
+    read, and neither are outputs beyond the limit. `go_on` is called for each chunk that is read; it may raise GivenUp.
     """
     allowed = limits.get("output_bytes")
     outputs: list[dict[str, Any]] = []
     others: list[str] = []
     error = None
     try:
-        if is_folder(folder):  # a link that a run put in its place may lead to anybody's files: hands off
+        if is_folder(folder):  # a run may have put a link here, which may lead to other people's files: do not touch it
             unlock(folder, 0o700)
             for name in () if spare else ("home", "tmp"):
                 remove(os.path.join(folder, name))
@@ -946,8 +953,9 @@ def left_behind(
 
 
 def found(root: str) -> tuple[list[tuple[str, str]], list[str]]:
-    """The regular files below `root` (path, and path seen from there), and what else is there but folders; sorted. Links are
-    not followed.
+    """Return the regular files below `root` (path, and path relative to it), and other entries that are not folders.
+
+    Both are sorted. Links are not followed.
     """
     files, others = [], []
     pending = [root] if is_folder(root) else []
@@ -966,7 +974,7 @@ def found(root: str) -> tuple[list[tuple[str, str]], list[str]]:
 
 
 def within(files: Iterable[tuple[str, str]], most: int) -> Iterator[tuple[str, str]]:
-    """The files that have no more than so many bytes together, in order; those that are too large are left out."""
+    """Yield the files whose total size is at most `most` bytes, in order. A file that exceeds the rest is skipped."""
     for path, name in files:
         size = size_of_file(path)
         if size <= most:
@@ -975,7 +983,7 @@ def within(files: Iterable[tuple[str, str]], most: int) -> Iterator[tuple[str, s
 
 
 def described(files: Iterable[tuple[str, str]], go_on: Callable[[], None]) -> Iterator[dict[str, Any]]:
-    """Each file, hashed."""
+    """Yield the description of each file, with its hash. Makes a file readable if necessary."""
     for path, name in files:
         try:
             yield describe(path, name, go_on)
@@ -994,31 +1002,31 @@ def names_in(folder: str) -> set[str]:
 def unlink(path: str) -> None:
     try:
         os.unlink(path)
-    except OSError:  # whoever looks sees that it is there
+    except OSError:  # the caller checks whether it still exists
         pass
 
 
 def is_folder(path: str) -> bool:
-    """Whether a path is a folder itself, and no link to one."""
+    """Return whether a path is itself a folder, and not a link to one."""
     return os.path.isdir(path) and not os.path.islink(path)
 
 
 def unlock(path: str, rights: int) -> None:
-    """Give the owner these rights: what a program has locked is to be read, and removed, all the same."""
+    """Give the owner these permissions, so that files which a program has locked can be read and removed."""
     mode = stat.S_IMODE(os.lstat(path).st_mode)
     if mode & rights != rights:
         os.chmod(path, mode | rights)
 
 
 def remove(folder: str) -> None:
-    """Remove a folder (never what a link leads to) and all in it, as far as that is allowed.
+    """Remove a folder (never the target of a link) with its contents, as far as permitted.
 
-    Read-only folders too, as package caches have them.
+    Read-only folders are removed too; package caches contain them.
     """
     if is_folder(folder):
         shutil.rmtree(folder, ignore_errors=True)
     if is_folder(folder):
-        if os.lstat(folder).st_uid == os.geteuid():  # else it is not ours to unlock
+        if os.lstat(folder).st_uid == os.geteuid():  # else another user owns it
             unlock(folder, 0o700)
         for root, names, _ in os.walk(folder):
             for path in [os.path.join(root, name) for name in names]:
@@ -1049,15 +1057,15 @@ def describe(path: str, name: str, go_on: Callable[[], None] = lambda: None) -> 
 
 
 class Counts:
-    """Counts of the bytes, lines and quotes of a file, made piece by piece, from which the rows of a table follow.
+    """Counters for the bytes, lines and quotes of a file, fed in pieces, from which the number of a table's rows follows.
 
-    A file with a NUL in its first piece is no text: only its bytes and line feeds are counted, which costs less.
+    A file with a NUL in its first piece is not text: only its bytes and line feeds are counted, which is faster.
     """
 
     def __init__(self) -> None:
         self.text = True
         self._size = self._lines = self._returns = self._pairs = self._quotes = self._blank = 0
-        self._before = b"\n"  # the last two bytes; a file begins as a line does
+        self._before = b"\n"  # the last two bytes; the beginning of a file is the beginning of a line
 
     def add(self, chunk: bytes) -> None:
         self._size += len(chunk)
@@ -1077,7 +1085,7 @@ class Counts:
             self._blank += sum(found.end() > len(self._before) for found in EMPTY_LINE.finditer(seen))
 
     def report(self) -> dict[str, Any]:
-        """The counts as `sierra.model.OutputFile` has them."""
+        """Return the counts as fields of `sierra.model.OutputFile`."""
         counts = {"bytes": self._size, "lines": self._lines, "ended": self._before.endswith(b"\n")}
         if self.text:
             alike = self._returns == 0 or self._returns == self._pairs == self._lines
@@ -1086,7 +1094,7 @@ class Counts:
 
 
 def exceeded(running: Running) -> str | None:
-    """The name of the limit that a program is over, or None."""
+    """Return the name of the limit that a program exceeds, or None."""
     limits = running.limits
     if limits.get("memory_bytes") is not None or limits.get("cpu_s") is not None:
         memory, cpu = usage_of(running.pids())
@@ -1109,7 +1117,7 @@ def size_of_file(path: str) -> int:
 
 
 def size_of(folder: str) -> int:
-    """Bytes of all files below a folder, as far as they can be read."""
+    """Return the total size in bytes of all files below a folder, as far as they can be read."""
     total = 0
     for root, _, names in os.walk(folder):
         for name in names:
@@ -1118,7 +1126,7 @@ def size_of(folder: str) -> int:
 
 
 def descendants(pid: int) -> list[int]:
-    """A process and all that it started, as far as /proc tells."""
+    """Return the ids of a process and all its descendants, as far as /proc lists them."""
     found = [pid]
     for parent in found:
         try:
@@ -1139,21 +1147,21 @@ def children(path: str) -> list[int]:
 
 
 def usage_of(pids: list[int]) -> tuple[int, float]:
-    """Resident bytes and CPU seconds (their ended children's too) of processes."""
+    """Return the resident bytes and the CPU seconds of processes (including their ended children's CPU seconds)."""
     page = os.sysconf("SC_PAGE_SIZE")
     resident = sum(int(fields[21]) for fields in map(stat_of, pids) if fields)
     return resident * page, sum(cpu_of(pids))
 
 
 def cpu_of(pids: list[int]) -> tuple[float, float]:
-    """CPU seconds of processes and of their ended children, in user mode and in the kernel."""
+    """Return the CPU seconds of processes and of their ended children, in user mode and in the kernel."""
     tick = os.sysconf("SC_CLK_TCK")
     found = [[int(field) for field in fields[11:15]] for fields in map(stat_of, pids) if fields]
     return sum(one[0] + one[2] for one in found) / tick, sum(one[1] + one[3] for one in found) / tick
 
 
 def peak_of(pid: int) -> int:
-    """The greatest resident size that a process has had; 0 where there is none."""
+    """Return the greatest resident size in bytes that a process has had; 0 if there is no such process."""
     try:
         with open("/proc/%d/status" % pid, "rb") as file:
             lines = [line.split() for line in file if line.startswith(b"VmHWM:")]
@@ -1163,7 +1171,7 @@ def peak_of(pid: int) -> int:
 
 
 def environment_of(pid: int) -> list[bytes]:
-    """The environment that a process was started with, as NAME=value; empty where that can't be read."""
+    """Return the environment with which a process was started, as NAME=value; empty if it cannot be read."""
     try:
         with open("/proc/%d/environ" % pid, "rb") as file:
             return file.read().split(b"\0")
@@ -1172,13 +1180,13 @@ def environment_of(pid: int) -> list[bytes]:
 
 
 def write_all(descriptor: int, data: bytes) -> None:
-    """Write all of it, however little a pipe takes at a time."""
+    """Write all data, even if a pipe accepts only a part at a time."""
     while data:
         data = data[os.write(descriptor, data) :]
 
 
 def stat_of(pid: int) -> list[bytes]:
-    """The fields of /proc/PID/stat after the program's name; empty where there is no such process."""
+    """Return the fields of /proc/PID/stat after the program's name; empty if there is no such process."""
     try:
         with open("/proc/%d/stat" % pid, "rb") as file:
             return file.read().rpartition(b")")[2].split()
@@ -1187,16 +1195,16 @@ def stat_of(pid: int) -> list[bytes]:
 
 
 def birth(pid: int) -> int | None:
-    """When a process was started, in clock ticks since boot: with its id, it names one process for ever."""
+    """Return the start time of a process in clock ticks since boot. With the process id, it identifies one process for ever."""
     fields = stat_of(pid)
     return int(fields[19]) if fields else None
 
 
 def end_orphans(execution: str | None, group: int | None = None) -> bool:
-    """Kill what has left its group: orphans of one execution, or (None) all of them. Whether there are no others either.
+    """Kill processes that have left their group: orphans of one execution, or (None) all. Return whether no orphan is left.
 
-    Orphans are children of this process's main thread. One whose environment does not say whose it is
-    belongs to nobody, and is ended with the worker.
+    Orphans are children of this process's main thread. An orphan whose environment does not name an execution belongs to none,
+    and is ended with the worker.
     """
     give_up = time.monotonic() + SETTLE_S
     while time.monotonic() < give_up:
@@ -1214,7 +1222,7 @@ def end_orphans(execution: str | None, group: int | None = None) -> bool:
 
 
 def reap() -> list[int]:
-    """The orphans that live; those that have ended are waited for, which nobody else does."""
+    """Return the living orphans. Waits for those that have ended, because no other code does."""
     living = []
     for pid in orphans():
         fields = stat_of(pid)
@@ -1229,19 +1237,19 @@ def reap() -> list[int]:
 
 
 def await_orphans() -> None:
-    """Let an engine put away what containers have left, which have ended."""
+    """Wait while an engine cleans up after containers that have ended."""
     give_up = time.monotonic() + CLEAN_S
     while reap() and time.monotonic() < give_up:
         time.sleep(POLL_S / 10)
 
 
 def orphans() -> list[int]:
-    """The children of the main thread, which has none of its own."""
+    """Return the children of the main thread, which starts none itself."""
     return children("/proc/self/task/%d/children" % os.getpid())
 
 
 def is_stopped(first: int | None, pids: Callable[[], list[int]]) -> bool:
-    """Whether all processes are stopped, and there is one; `first` is asked before all others are looked for."""
+    """Return whether all processes are stopped, and at least one exists. `first` is checked before the others are searched."""
     if first is not None and stat_of(first)[:1] != [b"T"]:
         return False
     states = [fields[0] for fields in map(stat_of, pids()) if fields]
@@ -1254,7 +1262,7 @@ def group_of(pid: int) -> int | None:
 
 
 def lives_in(pid: int, group: int) -> bool:
-    """Whether a process is in a group, and more than a zombie that nobody has waited for yet."""
+    """Return whether a process is in a group, and is not a zombie."""
     fields = stat_of(pid)
     return bool(fields) and fields[0] != b"Z" and int(fields[2]) == group
 
@@ -1266,7 +1274,7 @@ def belongs(pid: int, execution: str, group: int | None) -> bool:
 
 
 def has_ended(pid: int) -> bool:
-    """Whether a child has ended, though nobody has waited for it yet."""
+    """Return whether a child has ended, even if nobody has waited for it yet."""
     return hasattr(os, "waitid") and os.waitid(os.P_PID, pid, os.WEXITED | os.WNOWAIT | os.WNOHANG) is not None
 
 
@@ -1293,9 +1301,10 @@ def explain(error: BaseException) -> str:
 
 
 def become_subreaper(*, secretive: bool) -> bool:
-    """Ask to be told of orphans, and to be ended with the process that started this one (Linux only); whether all will be told.
+    """Become the parent of orphans, and end with the process that started this one (Linux only).
 
-    What is in the memory and pipes of one that is `secretive` is nobody's business who has no more rights than it.
+    Return whether all orphans will be found. `secretive`: processes without more rights cannot read this one's memory and
+    pipes.
     """
     if sys.platform != "linux":
         return False
@@ -1321,10 +1330,10 @@ def main(arguments: list[str]) -> int:
     worker = Worker(os.path.abspath(folder), int(slots), journal=journal, adopts=adopts, places=tuple(arguments[3:]))
 
     for number in (signal.SIGQUIT, signal.SIGUSR1, signal.SIGUSR2, signal.SIGALRM):
-        signal.signal(number, signal.SIG_DFL)  # ignored by whoever started this in the background, perhaps
+        signal.signal(number, signal.SIG_DFL)  # perhaps ignored by the process that started this one in the background
     signal.signal(signal.SIGTERM, lambda number, frame: worker.terminate())
     signal.signal(signal.SIGHUP, lambda number, frame: worker.stop())
-    signal.signal(signal.SIGINT, lambda number, frame: None)  # what is ignored here would be ignored by all runs
+    signal.signal(signal.SIGINT, lambda number, frame: None)  # a signal that is ignored here would be ignored by all runs
     finished = worker.work(sys.stdin)
     if worker.failure:
         try:

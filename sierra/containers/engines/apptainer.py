@@ -1,8 +1,9 @@
-"""The engine `apptainer` (singularity-ce is the same): one container a process, of the squashfs of an image.
+"""The engine `apptainer` (also for singularity-ce): one container per process, from the squashfs of an image.
 
-Its client becomes the parent of the container's first process, which ends with it, and the kernel ends all of a container with
-its first process: no container outlives its client, so that `stop` has nothing to do. What the client is asked to end, it hands
-on. All of its own errors end it with status 255, as programs may end too, so that the last line that was said decides.
+Its client becomes the parent of the container's first process, which ends with the client, and the kernel ends all processes of
+a container with its first process. A container therefore never outlives its client, and `stop` has nothing to do. The client
+forwards signals that ask it to end. Each of its own errors ends it with status 255, which programs may also return; the last
+line on standard error then tells the two apart.
 """
 
 from __future__ import annotations
@@ -29,11 +30,17 @@ from sierra.store.layout import StorePaths
 
 SCRIPT = Path(__file__).with_name("environment.sh")
 SOURCED = "/.singularity.d/env/99-zz-sierra.sh"
-"""Where a container has the script that makes its environment: there, they are sourced in the order of their names."""
+"""The path in a container of the script that sets its environment.
+
+Apptainer sources the scripts there in the order of their names.
+"""
 NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 PREFIX = "SIERRA__"
 MARK = "SIERRA_CONTAINERS_OF"
-"""What a client has its session as: in its environment first, then in the configuration (JSON) that it is the parent with."""
+"""The variable by which a client's session is found.
+
+It is first in the client's environment, then in the configuration (JSON) of the process that becomes the container's parent.
+"""
 FAILED = 255
 FATAL = re.compile(r"FATAL: +(.*)")
 COMMAND = re.compile(
@@ -108,7 +115,7 @@ def _options(box: ContainerSpec, process: Process) -> Iterator[str]:
 
 
 def _given(way: Way, box: ContainerSpec, process: Process) -> Iterator[tuple[str, str]]:
-    """The environment of a process, under names that have a meaning for nobody else."""
+    """Yield the environment of a process, under names that have no meaning for any other program."""
     yield f"{way.prefix}{MARK}", box.session
     for name, value in process.environment.items():
         if not NAME.fullmatch(name):

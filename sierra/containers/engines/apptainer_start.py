@@ -1,10 +1,10 @@
-"""How apptainer, or singularity-ce, is started here: found out once, and remembered (`sierra.containers.engines.capabilities`).
+"""The way to start apptainer or singularity-ce here, found by trying and cached by `sierra.containers.engines.capabilities`.
 
-What they allow depends on how they are installed. As root they mount squashfs files by the kernel; a user's namespace needs
-`squashfuse` and a `/dev/fuse` that can be opened, or the files in a folder. A user is root in a namespace of their own where
-the kernel allows it (`unshare`), as in podman, so that programs see the same user. Their administrator's configuration is
-taken, but for what would tell runs about the host: its users, its name servers, its time zone, its file systems, its graphics
-libraries; only an installation with setuid insists on its own.
+Their abilities depend on their installation. As root, they mount squashfs files by the kernel. In a user's namespace, they need
+`squashfuse` and a `/dev/fuse` that can be opened, or else the files in a folder. If the kernel allows it (`unshare`), a user is
+root in a namespace of their own, as with podman, so that programs see the same user. The administrator's configuration is used,
+except for settings that would expose the host to runs: its users, name servers, time zone, file systems and graphics libraries.
+Only an installation with setuid does not allow another configuration.
 """
 
 from __future__ import annotations
@@ -35,26 +35,32 @@ LIMITS = (f"--cpus={CPUS}", f"--pids-limit={PIDS}")
 SETTLED = re.compile(
     r"\s*(bind path|config (passwd|group|resolv_conf)|mount hostfs|always use (nv|rocm)|systemd cgroups)\s*=", re.IGNORECASE
 )
-"""What of the administrator's configuration is not taken."""
+"""The settings of the administrator's configuration that are replaced."""
 HANDED_ON = re.compile(
     r"PATH|HOME|USER|LOGNAME|LANG|LC_\w+|TMPDIR|XDG_\w+|DBUS_SESSION_BUS_ADDRESS|(APPTAINER|SINGULARITY)_(TMPDIR|CACHEDIR|CONFIGDIR)"
 )
-"""What they need of the caller's environment; other variables of theirs would mount or bind what nobody has recorded."""
+"""The variables of the caller's environment that the engine needs.
+
+Its other variables could add mounts that are not recorded.
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class Way:
-    """How to start a container so that it works here."""
+    """One way to start a container, as it works here."""
 
     program: str
     configuration: str
-    """The administrator's; empty where no other one is allowed."""
+    """The path of the administrator's configuration; empty if no other configuration is allowed."""
     mapped: bool
     squashfs: bool
-    """Whether the files of an image may be in a squashfs, or have to be in a folder."""
+    """True if an image can be started from a squashfs; otherwise its files must be in a folder."""
 
     def words(self, *, network: bool = False, files: str = "") -> Iterator[str]:
-        """The command, up to the options that differ between containers. `files`: see `ContainerSpec.files`."""
+        """Yield the words of the command, up to the options that differ between containers.
+
+        `files`: see `ContainerSpec.files`.
+        """
         if self.mapped:
             yield from ("unshare", "--map-root-user", "--")
         yield from (self.program, "--silent")
@@ -64,22 +70,22 @@ class Way:
 
     @property
     def prefix(self) -> str:
-        """What the names of the variables begin with that it hands to containers."""
+        """Return the prefix of the variables whose values the engine passes to containers."""
         return f"{Path(self.program).name.upper()}ENV_"
 
 
 def apptainer() -> Capabilities:
-    """What apptainer, or singularity-ce, can do here."""
+    """Return the abilities of apptainer or singularity-ce on this host."""
     return capabilities.known("apptainer", _ask, _around()).abilities
 
 
 def enforced() -> frozenset[str]:
-    """The limits that hold."""
+    """Return the limits that the engine enforces."""
     return capabilities.settled("apptainer", _ask, _around).abilities.enforced
 
 
 def way() -> Way:
-    """How it is started here; the plainest way where it can't be."""
+    """Return the way in which containers can be started here. If there is none, return the simplest way."""
     found = capabilities.settled("apptainer", _ask, _around)
     if not found.options:
         return Way(NAMES[0], "", mapped=False, squashfs=True)
@@ -88,12 +94,12 @@ def way() -> Way:
 
 
 def environment() -> dict[str, str]:
-    """What it is started with."""
+    """Return the environment in which the engine is started."""
     return {name: value for name, value in os.environ.items() if HANDED_ON.fullmatch(name)}
 
 
 def _around() -> Sequence[str]:
-    """What is to be the same for all to be as it was found."""
+    """Return the paths on which the result depends: it is valid as long as they do not change."""
     programs = [*NAMES, "unshare", "squashfuse", "squashfuse_ll", "fusermount", "fusermount3", "mksquashfs"]
     configuration = [f"{top}/{name}/{name}.conf" for top in ("/etc", "/usr/local/etc") for name in NAMES]
     return [*map(capabilities.found_at, programs), *configuration, "/dev/fuse", "/etc/subuid"]
@@ -130,7 +136,7 @@ def _first_that_works(program: str, version: str) -> Found:
 
 
 def _ways(program: str) -> Iterator[Way]:
-    """From the one that isolates best."""
+    """Yield the possible ways, the one with the best isolation first."""
     said = capabilities.run((program, "buildcfg")).stdout
     match = re.search(r"^(?:APPTAINER|SINGULARITY)_CONF_FILE=(.+)$", said, re.MULTILINE)
     configuration = match[1] if match and _can_be_changed(match[1]) else ""
@@ -142,7 +148,7 @@ def _ways(program: str) -> Iterator[Way]:
 
 
 def _can_be_changed(configuration: str) -> bool:
-    """Whether it can be read, and another one be written."""
+    """Return whether the configuration can be read, and a changed copy can be written."""
     try:
         return bool(_configured(user_apptainer(), configuration, False))
     except OSError:
@@ -159,7 +165,7 @@ def _start(one: Way, limits: Sequence[str], squashfs: Path | None = None) -> Tol
 
 
 def _starts_squashfs(one: Way) -> bool:
-    """Whether a squashfs can be started as it is; where none can be made here, root can, and users not."""
+    """Return whether a squashfs can be started directly. If none can be made here, assume yes for root and no for users."""
     if shutil.which("mksquashfs") is None:
         return os.geteuid() == 0
     with tempfile.TemporaryDirectory(prefix="sierra-probe-") as made:
@@ -171,7 +177,7 @@ def _starts_squashfs(one: Way) -> bool:
 
 
 def _helpers(one: Way, *, squashfs: bool) -> Iterator[str]:
-    """What it uses, beside its own."""
+    """Yield the tools and features that it uses besides its own programs."""
     if not squashfs:
         yield "images in folders"
     elif os.geteuid() != 0:
@@ -184,7 +190,7 @@ def _helpers(one: Way, *, squashfs: bool) -> Iterator[str]:
 
 @cache
 def _configured(folder: Path, configuration: str, network: bool) -> str:
-    """The file of the administrator's configuration with our changes."""
+    """Return the path of a copy of the administrator's configuration with SIERRA's settings."""
     theirs = Path(configuration).read_text(errors="surrogateescape").splitlines()
     systemd = Path("/run/systemd/system").exists()
     ours = {
@@ -198,7 +204,7 @@ def _configured(folder: Path, configuration: str, network: bool) -> str:
 
 
 def kept(folder: Path, text: str, kind: str) -> str:
-    """A file that has this text, named by it."""
+    """Return the path of a file with this text, named by the text's hash. Writes it if it does not exist."""
     data = text.encode(errors="surrogateescape")
     file = folder / f"{sha256(data)[:16]}.{kind}"
     if not file.is_file() or file.read_bytes() != data:

@@ -1,13 +1,13 @@
-"""What contains a run where it is executed: the Engine contract, and the door to find one by name.
+"""The Engine contract: a way to run processes in containers; and the function that finds an engine by name.
 
-Shipped: `none`, `podman` and `apptainer`. Others come as entry points of the group `sierra.engines`, each naming a class
-that fulfils `Engine`; `sierra.testing.engines` holds them to it.
+Shipped engines: `none`, `podman` and `apptainer`. Other packages add engines by entry points of the group `sierra.engines`;
+each names a class that implements `Engine`, and `sierra.testing.engines` tests it.
 
-Engine and runner are independent: an engine turns a process that is to be contained into the client that starts it so, and
-nothing else in the program knows which engine it is. All engines give a process the same: a root that it can't write to,
-no network, no capabilities, the host name `run`, and below `INSIDE` the code, its inputs and its own folders. What else a
-process can write to (`WRITABLE`) is the container's own and none of the host's: the worker removes from there what runs leave
-that share a container.
+Engine and runner are independent: an engine turns a process into the client that starts it in a container, and no other part of
+the program knows which engine it is. All engines give a process the same environment: a read-only root, no network, no
+capabilities, the host name `run`, and below `INSIDE` the code, its inputs and its own folders. The other places where a process
+can write (`WRITABLE`) belong to the container and not to the host. If runs share a container, the worker removes what a run
+leaves there.
 """
 
 from __future__ import annotations
@@ -29,18 +29,21 @@ SHIPPED = {
     "apptainer": "sierra.containers.engines.apptainer:Apptainer",
 }
 INSIDE = "/run/sierra"
-"""Where a container has what SIERRA gives it: `run`, `project` and, for runs that share it, `runs` and `worker.py`."""
+"""The folder in a container with SIERRA's files: `run`, `project` and, if runs share the container, `runs` and `worker.py`."""
 PROJECT = f"{INSIDE}/project"
 PYTHON = "python3"
-"""What `{python}` stands for in a container."""
+"""The value of `{python}` in a container."""
 HOSTNAME = "run"
 WRITABLE = ("/tmp", "/var/tmp", "/run", "/dev", "/dev/shm", "/dev/mqueue")  # noqa: S108 - the container's own
-"""Where runs may write in a container, beside folders of their own, with one engine or another."""
+"""The folders in a container where runs may write with at least one engine, in addition to their own folders."""
 
 
 @dataclass(frozen=True, slots=True)
 class Mount:
-    """A file or folder of the host (NUL in it stands for the run's folder) that a container has, at a path of its own."""
+    """A file or folder of the host that appears in a container at the path `target`.
+
+    NUL in `source` stands for the run's folder.
+    """
 
     source: str
     target: str
@@ -49,113 +52,121 @@ class Mount:
 
 @dataclass(frozen=True, slots=True)
 class ContainerSpec:
-    """What the containers of one session have in common."""
+    """The settings that all containers of one session share."""
 
     image: Image
     reference: str
-    """What the engine calls the image, ready to be started: as `Engine.prepare` gave it."""
+    """The engine's name for the prepared image, as returned by `Engine.prepare`."""
     session: str
     mounts: tuple[Mount, ...] = ()
     network: bool = False
     devices: tuple[str, ...] = ()
     gpu: bool = False
     memory: int | None = None
-    """Bytes, where the engine is to enforce it; likewise cores, and processes with their threads."""
+    """The limit in bytes, if the engine must enforce it.
+
+    `cpus` limits cores, `pids` limits processes including their threads.
+    """
     cpus: float | None = None
     pids: int | None = None
     wall: float | None = None
-    """Seconds after which a container is to end in any case, where that can be had: should nobody be left to end it."""
+    """The seconds after which a container ends in any case, if the engine supports it.
+
+    This covers the case that nothing else ends it.
+    """
     shared: bool = False
-    """Whether one container has many runs, one after the other, rather than one."""
+    """True if one container executes many runs, one after the other; false if each run has its own."""
     files: str = ""
-    """A folder for what the engine itself needs wherever containers are started; empty where that is on this host alone."""
+    """A folder for the engine's own files that all hosts can read; empty if containers start only on this host."""
 
     @property
     def limits(self) -> dict[str, float]:
-        """The limits that are asked for."""
+        """Return the requested limits by name."""
         asked = {"memory": self.memory, "cpus": self.cpus, "pids": self.pids}
         return {name: limit for name, limit in asked.items() if limit is not None}
 
 
 @dataclass(frozen=True, slots=True)
 class Process:
-    """What is to run in a container of its own: paths are those of the container."""
+    """A process to start in a container of its own. All paths except the mounts' sources are paths in the container."""
 
     argv: tuple[str, ...]
     environment: Mapping[str, str]
-    """All of it: nothing of the host's or the image's is added, but what an engine can't leave out."""
+    """The complete environment. Nothing of the host's or the image's is added, except what an engine cannot leave out."""
     mounts: tuple[Mount, ...]
-    """The first is the run's folder, NUL, or in it."""
+    """The mounts. The source of the first one is the run's folder, NUL, or a path in it."""
     folder: str
-    """Where it begins."""
+    """The working directory."""
     interactive: bool = False
-    """Whether it reads the standard input of its client."""
+    """True if it reads the standard input of its client."""
 
 
 @dataclass(frozen=True, slots=True)
 class Capabilities:
-    """What an engine can do on this host, for this user: found out by starting something with it."""
+    """The abilities of an engine on this host for this user, found by starting a container."""
 
     version: str
-    """The engine, and what it uses to start containers, each with its version."""
+    """The versions of the engine and of the programs that it uses to start containers."""
     rootless: bool = False
     enforced: frozenset[str] = frozenset()
-    """Of `memory`, `cpus` and `pids`: the limits that hold; others are not given to it.
+    """The limits among `memory`, `cpus` and `pids` that work. Other limits are not passed to the engine.
 
-    Of memory: a container that has more ends as a whole. (Where the kernel kills one process of it, as control groups of
-    version 1 do, a script may take no notice. The worker's own watch ends all then.)
+    `memory` means that a container which exceeds it ends as a whole. (If the kernel kills only one process of the container, as
+    control groups of version 1 do, a script may not notice. The worker's own check then ends all processes.)
     """
     isolated: bool = True
-    """Whether a container without network has none."""
+    """True if a container without network really has no network."""
     user: str = ""
-    """Who a process of a container is outside of it."""
+    """The host's user to whom a container's processes belong."""
     trouble: str = ""
-    """Why nothing can be started, and what to do about it; empty where all is well."""
+    """The reason why no container can be started, and the remedy; empty if containers work."""
 
 
 class Engine(Protocol):
-    """One way to contain processes. It has no state: an object of it may be made at any time, and used by many threads."""
+    """The contract of an engine. An engine has no state: it may be created at any time and used by many threads."""
 
     name: str
 
     def probe(self) -> Capabilities:
-        """Start something, and say what works; remembered for as long as nothing changes (boot, user, version).
+        """Start a container to find out what works. The result is cached until something changes (boot, user, version).
 
         Never raises.
         """
         ...
 
     def prepare(self, image: Image, root: Path, store: StorePaths) -> str:
-        """Have the image ready; what `client` calls it. Idempotent, quick once it is there, and safe beside others that do the
-        same. What is ready is the image by its content, whatever is called by its name now.
+        """Prepare the image, and return the reference to it that `client` uses.
 
-        Raises Missing: not to be had, for another architecture, damaged, no room.
+        Idempotent, fast if the image is prepared already, and safe if other processes do the same. The prepared image is
+        identified by its content, whatever its name stands for now.
+
+        Raises Missing if the image is unavailable, damaged or for another architecture, or if there is no space.
         """
         ...
 
     def client(self, box: ContainerSpec, process: Process) -> Client:
-        """What starts a process in a container of its own, waits for its end, and ends with its exit status.
+        """Return the client that starts a process in a container of its own, waits for its end, and ends with its exit status.
 
-        Its standard output and error are the process's. SIGTERM ends the process likewise. `stop` of it is a command that ends
-        the container if it is still there, also where the client is gone (it may be empty where that can't be).
+        Its standard output and error are those of the process. SIGTERM to the client ends the process too. Its `stop` is a
+        command that ends the container if it still exists, even if the client is gone (it may be empty if that cannot happen).
         """
         ...
 
     def sweep(self, sessions: Sequence[str]) -> None:
-        """End and remove all containers of these sessions, whoever started them; there may be none."""
+        """End and remove all containers of these sessions, no matter which process started them; there may be none."""
         ...
 
     def classify(self, result: Result, said: str, enforced: AbstractSet[str]) -> Result:
-        """What became of the process, from how its client ended and the end of what was `said` on standard error.
+        """Return the result of the process, derived from the client's result and the end of its standard error in `said`.
 
-        A signal that ended the process is the result's `signal`; a limit among `enforced` its `stopped`; what the engine
-        itself failed at (no image, no such command, no rights) its `error`. All else stays as it is.
+        A signal that ended the process becomes `signal`. An exceeded limit among `enforced` becomes `stopped`. An error of the
+        engine itself (no image, no such command, no permission) becomes `error`. All other fields stay as they are.
         """
         ...
 
 
 class NoEngine:
-    """The engine `none`: the program runs as it is."""
+    """The engine `none`: programs run without a container."""
 
     name = "none"
 
@@ -176,11 +187,11 @@ class NoEngine:
 
 
 def find(name: str) -> Engine:
-    """The engine of that name. Raises ConfigError where there is none."""
+    """Return the engine with this name. Raises ConfigError if there is none."""
     made: Engine = entry_points.find("engine", SHIPPED, name)()
     return made
 
 
 def names() -> tuple[str, ...]:
-    """The engines that are known here."""
+    """Return the names of all engines that are known here."""
     return entry_points.names("engine", SHIPPED)

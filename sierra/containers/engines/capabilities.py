@@ -1,11 +1,11 @@
-"""What engines can do here, found out by starting something with them, and remembered until something changes.
+"""The abilities of engines on this host, found by starting a container and cached until something changes.
 
-No image is needed: a container gets a folder with nothing in it, the host's programs are mounted there read-only, and the
-host's own shell tells what it sees: who it is outside, which network there is, whether the limits that were asked for are set,
-and whether the kernel ends all of it for one.
+No image is needed: the container's root is an empty folder in which the host's programs are mounted read-only. The host's own
+shell then reports what it sees in the container: its user outside of it, the networks, whether the requested limits are set,
+and whether the kernel ends the whole container if one process uses too much memory.
 
-What was found holds for a boot, a user, and the same engine, helpers and configuration (by path, size and time of change).
-That an engine can't start anything is never remembered: whoever has mended it should not have to wait.
+A result is valid for one boot, one user, and the same engine, helpers and configuration (by path, size and time of change). A
+failure to start a container is never cached, so that a repair takes effect at once.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ from sierra.util.cache import Cache
 
 MOST = 64
 DECIDING = ("PATH", "HOME", "CONTAINERS_CONF", "XDG_CONFIG_HOME", "XDG_CACHE_HOME")
-"""Variables whose change, within a process, makes another surrounding."""
+"""The variables whose change within a process requires a new check."""
 PATIENCE_S = 20.0
 SHARED = ("usr", "bin", "sbin", "lib", "lib32", "lib64")
-"""What of the host makes its shell run in a container."""
+"""The folders of the host that its shell needs in a container."""
 OWN = ("dev", "etc", "proc", "run", "sys", "tmp", "var")
 MEMORY, CPUS, PIDS = 64 << 20, 0.5, 90
-"""The limits that are asked for to see whether they hold."""
+"""The limits that are requested to test whether they are enforced."""
 TELL = r"""
 echo "user $(id -u) $(head -n 1 /proc/self/uid_map)"
 for card in $(cut -s -d : -f 1 /proc/net/dev); do test "$card" = lo || echo "card $card"; done
@@ -57,22 +57,22 @@ done < /proc/self/cgroup
 echo told
 """
 FILL = "head -c 192m /dev/zero 2>/dev/null | tail -c 192m >/dev/null 2>&1; echo on"
-"""A script of which a part needs more memory than it may have."""
+"""A script in which one part needs more memory than is allowed."""
 QUOTAS = {"cpu.max": ("50000 100000", "cpus"), "cpu.cfs_quota_us": ("50000", "cpus"), "pids.max": (f"{PIDS}", "pids")}
 
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """What was found out about an engine."""
+    """The result of testing an engine."""
 
     abilities: Capabilities
     options: tuple[str, ...] = ()
-    """What it must be told, beyond what it is told always, so that it works here."""
+    """The engine's additional options that are needed here."""
 
 
 @dataclass(frozen=True, slots=True)
 class Told:
-    """What a container that was started told, or why it could not be."""
+    """The report of a test container, or the reason why it could not start."""
 
     trouble: str = ""
     rootless: bool = False
@@ -82,23 +82,23 @@ class Told:
 
 
 def podman() -> Capabilities:
-    """What podman can do here."""
+    """Return the abilities of podman on this host."""
     able = known("podman", _podman, _around_podman()).abilities
     return able if able.trouble else replace(able, trouble=podman_config.trouble())
 
 
 def podman_options() -> tuple[str, ...]:
-    """Podman's own options, before any command, with which it works here."""
+    """Return podman's global options, which stand before any command, with which it works here."""
     return settled("podman", _podman, _around_podman).options
 
 
 def podman_enforced() -> frozenset[str]:
-    """The limits that hold in podman's containers."""
+    """Return the limits that podman enforces in its containers."""
     return settled("podman", _podman, _around_podman).abilities.enforced
 
 
 def known(name: str, ask: Callable[[], Found], around: Sequence[str]) -> Found:
-    """What is remembered of an engine that is the same as then, in the same surroundings; else what it says now."""
+    """Return the cached result for an engine if the engine and its surroundings are unchanged; otherwise test it with `ask`."""
     key = json.dumps([name, _boot(), os.geteuid(), *(_state(path) for path in around), *_variables()])
     found = _WORKS.get(key) or _known(name, ask, key)
     if not found.abilities.trouble:
@@ -107,7 +107,7 @@ def known(name: str, ask: Callable[[], Found], around: Sequence[str]) -> Found:
 
 
 def settled(name: str, ask: Callable[[], Found], around: Callable[[], Sequence[str]]) -> Found:
-    """The same for as long as this process runs, in the same environment: for what is asked with each run."""
+    """Return the result of `known`, cached for this process and its environment, because every run needs it."""
     return _settled(name, ask, around, (os.geteuid(), *map(os.environ.get, DECIDING)))
 
 
@@ -117,7 +117,7 @@ def _settled(name: str, ask: Callable[[], Found], around: Callable[[], Sequence[
 
 
 _WORKS: dict[str, Found] = {}
-"""What this process has found to work, also where nothing can be remembered."""
+"""The successful results of this process, which are available even if the cache cannot be written."""
 
 
 def _known(name: str, ask: Callable[[], Found], key: str) -> Found:
@@ -154,9 +154,9 @@ def start(
     *,
     fill: bool = False,
 ) -> Told:
-    """Start a container; `words` makes the command from the folder that is its root and from what is mounted there.
+    """Start a container and return its report. `words` makes the command from its root folder and its mounts.
 
-    `fill` is to use more memory than it may have, where that is limited.
+    `fill`: use more memory than the limit allows.
     """
     with tempfile.TemporaryDirectory(prefix="sierra-probe-") as made:
         root = Path(made)
@@ -167,7 +167,7 @@ def start(
 
 
 def run(command: Sequence[str], environment: Mapping[str, str] | None = None) -> subprocess.CompletedProcess[str]:
-    """A command to its end, or to that of our patience: it has failed then."""
+    """Run a command to its end, or until the timeout, which counts as a failure."""
     try:
         return subprocess.run(
             command,
@@ -187,7 +187,7 @@ def run(command: Sequence[str], environment: Mapping[str, str] | None = None) ->
 
 
 def remedy(name: str, said: str) -> str:
-    """What an engine complained of, in one line, with what to do about it."""
+    """Return an engine's error in one line, with the remedy if it is known."""
     lines = [line.strip() for line in said.splitlines() if line.strip()]
     for pattern, advice in KNOWN:
         if re.search(pattern, said):
@@ -214,7 +214,7 @@ KNOWN = (
     (r"(?i)no space left on device", "there is no room on the disk"),
     (r"capability set .* while permitted", "its default capabilities are more than root has here"),
 )  # fmt: skip
-"""What engines say that can't start anything, and what helps."""
+"""Patterns of errors with which engines fail to start containers, each with its remedy."""
 
 
 def _told(said: subprocess.CompletedProcess[str]) -> Told:
@@ -223,7 +223,7 @@ def _told(said: subprocess.CompletedProcess[str]) -> Told:
     lines = [line.partition(" ")[::2] for line in said.stdout.splitlines()]
     enforced = {limit for name, value in lines if name in QUOTAS for wanted, limit in [QUOTAS[name]] if value == wanted}
     if "\non\n" not in said.stdout:
-        enforced.add("memory")  # it was killed as a whole: where a part of it is, a script may take no notice
+        enforced.add("memory")  # killed as a whole: if only a part is killed, a script may not notice
     user = 0
     for name, value in lines:
         if name == "user":
@@ -240,7 +240,7 @@ def _called(user: int) -> str:
 
 
 def furnish(root: Path) -> dict[str, str]:
-    """Make an empty folder the root of a container; what is to be mounted there, by its path inside."""
+    """Turn an empty folder into a container's root, and return the mounts that it needs: host paths by their path inside."""
     root.chmod(0o755)
     for name in OWN:
         (root / name).mkdir()
@@ -256,7 +256,7 @@ def furnish(root: Path) -> dict[str, str]:
 
 
 def _podman() -> Found:
-    """Start a container with podman, as it is, and with runc where it doesn't work so."""
+    """Test podman by starting a container: as it is, and otherwise with runc or with cgroupfs."""
     if shutil.which("podman") is None:
         return Found(
             Capabilities("podman", trouble="podman is not installed; apt-get install podman, or what your distribution has")
@@ -282,7 +282,7 @@ def _podman() -> Found:
 
 
 def podman_memory(size: int) -> tuple[str, ...]:
-    """The options by which a container of podman is killed as a whole where it has more memory: control groups of version 2."""
+    """Return podman's options to kill a whole container that uses more memory. Empty without control groups of version 2."""
     unified = Path("/sys/fs/cgroup/cgroup.controllers").exists()
     return (f"--memory={size}", f"--memory-swap={size}", "--cgroup-conf=memory.oom.group=1") if unified else ()
 
@@ -297,7 +297,7 @@ def _podman_words(options: Sequence[str], limits: Sequence[str], root: Path, mou
 
 
 def _podman_version(options: Sequence[str], version: str) -> str:
-    """Podman, and what it starts containers with, each with its version."""
+    """Return the versions of podman and of the programs with which it starts containers."""
     asked = (
         "{{.Host.OCIRuntime.Name}}\n{{.Host.OCIRuntime.Version}}\n\n{{.Host.Conmon.Version}}\ncgroups {{.Host.CgroupsVersion}}"
     )
@@ -323,12 +323,12 @@ def _around_podman() -> tuple[str, ...]:
 
 
 def found_at(program: str) -> str:
-    """Where a program is; as PATH has it, and also where only root has it on the PATH."""
+    """Return the path of a program, also from folders that only root has on the PATH; its name if it is not found."""
     return shutil.which(program) or shutil.which(program, path="/usr/sbin:/sbin:/usr/local/sbin:/usr/libexec/podman") or program
 
 
 def _variables() -> Iterator[str]:
-    """What of the environment engines heed."""
+    """Yield the variables of the environment that influence engines."""
     for name in sorted(os.environ):
         if re.match(r"(CONTAINERS|STORAGE|APPTAINER|SINGULARITY|XDG)_|PATH$|HOME$", name):
             yield f"{name}={os.environ[name]}"

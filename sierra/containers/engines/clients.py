@@ -1,4 +1,4 @@
-"""What the clients of all engines have in common: how they read mounts, and how their ends are read."""
+"""Functions that the clients of all engines share: the syntax of mounts, and the interpretation of exit statuses."""
 
 from __future__ import annotations
 
@@ -14,24 +14,27 @@ SIGNALLED = 128
 
 
 def mounted(mount: Mount) -> str:
-    """A mount as clients read it: a line of CSV. Raises Missing for a path that can't stand in one."""
+    """Return the option for a mount, a line of CSV. Raises Missing for a path that cannot be written in it."""
     if '"' in mount.source or "\n" in mount.source:
         raise Missing(f"{mount.source!r} cannot be mounted into a container; take a path without quotes and line feeds")
     return f'--mount=type=bind,"source={mount.source}","destination={mount.target}"{"" if mount.writable else ",ro"}'
 
 
 def last_line(said: str) -> str:
-    """The last line of what was said; empty where nothing was."""
+    """Return the last line of a text; empty for an empty text."""
     return (said.strip().splitlines() or [""])[-1]
 
 
 def killed(name: str, result: Result) -> Result:
-    """The result of a client that a signal has ended."""
+    """Return the result of a client that was ended by a signal."""
     return replace(result, error=f"{name} was ended by signal {result.signal}, and its container with it")
 
 
 def signalled(result: Result, enforced: AbstractSet[str]) -> Result:
-    """The result, with the signal that ended its process: as in a shell, 128 and its number are the exit status then."""
+    """Return the result with the signal that ended the process.
+
+    As in a shell, the exit status is then 128 plus the signal's number.
+    """
     number = (result.exit_code or 0) - SIGNALLED
     if result.error is not None or not 0 < number < 65:
         return result

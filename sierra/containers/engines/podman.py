@@ -1,8 +1,8 @@
-"""The engine `podman`: one container a process, of OCI images, with or without root.
+"""The engine `podman`: one container per process, from OCI images, with or without root.
 
-podman's containers outlive their client: `conmon` holds them. So each has its id in the run's folder and its session as a
-label, and is removed by these. Its first process is podman's own init, which passes signals on and waits for orphans.
-What a container is called, and what podman itself prints, is nothing of the run's.
+podman's containers outlive their client, because `conmon` holds them. Each container therefore has its id in a file in the
+run's folder and its session as a label, and is removed by these. Its first process is podman's own init, which forwards signals
+and waits for orphans. A run sees neither the container's name nor podman's own output.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ CID = "\0/.cid"
 HANDED_ON = re.compile(
     r"PATH|HOME|USER|LOGNAME|LANG|LC_\w+|TMPDIR|XDG_\w+|DBUS_SESSION_BUS_ADDRESS|CONTAINERS_\w+|STORAGE_\w+|BUILDAH_\w+|SSL_CERT_\w+"
 )
-"""What podman itself needs of the caller's environment."""
+"""The variables of the caller's environment that podman itself needs."""
 MOST_FILES = 16384
-"""Open files, and processes, that a container may have: podman's own default is more than some hosts allow."""
+"""The greatest number of open files, and of processes, in a container. Some hosts do not allow podman's own, higher default."""
 FAILED, NOT_EXECUTABLE, NOT_FOUND = 125, 126, 127
 INIT = re.compile(r"ERROR \(catatonit:\d+\): failed to exec pid1: (.*)")
 ERROR = re.compile(r"Error: (.*)")
@@ -80,16 +80,16 @@ class Podman:
 
 
 def environment(session: str) -> dict[str, str]:
-    """What podman is started with."""
+    """Return the environment in which podman is started."""
     return {**{name: value for name, value in os.environ.items() if HANDED_ON.fullmatch(name)}, "SIERRA_SESSION": session}
 
 
 def _options(box: ContainerSpec, process: Process, enforced: AbstractSet[str]) -> Iterator[str]:
     yield from ("--rm", "--init", "--pull=never", "--log-driver=none", f"--cidfile={CID}", f"--label={LABEL}={box.session}")
     yield from ("--read-only", "--read-only-tmpfs=false", "--tmpfs=/run:rw,nosuid,nodev,mode=755", "--no-hosts")
-    yield from ("--image-volume=ignore", "--no-healthcheck")  # else an image has writable folders, and programs beside the run
+    yield from ("--image-volume=ignore", "--no-healthcheck")  # else an image adds writable folders and programs beside the run
     yield from ("--cap-drop=all", "--security-opt=no-new-privileges", "--user=0:0", f"--hostname={HOSTNAME}", "--tz=UTC")
-    yield from ("--pid=private", "--ipc=private", "--umask=0022")  # whatever containers.conf says
+    yield from ("--pid=private", "--ipc=private", "--umask=0022")  # independent of containers.conf
     yield from (f"--ulimit={name}={_allowed(kind)}" for name, kind in (("nofile", "NOFILE"), ("nproc", "NPROC")))
     yield "--network=host" if box.network else "--network=none"
     if process.interactive:
@@ -120,7 +120,7 @@ def _allowed(kind: str) -> str:
 
 
 def _podman(*words: str, session: str) -> str:
-    """What podman says; empty where it is not there, or fails."""
+    """Return podman's standard output; empty if podman cannot be started."""
     try:
         told = subprocess.run(("podman", *words), capture_output=True, text=True, env=environment(session), check=False)
     except OSError:

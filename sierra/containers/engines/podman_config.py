@@ -1,7 +1,7 @@
-"""What podman's configuration gives to all containers, which no option of a single one takes away.
+"""The settings of podman's configuration that affect all containers and that no option of a single container can remove.
 
-Files are read as podman does (containers.conf(5)): each says over what those before it say, and where a variable names one, no
-other counts.
+The files are read as podman reads them (containers.conf(5)): a later file overrides an earlier one. If a variable names a file,
+only that file is used.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ NAME = "containers.conf"
 
 
 def trouble() -> str:
-    """Why runs would reach what nobody has recorded, and what to do about it; empty where they don't."""
+    """Return why runs would have access to things that are not recorded, and the remedy; empty if they have no such access."""
     found: dict[str, Path] = {}
     for file in _files():
         try:
             said = tomllib.loads(file.read_text("utf-8")).get("containers", {})
-        except (OSError, ValueError):  # podman says so itself
+        except (OSError, ValueError):  # podman reports this error itself
             continue
         for key in KEYS:
             if key in said:

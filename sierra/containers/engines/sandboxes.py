@@ -1,8 +1,8 @@
-"""The files of an image in a folder, for apptainer where it can't mount a squashfs.
+"""The files of an image in a folder, for apptainer where it cannot mount a squashfs.
 
-A folder can be changed by whoever owns it, so that each file's state (which no program can set: `sierra.provenance.hash_cache`)
-is remembered as it was just after unpacking. A folder that is not in that state any more, or of which nobody remembers one,
-is unpacked anew. Each user has one of their own beside the squashfs: nobody can vouch for another's.
+The owner of a folder can change it. Therefore the state of each file just after unpacking is recorded (no program can set it:
+`sierra.provenance.hash_cache`). A folder whose state has changed, or has no recorded state, is unpacked again. Each user has a
+folder of their own beside the squashfs, because nobody can vouch for another user's folder.
 """
 
 from __future__ import annotations
@@ -26,7 +26,10 @@ MOST = 64
 
 
 def ready(squashfs: Path, identity: str, folder: Path) -> Path:
-    """The files of a squashfs (or of the one in a SIF) in `folder`, unpacked if need be. Raises Missing where that fails."""
+    """Return `folder` with the files of a squashfs (or of the one in a SIF).
+
+    Unpacks it if necessary. Raises Missing if that fails.
+    """
     folder.parent.mkdir(parents=True, exist_ok=True)
     with _alone(folder):
         remembered = Cache(user_engines(), MOST)
@@ -40,7 +43,7 @@ def ready(squashfs: Path, identity: str, folder: Path) -> Path:
 
 
 def state(folder: Path) -> str:
-    """A hash of what the kernel says of each file below a folder; empty where there is none."""
+    """Return a hash of the kernel's data about each file below a folder; empty if there is no such folder."""
     if not folder.is_dir():
         return ""
     digest = hashlib.sha256()
@@ -81,7 +84,7 @@ def _unpack(squashfs: Path, folder: Path) -> None:
 
 
 def _remove(folder: Path) -> None:
-    """Remove a folder, also where an image has made parts of it read-only."""
+    """Remove a folder, even if the image has made parts of it read-only."""
     if folder.is_symlink() or not folder.is_dir():
         return
     for root, _, _ in os.walk(folder):
@@ -92,7 +95,7 @@ def _remove(folder: Path) -> None:
 
 @contextlib.contextmanager
 def _alone(folder: Path) -> Iterator[None]:
-    """One process of this user at a time."""
+    """Hold a lock, so that only one process of this user at a time works on the folder."""
     descriptor = os.open(folder.with_name(f".{folder.name}.lock"), os.O_CREAT | os.O_RDWR | os.O_CLOEXEC, 0o600)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX)

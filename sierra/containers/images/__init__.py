@@ -1,9 +1,9 @@
-"""Images: the files that runs see in containers. What they are called, what they are, what is in them, and how they are made.
+"""Container images: their names, their identities, their contents, and how they are built.
 
-`image` has the noun, and says what identifies one. `named` finds the image that a name stands for, `take` writes its id to
-`sierra.lock`, `pinned` is the image that runs use, `verify` checks before they execute that it has not changed. `contents`
-lists the files in an image, `rootfs` is what apptainer runs. The formats are `oci`, `sif` and `squashfs`; `podman_storage`
-calls podman.
+`image` defines an image and its identity. `named` finds the image that a name stands for, `take` writes its id to
+`sierra.lock`, `pinned` returns the image that runs use, and `verify` checks before an execution that it has not changed.
+`contents` lists the files in an image, `rootfs` is the squashfs that apptainer runs. The formats are `oci`, `sif` and
+`squashfs`; `podman_storage` calls podman.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
-"""Building an image from a recipe, so that two builds give one id.
+"""Reproducible builds of an image from a Containerfile folder: two builds give the same id.
 
-An executable `rootfs` in the recipe is run first, in a copy of the folder, with the path of the tar that it must write: the
-files of a base image, made from a distribution's packages, because there is no registry to take one from. What else it puts
-into the folder, as wheels, is there for the Containerfile too. Then podman builds, without network, without a cache, and with
-one time for all files: that of SOURCE_DATE_EPOCH, else EPOCH. Nor do rights depend on the umask of whoever builds.
+An executable `rootfs` in the folder is run first, in a copy of the folder, with the path of the tar that it must write: the
+files of a base image, made from a distribution's packages, because no registry is used. Other files that it adds to the folder,
+such as wheels, are also available to the Containerfile. Then podman builds without network and without a cache. All files get
+one time: SOURCE_DATE_EPOCH, or else EPOCH. Permissions do not depend on the user's umask.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ from sierra.errors import ConfigError, Missing
 TAR = "rootfs.tar"
 EPOCH = 1700000000
 ERROR = re.compile(r"(E: |ERROR|error|dpkg: error|.*:\d+: (fatal )?error: )")
-"""How a line begins that says what went wrong: to apt, pip, dpkg, a compiler."""
+"""The beginning of a line that reports an error: from apt, pip, dpkg or a compiler."""
 
 
 def build(root: Path, name: str, *, network: bool = False) -> Image:
-    """Build a recipe of the project, and tag it; what the name stands for then. Nothing is left of what fails.
+    """Build and tag an image from a Containerfile folder of the project, and return it. A failed build leaves nothing behind.
 
     `network` lets the Containerfile's commands use the network; `rootfs` always may. Raises Missing, ConfigError.
     """
@@ -55,7 +55,7 @@ def build(root: Path, name: str, *, network: bool = False) -> Image:
 
 
 def _run_rootfs(name: str, context: Path, epoch: int) -> None:
-    """Let the recipe make the tar of its base. Raises Missing with what it said of why, where it fails."""
+    """Run `rootfs`, which makes the tar of the base image. Raises Missing with the reason if it fails."""
     if not os.access(context / ROOTFS, os.X_OK):
         raise ConfigError(f"{name}/{ROOTFS} is no program, so nothing makes the base's files; run: chmod +x {name}/{ROOTFS}")
     target = context / TAR
@@ -78,9 +78,9 @@ def _how(status: int) -> str:
 
 
 def _why(said: str) -> str:
-    """The line that tells why: one about room on the disk before all others, else the first of an error.
+    """Return the line that gives the reason of a failure: one about disk space if there is one, else the first error.
 
-    What comes after it only says what could not be done therefore: mmdebstrap ends with "mmdebstrap failed to run".
+    Later lines only report the consequences: mmdebstrap ends with "mmdebstrap failed to run".
     """
     lines = [line.strip() for line in said.splitlines() if line.strip()]
     full = next((line for line in lines if "No space left on device" in line), "")
@@ -89,7 +89,7 @@ def _why(said: str) -> str:
 
 
 def _settle(context: Path, epoch: int) -> None:
-    """One time for all files, and the rights that git knows: podman's build takes both over from the context."""
+    """Give all files the same time, and the permissions that git records. podman's build copies both from the context."""
     for path in (context, *context.rglob("*")):
         if not path.is_symlink():
             path.chmod(0o755 if path.is_dir() or path.stat().st_mode & stat.S_IXUSR else 0o644)

@@ -1,4 +1,4 @@
-"""A recipe: a folder with a `Containerfile`, and perhaps a program `rootfs` that makes the base image's files."""
+"""A Containerfile folder: a `Containerfile`, and optionally a program `rootfs` that makes the base image's files."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ from sierra.util.hashing import digest, sha256_file
 
 CONTAINERFILE, ROOTFS = "Containerfile", "rootfs"
 LABEL = "org.sierra.recipe"
-"""The label that an image has of the recipe that it was built by."""
+"""The label of an image that contains the id of its Containerfile folder."""
 
 
 def is_recipe(path: Path | None) -> bool:
-    """Whether it is a folder that an image is built from."""
+    """Return whether a path is a folder from which an image can be built."""
     return path is not None and (path / CONTAINERFILE).is_file()
 
 
 def identity(folder: Path) -> str:
-    """The id of a recipe: of its files' names, contents, and whether they are programs."""
+    """Return the id of a Containerfile folder: a hash of its files' names and contents, and of which files are executable."""
     files = (path for path in sorted(folder.rglob("*")) if path.is_symlink() or path.is_file())
     return digest("image recipe", {"files": [list(_file(folder, path)) for path in files]})
 
 
 def text(folder: Path, label: str) -> str:
-    """What a recipe says, its `rootfs` and its Containerfile; empty where it is not the one that the label names."""
+    """Return the text of `rootfs` and the Containerfile; empty if the folder's id is not the one in the label."""
     if not label or not is_recipe(folder) or identity(folder) != label:
         return ""
     files = [folder / name for name in (ROOTFS, CONTAINERFILE) if (folder / name).is_file()]

@@ -1,4 +1,4 @@
-"""What differs between two images, by what is in them: packages by name, and files by path."""
+"""The differences between the contents of two images: packages by name, and files by path."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from sierra.provenance.program import by_likelihood
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """A package or a file that only one of two images has, or that is another in them."""
+    """A package or file that only one of two images has, or that differs between them."""
 
     name: str
     was: str | None
-    """A package's version; of a file, what makes it another: SHA-256, link or mode. None where it was not there."""
+    """A package's version, or a file's SHA-256, link target, or type and mode. None if the first image does not have it."""
     now: str | None
     text: str
-    """In a few words."""
+    """A short description of the change."""
 
 
 def packages(
     was: Mapping[str, Sequence[str]], now: Mapping[str, Sequence[str]], words: frozenset[str] = frozenset()
 ) -> dict[str, list[Change]]:
-    """Return the packages that differ, by package manager, those that `words` name first.
+    """Return the packages that differ, by package manager. Packages that `words` name come first.
 
     The lists are those of `sierra.containers.images.packages`.
     """
@@ -45,7 +45,7 @@ def _packages(was: Sequence[str], now: Sequence[str], words: frozenset[str]) -> 
 
 
 def _versions(lines: Sequence[str]) -> dict[str, str]:
-    """Versions by name; of what is installed more than once, all of them."""
+    """Return the versions by name. If a package is installed more than once, its versions are joined."""
     found: dict[str, list[str]] = {}
     for line in lines:
         name, _, version = line.partition("==")
@@ -54,7 +54,10 @@ def _versions(lines: Sequence[str]) -> dict[str, str]:
 
 
 def files(was: bytes, now: bytes) -> list[Change]:
-    """The files that differ in two listings of images, programs and libraries first; of folders, those of another mode."""
+    """Return the files that differ between two listings of images, programs and libraries first.
+
+    A folder is included only if both images have it with different modes.
+    """
     before, after = set(was.splitlines()), set(now.splitlines())
     old, new = _entries(before - after), _entries(after - before)
     pairs = [(path, old.get(path), new.get(path)) for path in old.keys() | new.keys()]
@@ -62,7 +65,7 @@ def files(was: bytes, now: bytes) -> list[Change]:
 
 
 Pair = tuple[str, Mapping[str, Any] | None, Mapping[str, Any] | None]
-"""A path, and what each of two images has there."""
+"""A path, and its entry in each of two images."""
 
 
 def _entries(lines: set[bytes]) -> dict[str, dict[str, Any]]:
@@ -70,7 +73,7 @@ def _entries(lines: set[bytes]) -> dict[str, dict[str, Any]]:
 
 
 def _counts(pair: Pair) -> bool:
-    """Folders that come and go, with what is in them, do not."""
+    """Return whether a difference is reported. Added and removed folders are not, because their files are."""
     _, was, now = pair
     return (was is not None and now is not None) or (was or now or {})["type"] != "folder"
 

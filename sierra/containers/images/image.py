@@ -1,12 +1,12 @@
-"""An image: the files that a run sees in the place of the machine's own, identified by content.
+"""Container images: the files that a run sees instead of the machine's own, identified by content.
 
-Names move, files are copied, manifests are written anew by every store; what stays is
+Names change, files are copied, and every image store writes its own manifests. These identifiers stay the same:
 
-* of an OCI image, `sha256:` and the digest of its configuration, which names the digest of each layer's files (the manifest's
-  digest is another one in every form that the image is kept in, so it identifies nothing);
-* of a squashfs, plain or in a SIF, `squashfs:` and the SHA-256 of the file system (a signature changes the SIF, not this).
+* for an OCI image, `sha256:` and the digest of its configuration, which names the digest of each layer's files (the manifest's
+  digest differs between the forms in which an image is stored, so it cannot identify the image);
+* for a squashfs, plain or in a SIF, `squashfs:` and the SHA-256 of the file system (a signature changes the SIF, but not this).
 
-A squashfs that SIERRA made from an OCI image is that image: its id stays the OCI one.
+A squashfs that SIERRA made from an OCI image keeps the id of that OCI image.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ ARCHITECTURES = {
     "riscv64": "riscv64",
     "s390x": "s390x",
 }
-"""What the kernel calls a processor's architecture, and what OCI does."""
+"""The OCI name of each processor architecture, by the kernel's name."""
 
 ID = re.compile(r"(sha256|squashfs):[0-9a-f]{64}")
 
 
 class Kind(StrEnum):
-    """What an image is made of."""
+    """The form of an image, which decides how it is identified."""
 
     OCI = "oci"
     SQUASHFS = "squashfs"
@@ -40,34 +40,34 @@ class Kind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Image:
-    """One image, as a project names it, and what it is."""
+    """One image: the name that a project uses, and its content identity."""
 
     name: str
     id: str
     kind: Kind
     architecture: str
-    """As OCI calls it: amd64, arm64, …; empty where it does not say."""
+    """The architecture in OCI's terms: amd64, arm64, …; empty if the image does not state it."""
     layers: tuple[str, ...]
-    """The digests of the layers' files, from the lowest; none of a squashfs."""
+    """The digests of the layers' files, from the lowest layer; empty for a squashfs."""
     variables: Mapping[str, str]
-    """What the image sets for its programs."""
+    """The environment variables that the image sets for its programs."""
     file: str = ""
-    """Where it is a file: its path, from the project's root where it lies in there; empty for a tag."""
+    """The path of an image file, relative to the project's root if it is inside the project; empty for a tag."""
     sha256: str = ""
-    """SHA-256 of that file."""
+    """The SHA-256 of that file."""
 
     @property
     def folder(self) -> str:
-        """Its id as a file name."""
+        """Return the image's id as a file name."""
         return self.id.replace(":", "-")
 
 
 def machine() -> str:
-    """This machine's architecture as OCI calls it."""
+    """Return this machine's architecture in OCI's terms."""
     return ARCHITECTURES.get(platform.machine(), platform.machine())
 
 
 def short(identity: str) -> str:
-    """An image's id as it is shown to people."""
+    """Return an image's id in short form, for display."""
     kind, _, digest = identity.partition(":")
     return f"{kind}:{digest[:12]}"

@@ -1,7 +1,8 @@
-"""What is in an image, found out once: its files with their hashes, its packages, labels, and how it was made.
+"""The contents of an image: its files with their hashes, its packages, its labels, and how it was made.
 
-It is kept in `.sierra/images/<id>/` beside the squashfs that apptainer runs, and all of it can be made again from the image.
-Everything is written beside its place and renamed, so that processes that find out the same at once do not meet.
+They are kept in `.sierra/images/<id>/`, next to the squashfs that apptainer runs. All of them can be made again from the image.
+Every file is written under a temporary name and then renamed, so that processes that inspect the same image at the same time do
+not disturb each other.
 """
 
 from __future__ import annotations
@@ -33,35 +34,35 @@ FORMAT = 1
 UNFINISHED = re.compile(r"\.(saved\.\w+|image\.json|files\.jsonl|rootfs\.(sqfs|\d+))\.\d+")
 FOLDER = re.compile(r"[a-z0-9]+-[0-9a-f]{64}")
 DEFAULT_PATH = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin"
-"""Where engines look for programs of an image that does not say."""
+"""The PATH that engines use if an image does not set one."""
 EXECUTABLE = 0o111
 
 
 @dataclass(frozen=True)
 class Contents:
-    """What is in an image."""
+    """The contents of an image."""
 
     image: Image
     form: str
-    """How it was read: docker-archive, oci-archive, oci, sif or squashfs."""
+    """The form that was read: docker-archive, oci-archive, oci, sif or squashfs."""
     manifests: Mapping[str, str]
-    """Digests of its manifests, by the form in which they were seen; they differ from form to form."""
+    """The digests of its manifests, by the form in which each was seen; every form has its own."""
     config: Mapping[str, Any]
     labels: Mapping[str, str]
     packages: Mapping[str, tuple[str, ...]]
     recipe: str
-    """The recipe that it was built by, the definition file of a SIF, or what its history says of how it was made."""
+    """The text of its Containerfile folder, the definition file of a SIF, or the build steps in its history."""
     created: str
     size: int
-    """Bytes of its files."""
+    """The total size of its files in bytes."""
     listing: bytes
-    """Its files, a JSON object a line, by path."""
+    """The list of its files by path, one JSON object per line."""
     squashfs: str = ""
-    """SHA-256 of the squashfs that was made of it; empty where there is none."""
+    """The SHA-256 of the squashfs that was made from it; empty if there is none."""
 
     @classmethod
     def of_row(cls, row: Mapping[str, Any], listing: bytes) -> Contents:
-        """What a row of the table `images` has, with the listing that it names."""
+        """Return the contents from a row of the table `images` and the listing that the row names."""
         variables, layers = json.loads(row["variables"]), tuple(row["layers"] or ())
         image = Image(row["name"], row["image"], Kind(row["kind"]), row["architecture"] or "", layers, variables)
         return cls(
@@ -80,21 +81,21 @@ class Contents:
 
     @property
     def user(self) -> str:
-        """The user that the image names for its programs, unless that is root; engines are told another one."""
+        """Return the user that the image sets for its programs; empty for root. Engines ignore this user."""
         said = str((self.config.get("config") or {}).get("User") or "")
         return "" if said.partition(":")[0] in ("", "0", "root") else said
 
     @cached_property
     def files(self) -> dict[str, Entry]:
-        """Every path of it, without a slash before it."""
+        """Return every path of the image with its entry. Paths have no leading slash."""
         entries = (Entry(**json.loads(line)) for line in self.listing.splitlines())
         return {entry.path: entry for entry in entries}
 
     def program(self, word: str, path: str | None = None) -> str | None:
-        """The path of the program that a command's first word calls in the image; None where there is none.
+        """Return the path of the program that a command's first word calls in the image, or None if there is none.
 
-        Looked for on `path`, else on the image's own PATH. It is the name that it is called by (`/bin/sh`), which may be a
-        link: `sha256` follows it.
+        The program is searched on `path`, or else on the image's own PATH. The result is the path by which it is called
+        (`/bin/sh`), which may be a link; `sha256` follows links.
         """
         if "/" in word:
             return word if self._executable(word) else None
@@ -103,12 +104,12 @@ class Contents:
         return next((candidate for candidate in found if self._executable(candidate)), None)
 
     def real(self, path: str) -> str | None:
-        """The path that is meant where links are followed within the image; None where there is nothing."""
+        """Return the path with all links followed within the image, or None if nothing is there."""
         found = resolve(path, self.files.get)
         return None if found is None else f"/{found}"
 
     def sha256(self, path: str) -> str | None:
-        """The SHA-256 of a file of the image, links followed; None where there is no file."""
+        """Return the SHA-256 of a file of the image, with links followed; None if there is no such file."""
         entry = self._file(path)
         return None if entry is None else entry.sha256
 
@@ -122,7 +123,7 @@ class Contents:
         return entry is not None and bool(entry.mode & EXECUTABLE)
 
     def row(self) -> dict[str, Any]:
-        """Its row of the table `images`; the listing that `files` names belongs to the objects."""
+        """Return its row of the table `images`. The listing, whose hash is in `files`, is stored as an object."""
         image = self.image
         return {
             "image": image.id,
@@ -145,7 +146,7 @@ class Contents:
 
 
 def from_row(row: Mapping[str, Any]) -> Image:
-    """An image as the table `images` has it."""
+    """Return the image that a row of the table `images` describes."""
     return Image(
         name=row["name"],
         id=row["image"],
@@ -159,7 +160,7 @@ def from_row(row: Mapping[str, Any]) -> Image:
 
 
 def contents(store: StorePaths, image: Image) -> Contents | None:
-    """What is known of an image in this store; None where nothing is, or what is there is not whole."""
+    """Return the stored contents of an image, or None if they are missing or incomplete."""
     paths = store.image(image.folder)
     with contextlib.suppress(OSError, ValueError, KeyError, TypeError, AttributeError):
         said, listing = json.loads(paths.description.read_text("utf-8")), paths.files.read_bytes()
@@ -179,8 +180,8 @@ def _read(said: Mapping[str, Any], listing: bytes, image: Image) -> Contents:
 
 
 def unfinished(store: StorePaths) -> Iterator[Path]:
-    """What is not in its place yet, or was saved to be read; each name ends with the id of the process whose it is."""
-    if store.images.is_symlink():  # whose it is, nobody knows
+    """Yield unfinished files and saved copies of images. Each name ends with the id of the process that made it."""
+    if store.images.is_symlink():  # it is unknown who owns the target
         return
     for path in (*store.images.glob(".*"), *store.images.glob("*/.*")):
         placed = path.parent == store.images or (FOLDER.fullmatch(path.parent.name) and not path.parent.is_symlink())
@@ -189,7 +190,7 @@ def unfinished(store: StorePaths) -> Iterator[Path]:
 
 
 def outdated(root: Path, store: StorePaths, image: Image) -> bool:
-    """Whether an image's name is the folder of its recipe, and that is another than the image was built by."""
+    """Return whether an image's name is a Containerfile folder that has changed since the image was built."""
     folder = root / image.name
     if image.file or not containerfile.is_recipe(folder):
         return False
@@ -198,7 +199,7 @@ def outdated(root: Path, store: StorePaths, image: Image) -> bool:
 
 
 def known(store: StorePaths) -> Iterator[Contents]:
-    """All images that are described in this store; their names are those by which they were first seen."""
+    """Yield the contents of all images that this store describes, with the names by which they were first seen."""
     for folder in sorted(store.images.glob("*-*")) if store.images.is_dir() else ():
         with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
             was = json.loads((folder / store.image(folder.name).description.name).read_text("utf-8"))["image"]
@@ -208,12 +209,12 @@ def known(store: StorePaths) -> Iterator[Contents]:
 
 
 def made_from(store: StorePaths, digest: str) -> Image | None:
-    """The image of which the squashfs with that SHA-256 was made here."""
+    """Return the image from which the squashfs with this SHA-256 was made in this store, or None."""
     return next((one.image for one in known(store) if one.squashfs == digest), None)
 
 
 def examine(root: Path, store: StorePaths, image: Image) -> Contents:
-    """What is in an image: as known, else by reading all of it. Raises Missing, Damaged."""
+    """Return the contents of an image. Reads the whole image if they are not stored yet. Raises Missing, Damaged."""
     found = contents(store, image)
     if found is not None:
         return found
@@ -226,9 +227,9 @@ def examine(root: Path, store: StorePaths, image: Image) -> Contents:
 
 
 def examine_again(root: Path, store: StorePaths, image: Image, *, foreign: bool = False) -> Contents:
-    """As `examine`, but all of the image is read and checked, also where it is known; what was made of it stays.
+    """Return the contents of an image after reading and checking all of it, even if they are stored already.
 
-    `foreign`: see `sierra.containers.images.layers.merge`.
+    The squashfs that was made from it is kept. `foreign`: see `sierra.containers.images.layers.merge`.
     """
     known = contents(store, image)
     with _disk(store.images), opened(root, store, image) as read:
@@ -237,9 +238,9 @@ def examine_again(root: Path, store: StorePaths, image: Image, *, foreign: bool 
 
 
 def rootfs(root: Path, store: StorePaths, image: Image) -> Path:
-    """The squashfs that apptainer runs: the image's own file, or one made of its layers, here and now where it is not there.
+    """Return the path of the squashfs that apptainer runs: the image's own file, or one made from its layers.
 
-    What was made is hashed before it is used (and that is remembered); what is damaged is made again.
+    A missing squashfs is made. An existing one is hashed before it is used (the hash is cached); a damaged one is made again.
     """
     if image.file and squashfs_file(root / image.file):
         return root / image.file
@@ -254,7 +255,7 @@ def rootfs(root: Path, store: StorePaths, image: Image) -> Path:
 
 
 def squashfs_file(path: Path) -> bool:
-    """Whether a file is one that apptainer runs as it is."""
+    """Return whether apptainer can run this file as it is."""
     try:
         return not path.is_dir() and (sif.is_sif(path) or squashfs.is_squashfs(path))
     except OSError as error:
@@ -263,7 +264,7 @@ def squashfs_file(path: Path) -> bool:
 
 @contextlib.contextmanager
 def opened(root: Path, store: StorePaths, image: Image) -> Iterator[Archive]:
-    """An OCI image as an archive: its own file, or what podman saves of it. Raises Damaged where that is another image."""
+    """Yield an OCI image as an archive: its own file, or a copy that podman saves. Raises Damaged if that is another image."""
     with contextlib.ExitStack() as stack:
         path = root / image.file
         if not image.file:
@@ -285,12 +286,12 @@ def wanted(path: str) -> int:
 
 
 def of_archive(read: Archive, image: Image, *, foreign: bool = False) -> Contents:
-    """What is in an archive's image; all of it is read, and checked."""
+    """Return the contents of the image in an archive. Reads and checks the whole archive."""
     return _of_rootfs(merge(read, wanted, foreign=foreign), image)
 
 
 def _with_recipe(root: Path, found: Contents) -> Contents:
-    """With the text of the recipe that it was built by, where the project has that still."""
+    """Return the contents with the text of the Containerfile folder, if the project still has the same folder."""
     said = containerfile.text(root / found.image.name, found.labels.get(containerfile.LABEL, ""))
     return replace(found, recipe=said) if said else found
 
@@ -315,7 +316,7 @@ def _of_rootfs(merged: Rootfs, image: Image) -> Contents:
 def _of_squashfs(path: Path, image: Image) -> Contents:
     read = sif.read(path) if sif.is_sif(path) else None
     entries, kept = squashfs.listing(path, read.offset if read else 0, wanted)
-    own = image.kind is Kind.SQUASHFS  # else it was made of an OCI image, and does not say what that sets
+    own = image.kind is Kind.SQUASHFS  # else it was made from an OCI image, and does not contain its variables
     found = sif_env.of(kept) if own else image.variables
     return Contents(
         image=replace(image, variables=found),
@@ -375,7 +376,7 @@ def _is(path: Path, digest: str) -> bool:
 
 
 def forget(paths: ImagePaths) -> None:
-    """Remove what is known of an image."""
+    """Remove the stored contents of an image."""
     shutil.rmtree(paths.root, ignore_errors=True)
 
 

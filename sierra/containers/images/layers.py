@@ -1,15 +1,15 @@
-"""An image's files, all layers together: who of them wins, as one tar and as a list.
+"""The file system of an image, merged from its layers, as one tar and as a list.
 
-Each layer is a tar of what it changes: files, links and folders replace those of the layers below; `.wh.NAME` takes NAME of
-the layers below away, and `.wh..wh..opq` all that they have in its folder (image-spec, layer.md). Where that leaves a choice,
-it is as in an overlay file system, which is how podman and docker have layers: each is unpacked by itself, so that links are
-followed, and hard links made, within one layer only; and a folder on the way to a file takes the place of a link that a lower
-layer has there. Devices and pipes are left out: an engine brings its own. (One that unpacks the
-layers itself would make them, so that what a stranger gives may have no device.)
+Each layer is a tar of its changes: its files, links and folders replace those of the layers below. `.wh.NAME` removes the NAME
+of the layers below, and `.wh..wh..opq` removes everything that they have in its folder (image-spec, layer.md). Where the
+specification leaves a choice, the result is that of an overlay file system, which podman and docker use: each layer is unpacked
+by itself, so that links are followed, and hard links made, only within one layer; and a folder on the way to a file replaces a
+link of a lower layer. Devices and pipes are left out, because an engine provides its own. (An engine that unpacks the layers
+itself would create them, so an image from a stranger must not contain a device.)
 
-The tree is only in memory, so no name in a layer ever is a path of this machine: absolute names are from the image's root, and
-what leads out of it is refused. Two passes over the layers: `merge` reads and hashes all files and knows the winners;
-`Rootfs.write` streams them, folders first, in an order that follows from the image alone.
+The tree exists only in memory, so a name in a layer is never used as a path of this machine. Absolute names start at the
+image's root, and names that lead out of it are refused. There are two passes over the layers: `merge` reads and hashes all
+files and finds the files that remain; `Rootfs.write` streams them, folders first, in an order that depends on the image alone.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ from sierra.errors import Damaged
 MOST_FILES = 1_000_000
 WHITEOUT, OPAQUE, AUFS = ".wh.", ".wh..wh..opq", ".wh..wh."
 DEPTH = 256
-"""Folders within folders, at most."""
+"""The greatest depth of nested folders."""
 LINKS = 40
-"""Links followed one after the other, as the kernel has it."""
+"""The greatest number of links that are followed one after the other, as in the kernel."""
 
 MOUNTED_ON = {
     "dev": 0o755,
@@ -46,7 +46,7 @@ MOUNTED_ON = {
 
 Type = Literal["file", "link", "folder", "device"]
 Wanted = Callable[[str], int]
-"""How many bytes of the file of a path are to be kept, from its beginning."""
+"""A function from a path to the number of bytes to keep from the beginning of its file."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,13 +54,13 @@ class Entry:
     """One path of an image."""
 
     path: str
-    """From the image's root, without a slash before it."""
+    """The path from the image's root, without a leading slash."""
     type: Type
     mode: int
     size: int = 0
     sha256: str = ""
     target: str = ""
-    """What a symbolic link says."""
+    """The target of a symbolic link."""
 
 
 @dataclass(slots=True)
@@ -70,7 +70,7 @@ class _Node:
     layer: int
     """The layer that put it there, under this name."""
     source: tuple[int, int] = (-1, -1)
-    """Where a file's bytes are: its layer, and its place in that; hard links have it in common."""
+    """The location of a file's bytes: the number of its layer, and its position there. Hard links share it."""
     size: int = 0
     sha256: str = ""
     target: str = ""
@@ -83,18 +83,21 @@ class _Node:
 
 @dataclass(frozen=True, slots=True)
 class Rootfs:
-    """The files that an image comes to."""
+    """The merged file system of an image."""
 
     archive: Archive
     entries: tuple[Entry, ...]
-    """By path; the root itself is not among them."""
+    """The entries in the order of their paths, without the root itself."""
     kept: dict[str, bytes]
-    """The beginnings of files that were wanted, by path."""
+    """The beginnings of the wanted files, by path."""
     sources: dict[tuple[int, int], tuple[str, ...]]
-    """The paths of each file, by where its bytes are."""
+    """The paths of each file, by the location of its bytes."""
 
     def write(self, out: BinaryIO) -> None:
-        """All as one tar: the same bytes for the same image, in whatever form it is kept. Times are 0, all belongs to root."""
+        """Write all entries as one tar, with times 0 and root as owner.
+
+        The bytes are the same for the same image, whatever form it is stored in.
+        """
         with tarfile.open(fileobj=out, mode="w|", format=tarfile.GNU_FORMAT, encoding="utf-8", errors="surrogateescape") as tar:
             for entry in (*_of("folder", self.entries), *_of("link", self.entries), *self._mounted_on()):
                 tar.addfile(_header(entry))
@@ -103,7 +106,7 @@ class Rootfs:
                 self._write_layer(tar, place, by_path)
 
     def _mounted_on(self) -> Iterator[Entry]:
-        """The folders that an image lacks and an engine mounts on: podman makes them, apptainer can't."""
+        """Yield the mount points that the image lacks: podman creates them, apptainer cannot."""
         there = {entry.path for entry in self.entries}
         others = {entry.path for entry in self.entries if entry.type != "folder"}
         for path, mode in MOUNTED_ON.items():
@@ -121,13 +124,15 @@ class Rootfs:
                 tar.addfile(header, cast("BinaryIO", _Pieces(content(layer, member, what))))
                 for path in others:
                     tar.addfile(_header(by_path[path], first))
-                tar.members = []  # type: ignore[attr-defined]  # else it remembers all headers
+                tar.members = []  # type: ignore[attr-defined]  # else it keeps all headers
 
 
 def merge(archive: Archive, wanted: Wanted = lambda path: 0, *, foreign: bool = False) -> Rootfs:
-    """Read all layers, and see which files win. Raises Damaged for what is not as the archive says, or leads out of it.
+    """Read all layers and merge them.
 
-    `foreign`: it is a stranger's, and an engine will unpack it; raises Damaged for a device in any of its layers.
+    Raises Damaged if a layer differs from the archive's description, or leads out of the image.
+
+    `foreign`: the image comes from a stranger, and an engine will unpack it. Raises Damaged for a device in any of its layers.
     """
     root, count = _Node("folder", 0o755, 0), 0
     for place in range(len(archive.blobs)):
@@ -150,7 +155,7 @@ def merge(archive: Archive, wanted: Wanted = lambda path: 0, *, foreign: bool = 
     return Rootfs(archive, entries, kept, {source: tuple(paths) for source, paths in sources.items()})
 
 
-# ---------------------------------------------------------------- one layer upon those below
+# ---------------------------------------------------------------- applying a layer to those below
 
 
 def _apply(
@@ -175,7 +180,7 @@ def _apply(
 def _node(
     root: _Node, member: tarfile.TarInfo, tar: tarfile.TarFile, source: tuple[int, int], wanted: Wanted, what: str
 ) -> _Node:
-    """What a member puts into the tree."""
+    """Return the tree node for a member of a layer."""
     mode, layer = member.mode & 0o7777, source[0]
     if member.isdir():
         return _Node("folder", mode, layer)
@@ -195,7 +200,7 @@ def _node(
 
 
 def _linked(root: _Node, member: tarfile.TarInfo, layer: int, what: str) -> _Node:
-    """A hard link: the file that its target is."""
+    """Return a hard link's node, a copy of its target's node. Raises Damaged if the target is not a file of the same layer."""
     folder, name = posixpath.split(_inside(member.linkname, what))
     target = _folder(root, folder, layer, what).children.get(name)
     if target is None or target.layer != layer or target.type == "folder":
@@ -204,7 +209,7 @@ def _linked(root: _Node, member: tarfile.TarInfo, layer: int, what: str) -> _Nod
 
 
 def _take_away(parent: _Node, name: str, layer: int) -> None:
-    """What a whiteout says; it concerns the layers below alone."""
+    """Apply a whiteout, which affects only the layers below."""
     if name == OPAQUE:
         parent.children = _newer(parent.children, layer)
     elif not name.startswith(AUFS):
@@ -214,7 +219,7 @@ def _take_away(parent: _Node, name: str, layer: int) -> None:
 
 
 def _newer(children: dict[str, _Node], layer: int) -> dict[str, _Node]:
-    """What this layer itself has put there, with the folders that lead to it."""
+    """Return the nodes that this layer itself has added, with the folders that lead to them."""
     found = {}
     for name, node in children.items():
         if node.type == "folder":
@@ -228,7 +233,7 @@ def _newer(children: dict[str, _Node], layer: int) -> dict[str, _Node]:
 
 
 def _inside(name: str, what: str) -> str:
-    """A member's name as a path from the image's root. Raises Damaged for one that leads out of it."""
+    """Return a member's name as a path from the image's root. Raises Damaged if it leads out of the image."""
     path = posixpath.normpath("./" + name)
     if path == ".." or path.startswith("../"):
         raise Damaged(f"{what}: {name!r} leads out of the image")
@@ -236,7 +241,10 @@ def _inside(name: str, what: str) -> str:
 
 
 def _folder(root: _Node, path: str, layer: int, what: str) -> _Node:
-    """The folder of a path, made where there is none; links of this layer are followed, what else is in the way gives way."""
+    """Return the folder of a path, and create it if it does not exist.
+
+    Follows links of this layer; replaces other nodes in the way. Raises Damaged beyond `LINKS` links or `DEPTH` folders.
+    """
     way, links = [root], 0
     parts = path.split("/")[::-1] if path else []
     while parts:
@@ -259,14 +267,14 @@ def _folder(root: _Node, path: str, layer: int, what: str) -> _Node:
 
 
 class _Known:
-    """What `resolve` needs to know of a path: a `_Node` and an `Entry` both are that."""
+    """The attributes of a path that `resolve` needs; `_Node` and `Entry` both have them."""
 
     type: Type
     target: str
 
 
 def resolve(path: str, look: Callable[[str], object | None]) -> str | None:
-    """The path that is meant where links are followed within an image; None where there is nothing. `""` is the root."""
+    """Return the path with all links followed within an image; None if nothing is there. The root is `""`."""
     done: list[str] = []
     parts, links = [part for part in path.split("/") if part not in ("", ".")][::-1], 0
     while parts:
@@ -319,7 +327,7 @@ def _header(entry: Entry, link: str = "") -> tarfile.TarInfo:
 
 
 class _Pieces:
-    """Pieces as a file, of which any number of bytes can be read."""
+    """A file-like object over pieces, of which any number of bytes can be read."""
 
     def __init__(self, pieces: Iterator[bytes]) -> None:
         self._pieces, self._piece, self._place = pieces, b"", 0

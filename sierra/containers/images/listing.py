@@ -1,4 +1,4 @@
-"""The images that a project knows: those that it names, has pinned, or has described; and where each of them is."""
+"""The images that a project names, has pinned, or has described in its store, with the places where each one is."""
 
 from __future__ import annotations
 
@@ -16,42 +16,42 @@ from sierra.store.layout import StorePaths
 
 
 class State(StrEnum):
-    """How a name's pin and what it stands for now are to each other."""
+    """The relation between a name's pin and the image that the name stands for now."""
 
     PINNED = "pinned"
     MOVED = "moved"
-    """It stands for another image than the pinned one."""
+    """The name stands for another image than the pinned one."""
     GONE = "gone"
-    """The name stands for nothing now; the image itself may still be there."""
+    """The name stands for no image now; the image itself may still exist."""
     UNPINNED = "not pinned"
     UNNAMED = "unnamed"
-    """No name of the project stands for it."""
+    """No name of the project stands for the image."""
 
 
 @dataclass(frozen=True, slots=True)
 class Known:
-    """One name, or an image without one."""
+    """One name with its image, or an image without a name."""
 
     name: str
     state: State
     id: str
-    """What is pinned; where nothing is, what the name stands for now."""
+    """The id of the pinned image; without a pin, of the image that the name stands for now."""
     now: str
-    """What the name stands for now; empty where it is nothing."""
+    """The id of the image that the name stands for now; empty if there is none."""
     kind: str
     architecture: str
     podman: bool
-    """Whether podman has it."""
+    """True if podman has the image."""
     squashfs: bool
-    """Whether it is there as apptainer runs it."""
+    """True if the image is available in the form that apptainer runs."""
     size: int | None
-    """Bytes of its files, where that is known."""
+    """The total size of its files in bytes, if known."""
     why: str = ""
-    """Why nothing is there under this name, or what is there can't be read."""
+    """The reason why the name stands for no image, or why the image cannot be read."""
 
 
 def listing(root: Path, store: StorePaths, names: Iterable[str] = ()) -> list[Known]:
-    """All that is pinned or among `names`, by name, and then what is described and has no name."""
+    """Return all images that are pinned or in `names`, by name, and then the described images without a name."""
     pinned = pins(root)
     found = [_named(root, store, name, pinned.get(name)) for name in sorted({*pinned, *names})]
     ids = {identity for one in found for identity in (one.id, one.now)}

@@ -1,11 +1,11 @@
-"""OCI images in files: what `podman save` and `docker save` write (docker-archive, oci-archive), and OCI layouts as folders.
+"""OCI images in files: archives of `podman save` and `docker save` (docker-archive, oci-archive), and OCI layouts as folders.
 
-An archive may come from anybody, so nothing in it is believed: the configuration's digest is the image's id, that names the
-digest of each layer's files, and every byte that is used is hashed on its way. Nothing is unpacked here, so no name in an
-archive is ever a path of this machine.
+An archive may come from anyone, so nothing in it is trusted: the configuration's digest is the image's id, the configuration
+names the digest of each layer's files, and every byte that is used is hashed when it is read. Nothing is unpacked here, so a
+name in an archive is never used as a path of this machine.
 
-Formats: https://github.com/opencontainers/image-spec (image-layout.md, manifest.md, config.md), and what docker calls
-"Image JSON": `manifest.json` with the names of a configuration and of the layers, from the lowest.
+Formats: https://github.com/opencontainers/image-spec (image-layout.md, manifest.md, config.md), and the format that docker
+calls "Image JSON": `manifest.json` with the names of a configuration and of the layers, from the lowest.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ from sierra.util.hashing import sha256
 
 MANIFEST, LAYOUT, INDEX = "manifest.json", "oci-layout", "index.json"
 DOCUMENT = 8 << 20
-"""Bytes of a manifest or a configuration; the specification asks for 4 MiB to be read."""
+"""The greatest size in bytes of a manifest or a configuration; the specification requires readers to accept 4 MiB."""
 MOST_MEMBERS = 10_000
 MOST_LAYERS = 512
 LEAST_BOUND = 256 << 20
 EXPANSION = 200
-"""What a layer may come to when it is unpacked: so many times its size, and LEAST_BOUND always. Gzip can do 1032 times."""
+"""The greatest ratio of a layer's unpacked size to its size. LEAST_BOUND bytes are always allowed. Gzip can reach 1032."""
 DIGEST = re.compile(r"sha256:([0-9a-f]{64})")
 HEX = re.compile(r"(?:^|/)([0-9a-f]{64})(?:\.json)?$")
 COMPRESSED = {b"\x28\xb5\x2f\xfd": "zstd", b"BZh": "bzip2", b"\xfd7zXZ": "xz"}
@@ -42,10 +42,10 @@ DEPTH = 4
 
 
 class Files(Protocol):
-    """What an archive holds, by name."""
+    """The files of an archive, by name."""
 
     def size(self, name: str) -> int | None:
-        """Bytes of a file; None where there is none."""
+        """Return the size of a file in bytes, or None if there is no such file."""
         ...
 
     def open(self, name: str) -> contextlib.AbstractContextManager[BinaryIO]: ...
@@ -53,21 +53,21 @@ class Files(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Blob:
-    """A layer as it lies in an archive."""
+    """A layer as it is stored in an archive."""
 
     name: str
     size: int
     sha256: str = ""
-    """Of its bytes as they lie there; empty where the archive does not say."""
+    """The SHA-256 of its stored bytes; empty if the archive does not name it."""
 
 
 @dataclass(frozen=True, slots=True)
 class Archive:
-    """One image in a file or a folder: its configuration, which has been checked, and its layers, which are on their way."""
+    """One image in a file or a folder: its configuration, already checked, and its layers, checked when they are read."""
 
     path: Path
     form: str
-    """docker-archive, oci-archive or oci."""
+    """The form: docker-archive, oci-archive or oci."""
     id: str
     manifest: str
     """The manifest's digest in this form; empty for a docker-archive, which has none."""
@@ -75,14 +75,14 @@ class Archive:
     """The configuration, byte for byte."""
     config: Mapping[str, Any]
     tags: tuple[str, ...]
-    """What it was called where it comes from."""
+    """The tags that the image had at its origin."""
     diff_ids: tuple[str, ...]
     blobs: tuple[Blob, ...]
     files: Files
 
     @contextlib.contextmanager
     def layer(self, place: int) -> Iterator[ForwardStream]:
-        """A layer's files, as a tar. Raises Damaged at the end, where they are not those that the configuration names."""
+        """Yield a layer's files as a tar. Raises Damaged at the end if they differ from those that the configuration names."""
         blob, what = self.blobs[place], f"{self.path}: layer {place + 1} of {len(self.blobs)}"
         with self.files.open(blob.name) as stored:
             packed = Hashed(stored)
@@ -96,7 +96,10 @@ class Archive:
             raise Damaged(f"{what} is not the image's: its files have SHA-256 {found[:12]}…, not {self.diff_ids[place][7:19]}…")
 
     def check(self) -> list[int]:
-        """Read all of it; the sizes of its layers' tars. Raises Damaged for what is not as the configuration says."""
+        """Read the whole image, and return the sizes of its layers' tars.
+
+        Raises Damaged if it differs from its configuration.
+        """
         sizes = []
         for place in range(len(self.blobs)):
             with self.layer(place) as stream:
@@ -105,9 +108,9 @@ class Archive:
         return sizes
 
     def write(self, out: BinaryIO) -> None:
-        """The image, and nothing else that is in the archive, as a docker-archive without tags; what is read is checked.
+        """Write the image as a docker-archive without tags, and nothing else from this archive. Checks all data that it reads.
 
-        Its manifest comes last, so that one that is cut short, because something is damaged, is no image.
+        The manifest is written last, so that an archive that is cut short because of damage is not a valid image.
         """
         sizes = self.check()
         names = [f"{digest[7:]}.tar" for digest in self.diff_ids]
@@ -121,12 +124,12 @@ class Archive:
                 tar.addfile(_header(name, len(content)), BytesIO(content))
 
     def image(self, name: str, *, file: str = "", sha256: str = "") -> Image:
-        """This image under a project's name for it."""
+        """Return this image under the name that a project gives it."""
         return image_of(name, self.id, self.config, file=file, sha256=sha256)
 
 
 def image_of(name: str, identity: str, config: Mapping[str, Any], *, file: str = "", sha256: str = "") -> Image:
-    """An image as its configuration describes it."""
+    """Return the image that a configuration describes."""
     architecture = config.get("architecture") or ""
     return Image(name, identity, Kind.OCI, architecture, diff_ids(config), variables(config), file, sha256)
 
@@ -136,7 +139,7 @@ def diff_ids(config: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def variables(config: Mapping[str, Any]) -> dict[str, str]:
-    """What a configuration sets for programs; the last of several values, as engines take it."""
+    """Return the variables that a configuration sets. Of several values, the last one is used, as engines do."""
     pairs = (one.partition("=") for one in _inner(config, "config").get("Env") or ())
     return {name: value for name, _, value in pairs if name}
 
@@ -151,7 +154,7 @@ def _inner(config: Mapping[str, Any], name: str) -> dict[str, Any]:
 
 
 def is_archive(path: Path) -> bool:
-    """Whether a file is a tar, or a folder an OCI layout, which may be a damaged one."""
+    """Return whether a file is a tar or a folder is an OCI layout. Either may be damaged."""
     if path.is_dir():
         return (path / LAYOUT).is_file() or (path / INDEX).is_file()
     with path.open("rb") as file:
@@ -159,7 +162,10 @@ def is_archive(path: Path) -> bool:
 
 
 def read(path: Path) -> Archive:
-    """The image in an archive or an OCI layout, its layers not yet read. Raises Damaged for what is none, or is ambiguous."""
+    """Return the image in an archive or an OCI layout, without reading its layers.
+
+    Raises Damaged if it is not an image or contains several, Missing if it cannot be read.
+    """
     try:
         files: Files = _Folder(path) if path.is_dir() else _Tar(path)
         if files.size(LAYOUT) is not None or (files.size(INDEX) is not None and files.size(MANIFEST) is None):
@@ -189,7 +195,7 @@ def _docker(path: Path, files: Files) -> Archive:
 
 
 def _only(path: Path, listed: Any, called: Any) -> dict[str, Any]:
-    """The only image of a list. Raises Damaged where it has none or several."""
+    """Return the only image of a list. Raises Damaged if the list has none or several."""
     if not isinstance(listed, list) or not listed or not all(isinstance(one, dict) for one in listed):
         raise Damaged(f"{path} holds no image")
     if len(listed) > 1:
@@ -215,7 +221,7 @@ def _oci(path: Path, files: Files) -> Archive:
 
 
 def _manifest(path: Path, files: Files, index: Any, depth: int) -> tuple[str, dict[str, Any]]:
-    """The only manifest that an index names, or the only one of this machine's architecture."""
+    """Return the digest and content of the only manifest in an index, or of the only one for this machine's architecture."""
     listed = index.get("manifests") if isinstance(index, dict) else None
     if isinstance(listed, list) and len(listed) > 1:
         mine = [one for one in listed if isinstance(one, dict) and _inner(one, "platform").get("architecture") == machine()]
@@ -229,7 +235,7 @@ def _manifest(path: Path, files: Files, index: Any, depth: int) -> tuple[str, di
 
 
 def _descriptor(path: Path, files: Files, said: Any, what: str) -> Blob:
-    """A blob that a document names by digest and size, as far as can be told without reading it."""
+    """Return a blob that a document names by digest and size. Checks that it exists with that size, but does not read it."""
     digest = DIGEST.fullmatch(str(said.get("digest"))) if isinstance(said, dict) else None
     if digest is None:
         raise Damaged(f"{path}: {what} is not named by a SHA-256")
@@ -240,7 +246,7 @@ def _descriptor(path: Path, files: Files, said: Any, what: str) -> Blob:
     return Blob(name, size, digest[1])
 
 
-# ---------------------------------------------------------------- what both have
+# ---------------------------------------------------------------- both formats
 
 
 def _archive(
@@ -253,7 +259,7 @@ def _archive(
     files: Files,
     tags: tuple[str, ...],
 ) -> Archive:
-    """Checks that a configuration and a list of layers fit together."""
+    """Return the archive. Raises Damaged if the configuration is invalid, or does not match the list of layers."""
     _check_config(path, config)
     found = diff_ids(config)
     if len(found) != len(blobs):
@@ -330,7 +336,7 @@ def _parse(path: Path, name: str, content: bytes) -> Any:
 
 
 class _Unzipped:
-    """What gzip holds; what is wrong with it is said in our words."""
+    """A gzip stream whose errors are raised as Damaged."""
 
     def __init__(self, packed: BinaryIO, what: str) -> None:
         self._stream = gzip.GzipFile(fileobj=packed)
@@ -344,7 +350,7 @@ class _Unzipped:
 
 
 class _Begun:
-    """A stream of which the beginning was read already."""
+    """A stream whose beginning was already read."""
 
     def __init__(self, beginning: bytes, rest: Hashed) -> None:
         self._beginning, self._rest = beginning, rest
@@ -358,7 +364,7 @@ class _Begun:
 
 
 def _unpacked(packed: Hashed, what: str) -> BinaryIO:
-    """A layer as a tar, whether it is compressed or not."""
+    """Return a layer as a tar stream, compressed or not. Raises Damaged for any compression other than gzip."""
     beginning = packed.read(6)
     for magic, called in COMPRESSED.items():
         if beginning.startswith(magic):
@@ -368,7 +374,7 @@ def _unpacked(packed: Hashed, what: str) -> BinaryIO:
 
 
 class _Folder:
-    """An OCI layout as a folder. Only its own files are read: none that a link names."""
+    """An OCI layout as a folder. Symbolic links in it are not followed."""
 
     def __init__(self, root: Path) -> None:
         self._root = root
@@ -383,7 +389,7 @@ class _Folder:
 
 
 class _Tar:
-    """The files of a tar, by name; links lead to others of it, and nowhere else."""
+    """The files of a tar, by name. Links in it can only lead to other files of the tar."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -415,7 +421,7 @@ class _Tar:
 
 
 def _headers(file: BinaryIO, path: Path) -> Iterator[tarfile.TarInfo]:
-    """All members of a tar, without reading what they hold."""
+    """Yield all members of a tar, without reading their contents."""
     for count, (member, _) in enumerate(members(cast("ForwardStream", _Seeking(file, str(path))), str(path))):
         if count >= MOST_MEMBERS:
             raise Damaged(f"{path} has more than {MOST_MEMBERS} files; an image's archive has a few for each layer")
@@ -425,7 +431,7 @@ def _headers(file: BinaryIO, path: Path) -> Iterator[tarfile.TarInfo]:
 
 
 class _Seeking(ForwardStream):
-    """A file whose contents are passed over, not read."""
+    """A file whose contents are skipped instead of read."""
 
     def __init__(self, file: BinaryIO, what: str) -> None:
         super().__init__(file, 1 << 62, what)
@@ -439,7 +445,7 @@ class _Seeking(ForwardStream):
 
 
 class _Part:
-    """So many bytes of a file, from where it stands."""
+    """The next `size` bytes of a file, from its current position."""
 
     def __init__(self, file: BinaryIO, size: int) -> None:
         self._file, self._left = file, size
@@ -455,7 +461,7 @@ def _clean(name: str) -> str:
 
 
 def _target(member: tarfile.TarInfo) -> str:
-    """What a link in an archive leads to: a name in it, whatever that link says."""
+    """Return the target of a link in an archive. It is always a name in the archive, whatever the link contains."""
     if member.islnk():
         return _clean(member.linkname)
     parts = _clean(member.name).split("/")[:-1]

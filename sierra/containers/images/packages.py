@@ -1,6 +1,6 @@
-"""What is installed in an image, by what its package managers wrote down: Debian's, Alpine's, Python's.
+"""The packages that are installed in an image, from the records of its package managers: Debian's, Alpine's, Python's.
 
-Formats: deb-control(5) paragraphs in `var/lib/dpkg/status` (or one each in `status.d`, as distroless images have them),
+Formats: deb-control(5) paragraphs in `var/lib/dpkg/status` (or one file each in `status.d`, as in distroless images),
 `lib/apk/db/installed` (P: and V: lines), and `METADATA` of a Python distribution (PEP 566).
 """
 
@@ -12,18 +12,18 @@ from collections.abc import Iterator, Mapping
 STATUS, STATUS_D, APK = "var/lib/dpkg/status", "var/lib/dpkg/status.d/", "lib/apk/db/installed"
 METADATA = re.compile(r"(?:^|/)[^/]+\.(?:dist-info/METADATA|egg-info/PKG-INFO)$")
 LISTS, HEAD = 64 << 20, 1 << 16
-"""Bytes that are read of a manager's list, and of one distribution's metadata."""
+"""The greatest number of bytes that are read of a manager's list, and of one distribution's metadata."""
 
 
 def wanted(path: str) -> int:
-    """How much of a file is needed for `packages`."""
+    """Return the number of bytes of a file that `packages` needs; 0 for a file that it does not need."""
     if path in (STATUS, APK):
         return LISTS
     return HEAD if METADATA.search(path) or (path.startswith(STATUS_D) and not path.endswith(".md5sums")) else 0
 
 
 def packages(kept: Mapping[str, bytes]) -> dict[str, tuple[str, ...]]:
-    """Lines `name==version`, sorted, by who manages them: dpkg, apk, python."""
+    """Return sorted lines `name==version` by package manager: dpkg, apk, python."""
     found: dict[str, set[str]] = {}
     for path, content in kept.items():
         for manager, line in _lines(path, content.decode("utf-8", "replace")):
@@ -42,7 +42,7 @@ def _lines(path: str, text: str) -> Iterator[tuple[str, str]]:
 
 
 def _paragraphs(text: str, name: str, version: str, status: str | None) -> Iterator[str]:
-    """Each paragraph's name and version, but of those that say that they are not installed any more."""
+    """Yield the name and version of each paragraph, except for packages that are marked as no longer installed."""
     for paragraph in text.split("\n\n"):
         fields: dict[str, str] = {}
         for line in paragraph.split("\n"):

@@ -1,4 +1,4 @@
-"""Pinning: what a name stands for now is read whole, checked, described, and written down."""
+"""Pinning: the image of a name is read completely, checked, described, and recorded in `sierra.lock`."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from sierra.store.layout import StorePaths
 
 
 def take(root: Path, store: StorePaths, name: str) -> Contents:
-    """Pin what a name stands for now; what is in it. Raises Missing, Damaged, and has pinned nothing then.
+    """Pin the image that a name stands for now, and return its contents. Raises Missing or Damaged, and pins nothing then.
 
-    An archive may have the right configuration and damaged layers, so that it is read whole before it is pinned first.
+    An archive may have the right configuration and damaged layers, so it is read completely before it is pinned the first time.
     """
     image, before = named(root, name), pins(root).get(name)
     unread = image.file and not squashfs_file(root / image.file) and (before is None or before.sha256 != image.sha256)

@@ -1,7 +1,7 @@
-"""`sierra.lock`: what each image's name stands for in this project, written down once and committed with it.
+"""The file `sierra.lock`, which records the image that each name stands for in this project, and is committed with it.
 
-A name moves: a tag is built anew, a file replaced. A run needs to be the same run whatever moved, so it is made of what was
-pinned, and whoever wants the new image says so: `sierra image pin`.
+The image behind a name can change: a tag is rebuilt, a file is replaced. A run must stay the same run, so it uses the pinned
+image. `sierra image pin` changes the pin to the new image.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ FORMAT = 1
 
 
 def pinned(root: Path, name: str) -> Image:
-    """What a name is pinned to. Raises Missing where it is not, ConfigError for a broken `sierra.lock`."""
+    """Return the image that a name is pinned to. Raises Missing if it is not pinned, ConfigError for a broken `sierra.lock`."""
     known = pins(root)
     if name not in known:
         raise Missing(f"the image {name!r} is not pinned, {_why(root, name)} run: sierra image pin {name}")
@@ -30,7 +30,7 @@ def pinned(root: Path, name: str) -> Image:
 
 
 def _why(root: Path, name: str) -> str:
-    """Say what that means, or, where there is nothing yet that could be pinned, what comes before."""
+    """Return what follows from the missing pin or, if there is no image to pin yet, what has to be done first."""
     try:
         named(root, name)
     except SierraError as error:
@@ -39,7 +39,7 @@ def _why(root: Path, name: str) -> str:
 
 
 def pins(root: Path) -> dict[str, Image]:
-    """All pinned images, by name. Raises ConfigError for a broken `sierra.lock`."""
+    """Return all pinned images, by name. Raises ConfigError for a broken `sierra.lock`."""
     path = ProjectPaths(root).lock
     try:
         said = json.loads(path.read_text("utf-8"))
@@ -56,7 +56,7 @@ def pins(root: Path) -> dict[str, Image]:
 
 
 def pin(root: Path, image: Image) -> None:
-    """Write down what a name stands for, in the place of what it stood for."""
+    """Write the image of a name to `sierra.lock`, replacing the previous pin. Raises Missing if the file cannot be written."""
     known = pins(root) | {image.name: image}
     fields = {name: {key: value for key, value in asdict(one).items() if key != "name"} for name, one in known.items()}
     text = json.dumps({"format": FORMAT, "images": fields}, indent=2, sort_keys=True, ensure_ascii=False)
@@ -68,7 +68,7 @@ def pin(root: Path, image: Image) -> None:
 
 
 class _Broken(ValueError):
-    """A field that is not as it should be."""
+    """An invalid field of `sierra.lock`."""
 
 
 def _image(name: str, fields: Mapping[str, Any]) -> Image:

@@ -1,7 +1,7 @@
-"""Podman's storage of images: the only place where SIERRA calls podman for an image's sake.
+"""Podman's storage of images. Everything that SIERRA does with images in podman goes through this module.
 
-Nothing here ever asks a registry. What podman says of a name is remembered for as long as none of its lists of images has
-changed, so that asking again costs no process: a list is replaced, never written over, so its inode and times tell.
+No registry is ever contacted. Podman's answer about a name is cached until one of its lists of images changes, so that a
+repeated question starts no process. Podman replaces a list and never overwrites it, so its inode and times show a change.
 """
 
 from __future__ import annotations
@@ -33,20 +33,20 @@ from sierra.worker.processes import marked
 
 MOST = 512
 PATIENCE = 20.0
-"""Seconds in which a program that was told to end may tidy up."""
+"""The seconds that a program has to clean up after it was told to end."""
 MARK = "SIERRA_BUILD"
-"""A variable of the environment by which what a build has started is known."""
+"""An environment variable that marks the processes that a build has started."""
 RACY_NS = 2 * 10**9
 CONFIGURATION = ("storage.conf", "containers.conf")
 FOLDERS = ("/usr/share/containers", "/etc/containers")
 VARIABLES = ("CONTAINERS_CONF", "CONTAINERS_STORAGE_CONF", "STORAGE_DRIVER", "STORAGE_OPTS", "XDG_DATA_HOME", "HOME")
-"""What tells podman where its images are."""
+"""The environment variables that decide where podman stores images."""
 UNKNOWN = ("image not known", "no such image", "no such object", "unable to find a name and tag match")
 INSTALL = "podman is not installed (apt-get install podman, dnf install podman); or name the image as a file"
 
 
 def program() -> str:
-    """Podman's path. Raises Missing where it is not installed."""
+    """Return podman's path. Raises Missing if it is not installed."""
     found = shutil.which("podman")
     if found is None:
         raise Missing(INSTALL)
@@ -58,20 +58,23 @@ def installed() -> bool:
 
 
 def driver() -> str:
-    """Return what podman stores images by, as `overlay` or `vfs`; empty where it does not say."""
+    """Return the name of podman's storage driver, for example `overlay` or `vfs`; empty if it is unknown."""
     with contextlib.suppress(Missing, OSError, ValueError):
         return Path(_lists(Cache(user_images(), MOST))[0]).parent.name.removesuffix("-images")
     return ""
 
 
 def identify(name: str) -> str | None:
-    """The id of what a name stands for now: see `look`."""
+    """Return the id of the image that a name stands for now, or None: see `look`."""
     found = look(name)
     return None if found is None else found.id
 
 
 def look(name: str) -> Image | None:
-    """What a name (or an id) stands for now; None where podman has no such image. Raises Missing without podman."""
+    """Return the image that a name or an id stands for now, or None if podman has no such image.
+
+    Raises Missing without podman.
+    """
     remembered = Cache(user_images(), MOST)
     state, key = _state(remembered), f"{_where()} {name}"
     known = remembered.get(key)
@@ -88,7 +91,7 @@ def look(name: str) -> Image | None:
 
 
 def inspect(name: str) -> dict[str, Any] | None:
-    """All that podman says of an image; None where it has none of that name."""
+    """Return podman's description of an image, or None if there is no image of that name."""
     done = _call(["image", "inspect", "--", name])
     if done.returncode == 0:
         found: dict[str, Any] = json.loads(done.stdout)[0]
@@ -99,7 +102,7 @@ def inspect(name: str) -> dict[str, Any] | None:
 
 
 def config(found: Mapping[str, Any]) -> dict[str, Any]:
-    """What `inspect` said, as the image's configuration has it."""
+    """Return the result of `inspect` in the form of an OCI image configuration."""
     return {
         "architecture": found.get("Architecture") or "",
         "created": found.get("Created"),
@@ -110,7 +113,7 @@ def config(found: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def save(name: str, path: Path) -> None:
-    """Write an image as a docker-archive, of which the same image always gives the same bytes."""
+    """Write an image as a docker-archive. The same image always gives the same bytes."""
     done = _call(["save", "--quiet", "--format", "docker-archive", "--output", str(path), "--", name])
     if done.returncode:
         path.unlink(missing_ok=True)
@@ -118,9 +121,10 @@ def save(name: str, path: Path) -> None:
 
 
 def load(path: Path, identity: str) -> None:
-    """Take in the image of that id, of which an archive or an OCI layout is at `path`. Raises Missing, Damaged.
+    """Load the image with this id from an archive or an OCI layout at `path`. Raises Missing, Damaged.
 
-    Podman does not see the archive: it gets what was checked, and no tags, of which it would move those that it has.
+    Podman does not get the archive itself, but only the checked data, and no tags, which would move tags that podman has
+    already.
     """
     if not path.exists() or not oci.is_archive(path):
         raise Missing(f"{path} is no archive that podman could load as {short(identity)}; is it for the engine apptainer?")
@@ -130,7 +134,7 @@ def load(path: Path, identity: str) -> None:
     with tempfile.TemporaryFile("w+") as said:
         process = subprocess.Popen([program(), "load", "--quiet"], stdin=subprocess.PIPE, stdout=said, stderr=said)
         try:
-            assert process.stdin is not None  # noqa: S101 - it was asked for
+            assert process.stdin is not None  # noqa: S101 - stdin is a pipe
             with contextlib.suppress(BrokenPipeError), process.stdin as pipe:
                 read.write(cast("BinaryIO", pipe))
             status = process.wait()
@@ -151,12 +155,12 @@ def tag(identity: str, name: str) -> None:
 
 
 def present(identity: str) -> bool:
-    """Whether podman has the image of that id."""
+    """Return whether podman has the image with this id."""
     return identify(identity) is not None
 
 
 def require(image: Image) -> None:
-    """Raises Missing where podman does not have the image, as in a clone on another machine."""
+    """Check that podman has the image. Raises Missing if not, for example in a clone on another machine."""
     if not present(image.id):
         raise Missing(
             f"the image {image.name} ({short(image.id)}) is not in podman's storage; "
@@ -165,7 +169,7 @@ def require(image: Image) -> None:
 
 
 def holds(identity: str) -> bool:
-    """Whether podman is here, works, and has the image of that id."""
+    """Return whether podman is installed, works, and has the image with this id."""
     try:
         return installed() and present(identity)
     except Missing:
@@ -173,9 +177,9 @@ def holds(identity: str) -> bool:
 
 
 def build(context: Path, name: str, *, epoch: int, labels: Mapping[str, str], network: bool = False) -> str:
-    """Build a Containerfile, whose folder is the context; the image's id. Nothing is left of a build that fails.
+    """Build a Containerfile, whose folder is the context, and return the image's id. A failed build leaves nothing behind.
 
-    Times are `epoch`, no cache is used, and nothing says which version of podman it was: the same recipe gives the same id.
+    All times are `epoch`, no cache is used, and podman's version is not recorded, so the same folder gives the same id.
     """
     identity = context.with_name(f"{context.name}.id")
     words = [
@@ -194,7 +198,7 @@ def build(context: Path, name: str, *, epoch: int, labels: Mapping[str, str], ne
 
 
 def complaint(said: str) -> str:
-    """The line in which podman says why, without its prefixes."""
+    """Return the line in which podman gives the reason of a failure, without its prefixes."""
     lines = [line.strip() for line in said.splitlines() if line.strip()]
     errors = [line for line in lines if line.startswith("Error:")]
     why = (errors or lines or ["it said nothing"])[-1].removeprefix("Error:").strip()
@@ -204,9 +208,9 @@ def complaint(said: str) -> str:
 def run(
     command: Sequence[str], *, builds: bool = False, env: Mapping[str, str] | None = None, **more: Any
 ) -> subprocess.CompletedProcess[str]:
-    """Run a program in a process group of its own; all that it has started is ended where this process is interrupted.
+    """Run a program in a process group of its own. If this process is interrupted, all processes that it started are ended.
 
-    `builds`: it is podman, which would leave running what it builds with. Where that ends first, podman tidies up itself.
+    `builds`: the program is podman, which leaves its build processes running. If those end first, podman cleans up itself.
     """
     mark = secrets.token_hex(8)
     process = None
@@ -232,7 +236,7 @@ def run(
 
 
 def _stop(process: subprocess.Popen[str], mark: str, *, builds: bool) -> None:
-    """End a program and all that it has started: what has left its group or lost its parent is known by the mark."""
+    """End a program and all processes that it started. The mark identifies those that left its group or lost their parent."""
     started = _births(_below(process.pid))
     with process:
         if builds and _end(started, process.pid):
@@ -256,7 +260,7 @@ def _signal(group: int, number: signal.Signals) -> None:
 
 
 def _end(started: Mapping[int, int | None], group: int) -> bool:
-    """Kill those of these processes that are not of the group; whether there were any."""
+    """Kill the processes that are not in the group, and return whether there were any."""
     others = [pid for pid, born in started.items() if born is not None and _lives(pid, born) and _group(pid) != group]
     for pid in others:
         with contextlib.suppress(ProcessLookupError):
@@ -280,7 +284,7 @@ def _group(pid: int) -> int | None:
 
 
 def _below(pid: int) -> Iterator[int]:
-    """All processes that a process has started, where the kernel tells."""
+    """Yield the ids of all descendants of a process, if the kernel lists them."""
     for path in Path(f"/proc/{pid}/task").glob("*/children"):
         with contextlib.suppress(OSError):
             for child in map(int, path.read_text().split()):
@@ -293,7 +297,7 @@ def _call(words: Sequence[str]) -> subprocess.CompletedProcess[str]:
 
 
 def _limits() -> Iterator[str]:
-    """Limits that podman may give what it builds: as root without CAP_SYS_RESOURCE, none over this process's own."""
+    """Yield the resource limits for a build: not above the limits of this process, since root may lack CAP_SYS_RESOURCE."""
     for name, number, most in (("nofile", resource.RLIMIT_NOFILE, 1 << 20), ("nproc", resource.RLIMIT_NPROC, 1 << 15)):
         hard = resource.getrlimit(number)[1]
         limit = most if hard == resource.RLIM_INFINITY else min(hard, most)
@@ -308,27 +312,27 @@ def _image(name: str, found: Mapping[str, Any]) -> Image:
     return image_of(name, f"sha256:{_bare(found['Id'])}", config(found))
 
 
-# ---------------------------------------------------------------- what podman said, remembered
+# ---------------------------------------------------------------- the cache of podman's answers
 
 
 def _where() -> str:
-    """Whose storage it is: all that is asked of the environment for that."""
+    """Return a key for the storage: the user, and the environment variables that decide where it is."""
     return json.dumps([os.getuid(), *(os.environ.get(name, "") for name in VARIABLES)])
 
 
 def _state(remembered: Cache) -> list[Any] | None:
-    """How the lists of images are now; None where it cannot be told."""
+    """Return the current state of the lists of images, or None if it is unknown."""
     states = [_stat(path) for path in _lists(remembered)]
     return states if states and any(state is not None for state in states) else None
 
 
 def _recent(state: list[Any]) -> bool:
-    """Whether a list was changed so lately that a further change might not show."""
+    """Return whether a list was changed so recently that a further change might be invisible."""
     return any(one is not None and max(one[-2:]) > time.time_ns() - RACY_NS for one in state)
 
 
 def _lists(remembered: Cache) -> list[str]:
-    """Podman's lists of images, its own and those of the stores beside it."""
+    """Return the paths of podman's lists of images: its own, and those of additional stores."""
     around = [program(), *_configuration()]
     state = [_stat(path) for path in around]
     known = remembered.get(_where())

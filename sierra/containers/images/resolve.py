@@ -1,4 +1,4 @@
-"""What people call an image, and what that is now: a tag in podman's storage, a file, or a folder with a recipe."""
+"""The resolution of an image's name to the image: a tag in podman's storage, a file, or a Containerfile folder."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ SUFFIXES = (".tar", ".sif", ".sqfs", ".squashfs", ".img", ".gz", ".tgz", ".zst")
 
 
 def place(root: Path, name: str) -> Path | None:
-    """The file or folder that a name means, which need not be there; None for a tag.
+    """Return the file or folder that a name means, which may be missing; None for a tag.
 
-    A name that is there as a file is that file. Any other is a tag, unless it looks like a path.
+    A name that exists as a file is that file. Any other name is a tag, unless it looks like a path.
     """
     path = root / name
     if path.exists():
@@ -32,9 +32,9 @@ def place(root: Path, name: str) -> Path | None:
 
 
 def spelled(root: Path, name: str, known: str = "") -> str:
-    """Return a name as a project writes it down: `known`, if that is the same file; a path in the project from its root.
+    """Return a name in the form that a project records: `known` for the same file; a path in the project relative to its root.
 
-    `./sim/` and `/home/me/project/sim` both are `sim`, which is the same on every machine.
+    `./sim/` and `/home/me/project/sim` are both `sim`, which is the same on every machine.
     """
     path = Path(os.path.normpath(root / name))
     if not path.exists() or (known and path == Path(os.path.normpath(root / known))):
@@ -43,7 +43,10 @@ def spelled(root: Path, name: str, known: str = "") -> str:
 
 
 def tag(root: Path, name: str) -> str | None:
-    """The tag in podman's storage that a name means; None for a file."""
+    """Return the tag in podman's storage that a name means; None for a file.
+
+    Raises ConfigError if a folder's name cannot be a tag.
+    """
     path = place(root, name)
     if path is None:
         return name
@@ -56,15 +59,15 @@ def tag(root: Path, name: str) -> str | None:
 
 
 def named(root: Path, name: str) -> Image:
-    """What a name stands for now. A file is read as far as its identity needs: see `examine` for all that is in it.
+    """Return the image that a name stands for now. Reads only the parts that the identity needs; `examine` reads all.
 
-    Raises Missing where there is nothing of that name, Damaged for a file that is no image.
+    Raises Missing if there is nothing with that name, Damaged for a file that is not an image.
     """
     called = tag(root, name)
     if called is not None:
         return _tagged(root, name, called)
     path = place(root, name)
-    assert path is not None  # noqa: S101 - what is no tag is a path
+    assert path is not None  # noqa: S101 - a name that is not a tag is a path
     try:
         return _file(root, path, name)
     except OSError as error:
@@ -72,9 +75,9 @@ def named(root: Path, name: str) -> Image:
 
 
 def verify(root: Path, image: Image) -> None:
-    """See that a pinned image is still what its name stands for, and can run here; remembered, so it costs next to nothing.
+    """Check that a pinned image is still the image of its name, and can run here. The result is cached, so the check is cheap.
 
-    Raises Missing, which names both, where a file was changed or a tag moved; and for another machine's architecture.
+    Raises Missing, with both ids, if a file was changed or a tag moved; also if the image is for another architecture.
     """
     if image.architecture and image.architecture != machine():
         raise Missing(f"the image {image.name} is for {image.architecture}, and this machine is {machine()}; build it here")
@@ -101,7 +104,7 @@ def _verify_file(root: Path, image: Image) -> None:
 
 def _verify_tag(root: Path, image: Image) -> None:
     called, found = tag(root, image.name), None
-    with contextlib.suppress(Missing):  # podman does not work here, which is no harm where nothing needs it
+    with contextlib.suppress(Missing):  # podman does not work here, which does not matter if nothing needs it
         found = None if called is None else podman_storage.identify(called)
     if found is not None and found != image.id:
         raise Missing(
@@ -142,7 +145,7 @@ def _file(root: Path, path: Path, name: str) -> Image:
 
 
 def _of_squashfs(root: Path, name: str, file: str, digest: str, system: str, architecture: str) -> Image:
-    """A file system with the SHA-256 `system`: itself, or the OCI image that it was made of here."""
+    """Return the image whose file system has the SHA-256 `system`: a squashfs, or the OCI image that it was made from."""
     made = inspect.made_from(StorePaths(ProjectPaths(root).store), system)
     if made is not None:
         return replace(made, name=name, file=file, sha256=digest)
@@ -150,5 +153,5 @@ def _of_squashfs(root: Path, name: str, file: str, digest: str, system: str, arc
 
 
 def _file_name(root: Path, path: Path) -> str:
-    """A file's path as it is written down: from the project's root where it lies in there."""
+    """Return a file's path as it is recorded: relative to the project's root if the file is inside the project."""
     return str(path.relative_to(root)) if path.is_relative_to(root) else str(path)

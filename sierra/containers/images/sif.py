@@ -1,11 +1,12 @@
 """The Singularity Image Format, as apptainer and singularity-ce write it: a header, descriptors, and data.
 
-Layout (https://github.com/sylabs/sif, pkg/sif/sif.go), all little-endian and without padding: 32 bytes that start the file as
-a script, the magic `SIF_MAGIC\\0`, a version (3 bytes), an architecture (3), a UUID (16), then eight 64-bit numbers: created,
-modified, descriptors that are free, all descriptors, where they begin, their size, where data begin, their size. A descriptor
-has 585 bytes: type (32 bits), whether it is used (8), its id, its group, what it is linked to (32 each), the data's offset,
-size and size with padding (64 each), two times, user and group (64 each), a name (128 bytes), and what belongs to its type
-(384): of a partition its file system, its role (32 each) and its architecture (3 bytes).
+Layout (https://github.com/sylabs/sif, pkg/sif/sif.go), all little-endian and without padding. The header has 32 bytes that make
+the file a script, the magic `SIF_MAGIC\\0`, a version (3 bytes), an architecture (3), a UUID (16), then eight 64-bit numbers:
+time of creation, time of modification, number of free descriptors, number of all descriptors, offset and size of the
+descriptors, offset and size of the data. A descriptor has 585 bytes: type (32 bits), a flag for being used (8), its id, its
+group, the id that it is linked to (32 each), the data's offset, size and size with padding (64 each), two times, user and group
+(64 each), a name (128 bytes), and data that depends on its type (384): for a partition its file system, its role (32 each) and
+its architecture (3 bytes).
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ LAUNCH, MAGIC = 32, b"SIF_MAGIC\0"
 HEADER = struct.Struct("<32s10s3s3s16s8q")
 DESCRIPTOR = struct.Struct("<i?IIIqqqqqqq128s384s")
 MOST = 4096
-"""Descriptors; apptainer makes room for 48."""
+"""The greatest number of descriptors; apptainer reserves space for 48."""
 DEFFILE, LABELS, PARTITION, SIGNATURE, JSON = 0x4001, 0x4003, 0x4004, 0x4005, 0x4006
 SQUASHFS, PRIMARY, OVERLAY = 1, 2, 4
 FILE_SYSTEMS = {1: "squashfs", 2: "ext3", 3: "an archive", 4: "raw", 5: "an encrypted squashfs"}
@@ -48,7 +49,7 @@ TEXT = 4 << 20
 
 @dataclass(frozen=True, slots=True)
 class Sif:
-    """What is in a SIF: where its file system is, and what is said about it."""
+    """The parts of a SIF that SIERRA uses: the location of its file system, and its metadata."""
 
     path: Path
     architecture: str
@@ -56,11 +57,11 @@ class Sif:
     size: int
     signed: bool
     recipe: str
-    """The definition file that it was built by."""
+    """The definition file from which it was built."""
     labels: dict[str, str]
 
     def digest(self) -> str:
-        """The SHA-256 of the file system, whatever is said about it elsewhere in the file."""
+        """Return the SHA-256 of the file system, without the metadata elsewhere in the file."""
         digest, left = hashlib.sha256(), self.size
         with self.path.open("rb") as file:
             file.seek(self.offset)
@@ -77,7 +78,10 @@ def is_sif(path: Path) -> bool:
 
 
 def read(path: Path) -> Sif:
-    """What a SIF's header and descriptors say. Raises Damaged for what is none, is cut short, or cannot be run here."""
+    """Return the contents of a SIF's header and descriptors.
+
+    Raises Damaged if the file is not a SIF, is cut short, or cannot be run here; Missing if it cannot be read.
+    """
     try:
         with path.open("rb") as file:
             return _read(path, file, path.stat().st_size)
@@ -94,7 +98,7 @@ class _Object:
 
     @property
     def role(self) -> int | None:
-        """What a partition is for; None where it is none."""
+        """Return the role of a partition, or None for any other object."""
         return struct.unpack_from("<ii", self.extra)[1] if self.type == PARTITION else None
 
 
@@ -141,7 +145,7 @@ def _text(file: BinaryIO, one: _Object) -> str:
 
 
 def _labels(file: BinaryIO, objects: list[_Object]) -> dict[str, str]:
-    """What labels say, where they are an object of the SIF, and JSON."""
+    """Return the labels, if the SIF has an object for them that contains valid JSON."""
     for one in objects:
         if one.type == LABELS:
             try:

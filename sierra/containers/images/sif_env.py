@@ -1,7 +1,7 @@
-"""What a SIF sets for its programs, and its labels, as files in it say.
+"""The environment variables and labels of a SIF, read from files in it.
 
-Apptainer writes what an OCI image sets as shell code, `export NAME="${NAME:-"value"}"` a line, or `export NAME="value"`. Only
-lines of that form, whose value holds nothing that a shell would expand, are understood; others are passed over.
+Apptainer writes the variables of an OCI image as shell code, one `export NAME="${NAME:-"value"}"` or `export NAME="value"` per
+line. Only lines of that form are read, and only if a shell would expand nothing in the value; other lines are ignored.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ def wanted(path: str) -> int:
 
 
 def of(kept: Mapping[str, bytes]) -> dict[str, str]:
-    """The variables, by name."""
+    """Return the variables by name."""
     lines = kept.get(ENVIRONMENT, b"").decode("utf-8", "replace").splitlines()
     return {read[1]: read[2] for line in lines if (read := EXPORT.fullmatch(line.strip()))}
 

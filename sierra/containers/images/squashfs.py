@@ -1,8 +1,8 @@
-"""Squashfs images: made from an image's files by `mksquashfs`, and listed by `unsquashfs` (both of squashfs-tools).
+"""Squashfs images: `mksquashfs` makes them from an image's files, and `unsquashfs` lists them (both from squashfs-tools).
 
-The same files give the same bytes: no times, no owners, no order of their own. Other versions of squashfs-tools may give
-others, so the SHA-256 of what was made is remembered, and is nobody's identity. (`sqfstar` of 4.5 would do as well, but for
-its refusing any level of compression; zstd at its default level takes five times as long.)
+The same files give the same bytes, because times, owners and the order are fixed. Other versions of squashfs-tools may give
+other bytes, so the SHA-256 of the result is recorded but never used as an identity. (`sqfstar` of version 4.5 would also do,
+but it refuses to set the compression level; zstd at its default level takes five times as long.)
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ DATA = b"# START OF DATA - DO NOT MODIFY\n"
 
 
 def make(write: Callable[[BinaryIO], None], target: Path) -> str:
-    """Make a squashfs of the tar that `write` writes; its SHA-256. It appears whole, or not at all.
+    """Make a squashfs from the tar that `write` writes, and return its SHA-256. The file is written whole or not at all.
 
-    Raises Missing without squashfs-tools, and where there is no room on the disk.
+    Raises Missing without squashfs-tools, or if there is no space on the disk.
     """
     program = _program("mksquashfs")
     unfinished = target.with_name(f".{target.name}.{os.getpid()}")
@@ -62,7 +62,7 @@ def _run(command: list[str], write: Callable[[BinaryIO], None]) -> None:
             command, stdin=subprocess.PIPE, stdout=said, stderr=subprocess.STDOUT, env=environment | {"LC_ALL": "C.UTF-8"}
         )
         try:
-            assert process.stdin is not None  # noqa: S101 - it was asked for
+            assert process.stdin is not None  # noqa: S101 - stdin is a pipe
             with contextlib.suppress(BrokenPipeError), process.stdin as pipe:
                 write(cast("BinaryIO", pipe))
             status = process.wait()
@@ -74,7 +74,7 @@ def _run(command: list[str], write: Callable[[BinaryIO], None]) -> None:
 
 
 def _last(said: IO[bytes]) -> str:
-    """What a program complained of: the first line that says why, else its last one."""
+    """Return the line of a program's output that gives the reason of its failure, or else its last line."""
     said.seek(0)
     lines = [line.strip() for line in said.read(1 << 16).decode("utf-8", "replace").splitlines() if line.strip()]
     why = [line for line in lines if "because" in line or "FATAL" in line or "error" in line.lower()]
@@ -87,7 +87,10 @@ def is_squashfs(path: Path) -> bool:
 
 
 def size(path: Path, offset: int = 0) -> int:
-    """Bytes of a file system, as its superblock says. Raises Damaged for none, and for one that is cut short."""
+    """Return the size of a file system in bytes, from its superblock.
+
+    Raises Damaged if it is not a squashfs or is cut short.
+    """
     with path.open("rb") as file:
         file.seek(offset)
         block = file.read(48)
@@ -100,15 +103,15 @@ def size(path: Path, offset: int = 0) -> int:
 
 
 def listing(path: Path, offset: int = 0, wanted: Wanted = lambda path: 0) -> tuple[tuple[Entry, ...], dict[str, bytes]]:
-    """What is in a squashfs that begins at `offset`, by path; and the beginnings of files that were wanted.
+    """Return the entries of a squashfs that begins at byte `offset`, by path, and the beginnings of the wanted files.
 
-    Nothing is unpacked: `unsquashfs` streams a "pseudo file", a line for each path and then the bytes of all files.
+    Nothing is unpacked: `unsquashfs` streams a "pseudo file", which has a line for each path and then the bytes of all files.
     """
     command = [_program("unsquashfs"), "-no-progress", "-quiet", "-offset", str(offset), "-pf", "/dev/stdout", str(path)]
     with tempfile.TemporaryFile() as complaints:
         process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=complaints)
         try:
-            assert process.stdout is not None  # noqa: S101 - it was asked for
+            assert process.stdout is not None  # noqa: S101 - stdout is a pipe
             with process.stdout as stream:
                 found = _listed(path, stream, wanted)
                 while stream.read(PIECE):
@@ -157,7 +160,7 @@ def _listed(path: Path, stream: IO[bytes], wanted: Wanted) -> tuple[tuple[Entry,
 
 
 def _lines(path: Path, stream: IO[bytes]) -> Iterator[tuple[str, bytes, bytes]]:
-    """Name, type and the rest of each line. Raises Damaged for one that is none (as a line feed in a name makes it)."""
+    """Yield the name, type and rest of each line. Raises Damaged for an invalid line (a line feed in a name causes one)."""
     while (line := stream.readline(LONGEST_LINE)) and line != DATA:
         if line.startswith(b"#"):
             continue
@@ -171,7 +174,7 @@ def _lines(path: Path, stream: IO[bytes]) -> Iterator[tuple[str, bytes, bytes]]:
 def _hash(
     path: Path, stream: IO[bytes], entries: dict[str, Entry], order: list[str], wanted: Wanted
 ) -> Iterator[tuple[str, bytes]]:
-    """Give each file its SHA-256, in the order of their bytes; yields what is kept of those that are wanted."""
+    """Set the SHA-256 of each file, in the order of the data. Yields the kept beginnings of wanted files."""
     for name in order:
         one, digest, kept, left = entries[name], hashlib.sha256(), bytearray(), entries[name].size
         most = wanted(name)

@@ -1,7 +1,7 @@
-"""Bytes that come from outside, read forwards once: counted, bounded, and hashed on the way.
+"""Byte streams from outside that are read forwards once, and are counted, limited and hashed while they are read.
 
-`tarfile` trusts what a header says of sizes, and reads so much at once. So it gets a `ForwardStream`, which gives no more at a
-time than a header may need, goes on to no byte beyond what the image may come to, and knows in the end the digest of all of it.
+`tarfile` trusts the sizes in a header, and reads that many bytes at once. A `ForwardStream` therefore limits each read to the
+size that a header may have, limits the total to the size that the image may have, and computes the digest of all bytes.
 """
 
 from __future__ import annotations
@@ -15,22 +15,22 @@ from sierra.errors import Damaged
 
 PIECE = 1 << 20
 AT_ONCE = 16 << 20
-"""The longest that a header and what belongs to it may be."""
+"""The greatest length in bytes of a header with the data that belongs to it."""
 BLOCK = 512
 
 UNREADABLE = (tarfile.TarError, ValueError, OverflowError, RecursionError)
-"""What `tarfile` raises for what is no tar."""
+"""The errors that `tarfile` raises for data that is not a tar."""
 
 
 class ForwardStream:
-    """A stream that is read once, from its beginning to its end: what `tarfile` needs of a file, and no more."""
+    """A stream that is read once from beginning to end, with only the methods that `tarfile` needs."""
 
     def __init__(self, stream: BinaryIO, most: int, what: str) -> None:
         self._stream, self._most, self._what = stream, most, what
         self._place = 0
         self._hash = hashlib.sha256()
         self.last = b""
-        """What was read last, where it was a block of a tar."""
+        """The last data that was read, if it was one block of a tar; else empty."""
 
     def read(self, size: int = -1) -> bytes:
         if not 0 <= size <= AT_ONCE:
@@ -58,19 +58,19 @@ class ForwardStream:
         return self._place
 
     def digest(self) -> str:
-        """The SHA-256 of all of it, of which the rest is read now."""
+        """Return the SHA-256 of the whole stream. Reads the rest first."""
         while self.read(PIECE):
             pass
         return self._hash.hexdigest()
 
 
 def members(stream: ForwardStream, what: str) -> Iterator[tuple[tarfile.TarInfo, tarfile.TarFile]]:
-    """The members of a tar, in order. Raises Damaged for what is none, all of it that `tarfile` would pass over included."""
+    """Yield the members of a tar, in order. Raises Damaged for an invalid tar, also for errors that `tarfile` would ignore."""
     try:
         with tarfile.TarFile(fileobj=stream, encoding="utf-8", errors="surrogateescape") as tar:  # type: ignore[arg-type]
             while (member := tar.next()) is not None:
                 yield member, tar
-                tar.members = []  # type: ignore[attr-defined]  # else it remembers all headers
+                tar.members = []  # type: ignore[attr-defined]  # else it keeps all headers
     except UNREADABLE as error:
         raise Damaged(f"{what} is no sound tar archive: {error}") from error
     if stream.last.strip(b"\0"):
@@ -78,7 +78,7 @@ def members(stream: ForwardStream, what: str) -> Iterator[tuple[tarfile.TarInfo,
 
 
 def content(tar: tarfile.TarFile, member: tarfile.TarInfo, what: str) -> Iterator[bytes]:
-    """The bytes of the member that was read last, in pieces; the holes of a sparse one are filled."""
+    """Yield the bytes of the last member that was read, in pieces. Holes of a sparse file are filled with zeros."""
     try:
         file = tar.extractfile(member)
         while file is not None and (piece := file.read(PIECE)):
@@ -88,7 +88,7 @@ def content(tar: tarfile.TarFile, member: tarfile.TarInfo, what: str) -> Iterato
 
 
 class Hashed:
-    """A stream whose digest is known once it is at its end."""
+    """A stream that computes the digest of all its bytes."""
 
     def __init__(self, stream: BinaryIO) -> None:
         self._stream = stream

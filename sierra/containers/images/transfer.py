@@ -1,4 +1,4 @@
-"""Images from one machine to another: in as a checked archive, out as one that is read again before it counts."""
+"""The transfer of images between machines: import of a checked archive, and export to a file that is checked again."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from sierra.store.layout import StorePaths
 
 
 def take_in(root: Path, store: StorePaths, file: Path, name: str = "") -> Contents:
-    """Take an archive in: checked, into podman's storage where podman is, and described, with its squashfs where it is not.
+    """Import an archive: check it, load it into podman's storage, and describe it. Without podman, make its squashfs.
 
-    `name` is the tag that it gets; else it gets the first of those that it had where it comes from, unless another image has
-    that here. Raises Missing, Damaged; nothing was taken in then.
+    `name` is the tag that it gets. By default, it gets the first of the tags that it had at its origin, unless another image
+    has that tag here. Raises Missing or Damaged, and imports nothing then; UsageError if the file is not an archive.
     """
     if not file.exists():
         raise Missing(f"there is no image file {file}")
@@ -46,10 +46,12 @@ def _free(read: Archive) -> str:
 
 
 def export(root: Path, name: str, file: Path) -> Image:
-    """Write an image to a file that loads elsewhere as the same image; a pinned one as it was pinned. Which that is.
+    """Write an image to a file from which the same image can be loaded elsewhere, and return it.
 
-    An OCI image becomes a docker-archive, whose bytes are always the same; a SIF or a squashfs is copied. What was written is
-    read again before it gets its name. Raises Missing, Damaged.
+    A pinned image is used as pinned.
+
+    An OCI image becomes a docker-archive, whose bytes are always the same; a SIF or a squashfs is copied. The written file is
+    read again before it gets its name. Raises Missing, Damaged, UsageError.
     """
     if file.is_dir():
         raise UsageError(f"{file} is a folder; name the file to be written, as in {file / 'image.tar'}")
