@@ -1,8 +1,8 @@
-"""Where runs execute: the Runner contract, and the door to find one by name.
+"""The Runner contract, and functions that find a runner by its name.
 
-Shipped: `local`, and `slurm` and `pbs`, which are one runner over two schedulers (see `sierra.runners.schedulers.base`). Others
-come as entry points of the group `sierra.runners`, each naming a class that fulfils `Runner`, or of `sierra.schedulers`.
-`sierra.testing.runners` holds them to it.
+SIERRA ships `local`, `slurm` and `pbs`. The last two are one runner over two schedulers (see `sierra.runners.schedulers.base`).
+Plug-ins add others as entry points: of the group `sierra.runners`, each naming a class that fulfils `Runner`, or of the group
+`sierra.schedulers`. `sierra.testing.runners` has the conformance suite.
 """
 
 from __future__ import annotations
@@ -27,99 +27,106 @@ SHIPPED = {"local": "sierra.runners.local:Local"}
 
 @dataclass(frozen=True, slots=True)
 class Work:
-    """What is to be executed."""
+    """The jobs of one session, and what a runner needs to know to execute them."""
 
     jobs: Iterable[Job]
-    """Read as slots become free, perhaps in another thread."""
+    """The runner reads them as slots become free, perhaps in another thread."""
     count: int
     batch: str
     needs: tuple[Requirement, ...] = ()
     times: Times | None = None
-    """What runs are expected to take; None where nobody knows."""
+    """Expected durations of the runs; None if they are unknown."""
     waits: bool = True
-    """Whether somebody follows it from now on."""
+    """True if a process follows the session from now on."""
     record: tuple[str, ...] = ()
-    """Variables (or patterns) that are recorded of what is around runs."""
+    """Names or patterns of the environment variables that are recorded."""
     around: Mapping[str, Any] = field(default_factory=dict)
-    """The row of `environments` of this process: what a node does not say of itself is taken from it."""
+    """The row of `environments` of this process. It supplies what a node does not report about itself."""
 
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """What has happened since the last look."""
+    """Everything that has happened since the previous look."""
 
     results: tuple[Result, ...]
     running: int
-    """Runs in flight now."""
+    """Number of runs in flight now."""
     alive: bool
-    """Whether more may come."""
+    """True if more results may come."""
     rows: tuple[tuple[str, dict[str, Any]], ...] = ()
-    """What is to be recorded beside: rows by their table."""
+    """Further rows to record: pairs of a table's name and a row."""
     notes: tuple[str, ...] = ()
-    """What the user should know, now."""
+    """Messages for the user."""
     queued: int = 0
-    """Elements that wait for a node."""
+    """Number of elements that wait for a node."""
     waits: str = ""
-    """Why they wait, in the scheduler's words; empty where it does not say."""
+    """The reason why they wait, in the scheduler's words; empty if the scheduler gives none."""
     copies: tuple[Result, ...] = ()
-    """Runs that were executed once more than was asked; without a directory."""
+    """Results of runs that were executed once more than requested, without a directory."""
     wrong: SierraError | None = None
-    """Why nothing more will come although runs are missing; it is raised then. Asking again would end the same way."""
+    """The error that ended the session while runs are missing. The caller raises it. Submitting again would not help."""
 
 
 class Runner(Protocol):
-    """One place where runs execute. What it says of a run is only ever what the run's worker recorded."""
+    """One place where runs execute. A runner reports only what a run's worker has recorded."""
 
     name: str
     stays: bool
-    """Whether what it has started lives on without this process; else it ends with it."""
+    """True if the work that it starts survives this process. Otherwise, the work ends with the process."""
 
     def __init__(self, slots: int, table: ClusterTable) -> None:
-        """`slots`: how many runs execute at a time, where this machine executes them; `table` is the project's."""
+        """Make a runner. `slots` is the number of runs that this machine executes at a time; `table` is the project's."""
         ...
 
     def submit(self, work: Work, session: SessionPaths) -> None:
-        """Start executing; called once for a session.
+        """Start executing. This is called once for a session.
 
-        Raises ConfigError, Missing for what is refused or not there; nothing runs then.
+        Raises ConfigError for a refused request and Missing for something that does not exist. Nothing runs then.
         """
         ...
 
     def resume(self, session: SessionPaths, recorded: Mapping[str, str | None]) -> None:
-        """Take over, instead of `submit`, what another process has submitted, however far that came.
+        """Take over a session that another process has submitted, in whatever state it is. This is called instead of `submit`.
 
-        `recorded` are the executions that the store has, with their attempts: `look` does not tell of them. Only where `stays`.
+        `recorded` maps each execution in the store to its attempt; `look` does not report these. Called only if `stays` is
+        true.
         """
         ...
 
     def look(self) -> Look:
-        """What has happened; returns at once and may be called at any time after `submit` or `resume`.
+        """Return what has happened since the last call. It returns at once.
 
-        A result's directory is its reader's from then on, to be removed. What was lost (a node, a job that nobody knows) is
-        started again in here, a bounded number of times; then its runs have failed. What somebody else has cancelled is not: it
-        ends all, as `stop` does.
+        It may be called at any time after `submit` or `resume`. From then on, a result's directory belongs to the caller, who
+        removes it. Lost work (a lost node, a job that the scheduler does not know) is started again in this call, a bounded
+        number of times; after that, its runs have failed. If somebody else has cancelled work, it is not started again: the
+        session ends as with `stop`.
 
-        Raises SierraError where the runner itself cannot go on (a full disk, no worker); asking again goes on then.
+        Raises SierraError if the runner itself cannot go on (a full disk, no worker). Submitting the query again continues the
+        work.
         """
         ...
 
     def leave(self) -> None:
-        """This process goes, and nobody may follow for long: hand over what was held back. Only where `stays`."""
+        """Submit what was held back: this process ends, and nobody may follow for long. Called only if `stays` is true."""
         ...
 
     def stop(self) -> None:
-        """Start nothing more and end what runs; `look` tells the end of those too. May be called again."""
+        """Start nothing more and end the runs in flight; `look` reports their ends too. It may be called again."""
         ...
 
     def close(self) -> None:
-        """Give back what this process holds, once all results are recorded; what lives on, lives on. May be called again."""
+        """Release what this process holds, after all results are recorded.
+
+        Work that survives the process goes on. It may be called again.
+        """
         ...
 
 
 def needed(programs: Programs, search: str) -> tuple[Requirement, ...]:
-    """The files among what runs depend on, whose PATH is `search`; of what a Python has installed, names and versions alone.
+    """Return the files that runs depend on and that must be the same on every node; `search` is the runs' PATH.
 
-    The command's own program, which is the first, is called by its path: see `sierra.execution.commands.CommandBuilder`.
+    For what a Python installation contains, only names and versions are compared. The first program is the command's own. It is
+    called by its path: see `sierra.execution.commands.CommandBuilder`.
     """
     from sierra.worker import array_task
 
@@ -136,14 +143,14 @@ def needed(programs: Programs, search: str) -> tuple[Requirement, ...]:
 
 
 def _is_called(program: Program, search: str) -> bool:
-    """Whether it is found by its name alone."""
+    """Return True if the program is found by its name alone."""
     return os.sep not in program.name and shutil.which(program.name, path=search) == program.path
 
 
 def find(name: str, tables: Mapping[str, ClusterTable] | None = None) -> Callable[[int], Runner]:
-    """What makes the runner of that name, for a number of slots. `tables`: the clusters that the project names.
+    """Return a factory that makes the named runner from a number of slots; `tables` are the clusters that the project names.
 
-    Raises ConfigError where there is none.
+    Raises ConfigError if there is no such runner.
     """
     found = scheduler_of(name, tables)
     if found is None:
@@ -156,9 +163,9 @@ def find(name: str, tables: Mapping[str, ClusterTable] | None = None) -> Callabl
 
 
 def scheduler_of(name: str, tables: Mapping[str, ClusterTable] | None = None) -> tuple[str, ClusterTable] | None:
-    """The scheduler of the cluster of that name, and what the project says of it; None where the name is another runner's.
+    """Return the scheduler of the named cluster, and the cluster's table; None if the name is another runner's.
 
-    Raises ConfigError where there is none of that name.
+    Raises ConfigError if there is no runner of that name.
     """
     table = (tables or {}).get(name)
     if table is None and name in entry_points.names("runner", SHIPPED):

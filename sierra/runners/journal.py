@@ -1,4 +1,4 @@
-"""A worker's journal, read while it grows."""
+"""Reader of a worker's journal while it grows."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ AT_ONCE = 1 << 20
 
 @dataclass(frozen=True, slots=True)
 class Started:
-    """A program was started: its process id and, with it naming one process for ever, when it was born."""
+    """The start of a program. Its process id and its time of birth together identify one process for ever."""
 
     execution: str
     pid: int
@@ -27,16 +27,16 @@ class Started:
 
 @dataclass(frozen=True, slots=True)
 class Stalled:
-    """All processes of a run are stopped by a signal."""
+    """A run all of whose processes are stopped by a signal."""
 
     run: str
     execution: str
     pid: int
     since: float
-    """In seconds since the epoch."""
+    """Time in seconds since the epoch."""
 
     def told(self, where: str = "") -> str:
-        """Say it to the user; `where` is the node, as in ` on n1`."""
+        """Return the message for the user; `where` is the node, for example ` on n1`."""
         when = time.strftime("%H:%M:%S", time.localtime(self.since))
         cure = f"kill -CONT {self.pid}{where} continues it, and wall in [limits] ends such runs"
         return f"run {short(self.run)} makes no progress: a signal stopped its processes{where} at {when}; {cure}"
@@ -46,29 +46,32 @@ Event = Started | Stalled | Result
 
 
 class Journal:
-    """Reads on from where it stopped. A line that is cut short is not there yet, one that is damaged never was."""
+    """A worker's journal. Each reading continues where the last one stopped.
+
+    An incomplete last line is left for the next reading. A damaged line is ignored.
+    """
 
     def __init__(self, path: Path) -> None:
         self._path = path
         self._offset = 0
 
     def skip(self) -> None:
-        """Leave out all that is there now."""
+        """Skip everything that is there now."""
         with contextlib.suppress(FileNotFoundError):
             self._offset = self._path.stat().st_size
 
     def read(self) -> Iterator[Event]:
-        """All events since the last reading."""
+        """Yield all events since the last reading."""
         while lines := self._lines():
             yield from filter(None, map(_event, lines))
 
     def some(self) -> tuple[list[Event], bool]:
-        """The next events, at most a MiB of them; and whether there was anything, so that there may be more."""
+        """Return the next events, at most a MiB of them, and whether anything was read. If so, there may be more."""
         lines = self._lines()
         return list(filter(None, map(_event, lines))), bool(lines)
 
     def _lines(self) -> list[bytes]:
-        """The next whole lines: of a MiB, or one that is longer."""
+        """Return the next complete lines: a MiB of them, or one line that is longer."""
         try:
             with self._path.open("rb") as file:
                 file.seek(self._offset)

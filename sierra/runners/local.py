@@ -1,4 +1,4 @@
-"""Runs on this machine: one worker with as many slots as there are cores, fed through a pipe."""
+"""Runner on this machine: one worker with a number of slots, by default one per core, fed through a pipe."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from sierra.worker import worker
 
 
 class Local:
-    """The runner `local`. The worker ends what runs as soon as this process is gone: the pipe closes."""
+    """The runner `local`. The worker ends all runs as soon as this process is gone, because the pipe closes."""
 
     name = "local"
     stays = False
@@ -99,7 +99,7 @@ class Local:
         pass
 
     def _check(self, process: subprocess.Popen[bytes]) -> None:
-        """Raise what went wrong, once the worker has ended and all that it recorded has been read."""
+        """Raise the error of a worker that has failed. It has ended, and everything that it recorded has been read."""
         ending = _ending(process)
         if self._trouble is not None:
             raise self._trouble
@@ -109,12 +109,12 @@ class Local:
 
 
 def line(job: Job) -> bytes:
-    """A job as the worker reads it."""
+    """Return a job as a line that the worker reads."""
     return json.dumps(record(job), separators=(",", ":")).encode() + b"\n"
 
 
 def record(job: Job) -> dict[str, Any]:
-    """A job as the worker knows it."""
+    """Return a job as the record that the worker expects."""
     return {
         "run": job.run,
         "execution": job.execution,
@@ -128,7 +128,7 @@ def record(job: Job) -> dict[str, Any]:
 
 @lru_cache(maxsize=8)
 def _limits(limits: Limits) -> dict[str, Any]:
-    """Those that there are."""
+    """Return the limits that are set."""
     return {name: value for name, value in asdict(limits).items() if value is not None}
 
 
@@ -137,7 +137,7 @@ def _client(client: Client) -> dict[str, Any]:
 
 
 def _ending(process: subprocess.Popen[bytes]) -> str:
-    """How a worker ended, and the last that it said."""
+    """Return a worker's exit status or signal, and the last line that it printed."""
     said: list[str] = []
     if process.stderr is not None and not process.stderr.closed:
         with process.stderr as stream:

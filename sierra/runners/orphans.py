@@ -1,7 +1,7 @@
-"""What a worker that died left running: found by its mark and by its journal, and ended.
+"""Orphans: processes that a dead worker left running. They are found by a mark and by the worker's journal, and killed.
 
-Every process of a session has SIERRA_SESSION in its environment, unless it took that away; then the journal
-still has the process that its program began with. (Linux only: elsewhere nothing is found.)
+Every process of a session has SIERRA_SESSION in its environment, unless it removed the variable. Then the journal still has the
+first process of its program. (Linux only: on other systems nothing is found.)
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ PATIENCE_S = 10.0
 
 
 def end(sessions: Sequence[SessionPaths]) -> None:
-    """Kill all that these sessions left running, and wait until it is gone: their files are at rest then.
+    """Kill all processes that these sessions left running, and wait until they are gone. Then no process changes their files.
 
-    Raises Missing where a process can't be ended.
+    Raises Missing if a process cannot be killed.
     """
     give_up = time.monotonic() + PATIENCE_S
     while left := _left(sessions):
@@ -45,7 +45,7 @@ def _left(sessions: Iterable[SessionPaths]) -> set[int]:
 
 
 def _started(journal: Path) -> list[int]:
-    """Processes that a journal says were started, that have no end there, and still live."""
+    """Return the living processes that a journal records as started but not as ended."""
     started: dict[str, Started] = {}
     for event in Journal(journal).read():
         match event:

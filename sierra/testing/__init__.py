@@ -1,1 +1,1 @@
-"""Conformance suites: what every plug-in must hold to, for the tests of its author."""
+"""Conformance suites: the contracts of plug-ins as functions that a plug-in's author calls in tests."""

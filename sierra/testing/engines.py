@@ -1,14 +1,14 @@
-"""What every engine must hold to, as functions that a plug-in's author calls from tests of their own.
+"""Conformance suite for engines, as functions that a plug-in's author calls in tests.
 
-    from sierra.containers.engines.base import conformance
+    from sierra.testing import engines as conformance
 
     def test_it_is_an_engine(tmp_path):
         conformance.check(MyEngine(), image, project, tmp_path)
 
-`image` is a pinned `sierra.containers.images.Image` of the project at `project` (a path) that has `sh`, `cat` and `sleep`, as
-every busybox has; None stands for no image, where an engine contains nothing. It is the real program that is
-held to it: containers are started, asked to end, and killed. Each claim is one function of a `Trial`, and can be called
-alone. What does not hold raises AssertionError with one line, whether Python runs with `-O` or not.
+`image` is a pinned `sierra.containers.images.Image` of the project at `project` (a path). It needs `sh`, `cat` and `sleep`, as
+in every busybox. None means no image, for an engine that contains nothing. The suite tests the real program: it starts
+containers, asks them to end, and kills them. Each claim is one function of a `Trial`, and can be called alone. A broken claim
+raises AssertionError with one line, even if Python runs with `-O`.
 """
 
 from __future__ import annotations
@@ -33,7 +33,8 @@ from sierra.worker import processes
 
 PATIENCE_S = 30.0
 SOON_S = 15.0
-"""What is waited for that comes at once, if it comes; both are less than the programs of these claims would last."""
+"""Seconds to wait for something that comes at once, if it comes at all. Both limits are shorter than the programs of these
+claims would last."""
 GRACE_S = 0.3
 WORDS = ("", "a b", " c ", "d\ne", "'f'", '"g"', "$HOME", "`h`", "i\\j", "*", "-k", "ü", "--", "a=b,c=d")
 VALUES = {
@@ -48,11 +49,11 @@ VALUES = {
 }
 CANARY = "SIERRA_NOBODY_GIVES_THIS_TO_A_CONTAINER"
 ODD = ("a b", "c,d", "e:f", "it's", "g$h", "i\\j", "k=l", "ü")
-"""Names of folders in which a run may be."""
+"""Names of folders in which a run may execute."""
 ODDER = ('m"n', "o\np")
-"""Names that an engine may refuse, if it says so."""
+"""Names that an engine may refuse if it reports this."""
 FILL = "sh -c 'x=0123456789abcdef; i=0; while test $i -lt 24; do x=$x$x; i=$((i + 1)); done'; echo all"
-"""A script whose part needs 256 MiB, and that takes no notice of what becomes of it."""
+"""A script that has a part that needs 256 MiB. The script continues, whatever happens to that part."""
 LOOK = """
 echo "user $(cat /proc/self/uid_map)"
 echo "host $(cat /proc/sys/kernel/hostname)"
@@ -78,7 +79,7 @@ class Started:
     execution: str
 
     def left(self) -> list[int]:
-        """Processes of the run that are still there."""
+        """Return the processes of the run that are still alive."""
         return sorted(processes.marked({f"SIERRA_EXECUTION={self.execution}".encode()}))
 
     def said(self) -> str:
@@ -86,16 +87,16 @@ class Started:
 
     def until_it_says(self, word: str) -> None:
         _wait(lambda: word in self.said() or self.process.poll() is not None, f"it never said {word!r}")
-        time.sleep(GRACE_S)  # a client may pass signals on only a moment after its container has begun, as podman's does
+        time.sleep(GRACE_S)  # a client such as podman's passes signals on only a moment after its container has begun
         _holds(word in self.said(), f"it ended before it said {word!r}: {(self.folder / 'stderr').read_text(errors='replace')}")
 
     def signal(self, number: int) -> None:
-        """Signal the client's group, as a worker does."""
+        """Send a signal to the client's process group, as a worker does."""
         with contextlib.suppress(ProcessLookupError):
             os.killpg(self.process.pid, number)
 
     def stop(self) -> None:
-        """Do what a worker does where a client is gone."""
+        """Clean up after a client that is gone, as a worker does."""
         if self.client.stop:
             subprocess.run(self.client.stop, env=self.client.environment, capture_output=True, timeout=PATIENCE_S, check=False)
 
@@ -112,7 +113,7 @@ class Ended:
 
 @dataclass
 class Trial:
-    """An engine with an image to hold to the contract."""
+    """An engine and an image to test."""
 
     engine: Engine
     image: Image | None
@@ -144,7 +145,7 @@ class Trial:
         name: str = "",
         said: str | None = None,
     ) -> Started:
-        """Start a process in a container of its own, in a new folder; `said` is written to its standard input."""
+        """Start a process in a container of its own, in a new folder. `said` is written to its standard input."""
         execution = secrets.token_hex(8)
         folder = self.folder / (name or execution)
         for one in (RUN_OUTPUT, RUN_HOME, RUN_TMP):
@@ -175,7 +176,7 @@ class Trial:
         return Started(client, started, folder, execution)
 
     def end(self, started: Started, *, seconds: float = PATIENCE_S, stopped: str | None = None) -> Ended:
-        """Wait for the end of a container, and say what became of it."""
+        """Wait for the end of a container, and return its result and output."""
         try:
             status = started.process.wait(seconds)
         except subprocess.TimeoutExpired:
@@ -198,12 +199,12 @@ class Trial:
         return self.run("sh", "-c", text, "sh", *words, box=box)
 
     def box_of_limits(self) -> ContainerSpec:
-        """A box with all limits, of which memory is 32 MiB."""
+        """Return a specification with all limits. The memory limit is 32 MiB."""
         return replace(self.box(), memory=32 << 20, cpus=0.5, pids=50)
 
     @cached_property
     def look(self) -> list[tuple[str, str]]:
-        """What a process sees around it, each with its kind."""
+        """Pairs of a kind and a fact about the environment that a process sees."""
         ended = self.script(LOOK)
         _holds(ended.result.exit_code == 0, f"looking around ended so: {ended.result.error or ended.result}")
         return [line.partition(" ")[::2] for line in ended.out.decode().splitlines()]
@@ -213,7 +214,7 @@ class Trial:
 
 
 def check(engine: Engine, image: Image | None, project: Path, folder: Path) -> None:
-    """All claims; `folder` is an empty one, for the runs."""
+    """Check all claims. `folder` is an empty folder for the runs."""
     trial = Trial(engine, image, project, folder)
     try:
         for claim in CLAIMS if image else APPLY_WITHOUT_AN_IMAGE:
@@ -223,12 +224,12 @@ def check(engine: Engine, image: Image | None, project: Path, folder: Path) -> N
 
 
 def says_what_it_can(trial: Trial) -> None:
-    """It works here, says its version in one line, and says the same when asked again, at once."""
+    """Check that the engine works here, reports its version in one line, and repeats its answer at once."""
     able = trial.able
     _holds(not able.trouble, able.trouble)
     _is_one_line(able.version)
     took = []
-    for _ in range(3):  # what it depends on may change meanwhile, as users come and go
+    for _ in range(3):  # the answer may change in between, as other users' activity changes
         began = time.monotonic()
         _holds(trial.engine.probe() == able, "another answer when asked again")
         took.append(time.monotonic() - began)
@@ -237,7 +238,7 @@ def says_what_it_can(trial: Trial) -> None:
 
 
 def prepares_once(trial: Trial) -> None:
-    """What is ready stays so: asked again, it is called the same, and that is quick."""
+    """Check that a prepared image keeps its reference, and that preparing it again is quick."""
     if trial.image is None:
         return
     first, began = trial.reference, time.monotonic()
@@ -247,14 +248,14 @@ def prepares_once(trial: Trial) -> None:
 
 
 def ends_with_the_programs_status(trial: Trial) -> None:
-    """Also those that engines use themselves."""
+    """Check that the program's exit status is kept, even if it is one that engines use themselves."""
     for status in (0, 3, 125, 126, 127, 255):
         result = trial.script(f"exit {status}").result
         _holds((result.exit_code, result.error) == (status, None), f"status {status} became {result.exit_code}, {result.error}")
 
 
 def tells_the_programs_signal(trial: Trial) -> None:
-    """A program that a signal ended has no status."""
+    """Check that a program that a signal ended has the signal and no status."""
     for number in (signal.SIGSEGV, signal.SIGTERM, signal.SIGABRT):
         result = trial.script(f"kill -{number.value} $$; sleep 9").result
         _holds((result.exit_code, result.signal) == (None, number), f"{number.name} became {result}")
@@ -262,14 +263,14 @@ def tells_the_programs_signal(trial: Trial) -> None:
 
 
 def passes_words_as_they_are(trial: Trial) -> None:
-    """No word of a command is evaluated, split or lost."""
+    """Check that no word of a command is evaluated, split or lost."""
     ended = trial.script('printf "<%s>" "$@"', *WORDS)
     wanted = "".join(f"<{word}>" for word in WORDS)
     _holds(ended.out.decode() == wanted, f"{wanted!r} became {ended.out.decode(errors='replace')!r}")
 
 
 def passes_the_environment_exactly(trial: Trial) -> None:
-    """Every value as it is, and none of the caller's."""
+    """Check that each variable keeps its value, and that none of the caller's variables is passed on."""
     os.environ[CANARY] = "1"
     try:
         ended = trial.run("cat", "/proc/self/environ", variables=VALUES)
@@ -285,14 +286,14 @@ def passes_the_environment_exactly(trial: Trial) -> None:
 
 
 def keeps_output_apart(trial: Trial) -> None:
-    """Standard output and error are the program's alone, to the byte."""
+    """Check that standard output and error contain exactly the program's bytes."""
     ended = trial.script(r"printf 'out\000\377\n'; printf 'err' >&2")
     _holds(ended.out == b"out\0\xff\n", f"standard output became {ended.out!r}")
     _holds(ended.err == b"err", f"standard error became {ended.err!r}")
 
 
 def passes_standard_input(trial: Trial) -> None:
-    """A process that is interactive reads what its client is given; another reads nothing."""
+    """Check that an interactive process reads what its client is given, and that any other process reads nothing."""
     if trial.contains:
         ended = trial.end(trial.start("cat", said="a\nb"))
         _holds(ended.out == b"a\nb", f"what was written to it became {ended.out!r}")
@@ -300,7 +301,7 @@ def passes_standard_input(trial: Trial) -> None:
 
 
 def begins_in_its_folder(trial: Trial) -> None:
-    """That is where outputs are written, and whose they are is the caller."""
+    """Check that the working directory is the output folder, and that the caller owns the outputs."""
     ended = trial.script("pwd; echo done > file; mkdir folder")
     _holds(ended.out.decode().strip().endswith(f"/{RUN_OUTPUT}"), f"it begins in {ended.out.decode().strip()}")
     for name in ("file", "folder"):
@@ -310,7 +311,7 @@ def begins_in_its_folder(trial: Trial) -> None:
 
 
 def leaves_nothing_on_the_host(trial: Trial) -> None:
-    """What it writes elsewhere was the container's own: where runs share one, what they leave there is removed."""
+    """Check that files written elsewhere stay in the container. If runs share a container, these files are removed."""
     if trial.contains:
         name = f"sierra-{secrets.token_hex(8)}"
         trial.script(f'for place in {" ".join(WRITABLE)}; do : > "$place/{name}"; done 2>/dev/null')
@@ -319,13 +320,13 @@ def leaves_nothing_on_the_host(trial: Trial) -> None:
 
 
 def has_no_network(trial: Trial) -> None:
-    """Unless it is asked for, or the engine says that it can't."""
+    """Check that there is no network, unless it is requested or the engine reports that it cannot isolate it."""
     cards = [card for card in trial.saw("card") if card.partition(":")[0] != "lo"]
     _holds(not cards or not trial.able.isolated, f"there are network cards: {cards}")
 
 
 def has_the_network_where_asked(trial: Trial) -> None:
-    """The host's."""
+    """Check that a run that requests the network has the host's."""
     ended = trial.script("cat /proc/net/dev", box=replace(trial.box(), network=True))
     cards = {line.partition(":")[0].strip() for line in Path("/proc/net/dev").read_text().splitlines() if ":" in line}
     seen = {line.partition(":")[0].strip() for line in ended.out.decode().splitlines() if ":" in line}
@@ -333,7 +334,7 @@ def has_the_network_where_asked(trial: Trial) -> None:
 
 
 def writes_where_it_may(trial: Trial) -> None:
-    """Its home, its folder of temporary files and its output: its own, and nothing else."""
+    """Check that a run can write to its own home, temporary and output folders, and to nothing else."""
     _holds(not trial.saw("wrote"), f"it could write {trial.saw('wrote')}")
     _holds(not trial.saw("refused"), f"it could not write {trial.saw('refused')}")
     _holds(trial.saw("input") == ["given"], f"its input is {trial.saw('input')}")
@@ -343,7 +344,7 @@ def writes_where_it_may(trial: Trial) -> None:
 
 
 def has_no_rights(trial: Trial) -> None:
-    """No capabilities, and no way to new ones."""
+    """Check that a run has no capabilities, and cannot get new ones."""
     said = dict(line.split(" ", 1) for line in trial.saw("status") if " " in line)
     for name in ("CapInh:", "CapPrm:", "CapEff:", "CapAmb:", "CapBnd:"):
         _holds(int(said[name].strip(), 16) == 0, f"{name} is {said[name]}")
@@ -351,25 +352,25 @@ def has_no_rights(trial: Trial) -> None:
 
 
 def has_no_name_of_the_hosts(trial: Trial) -> None:
-    """The host's name and processes are hidden."""
+    """Check that the host's name and processes are hidden."""
     _holds(trial.saw("host") == [HOSTNAME], f"the host is called {trial.saw('host')}")
     _holds(len(trial.saw("process")) < 10, f"it sees {len(trial.saw('process'))} processes")
 
 
 def ends_when_asked(trial: Trial) -> None:
-    """SIGTERM reaches the program, which may do something about it; then nothing is left."""
+    """Check that SIGTERM reaches the program, which may react to it, and that nothing is left then."""
     started = trial.start("sh", "-c", "trap 'echo got; exit 5' TERM; echo ready; while :; do sleep 0.1; done")
     started.until_it_says("ready")
     started.signal(signal.SIGTERM)
     trial.end(started, seconds=SOON_S, stopped="interrupted")
-    _wait(lambda: "got" in started.said() or not started.left(), "SIGTERM did not reach the program")  # podman's may end first
+    _wait(lambda: "got" in started.said() or not started.left(), "SIGTERM did not reach the program")  # podman may end first
     started.stop()
     _holds("got" in started.said(), "SIGTERM did not reach the program")
     _nothing_is_left(started)
 
 
 def ends_a_program_that_does_not_care(trial: Trial) -> None:
-    """SIGTERM ends one that does nothing about it, also as the first process of a container."""
+    """Check that SIGTERM ends a program that does not handle it, even as the first process of a container."""
     started = trial.start("sh", "-c", "echo ready; exec sleep 60")
     started.until_it_says("ready")
     started.signal(signal.SIGTERM)
@@ -380,7 +381,7 @@ def ends_a_program_that_does_not_care(trial: Trial) -> None:
 
 
 def is_killed_after_its_grace(trial: Trial) -> None:
-    """One that ignores SIGTERM, with children that left its group, is gone after SIGKILL and `stop`."""
+    """Check that SIGKILL and `stop` end a program that ignores SIGTERM and has children outside its process group."""
     started = trial.start("sh", "-c", "trap '' TERM; sleep 60 & (setsid sleep 60 &) ; echo ready; while :; do sleep 1; done")
     started.until_it_says("ready")
     started.signal(signal.SIGTERM)
@@ -393,7 +394,7 @@ def is_killed_after_its_grace(trial: Trial) -> None:
 
 
 def stops_what_lost_its_client(trial: Trial) -> None:
-    """After SIGKILL of the client alone, `stop` ends all."""
+    """Check that `stop` ends everything after SIGKILL of the client alone."""
     started = trial.start("sh", "-c", "sleep 60 & echo ready; sleep 60")
     started.until_it_says("ready")
     started.process.kill()
@@ -404,7 +405,7 @@ def stops_what_lost_its_client(trial: Trial) -> None:
 
 
 def sweeps_what_is_left_of_a_session(trial: Trial) -> None:
-    """Where nobody is left who knows the containers, their session is enough; other sessions are left alone."""
+    """Check that a session's id suffices to end its containers, and that other sessions' containers are left alone."""
     other = Trial(trial.engine, trial.image, trial.root, trial.folder)
     kept = other.start("sh", "-c", "echo ready; sleep 60")
     started = trial.start("sh", "-c", "sleep 60 & echo ready; sleep 60")
@@ -421,14 +422,14 @@ def sweeps_what_is_left_of_a_session(trial: Trial) -> None:
 
 
 def leaves_nothing_behind(trial: Trial) -> None:
-    """What a program has started ends with it, even in a session of its own."""
+    """Check that processes which a program has started end with it, even in a session of their own."""
     started = trial.start("sh", "-c", "(setsid sleep 60 >/dev/null 2>&1 &) ; exit 3")
     _holds(trial.end(started, seconds=SOON_S).result.exit_code == 3, "the program's status got lost")
     _nothing_is_left(started)
 
 
 def says_what_cannot_be_started(trial: Trial) -> None:
-    """A command that is not there, or is no program, is the engine's error, not a status of the program's."""
+    """Check that a command that does not exist or is not a program is the engine's error, not the program's status."""
     for word in ("no-such-program", f"{INSIDE}/run/input", f"{INSIDE}/run/nothing", f"{INSIDE}/run"):
         result = trial.run(word).result
         if result.error is None:
@@ -438,7 +439,7 @@ def says_what_cannot_be_started(trial: Trial) -> None:
 
 
 def says_that_an_image_is_missing(trial: Trial) -> None:
-    """An image that went away is the engine's error."""
+    """Check that a missing image is the engine's error."""
     result = trial.run("true", box=replace(trial.box(), reference=trial.reference[:-8] + "00000000")).result
     if result.error is None:
         raise AssertionError(f"a missing image became {result}")
@@ -446,7 +447,7 @@ def says_that_an_image_is_missing(trial: Trial) -> None:
 
 
 def enforces_what_it_says(trial: Trial) -> None:
-    """Limits that hold are held to; those that don't are no reason to fail."""
+    """Check that the engine enforces the limits that it reports as enforced. Other limits are no reason to fail."""
     box, enforced = trial.box_of_limits(), trial.able.enforced
     ended = trial.script("exit 3", box=box)
     _holds(ended.result.exit_code == 3, f"with limits, status 3 became {ended.result.error or ended.result}")
@@ -460,7 +461,10 @@ def enforces_what_it_says(trial: Trial) -> None:
 
 
 def _is_held_to_its_memory(trial: Trial, box: ContainerSpec) -> None:
-    """It is killed for it, with all that belongs to it, or it can't go on; and nobody takes that for its own doing."""
+    """Check that a program over its memory limit is killed with all of its processes, or cannot go on.
+
+    The result must not look like the program's own end.
+    """
     started = trial.start("sh", "-c", FILL, box=box)
     try:
         status = started.process.wait(SOON_S)
@@ -476,7 +480,7 @@ def _is_held_to_its_memory(trial: Trial, box: ContainerSpec) -> None:
 
 
 def runs_in_odd_folders(trial: Trial) -> None:
-    """Blanks, commas, colons and quotes in a path change nothing; what can't be mounted is said in one line."""
+    """Check that blanks, commas, colons and quotes in a path work. A path that cannot be mounted is reported in one line."""
     for name in (*ODD, *ODDER):
         ended = trial.end(trial.start("sh", "-c", "cat ../input; echo done > file", name=f"runs {name}"))
         if ended.result.error and name in ODDER:
@@ -487,7 +491,7 @@ def runs_in_odd_folders(trial: Trial) -> None:
 
 
 def starts_many_at_once(trial: Trial) -> None:
-    """Used by many threads, each container is on its own."""
+    """Check that containers stay separate when many threads start them."""
     with ThreadPoolExecutor(4) as pool:
         ended = list(pool.map(lambda number: trial.script(f"echo {number}; exit {number}"), range(8)))
     for number, one in enumerate(ended):
@@ -535,11 +539,11 @@ APPLY_WITHOUT_AN_IMAGE = (
     ends_a_program_that_does_not_care,
     starts_many_at_once,
 )
-"""What holds where nothing is contained; a worker sees to the rest then."""
+"""Claims that hold without an image, where nothing is contained. A worker is responsible for the others then."""
 
 
 def _in(folder: Path, client: Client) -> Client:
-    """A client with the folder of its run filled in."""
+    """Return a client with the folder of its run filled in."""
 
     def filled(words: tuple[str, ...]) -> tuple[str, ...]:
         return tuple(word.replace("\0", str(folder)) for word in words)

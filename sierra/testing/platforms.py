@@ -1,13 +1,13 @@
-"""What every platform must hold to, as functions that a plug-in's author calls from tests of their own.
+"""Conformance suite for platforms, as functions that a plug-in's author calls in tests.
 
-    from sierra.platforms.base import conformance
+    from sierra.testing import platforms as conformance
 
     def test_it_is_a_platform():
         conformance.check(MyPlatform, project, template, {"population_size": Criterion("population_size", Log(8))})
 
-`project` is a `sierra.config.project_file.Project`, whose platform this is; `template` is one that the platform accepts. Each
-claim is one function, and can be called alone. What does not hold raises AssertionError with one line, whether
-Python runs with `-O` or not. Whether the changes fit the template is seen by making them (`sierra.templates.base`).
+`project` is a `sierra.config.project_file.Project` that uses this platform. `template` is one that the platform accepts. Each
+claim is one function, and can be called alone. A broken claim raises AssertionError with one line, even if Python runs with
+`-O`. The suite does not check that the changes fit the template: applying them (`sierra.templates.base`) shows this.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ from sierra.model import Add, Axis, Change, Criterion, Linear, Listed, Log, Mont
 from sierra.platforms.base import Platform, Reader
 
 COMMAND_PLACEHOLDERS = frozenset(("input", "output", "run", "seed", "project", "python"))
-"""What a command may hold in braces; `sierra.execution.commands` says what each stands for."""
+"""Placeholders that a command may contain in braces; `sierra.execution.commands` describes each."""
 VARIABLE_PLACEHOLDERS = frozenset(("project", "python"))
-"""What a variable may: it is the same for all runs of a batch."""
+"""Placeholders that a variable may contain. A variable is the same for all runs of a batch."""
 OPTION_NOBODY_HAS = "no_platform_has_an_option_of_this_name"
 CRITERION_NOBODY_HAS = "no_platform_has_a_criterion_of_this_name"
 DOCUMENTS = (b"<a/>", b"", b"\xff\x00not text\n")
@@ -41,7 +41,7 @@ _SEEDLESS = re.compile(r"\{[^{}]*\b(seed|run)\b[^{}]*\}")
 
 
 def check(make: Make, project: Project, template: Reader, examples: Mapping[str, Criterion]) -> None:
-    """All claims. `examples` has, by name, one criterion that fits for each that the platform knows."""
+    """Check all claims. `examples` has, by name, a valid criterion for each one that the platform knows."""
     gives_the_same_answers(make, project, template, examples)
     refuses_unknown_options(make, project)
     says_what_its_options_are(make(project))
@@ -58,7 +58,7 @@ def check(make: Make, project: Project, template: Reader, examples: Mapping[str,
 
 
 def gives_the_same_answers(make: Make, project: Project, template: Reader, examples: Mapping[str, Criterion]) -> None:
-    """Asked again, or made again, a platform answers the same: its answers are part of identities."""
+    """Check that a platform repeats its answers, even if it is made again: they are part of identities."""
     platform = make(project)
     first = _answers(platform, template, examples.values())
     _holds(_answers(platform, template, examples.values()) == first, "another answer when asked again")
@@ -68,7 +68,7 @@ def gives_the_same_answers(make: Make, project: Project, template: Reader, examp
 
 
 def refuses_unknown_options(make: Make, project: Project) -> None:
-    """An option that is misspelt is an error of the user's, whatever name the platform has."""
+    """Check that a misspelt option is a user's error, whatever name the platform has."""
     names = (project.platform, *project.platforms)
     tables = {name: {**project.platforms.get(name, {}), OPTION_NOBODY_HAS: 1} for name in names}
     try:
@@ -80,7 +80,7 @@ def refuses_unknown_options(make: Make, project: Project) -> None:
 
 
 def says_what_its_options_are(platform: Platform) -> None:
-    """`Options` is a table that refuses what it does not know: it is checked also where another platform drives."""
+    """Check that `Options` is a table that refuses unknown options. It is checked even if the project uses another platform."""
     model: Any = platform.Options
     _holds(isinstance(model, type) and issubclass(model, Table), f"Options is {model!r}, not a class of options")
     try:
@@ -91,7 +91,7 @@ def says_what_its_options_are(platform: Platform) -> None:
 
 
 def checks_in_one_line(platform: Platform, template: Reader) -> None:
-    """An input is accepted, or refused as a user's error is: the template may be one that only changes make right."""
+    """Check that an input is accepted, or refused with a user's error. The template may be valid only after the changes."""
     try:
         answer: object = platform.check(template, template)  # type: ignore[func-returns-value]
     except SierraError as error:
@@ -101,7 +101,7 @@ def checks_in_one_line(platform: Platform, template: Reader) -> None:
 
 
 def changes_are_well_formed(platform: Platform, template: Reader) -> None:
-    """What changes in every run is the same in every run: it doesn't know the run's seed or number."""
+    """Check that changes for all runs do not use the run's seed or number."""
     changes = platform.changes(template)
     _are_changes(changes)
     for change in changes:
@@ -110,7 +110,7 @@ def changes_are_well_formed(platform: Platform, template: Reader) -> None:
 
 
 def seed_changes_are_well_formed(platform: Platform) -> None:
-    """Where the seed goes, it really goes: some change holds `{seed}`, or there is none at all."""
+    """Check that the seed is used: some change contains `{seed}`, or there are no seed changes."""
     changes = platform.seed_changes()
     _are_changes(changes)
     for change in changes:
@@ -120,7 +120,7 @@ def seed_changes_are_well_formed(platform: Platform) -> None:
 
 
 def says_none_for_unknown_criteria(platform: Platform, template: Reader) -> None:
-    """A name that is not the platform's is somebody else's: None, whatever its scale, and no error."""
+    """Check that the answer for an unknown criterion is None, without an error, on any scale."""
     _holds(CRITERION_NOBODY_HAS not in platform.criteria(), f"it knows {CRITERION_NOBODY_HAS!r}")
     for scale in (Log(8), Linear(10, 5), Listed(("one", "two")), MonteCarlo(3)):
         answer = platform.criterion(Criterion(CRITERION_NOBODY_HAS, scale), template)
@@ -128,7 +128,7 @@ def says_none_for_unknown_criteria(platform: Platform, template: Reader) -> None
 
 
 def describes_its_criteria(platform: Platform, examples: Mapping[str, Criterion]) -> None:
-    """The names are names of columns, each with a sentence, and `examples` has one of each."""
+    """Check that criteria have names that can be columns and a sentence each, and that `examples` has one of each."""
     criteria = platform.criteria()
     for name, sentence in criteria.items():
         _holds(bool(_NAME.fullmatch(name)), f"{name!r} can't be a column's name; use letters, digits and _")
@@ -143,7 +143,7 @@ def describes_its_criteria(platform: Platform, examples: Mapping[str, Criterion]
 
 
 def spans_an_axis(platform: Platform, template: Reader, criterion: Criterion) -> None:
-    """A criterion's axis has its name; its values are distinct, of one kind, and in the order of the points."""
+    """Check that a criterion's axis has its name, and that its values are distinct, of one kind and in the points' order."""
     answer = platform.criterion(criterion, template)
     if answer is None:
         raise AssertionError(f"criteria() has {criterion.name!r}, but criterion() says None")
@@ -163,7 +163,7 @@ def spans_an_axis(platform: Platform, template: Reader, criterion: Criterion) ->
 
 
 def command_is_argv_with_known_placeholders(platform: Platform) -> None:
-    """A program and its arguments, each a text, whose placeholders are those that are filled."""
+    """Check that the command is a program with text arguments, and has only known placeholders."""
     command = platform.command()
     _is_a_tuple_of_texts(command, "command()")
     _holds(bool(command) and bool(command[0]), "command() names no program")
@@ -172,7 +172,7 @@ def command_is_argv_with_known_placeholders(platform: Platform) -> None:
 
 
 def environment_is_of_no_machine(platform: Platform) -> None:
-    """Variables have names that all shells know, and values without paths of this machine."""
+    """Check that variables have portable names, and values without paths of this machine."""
     for name, value in platform.environment().items():
         _holds(bool(_NAME.fullmatch(name)), f"{name!r} is not the name of a variable")
         _is_a_tuple_of_texts((value,), f"variable {name}")
@@ -180,11 +180,11 @@ def environment_is_of_no_machine(platform: Platform) -> None:
 
 
 def files_are_safe(platform: Platform) -> None:
-    """For any document there is at least one file; names are plain and distinct, also where case is ignored."""
+    """Check that any document has at least one file, with plain names that are distinct even if case is ignored."""
     for document in DOCUMENTS:
         try:
             files = platform.files(document)
-        except SierraError:  # a platform that splits its document may refuse what is none
+        except SierraError:  # a platform that splits its document may refuse invalid ones
             continue
         _is(files, tuple)
         _holds(bool(files), f"files({document!r}) are none")
@@ -196,7 +196,7 @@ def files_are_safe(platform: Platform) -> None:
 
 
 def _answers(platform: Platform, template: Reader, criteria: Iterable[Criterion]) -> list[Any]:
-    """All that a platform says; the criteria's come first, and by name, so that their order doesn't count."""
+    """Return all answers of a platform. The criteria come first, sorted by name, so that their order does not matter."""
     spanned = {criterion.name: platform.criterion(criterion, template) for criterion in criteria}
     return [
         list(spanned),
@@ -225,7 +225,7 @@ def _are_points(axis: Axis, points: tuple[Point, ...]) -> None:
 
 
 def _are_changes(changes: tuple[Change, ...]) -> None:
-    """A tuple of changes, each with a path, a message's `why`, and texts where texts belong."""
+    """Check that this is a tuple of changes, each with a path, a one-line `why` for messages, and valid values."""
     _is(changes, tuple)
     for change in changes:
         _is(change, Set | Add | Remove | Rename)
@@ -238,7 +238,7 @@ def _are_changes(changes: tuple[Change, ...]) -> None:
 
 
 def _is_filled_as_known(text: str, known: frozenset[str], where: str) -> None:
-    """What differs between machines stands in it as a placeholder, and only ones that are filled do."""
+    """Check that a text has no path of this machine, and only known placeholders."""
     for path in (str(Path.home()), str(Path.cwd())):
         _holds(path == "/" or path not in text, f"{where} holds {path!r}, a path of this machine; use {{project}}")
     unknown = [name for name in _PLACEHOLDER.findall(text) if name not in known]

@@ -1,6 +1,6 @@
-"""What every scheduler and every runner must hold to, as functions that a plug-in's author calls from tests of their own.
+"""Conformance suites for schedulers and runners, as functions that a plug-in's author calls in tests.
 
-    from sierra.runners.base import conformance
+    from sierra.testing import runners as conformance
 
     def test_it_is_a_scheduler(tmp_path):
         conformance.check(MyScheduler(ClusterTable()), tmp_path)
@@ -8,9 +8,9 @@
     def test_it_is_a_runner(tmp_path):
         conformance.check_runner(lambda slots: MyRunner(slots, ClusterTable()), tmp_path)
 
-`folder` is an empty one that nodes share. It is a real cluster that is held to it: small jobs are submitted, found again and
-cancelled. Each claim is one function of a `Trial`, or of an `Ordeal` (a runner's), and can be called alone. What does not hold
-raises AssertionError with one line, whether Python runs with `-O` or not.
+`folder` is an empty folder that nodes share. The suite needs a real cluster: it submits small jobs, finds them again and
+cancels them. Each claim is one function of a `Trial` (for schedulers) or of an `Ordeal` (for runners), and can be called alone.
+A broken claim raises AssertionError with one line, even if Python runs with `-O`.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from sierra.store.layout import RUN_OUTPUT, RUN_STDERR, RUN_STDOUT, SessionPaths
 PATIENCE_S = 60.0
 POLL_S = 0.1
 ODD = "a'; echo foo"
-"""The name of the folder that jobs are submitted in."""
+"""Name of the folder in which jobs are submitted."""
 WORDS = ("", "a b", " c ", "'f'", '"g"', "$HOME", "`h`", "i\\j", "*", "-k", "ü", "--", "a=b,c=d", "#l", "%A", "{}")
 CANARY = "SIERRA_NOBODY_GIVES_THIS_TO_A_JOB"
 UNTIL_TOLD = 'touch "begun-$1"; while ! test -e go; do sleep 0.1; done; touch "done-$1"'
@@ -44,14 +44,14 @@ UNTIL_TOLD = 'touch "begun-$1"; while ! test -e go; do sleep 0.1; done; touch "d
 
 @dataclass
 class Trial:
-    """A scheduler that is held to the contract, and a folder for what it executes."""
+    """A scheduler to test, and a folder for the jobs."""
 
     scheduler: Scheduler
     root: Path
     made: list[str] = field(default_factory=list)
 
     def request(self, script: str, *elements: int, words: tuple[str, ...] = (), after: str = "") -> Request:
-        """One for a script of a shell, in a folder of its own, where it begins; its last argument is the element."""
+        """Return a request for a shell script that begins in a folder of its own. Its last argument is the element."""
         name = f"sierra-{secrets.token_hex(8)}"[:NAME_LENGTH]
         self.made.append(name)
         folder = self.root / name / ODD
@@ -85,7 +85,7 @@ class Trial:
 
 
 def check(scheduler: Scheduler, folder: Path) -> None:
-    """All claims."""
+    """Check all claims about schedulers."""
     trial = Trial(scheduler, folder)
     try:
         for claim in CLAIMS:
@@ -96,14 +96,14 @@ def check(scheduler: Scheduler, folder: Path) -> None:
 
 
 def says_its_version(trial: Trial) -> None:
-    """In one line, and the same when asked again."""
+    """Check that the version is one line, and is repeated."""
     version = trial.scheduler.version()
     _holds(len(version.splitlines()) == 1, f"{version!r} is not one line")
     _holds(trial.scheduler.version() == version, "another version when asked again")
 
 
 def knows_what_is_allowed(trial: Trial) -> None:
-    """What bounds there are is more than nothing."""
+    """Check that known limits are greater than zero."""
     bounds = trial.scheduler.bounds()
     for name in ("array", "jobs", "wall_s", "running"):
         bound = getattr(bounds, name)
@@ -111,14 +111,14 @@ def knows_what_is_allowed(trial: Trial) -> None:
 
 
 def explains_in_a_line(trial: Trial) -> None:
-    """Its own words stay, whatever is known of them beside."""
+    """Check that an explanation is one line that begins with the scheduler's own words."""
     for words in ("Invalid account", "what nobody has ever said"):
         told = trial.scheduler.explain(words)
         _holds(told.startswith(words) and "\n" not in told, f"to explain {words!r} is to say it, and more, in one line")
 
 
 def says_what_it_hands_over(trial: Trial) -> None:
-    """A script says its command, is the same when asked again, and has nothing of the environment."""
+    """Check that a script contains its command, is repeated, and contains nothing of the environment."""
     os.environ[CANARY] = "a secret canary"
     try:
         request = trial.request("true", words=("a-word",))
@@ -132,7 +132,7 @@ def says_what_it_hands_over(trial: Trial) -> None:
 
 
 def executes_each_element_once(trial: Trial) -> None:
-    """One, some, and some with gaps; each has its index as its last argument."""
+    """Check single elements, ranges, and elements with gaps. Each has its index as its last argument."""
     for elements in ((0,), (4,), (0, 1, 2), (1, 2, 5)):
         request, _ = trial.run('for last; do :; done; echo "$#" >> "ran-$last"', *elements, words=("first",))
         ran = {path.name: path.read_text() for path in request.folder.glob("ran-*")}
@@ -147,7 +147,7 @@ def begins_in_its_folder(trial: Trial) -> None:
 
 
 def passes_words_as_they_are(trial: Trial) -> None:
-    """No word of a command is evaluated, split or lost."""
+    """Check that no word of a command is evaluated, split or lost."""
     request, _ = trial.run('printf "<%s>" "$@" > words', words=WORDS)
     wanted, got = "".join(f"<{word}>" for word in (*WORDS, "0")), (request.folder / "words").read_text()
     _holds(got == wanted, f"{wanted!r} became {got!r}")
@@ -163,7 +163,7 @@ def gives_nothing_of_the_environment(trial: Trial) -> None:
 
 
 def keeps_logs_apart(trial: Trial) -> None:
-    """What an element prints is in a file of its own, with what it complains of."""
+    """Check that each element's output and error output are in a file of its own."""
     request, _ = trial.run('echo "printed by $1"; echo "complained by $1" >&2', 0, 1, 3)
     texts = sorted(path.read_text() for path in request.logs.iterdir())
     _holds(len(texts) == 3, f"3 elements have {len(texts)} logs")
@@ -173,7 +173,10 @@ def keeps_logs_apart(trial: Trial) -> None:
 
 
 def finds_jobs_by_name(trial: Trial) -> None:
-    """As soon as they are submitted: all of that name, no others, and elements that have begun by their index."""
+    """Check that jobs are found as soon as they are submitted.
+
+    All jobs of the name are found, and no others. Elements that have begun are found by their index.
+    """
     first, job = trial.submit(UNTIL_TOLD, 0, 2)
     other, another = trial.submit(UNTIL_TOLD)
     _holds({task.job for task in trial.seen(first)} == {job}, f"job {job} is not found at once by its name {first.name}")
@@ -191,14 +194,14 @@ def knows_nothing_of_other_names(trial: Trial) -> None:
 
 
 def may_be_looked_at_after_the_end(trial: Trial) -> None:
-    """What has ended is not taken for alive, however it ended, nor for cancelled."""
+    """Check that ended tasks are not reported as alive, however they ended, nor as cancelled."""
     request, _ = trial.run('exit "$1"', 0, 3)
     _holds(not any(task.cancelled for task in trial.seen(request)), "what has ended by itself is taken for cancelled")
     _holds(not [task for task in trial.seen(request) if task.state != State.ENDED], "what has ended lives again")
 
 
 def cancels_some(trial: Trial) -> None:
-    """Only these elements end."""
+    """Check that only the given elements are cancelled."""
     request, _ = trial.submit(UNTIL_TOLD, 0, 1, 3)
     trial.until(request, lambda seen: 1 in _running(seen), "element 1 never runs")
     trial.scheduler.cancel(request.name, [1, 77])
@@ -212,7 +215,7 @@ def cancels_some(trial: Trial) -> None:
 
 
 def cancels_all(trial: Trial) -> None:
-    """All of that name, of more than one job, and no others; more than once."""
+    """Check that all jobs of a name are cancelled, and no others. Cancelling may be repeated."""
     request, _ = trial.submit(UNTIL_TOLD, 0, 1)
     trial.scheduler.submit(request)
     other, _ = trial.submit(UNTIL_TOLD)
@@ -249,12 +252,12 @@ CLAIMS: tuple[Callable[[Trial], None], ...] = (
 )
 
 
-# What every runner must hold to.
+# Claims about runners
 
 AT_ONCE_S = 2.0
-"""What a look may take where there is little to tell."""
+"""Seconds that a look may take if it has little to report."""
 QUIET_S = 1.0
-"""How long nothing may be written before it is taken for ended."""
+"""Seconds without new files after which a run is treated as ended."""
 NOTHING = Limits(grace_s=1.0)
 PATH = "/usr/local/bin:/usr/bin:/bin"
 UNTIL_GO = 'touch "$0/begun-$1"; while ! test -e "$0/go"; do date +%N > "$0/beat-$1"; sleep 0.1; done; echo "$1" > ended'
@@ -262,14 +265,14 @@ UNTIL_GO = 'touch "$0/begun-$1"; while ! test -e "$0/go"; do date +%N > "$0/beat
 
 @dataclass
 class Ordeal:
-    """A runner that is held to the contract. `make` gives a new one, for so many slots, each time that it is called."""
+    """A runner to test. `make` returns a new one with the given number of slots at each call."""
 
     make: Callable[[int], Runner]
     root: Path
     begun: list[Errand] = field(default_factory=list)
 
     def errand(self) -> Errand:
-        """A session, and a folder that its runs reach."""
+        """Make a session, and a folder that its runs can reach."""
         number = len(self.begun)
         session = SessionPaths(self.root / f"{number}-{ODD}" / "session" / secrets.token_hex(8))
         session.root.mkdir(parents=True)
@@ -278,14 +281,14 @@ class Ordeal:
         return self.begun[-1]
 
     def resumed(self, errand: Errand, recorded: Mapping[str, str | None]) -> Errand:
-        """The same, gone on with by another runner."""
+        """Return the same session, continued by another runner."""
         other = Errand(self.make(2), errand.session, errand.shared, errand.jobs)
         self.begun.append(other)
         other.runner.resume(errand.session, recorded)
         return other
 
     def close(self) -> None:
-        """End all that may still run."""
+        """End everything that may still run."""
         for errand in self.begun:
             (errand.shared / "go").touch()
             with contextlib.suppress(Exception):
@@ -295,7 +298,7 @@ class Ordeal:
             errand.runner.close()
 
     def executed(self, *scripts: str, limits: Limits = NOTHING) -> list[Result]:
-        """The results of scripts, in their order, once all is over."""
+        """Execute scripts, and return their results in the same order."""
         errand = self.errand()
         errand.submit([errand.script(text, limits=limits) for text in scripts])
         errand.until_over()
@@ -305,7 +308,7 @@ class Ordeal:
 
 @dataclass
 class Errand:
-    """Some jobs of one session, and what a runner has told of them."""
+    """Jobs of one session, and what a runner has reported about them."""
 
     runner: Runner
     session: SessionPaths
@@ -332,7 +335,7 @@ class Errand:
         return Job(run, execution, tuple(argv), variables, tuple((files or {"in.xml": b"<in/>"}).items()), limits)
 
     def script(self, text: str, *, limits: Limits = NOTHING) -> Job:
-        """One that executes a script of a shell: $0 is the shared folder, $1 a word of its own, $2 its input file."""
+        """Return a job for a shell script. $0 is the shared folder, $1 a word of its own, and $2 its input file."""
         return self.job(("sh", "-c", text, str(self.shared), secrets.token_hex(4), "\0/in.xml"), limits=limits)
 
     def submit(self, jobs: Sequence[Job]) -> None:
@@ -343,7 +346,7 @@ class Errand:
         return Work(iter(self.jobs), len(self.jobs), batch="0" * 64, around=environment.capture("0"))
 
     def leave(self) -> None:
-        """Drop the runner, as a process does that ends."""
+        """Drop the runner, like a process that ends."""
         self.runner.close()
         self.over = True
 
@@ -357,7 +360,7 @@ class Errand:
         return look
 
     def until(self, condition: Callable[[], bool], otherwise: str) -> None:
-        """Look until something is so."""
+        """Look until a condition is true."""
         give_up = time.monotonic() + PATIENCE_S
         while not condition():
             _holds(time.monotonic() < give_up, otherwise)
@@ -383,7 +386,7 @@ class Errand:
         return f"{len(self.told)} results of {len(self.results)} executions were told"
 
     def at_rest(self) -> None:
-        """Nothing runs on."""
+        """Check that nothing keeps running."""
         give_up = time.monotonic() + PATIENCE_S
         beats = self._beats()
         while time.monotonic() < give_up:
@@ -398,7 +401,7 @@ class Errand:
 
 
 def check_runner(make: Callable[[int], Runner], folder: Path) -> None:
-    """All claims. `make` gives a new runner each time, for so many slots, as `sierra.runners.base.find` does."""
+    """Check all claims. `make` makes a new runner with a number of slots, like a result of `sierra.runners.base.find`."""
     ordeal = Ordeal(make, folder)
     stays = make(1).stays
     try:
@@ -409,14 +412,14 @@ def check_runner(make: Callable[[int], Runner], folder: Path) -> None:
 
 
 def executes_each_job_once(ordeal: Ordeal) -> None:
-    """More jobs than slots; each has one result, which says where and when."""
+    """Check that each job has exactly one result, with host and times, even with more jobs than slots."""
     began = time.time()
     results = ordeal.executed(*['echo "$1" >> "$0/executed"; echo "$1" > own'] * 7)
     executed = (ordeal.begun[-1].shared / "executed").read_text().split()
     _holds(sorted(executed) == sorted(job.argv[4] for job in ordeal.begun[-1].jobs), f"of 7 jobs, executed were {executed}")
     for result in results:
         _holds(result.exit_code == 0 and result.error is None, f"a job that ends well has {result}")
-        # a node's clock may be seconds off
+        # a node's clock may differ by seconds
         _holds(began - 5 < result.started <= result.ended < time.time() + 5, f"its times are {result.started}, {result.ended}")
         _holds(bool(result.host), "a result does not say where it was executed")
     cut = [row for table, row in ordeal.begun[-1].rows if table == "attempts" and row["state"] != "finished"]
@@ -424,7 +427,7 @@ def executes_each_job_once(ordeal: Ordeal) -> None:
 
 
 def keeps_what_runs_leave(ordeal: Ordeal) -> None:
-    """Files of the output folder, with their hashes, and what was printed."""
+    """Check that output files are kept with their hashes, and that printed output is kept."""
     text = 'mkdir -p a/b; printf "x,y\\n1,2\\n" > a/b/t.csv; : > empty; head -c 3000000 /dev/zero > big; echo out; echo err >&2'
     for result in ordeal.executed(text, text):
         folder = Path(result.directory)
@@ -439,7 +442,7 @@ def keeps_what_runs_leave(ordeal: Ordeal) -> None:
 
 
 def tells_how_each_ended(ordeal: Ordeal) -> None:
-    """A run that fails is a result; so is one that can't be started."""
+    """Check that a failed run has a result, and so has a run that cannot be started."""
     errand = ordeal.errand()
     errand.submit([errand.script("exit 3"), errand.script("kill -9 $$"), errand.job(("/nowhere/at all",)), errand.script(":")])
     errand.until_over()
@@ -452,7 +455,10 @@ def tells_how_each_ended(ordeal: Ordeal) -> None:
 
 
 def gives_what_the_job_has(ordeal: Ordeal) -> None:
-    """Its words and its input, as they are; its own folder for NUL; and it begins in its output folder."""
+    """Check that a job's words and input arrive unchanged, and that it begins in its output folder.
+
+    NUL in a word stands for the run's own folder.
+    """
     errand = ordeal.errand()
     script = 'cat "$1/in.xml"; pwd -P; cd "$1/output" && pwd -P; shift; printf "<%s>" "$@"'
     content = bytes(range(256)) * 3
@@ -468,7 +474,7 @@ def gives_what_the_job_has(ordeal: Ordeal) -> None:
 
 
 def gives_exactly_the_jobs_environment(ordeal: Ordeal) -> None:
-    """Nothing of the caller's, of a scheduler's, or of a node's."""
+    """Check that a run's environment has nothing of the caller, the scheduler or the node."""
     os.environ[CANARY] = "1"
     try:
         errand = ordeal.errand()
@@ -486,7 +492,7 @@ def gives_exactly_the_jobs_environment(ordeal: Ordeal) -> None:
 
 
 def keeps_the_time_limit(ordeal: Ordeal) -> None:
-    """Of each run; what heeds no signal is killed."""
+    """Check the time limit of each run. A run that ignores signals is killed."""
     bounds = Limits(wall_s=1.0, grace_s=0.5)
     for result in ordeal.executed("sleep 60", 'trap "" TERM; while :; do sleep 0.1; done', limits=bounds):
         _holds(result.stopped == "timeout", f"a run over its limit became {result}")
@@ -494,7 +500,7 @@ def keeps_the_time_limit(ordeal: Ordeal) -> None:
 
 
 def looks_at_once(ordeal: Ordeal) -> None:
-    """A look does not wait for what runs."""
+    """Check that a look does not wait for the runs in flight."""
     errand = ordeal.errand()
     errand.submit([errand.script(UNTIL_GO)])
     errand.until_begun(1)
@@ -511,7 +517,7 @@ def looks_at_once(ordeal: Ordeal) -> None:
 
 
 def ends_when_stopped(ordeal: Ordeal) -> None:
-    """What runs is ended, nothing more begins, and what had ended before is told; also where it is stopped twice."""
+    """Check that `stop` ends the runs in flight, begins no more, and keeps earlier results. It may be called twice."""
     errand = ordeal.errand()
     errand.submit([errand.script("echo 1 > ended"), *(errand.script(UNTIL_GO) for _ in range(6))])
     errand.until(lambda: bool(errand.told), "nothing is told of a run that has ended, as long as others run")
@@ -522,7 +528,7 @@ def ends_when_stopped(ordeal: Ordeal) -> None:
 
 
 def is_stopped(errand: Errand) -> None:
-    """It ends, and nothing runs on."""
+    """Stop the runner, and check that everything ends and nothing keeps running."""
     errand.runner.stop()
     errand.runner.stop()
     errand.until_over()
@@ -536,7 +542,7 @@ def is_stopped(errand: Errand) -> None:
 
 
 def goes_on_for_another(ordeal: Ordeal) -> None:
-    """Another runner tells of all that is not recorded, and only of that; what runs goes on meanwhile, and runs once."""
+    """Check that another runner reports exactly the results that are not recorded, and that runs go on and execute once."""
     errand = ordeal.errand()
     errand.submit([errand.script("echo 1 > ended"), errand.script(UNTIL_GO), errand.script(UNTIL_GO)])
     errand.until(lambda: bool(errand.told), "nothing is told of a run that has ended, as long as others run")
@@ -553,7 +559,7 @@ def goes_on_for_another(ordeal: Ordeal) -> None:
 
 
 def tells_another_of_all(ordeal: Ordeal) -> None:
-    """Where nothing is recorded, also of what was told before."""
+    """Check that another runner reports all results if nothing is recorded, even those that were reported before."""
     errand = ordeal.errand()
     errand.submit([errand.script("echo 1 > ended"), errand.script("exit 4")])
     errand.until_over()
@@ -574,7 +580,7 @@ def is_stopped_by_another(ordeal: Ordeal) -> None:
 
 
 def lives_on_without_its_process(ordeal: Ordeal) -> None:
-    """Where the process is killed that submitted it, another goes on with it; nothing is executed twice."""
+    """Check that another process can continue after the submitting process is killed, and that nothing is executed twice."""
     errand = killed_after_submission(ordeal)
     other = ordeal.resumed(errand, {})
     (errand.shared / "go").touch()
@@ -585,16 +591,16 @@ def lives_on_without_its_process(ordeal: Ordeal) -> None:
 
 
 def ends_with_its_process(ordeal: Ordeal) -> None:
-    """Where the process is killed that submitted it, nothing runs on."""
+    """Check that nothing keeps running after the submitting process is killed."""
     killed_after_submission(ordeal).at_rest()
 
 
 def killed_after_submission(ordeal: Ordeal) -> Errand:
-    """Two jobs that run, and whose submitter is dead."""
+    """Return two jobs in flight whose submitting process was killed."""
     errand = ordeal.errand()
     errand.jobs = [errand.script(UNTIL_GO), errand.script(UNTIL_GO)]
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DeprecationWarning)  # of forking beside threads: the child only needs its own
+        warnings.simplefilter("ignore", DeprecationWarning)  # about forking beside threads; the child needs only its own
         child = os.fork()
     if child == 0:
         try:
@@ -632,9 +638,9 @@ STAYING_CLAIMS: tuple[Callable[[Ordeal], None], ...] = (
     is_stopped_by_another,
     lives_on_without_its_process,
 )
-"""Of runners that stay."""
+"""Claims about runners with `stays`."""
 LEAVING_CLAIMS: tuple[Callable[[Ordeal], None], ...] = (ends_with_its_process,)
-"""Of those that don't."""
+"""Claims about the other runners."""
 
 
 def _running(seen: tuple[Task, ...]) -> set[int | None]:

@@ -1,9 +1,15 @@
-"""Runs that go first, where nobody knows how long runs take: what they take decides how many elements the others become.
+"""Calibration: a few runs execute first if nobody knows how long runs take. Their times decide the number of elements.
 
-They are element 0 of their session, and results as any others. The others lie in one file (`SessionPaths.rest`) and are not
-handed over until these have ended, or run for as long as an element is to take, which tells enough; or until nobody waits any
-more, for want of a node or because who follows leaves: then there are as many elements as where nobody knows. Whoever follows
-next goes on with it; a submitter that is killed in between has handed over these runs alone.
+The first runs are element 0 of their session, and their results are used like any others. The other runs wait in one file
+(`SessionPaths.rest`). They are submitted when one of these happens:
+
+- The first runs have ended.
+- The first runs have lasted as long as an element should take, which tells enough.
+- No process waits any more, because no node became free or because the following process leaves. Then the number of elements is
+  the one for unknown durations.
+
+The next process that follows the session continues this. If the submitting process is killed before that, only the first runs
+have been submitted.
 """
 
 from __future__ import annotations
@@ -21,32 +27,35 @@ from sierra.runners.cluster.sizing import ELEMENT_S
 from sierra.store.layout import SessionPaths
 
 PATIENCE_S = 120.0
-"""How long a node is waited for."""
+"""Seconds to wait for a node."""
 
 
 @dataclass(frozen=True, slots=True)
 class Told:
-    """What runs that went first have told."""
+    """The result of a calibration."""
 
     seconds: float | None
-    """What a run takes; None where they could not tell."""
+    """Duration of a run in seconds; None if the first runs could not tell."""
     how: str
-    """In words."""
+    """The explanation for the user."""
 
 
 class Calibration:
-    """The first runs of one session, as far as they have come."""
+    """The progress of one session's first runs."""
 
     def __init__(self, session: SessionPaths) -> None:
         self._session = session
         self._packs: dict[Path, Pack] = {}
         self._took: dict[str, float | None] = {}
-        """Of those that have ended, how long they took; None of one that failed."""
+        """Durations of the runs that have ended; None for a run that failed."""
         self._since: float | None = None
-        """When they were first seen to have begun."""
+        """The time when the first of them was seen to have begun."""
 
     def told(self, *, over: bool) -> Told | None:
-        """What they tell; None as long as they may tell more. `over`: all of them have ended, or were given up."""
+        """Return the result of the calibration; None as long as more may be learned.
+
+        `over`: all first runs have ended, or were given up.
+        """
         self._read()
         good = [seconds for seconds in self._took.values() if seconds is not None]
         if over:
@@ -61,9 +70,9 @@ class Calibration:
         return Told(_mean([*good, lasted]), f"a run that went first has not ended within {ELEMENT_S:g} s") if late else None
 
     def _read(self) -> None:
-        """What their element has recorded since the last time."""
+        """Read what their element has recorded since the last call."""
         for path in self._session.results.glob("0.*.pack"):
-            with contextlib.suppress(OSError):  # it can be read later, perhaps
+            with contextlib.suppress(OSError):  # a later call may be able to read it
                 self._take(self._packs.setdefault(path, Pack(path)).read())
 
     def _take(self, events: Iterator[Event]) -> None:
@@ -75,13 +84,13 @@ class Calibration:
                     self._took[event.result.execution] = _seconds(event.result)
 
     def _waited(self) -> float:
-        """Seconds since they were handed over."""
+        """Return the seconds since the first runs were submitted."""
         now = time.time()
         return now - min((one.when for one in submission.sent(self._session)), default=now)
 
 
 def _seconds(result: Result) -> float | None:
-    """How long a run took that ended as it should, as far as can be told before it is recorded."""
+    """Return a run's duration if it ended successfully, as far as this is known before the run is recorded; else None."""
     well = result.exit_code == 0 and result.error is None and result.stopped is None
     return result.ended - result.started if well else None
 

@@ -1,6 +1,7 @@
-"""What the elements of a batch have recorded, read from their packs as they grow: how far each has come, and what is missing.
+"""Collector of a batch's results: it reads the result logs (packs) of the elements while they grow.
 
-Of two copies of a run the first that is seen is the run's; the others are told of as copies.
+It knows the progress of each element, and the runs that are missing. If a run has two copies, the first one seen is the run's
+result. The others are reported as copies.
 """
 
 from __future__ import annotations
@@ -30,39 +31,40 @@ from sierra.util.text import counted
 from sierra.worker import worker
 
 AT_ONCE = 256
-"""Runs that one look tells of at most."""
+"""Largest number of runs that one look reports."""
 READ_S = 0.2
-"""Between two readings of packs, while nothing comes."""
+"""Seconds between two readings of result logs while nothing new comes."""
 LATE_S = 60.0
-"""How long a network file system may take to show what was written."""
+"""Seconds that a network file system may take to show what was written."""
 REQUEUED = "its time was nearly over: it asked to be begun anew"
 CLOCK_S = 2.0
-"""How far a node's clock may be from the shared file system's; times are told by the latter where it is farther."""
+"""Largest accepted difference between a node's clock and the shared file system's, in seconds. If it is larger, times are
+converted to the shared file system's clock."""
 
 
 @dataclass(slots=True)
 class Share:
-    """One element: how far it has come."""
+    """The progress of one element."""
 
     count: int
     done: int = 0
     progress: int = 0
-    """What was done when it was last submitted."""
+    """Value of `done` when the element was last submitted."""
     tries: int = 0
-    """How many times it was submitted since it last got on."""
+    """Number of submissions since the element last made progress."""
     gone: int = 0
-    """How many times in a row the scheduler knew nothing of it."""
+    """Number of consecutive times that the scheduler did not know the element."""
     grew: float = 0.0
     begun: dict[str, int] = field(default_factory=dict)
-    """Executions that have not ended, and how many times they were begun."""
+    """Executions that have not ended, and how many times each was begun."""
     trouble: str = ""
-    """Why the last attempt could not go on, as it said."""
+    """The reason that the last attempt gave for not being able to go on."""
     word: str = ""
-    """How it ended, as the scheduler says."""
+    """The reason for its end, in the scheduler's words."""
     queued: bool = False
-    """Whether it waited for a node when the scheduler last knew of it."""
+    """True if it waited for a node when the scheduler last knew it."""
     cancelled: bool = False
-    """Whether somebody has cancelled it, as the scheduler says; and `ours`: whether this process has."""
+    """`cancelled`: the scheduler says that somebody has cancelled it. `ours`: this process has cancelled it."""
     ours: bool = False
     node: str = ""
 
@@ -73,7 +75,7 @@ class Share:
 
 @dataclass(slots=True)
 class Track:
-    """One attempt: its pack, and what was read in it."""
+    """One attempt: its result log, and what was read from it."""
 
     pack: Pack
     element: int
@@ -82,44 +84,44 @@ class Track:
     ended: float = 0.0
     runs: int = 0
     ahead: float = 0.0
-    """Seconds to take from the node's times."""
+    """Seconds to subtract from the node's times."""
     begun: set[str] = field(default_factory=set)
     first: set[str] = field(default_factory=set)
-    """Runs that began before any had ended: nothing of the attempt's time had gone by."""
+    """Runs that began before any run had ended, so that they had all of the attempt's time."""
     alone: set[str] = field(default_factory=set)
     """Runs that had the element for themselves."""
     requeued: str | None = None
     word: str = ""
-    """How it ended, as the scheduler says."""
+    """The reason for its end, in the scheduler's words."""
     stalled: dict[str, Stalled] = field(default_factory=dict)
-    """Runs that were told of as stopped by a signal, and have not ended."""
+    """Runs that were reported as stopped by a signal, and have not ended."""
     finished: bool = False
     trouble: str | None = None
     late: list[tuple[float, Ended]] = field(default_factory=list)
-    """Runs whose files are not there as they were recorded, and since when."""
+    """Runs whose files do not match their record yet, and since when."""
 
     @property
     def since(self) -> float:
-        """When it began, by the shared file system's clock; 0 if that was not read yet."""
+        """Start time by the shared file system's clock; 0 if it was not read yet."""
         return self.attempt.started - self.ahead if self.attempt else 0.0
 
 
 def last_of(tracks: Iterable[Track], element: int) -> Track | None:
-    """Return the last attempt at an element, though the nodes' clocks differ."""
+    """Return the last attempt at an element. The nodes' clocks may differ."""
     own = (track for track in tracks if track.element == element and track.attempt)
     return max(own, key=lambda track: track.since, default=None)
 
 
 class Collector:
-    """All packs of one session."""
+    """Reader of all result logs of one session."""
 
     def __init__(
         self, made: Submission, session: SessionPaths, recorded: Mapping[str, str | None], note: Callable[[str], None]
     ) -> None:
-        """`recorded`: the executions that the store has, and by which attempt. `note` takes what a user should know."""
+        """Start reading. `recorded` maps the store's executions to their attempts; `note` receives messages for the user."""
         self.shares = [Share(count, tries=1) for count in made.counts]
         self.rows: list[tuple[str, dict[str, Any]]] = []
-        """Of the store's tables, beside results."""
+        """Rows for the store's tables, in addition to results."""
         self.failed: list[Result] = []
         """Results of runs that were given up."""
         self._made, self._session, self._note = made, session, note
@@ -127,10 +129,10 @@ class Collector:
         self._ended: set[bytes] = set()
         self._recorded = {bytes.fromhex(execution): attempt for execution, attempt in recorded.items()}
         prefix = f"sierra-taken-{session.root.name}-"
-        for left in Path(tempfile.gettempdir()).glob(f"{glob.escape(prefix)}*"):  # by one who followed before, and was killed
+        for left in Path(tempfile.gettempdir()).glob(f"{glob.escape(prefix)}*"):  # of an earlier process that was killed
             worker.remove(str(left))
         self._folder = Path(tempfile.mkdtemp(prefix=prefix))
-        """Of this host, for the files of runs, until they are recorded."""
+        """A folder on this host for the files of runs until they are recorded."""
         self._number = 0
         self._due = 0.0
 
@@ -138,42 +140,42 @@ class Collector:
         worker.remove(str(self._folder))
 
     def is_due(self) -> bool:
-        """Whether packs were not read just now, with nothing new in them."""
+        """Return False if result logs were read just now and had nothing new."""
         return time.monotonic() >= self._due
 
     def is_whole(self) -> bool:
-        """Whether no run is missing."""
+        """Return True if no run is missing."""
         return all(share.missing == 0 for share in self.shares)
 
     def has_begun(self) -> bool:
         return bool(self._tracks)
 
     def waits(self) -> bool:
-        """Whether files are still to come that a pack tells of."""
+        """Return True if a result log reports files that have not arrived yet."""
         return any(track.late for track in self._tracks.values())
 
     def ending(self) -> set[int]:
-        """Elements that end by themselves."""
+        """Return the elements that end by themselves."""
         return {track.element for track in self._tracks.values() if track.finished}
 
     def closing(self) -> set[int]:
-        """Elements that have executed all that they began, and have not said yet that they have finished."""
+        """Return the elements that have executed every run they began, but have not recorded yet that they have finished."""
         last = {track.element: track for track in self._tracks.values()}
         return {index for index, track in last.items() if not (track.finished or track.trouble or track.begun)}
 
     def running(self, alive: set[int] | None) -> int:
-        """How many runs go on, where these elements live (None: nobody has said which)."""
-        last = {track.element: track for track in self._tracks.values()}  # of the attempts at one element, the newest
+        """Return the number of runs in flight; `alive` are the living elements (None: not known)."""
+        last = {track.element: track for track in self._tracks.values()}  # the newest attempt at each element
         return sum(
             len(track.begun)
             for track in last.values()
             if not (track.finished or track.trouble or (alive is not None and track.element not in alive))
         )
 
-    # ------------------------------------------------------------ reading
+    # Reading
 
     def read(self) -> tuple[list[Result], list[Result]]:
-        """What packs have since the last time: results, AT_ONCE at most, and copies of such as were taken before."""
+        """Return new results (at most AT_ONCE) and new copies of runs whose result was read or recorded before."""
         results: list[Result] = []
         copies: list[Result] = []
         for path in sorted(self._session.results.glob("[0-9]*.pack")):
@@ -205,7 +207,7 @@ class Collector:
         return results, copies
 
     def _events(self, track: Track) -> Iterator[Event]:
-        """What a pack has since the last time; a file that can't be read now, perhaps later."""
+        """Yield the new events of a result log. A file that cannot be read now may be readable later."""
         try:
             yield from track.pack.read()
         except OSError as error:
@@ -230,7 +232,7 @@ class Collector:
             begun[event.execution] = begun.get(event.execution, 0) + 1
 
     def _failed_by(self, track: Track, event: Trouble) -> None:
-        """Why an attempt could not go on; where a disk was full, its runs count as not begun."""
+        """Keep the reason why an attempt could not go on. If a disk was full, its unfinished runs count as not begun."""
         share = self.shares[track.element]
         track.trouble = share.trouble = event.reason
         for execution in track.begun & share.begun.keys() if event.full else ():
@@ -239,7 +241,7 @@ class Collector:
                 del share.begun[execution]
 
     def _take(self, track: Track, event: Ended, results: list[Result], copies: list[Result]) -> None:
-        """One run that has ended: the first time that it is seen, it is the run's."""
+        """Take one run that has ended. The first result seen is the run's; later ones are copies."""
         execution = event.result.execution
         key = bytes.fromhex(execution)
         if key not in self._ended and key not in self._recorded:
@@ -263,7 +265,11 @@ class Collector:
             self._ended.add(key)
 
     def _take_late(self, track: Track, results: list[Result], copies: list[Result]) -> None:
-        """What was not there yet: now perhaps. What never comes was never recorded; nor is it taken for done any more."""
+        """Try again to take the results whose files had not arrived.
+
+        After LATE_S seconds, the result log is treated as damaged. Its remaining runs were never recorded, and are executed
+        again.
+        """
         late, track.late = track.late, []
         for since, event in late:
             before = len(track.late)
@@ -276,7 +282,7 @@ class Collector:
             track.pack.path.rename(track.pack.path.with_suffix(".damaged"))
 
     def _of(self, track: Track, result: Result) -> Result:
-        """The result, where it was executed; its times are by the shared file system's clock."""
+        """Return the result with its attempt and environment, and with times by the shared file system's clock."""
         ahead = track.ahead
         return replace(
             result,
@@ -286,22 +292,21 @@ class Collector:
             ended=result.ended - ahead,
         )
 
-    # ------------------------------------------------------------ attempts
+    # Attempts
 
     def attempts(self, word: str | None) -> list[tuple[str, dict[str, Any]]]:
-        """All attempts as rows; `word` is what ended those that do not say it themselves, else the scheduler's word is."""
+        """Return all attempts as rows. `word` is the reason of those that have neither their own reason nor the scheduler's."""
         for index in range(len(self.shares)):
             self.note_end(index)
         return [("attempts", self._row(track, track.attempt, word)) for track in self._tracks.values() if track.attempt]
 
     def note_end(self, index: int) -> None:
-        """Keep how the scheduler says that an element has ended with the last attempt at it: another one may follow."""
+        """Store the scheduler's reason for the end of an element in its last attempt, before another attempt may follow."""
         last = self._last(index)
         if last is not None and not last.word:
             last.word = self.shares[index].word
 
     def _last(self, index: int) -> Track | None:
-        """The last attempt at an element."""
         return last_of(self._tracks.values(), index)
 
     def _row(self, track: Track, begun: Attempt, word: str | None) -> dict[str, Any]:
@@ -327,10 +332,10 @@ class Collector:
             "environment": track.environment,
         }
 
-    # ------------------------------------------------------------ failing
+    # Failed runs
 
     def given_up_before(self, index: int) -> None:
-        """Count the runs that have failed because another process, which followed before this one, gave them up."""
+        """Count the failed runs that an earlier process gave up."""
         share = self.shares[index]
         for execution, _ in jobs_of(self._session, index) if self._recorded else ():
             key = bytes.fromhex(execution)
@@ -340,7 +345,7 @@ class Collector:
                 share.done += 1
 
     def allowed(self, index: int) -> float | None:
-        """Seconds that the last attempt at an element had, where its scheduler told it when they are over."""
+        """Return the seconds that the last attempt at an element had; None if its scheduler did not pass an end time."""
         last = self._last(index)
         if last is None or last.attempt is None:
             return None
@@ -348,16 +353,16 @@ class Collector:
         return float(end) - last.since if end.isdigit() else None
 
     def cut_alone(self, index: int) -> set[str]:
-        """Runs of an element that were cut off while they had it for themselves."""
+        """Return the runs of an element that were cut off while they had it for themselves."""
         return {one for track in self._tracks.values() if track.element == index for one in track.begun & track.alone}
 
     def cut_late(self, index: int) -> set[str]:
-        """Runs that were cut off by the end of the element's last attempt, and had begun with it."""
+        """Return the runs that the end of the element's last attempt cut off, and that had begun with the attempt."""
         last = self._last(index)
         return last.begun & last.first if last else set()
 
     def isolate(self, index: int, executions: Sequence[str]) -> None:
-        """Have these, and no others, executed one by one when the element is submitted again."""
+        """Have these executions, and no others, executed one by one when the element is submitted again."""
         alone = self._session.alone(index)
         if executions:
             with disk_errors(self._session.root):
@@ -367,7 +372,7 @@ class Collector:
             alone.unlink(missing_ok=True)
 
     def give_up_on(self, index: int, executions: Sequence[str], word: str) -> None:
-        """These executions were begun as many times as they may be, and never ended: their runs have failed."""
+        """Record the runs of these executions as failed: they were begun as often as allowed, and never ended."""
         if not executions:
             return
         share, wanted, now = self.shares[index], set(executions), time.time()
@@ -386,7 +391,7 @@ class Collector:
 
 
 def jobs_of(session: SessionPaths, index: int) -> Iterator[tuple[str, str]]:
-    """Execution and run of each job of an element; see `sierra.worker.array_task.jobs` for the format."""
+    """Yield execution and run of each job of an element; see `sierra.worker.array_task.jobs` for the format."""
     with gzip.open(session.jobs(index), "rt", encoding="utf-8") as lines:
         common = json.loads(next(lines))["common"]
         for line in lines:
@@ -396,16 +401,16 @@ def jobs_of(session: SessionPaths, index: int) -> Iterator[tuple[str, str]]:
 
 
 def failed(run: str, execution: str, node: str, now: float, reason: str, folder: Path) -> Result:
-    """The result of a run that nobody has a result of."""
+    """Return a failed result for a run that has recorded none."""
     return Result(run, execution, str(folder / "none"), now, now, None, None, None, None, None, None, node, 0, (), reason)
 
 
 def refresh(folder: Path) -> None:
-    """Make a network file system look again at what is in a folder: by changing it, where there is room for that."""
+    """Make a network file system refresh a folder's listing: create and remove a file in it, if there is room."""
     with contextlib.suppress(OSError), tempfile.TemporaryFile(dir=folder):
         pass
 
 
 def moment(seconds: float) -> datetime:
-    """Seconds since the epoch as a time."""
+    """Return seconds since the epoch as a time in UTC."""
     return datetime.fromtimestamp(seconds, UTC)

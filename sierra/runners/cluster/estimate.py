@@ -1,4 +1,4 @@
-"""What a batch would ask a cluster for, and why, before anything is submitted or written."""
+"""Estimate of what a batch would request from a cluster, and why. Nothing is submitted or written."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from sierra.store.layout import SessionPaths
 from sierra.util.text import counted
 
 FILES = 14
-"""Files of a submission, however many elements it has; see `sierra.store.layout`."""
+"""Number of files of a submission that does not depend on the number of elements; see `sierra.store.layout`."""
 FILES_OF_ELEMENT = 3
-"""Its jobs, its pack, what it prints."""
+"""Number of files of each element: its jobs, its result log and its output."""
 SAID = (
     *("cpus", "memory", "gpus", "partition", "account", "qos", "constraint", "modules", "directives"),
     *("python", "scratch", "attempts", "cancelled"),
 )
-"""The settings of a cluster that are told of, beside the number of elements and their time."""
+"""Settings of a cluster that are shown, in addition to the number of elements and their time."""
 DEFAULTS = {
     "cpus": "the default: one run at a time",
     "scratch": "$SLURM_TMPDIR, $TMPDIR or /tmp, whichever a node has",
@@ -50,40 +50,41 @@ NOBODY, NEVER = "nobody knows yet how long runs take", "runs with these values w
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """One setting of a cluster, and why it is what it is."""
+    """One setting of a cluster, and the reason for its value."""
 
     name: str
     value: str | float | None
-    """None is what the site has by default."""
+    """None means the site's default."""
     why: str
 
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """What would be submitted."""
+    """Description of what would be submitted."""
 
     runner: str
     scheduler: str
-    """With its version, where it says that."""
+    """Name of the scheduler, with its version if that is known."""
     runs: int
     elements: int
     longest: int
-    """Runs of the largest element."""
+    """Number of runs of the largest element."""
     cpus: int
     wall_s: float | None
-    """What each element asks for; None is what the site says."""
+    """Seconds that each element requests; None means the site's limit."""
     expected_s: float | None
-    """What each is expected to take; None where nobody knows yet."""
+    """Seconds that each element is expected to take; None if this is unknown."""
     core_hours: float | None
-    """What all are expected to take together."""
+    """Expected total of all runs."""
     most_core_hours: float | None
-    """What they take at most: all that is asked for."""
+    """Upper bound: all requested time."""
     files: int
-    """On the shared file system, about; so `bytes`, which is None where nobody knows yet what runs write."""
+    """Approximate number of files on the shared file system. `bytes` is their size; it is None if the size of the runs' outputs
+    is unknown."""
     bytes: int | None
     settings: tuple[Setting, ...]
     script: str | None
-    """All of it; None where the scheduler must be asked for it first, and can't be."""
+    """The complete job script; None if it depends on the scheduler's answer and the scheduler cannot be reached."""
     notes: tuple[str, ...]
 
 
@@ -99,11 +100,11 @@ def propose(
     beside: tuple[int, int],
     waits: bool,
 ) -> Estimate:
-    """What `count` runs would ask of a cluster, which are expected to take these times, and each of which leaves `each` bytes.
+    """Return what `count` runs with these expected times would request from a cluster.
 
-    `waits`: whether somebody would follow. `work` is the folder of sessions; `beside` are files and bytes that are there
-    however the batch is dealt out. Where the scheduler can't be reached, all is told but for what the site allows. Raises
-    ConfigError for what is refused.
+    Each run leaves `each` bytes. `waits` is true if a process would follow. `work` is the folder of sessions. `beside` are the
+    files and bytes that do not depend on the number of elements. If the scheduler cannot be reached, the estimate lacks the
+    limits of the site. Raises ConfigError for a refused request.
     """
     notes = [PROBE] if Preflight(name, table, SessionPaths(work / "SESSION")).is_needed() else []
     version, bounds = _site(scheduler, table, notes)
@@ -133,7 +134,7 @@ def propose(
 
 
 def _site(scheduler: str, table: ClusterTable, notes: list[str]) -> tuple[str | None, Bounds]:
-    """The scheduler's version and what the site allows, as far as it answers."""
+    """Return the scheduler's version and the site's limits; None and empty limits if it does not answer."""
     asked = schedulers.find(scheduler)(table)
     try:
         return asked.version(), asked.bounds()
@@ -143,7 +144,7 @@ def _site(scheduler: str, table: ClusterTable, notes: list[str]) -> tuple[str | 
 
 
 def _settings(sized: Size, times: Times | None, table: ClusterTable, bounds: Bounds) -> list[Setting]:
-    """All that is asked for, and what the site allows."""
+    """Return all requested settings, and the site's limits."""
     values: dict[str, float | None] = {"elements": sized.elements, "wall": sized.wall_s}
     found = [Setting(name, values.get(name), why) for name, why in sized.why]
     if times:

@@ -1,7 +1,8 @@
-"""One small task before all elements: whether nodes see the project, have a Python, and the files that runs need.
+"""Preflight job: one small task that checks nodes before all elements execute.
 
-The elements wait for it (`Request.after`), so that what is wrong is found out once, before anything of the batch begins. What
-was fine is remembered for a day, in the user's cache: for the same cluster, as the project names it, and file system.
+It checks that nodes see the project, and that they have a Python and the files that runs need. The elements wait for it
+(`Request.after`), so that a problem is found once, before any run begins. A success is remembered for a day in the user's
+cache, for the same cluster (as the project names it) and file system.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ MOST = 64
 
 
 class Preflight:
-    """The probe of one session."""
+    """The preflight job (probe) of one session."""
 
     def __init__(self, runner: str, table: ClusterTable, session: SessionPaths) -> None:
         self._session = session
@@ -34,16 +35,16 @@ class Preflight:
         self.name = submission.name_of(session, "probe")
 
     def is_needed(self) -> bool:
-        """Whether nobody has found out lately that it would be fine."""
+        """Return True unless a recent check has succeeded."""
         found = Cache(user_clusters(), MOST).get(self._key)
         return not (isinstance(found, float) and 0 <= time.time() - found < VALID_S)
 
     def request(self) -> Request:
-        """The job that finds out."""
+        """Return the request for the job."""
         return submission.request(self._session, self.name, (0,), self._table.python, "--probe")
 
     def is_fine(self) -> bool:
-        """Whether it has found all to be fine. Raises Missing where it has found what is not."""
+        """Return True if the check has succeeded. Raises Missing if it has found a problem."""
         for path in self._session.results.glob("probe.*.pack"):
             for event in Pack(path).read():
                 match event:
@@ -55,7 +56,7 @@ class Preflight:
         return False
 
     def gone(self, word: str) -> Missing:
-        """What is to be said where it has ended and told nothing."""
+        """Return the error for a preflight job that has ended without recording anything."""
         said = submission.last_line(self._session, "0")
         if said:
             return Missing(f"nodes can't execute this: {said}; see python and modules in [runners.{self._runner}]")
@@ -69,10 +70,10 @@ class Preflight:
 
 
 def _device(folder: Path) -> int:
-    """The file system that a folder lies on, or will lie on."""
+    """Return the file system of a folder, or of its nearest existing parent."""
     return next(one.stat().st_dev for one in (folder, *folder.parents) if one.exists())
 
 
 def _told(table: ClusterTable) -> object:
-    """What of a cluster's table makes a difference to what nodes are, and can."""
+    """Return the settings of a cluster's table that affect which nodes are used and what they offer."""
     return json.loads(table.model_dump_json(exclude={"elements", "attempts", "wall", "cancelled"}))

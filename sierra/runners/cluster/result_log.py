@@ -1,4 +1,7 @@
-"""What attempts at elements have recorded, read while it grows: see `sierra.worker.array_task` for the format."""
+"""Reader of the result logs (packs) that attempts at elements write, while they grow.
+
+See `sierra.worker.array_task` for the format.
+"""
 
 from __future__ import annotations
 
@@ -22,20 +25,20 @@ CHUNK = 1 << 20
 
 @dataclass(frozen=True, slots=True)
 class Attempt:
-    """The first record: where and with what an attempt began. Fields as in the event `attempt`."""
+    """The first record: where and with what an attempt began. The fields are those of the event `attempt`."""
 
     attempt: str
     session: str
     element: int
     job: str
-    """The task, as its scheduler calls it: `12_3`, `12[3].server`; empty without one."""
+    """The task's id in its scheduler, for example `12_3` or `12[3].server`; empty without a scheduler."""
     node: str
     started: float
-    """By the node's clock, in seconds since the epoch; so are all times here."""
+    """By the node's clock, in seconds since the epoch, like all times in this module."""
     slots: int
-    """Runs that execute at a time: those that were asked for, but no more than there are cores to be used."""
+    """Number of runs that execute at a time: the requested number, but at most the number of usable cores."""
     cpus: int
-    """Cores that were allotted."""
+    """Number of allocated cores."""
     memory: int | None
     gpus: str | None
     allocation: Mapping[str, str]
@@ -48,70 +51,70 @@ class Attempt:
 
 @dataclass(frozen=True, slots=True)
 class Started:
-    """A run has begun."""
+    """The start of a run."""
 
     execution: str
     time: float
     alone: bool = False
-    """Whether it has the element for itself."""
+    """True if the run has the element for itself."""
 
 
 @dataclass(frozen=True, slots=True)
 class Ended:
-    """A run has ended, and its files are in the pack."""
+    """The end of a run whose files are in the result log."""
 
     result: Result
-    """Without a directory."""
+    """The result, without a directory."""
     files: tuple[tuple[str, int, str], ...]
-    """Path, size and SHA-256 of each, in the order of the payload."""
+    """Path, size and SHA-256 of each file, in the order of the payload."""
     at: int
-    """Where in the pack the payload begins."""
+    """Offset of the payload in the file."""
 
 
 @dataclass(frozen=True, slots=True)
 class Trouble:
-    """The attempt could not go on."""
+    """The reason why the attempt could not go on."""
 
     reason: str
     full: bool = False
-    """Whether a disk had no room: no run is to blame."""
+    """True if a disk was full, so that no run is the cause."""
 
 
 @dataclass(frozen=True, slots=True)
 class Finished:
-    """All that was missing of the element has been executed."""
+    """The end of an attempt that has executed all missing runs of its element."""
 
     time: float
 
 
 @dataclass(frozen=True, slots=True)
 class Requeued:
-    """The attempt asked its scheduler to be begun anew, before its time is over."""
+    """The attempt's request to its scheduler to start the task again, because its time is nearly over."""
 
     time: float
     refused: str | None = None
-    """Why the scheduler does not do that."""
+    """The reason why the scheduler refuses; None if it does not."""
 
 
 Event = Attempt | Requeued | Started | Stalled | Ended | Trouble | Finished
 
 
 class Pack:
-    """One attempt's file, read on from where reading stopped."""
+    """One attempt's file. Each reading continues where the last one stopped."""
 
     def __init__(self, path: Path) -> None:
-        """`path` is named `INDEX.ATTEMPT.pack`, or `probe.ATTEMPT.pack`."""
+        """Open the result log at `path`, named `INDEX.ATTEMPT.pack` or `probe.ATTEMPT.pack`."""
         self.path = path
         name, _, self.attempt = path.name.removesuffix(".pack").partition(".")
         self.element = int(name) if name.isdigit() else None
-        """None for a probe."""
+        """None for a preflight job."""
         self._offset = 0
 
     def read(self) -> Iterator[Event]:
-        """All whole records since the last reading; payloads are passed over, not read.
+        """Yield all complete records since the last reading. Payloads are skipped.
 
-        Nothing after a damaged record is told of; on a network file system its bytes are perhaps not there yet, and the next
-        reading tells of it. Raises OSError where the file can't be read, Damaged where it was written in another format.
+        Reading stops at a damaged record: on a network file system, its bytes may not have arrived yet, and the next reading
+        tries again. Raises OSError if the file cannot be read, and Damaged if it was written in another format.
         """
         with self.path.open("rb") as file:
             for record, at, after in array_task.records(file, self._offset):
@@ -153,11 +156,11 @@ class Pack:
         return Ended(Result(directory="", attempt=self.attempt, **fields), files, at)
 
     def extract(self, ended: Ended, folder: Path) -> Result:
-        """Write a run's files to a folder; the result with that directory.
+        """Write a run's files to a folder, and return the result with that directory.
 
-        There is no more in it than was packed: no log that is empty, and no folder where the run has left nothing. Raises
-        Damaged where the bytes are not those that were recorded (on a network file system, perhaps not yet) or a path leads
-        elsewhere, Missing where there is no room; no folder is left then.
+        Only recorded files are written: an empty log has no file, and a run that left nothing has no folder. Raises Damaged if
+        the bytes do not match their record (on a network file system, they may not have arrived yet) or if a path leads out of
+        the folder. Raises Missing if the disk is full. No folder is left then.
         """
         if ended.files:
             folder.mkdir()
@@ -177,7 +180,7 @@ class Pack:
                     raise Damaged(f"{self.path}: {path!r} of run {ended.result.run} is not as it was recorded")
 
     def _place(self, folder: Path, path: str) -> Path:
-        """Where a file goes; its folder is made."""
+        """Return the path for a file, and create its folder."""
         parts = path.split("/")
         within = path in (RUN_STDOUT, RUN_STDERR) or (parts[0] == RUN_OUTPUT and len(parts) > 1)
         if not within or "\0" in path or not {"", ".", ".."}.isdisjoint(parts):
@@ -188,7 +191,7 @@ class Pack:
 
 
 def _copied(pack: BinaryIO, place: Path, size: int) -> str:
-    """Copy so many bytes; the SHA-256 of those that there were."""
+    """Copy `size` bytes, or fewer if the file ends; return the SHA-256 of the copied bytes."""
     digest = hashlib.sha256()
     with place.open("wb") as file:
         while size and (chunk := pack.read(min(size, CHUNK))):

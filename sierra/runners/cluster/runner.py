@@ -1,17 +1,20 @@
-"""Runs on a cluster: one array job whose elements execute many runs each, and what becomes of it.
+"""The cluster runner: one array job whose elements execute many runs each.
 
-Truth is what elements have recorded in their packs; a scheduler is only asked whether anything may still come. Two copies of
-one task, a requeue, a lost node, a job that nobody remembers, a controller out of reach and a submitter that died are all one
-case: see what is recorded, ask whether anything lives, submit again what is missing.
+The only source of results is what elements have recorded in their result logs (packs). The scheduler is only asked whether more
+may come. So one procedure handles two copies of a task, a requeue, a lost node, a job that the scheduler has forgotten, an
+unreachable controller and a submitting process that was killed: read what is recorded, ask what is alive, and submit again what
+is missing.
 
-An element that others than SIERRA have cancelled ends the session, unless the project wants it submitted again. One that
-has executed all of its runs is never cancelled.
+If somebody other than SIERRA cancels an element, the session ends, unless the project sets `cancelled = "again"`. An element
+that has executed all of its runs is never cancelled.
 
-An element that is gone with runs missing is submitted again as long as it gets on. One that ends without having executed
-anything, `attempts` times in a row, ends all: something is wrong with the cluster or the project, and no run is to blame. A run
-that was begun `attempts` times and never ended has failed, if it was cut off while it had the element for itself: of several at
-a time, one may take the element down (by its memory, say), and the others with it, so that those in flight are executed one by
-one the last time. Where it was the element's time that was over, a run has failed that had all of it.
+An element that is gone while runs are missing is submitted again as long as it makes progress. If it ends `attempts` times in a
+row without having executed any run, the session ends: the cause is the cluster or the project, not a run.
+
+A run that was begun `attempts` times and never ended has failed if it was cut off while it had the element for itself. If
+several runs execute at a time, one of them may end the element (for example by its memory use) and the others with it. So the
+last time, the runs that were in flight are executed one by one. If the time limit of the element ended it, only a run that had
+all of that time has failed.
 """
 
 from __future__ import annotations
@@ -49,30 +52,30 @@ from sierra.util.text import counted, few
 from sierra.worker import array_task, worker
 
 FIRST_POLL_S, LAST_POLL_S = 1.0, 15.0
-"""Between two questions to the scheduler, which get rarer while nothing happens."""
+"""Shortest and longest time between two queries to the scheduler. The time grows while nothing happens."""
 QUIET_S = 3.0
-"""How long an element that the scheduler does not know must have recorded nothing, before it is taken for gone."""
+"""Seconds without new records after which an element that the scheduler does not know is treated as gone."""
 UNHEARD = 3
-"""How many times in a row the scheduler must not know a probe that has recorded nothing, before it is taken for failed."""
+"""Number of consecutive times that the scheduler may not know a preflight job without records, before the job has failed."""
 FULL_S = 30.0
-"""Until a scheduler that takes no more jobs is tried again."""
+"""Seconds after which a scheduler that takes no more jobs is tried again."""
 LAST_WORD_S = 20.0
-"""How long elements that have executed everything may take to end by themselves."""
+"""Seconds that elements may take to end by themselves after they have executed everything."""
 STOPPING_S = 60.0
 UNREACHED_S = 20.0
-"""How long a scheduler that is to cancel jobs may be out of reach, before that is left to whoever asks next."""
+"""Seconds that the scheduler may be unreachable while jobs are to be cancelled. After that, the next command cancels them."""
 TIMED = re.compile(r"time ?limit|timeout|walltime", re.IGNORECASE)
-"""In words on how an element ended: its time was over."""
+"""Matches an end reason that means that the element's time was over."""
 ASKED = re.compile(r"asked to end after (\d+) s$")
-"""In what an element says itself: how long it had lasted."""
+"""Matches an element's own message that it was asked to end; the number is the time that it had lasted."""
 MISHAP = re.compile(rf"{TIMED.pattern}|node|preempt|memory|boot|requeue|deadline", re.IGNORECASE)
-"""In the scheduler's words on how an element ended: nobody meant to end it."""
+"""Matches a scheduler's end reason that means that nobody ended the element on purpose."""
 RELAUNCHED = "launch failed"
-"""What schedulers say of a job that they could not begin, though it can: it is submitted again."""
+"""Text in the scheduler's reason for a job that could not be started, though it can. Such a job is submitted again."""
 
 
 class Cluster:
-    """The runner of a cluster's name, over its scheduler."""
+    """The runner of one named cluster, with its scheduler."""
 
     stays = True
 
@@ -84,7 +87,7 @@ class Cluster:
         self._opened = contextlib.ExitStack()
         self._pilot: Calibration | None = None
 
-    # ------------------------------------------------------------ beginning
+    # Submission
 
     def submit(self, work: Work, session: SessionPaths) -> None:
         bounds, version = self._scheduler.bounds(), self._scheduler.version()
@@ -115,14 +118,14 @@ class Cluster:
         self._hand_all_over()
 
     def _deal(self, work: Work, sized: Size, session: SessionPaths) -> tuple[tuple[int, ...], int]:
-        """The runs of each element, and those that are dealt out later."""
+        """Write the job files; return the number of runs of each element, and the number of runs that are sharded later."""
         if not sized.first:
             return deal(work.jobs, sized.elements, session), 0
         first, rest = deal_first(work.jobs, frozenset(sized.first), session)
         return (first,), rest
 
     def _hand_all_over(self) -> None:
-        """Submit the probe, if there is to be one, and all elements."""
+        """Submit the preflight job, if one is needed, and all elements."""
         if self._made.probed:
             self._goes_before = self._scheduler.submit(self._probe.request())
             self._note(f"{self._kind} job {self._goes_before} ({self._probe.name}) goes before: it tries nodes out")
@@ -150,15 +153,15 @@ class Cluster:
         try:
             if session.cancelled.exists():
                 self.stop()
-            elif not any(session.sent.iterdir()):  # who made it died before
+            elif not any(session.sent.iterdir()):  # the submitting process died before it submitted
                 self._hand_all_over()
-            elif never := self._never_sent():  # or when it had dealt out what came after the first runs
+            elif never := self._never_sent():  # or it died after it had sharded the runs that follow the calibration
                 self._hand_over(never, "")
         except SierraError as error:
             self._end(error)
 
     def _never_sent(self) -> tuple[int, ...]:
-        """The elements that nobody has tried to hand over."""
+        """Return the elements that no process has tried to submit."""
         sent = {index for one in submission.sent(self._session) for index in one.elements}
         return tuple(index for index in range(len(self._shares)) if index not in sent)
 
@@ -198,7 +201,7 @@ class Cluster:
         if self._pilot is None:
             return
         if self._table.wall is None and self._made.bounds.wall_s is not None:
-            self._allow(self._made.bounds.wall_s)  # nobody is there to submit again what takes longer than usual
+            self._allow(self._made.bounds.wall_s)  # nobody will submit again a run that takes longer than usual
         try:
             self._deal_rest(self._told or Told(None, "nobody waits for the runs that go first"))
         except SierraError as error:
@@ -207,7 +210,7 @@ class Cluster:
     def close(self) -> None:
         self._opened.close()
 
-    # ------------------------------------------------------------ looking
+    # Progress
 
     def look(self) -> Look:
         harvest = self._harvest
@@ -217,7 +220,7 @@ class Cluster:
             harvest.failed = []
             was_over = self._over
             self._go_on(bool(results))
-            if self._over and not was_over:  # what was written until nothing lived any more
+            if self._over and not was_over:  # read what was recorded before the last job ended
                 refresh(self._session.results)
                 for known, more in zip((results, copies), self._read(), strict=True):
                     known += more
@@ -231,10 +234,10 @@ class Cluster:
         return Look(tuple(results), running, alive, tuple(rows), notes, len(self._queued), self._waits, tuple(copies), wrong)
 
     def _read(self) -> tuple[list[Result], list[Result]]:
-        """What packs have since the last time; and whether another process cancels, or the probe has said its word."""
+        """Read new results and copies. Also notice a cancellation by another process and the preflight job's outcome."""
         if self._stopping is None and self._session.cancelled.exists():
             self.stop()
-        if self._told is not None and self._stopping is None:  # those who hear of the first runs might have stopped all
+        if self._told is not None and self._stopping is None:  # the caller could have stopped after the first results
             try:
                 self._deal_rest(self._told)
             except SierraError as error:
@@ -246,7 +249,7 @@ class Cluster:
         return found
 
     def _go_on(self, came: bool) -> None:
-        """Find out what lives, where it is time to, and do what follows from that."""
+        """If it is time, ask the scheduler what is alive, and act on its answer."""
         now = time.monotonic()
         if self._over:
             return
@@ -270,7 +273,7 @@ class Cluster:
             self._submit_again()
 
     def _await_end(self, waited: float) -> None:
-        """Be patient with what was cancelled. Raises Missing where nobody can be asked to cancel it."""
+        """Wait for cancelled jobs to end. Raises Missing if the scheduler cannot be reached to cancel them."""
         if waited > UNREACHED_S and (self._deaf or self._silent):
             why = f"{self._wrong}; " if self._wrong else ""
             session = self._session.root.name
@@ -283,11 +286,11 @@ class Cluster:
             self._over = True
 
     def _of_now(self, tasks: tuple[Task, ...] | None) -> tuple[Task, ...] | None:
-        """Without those of what the session had submitted before, and is recorded."""
+        """Return the tasks without those of the session's earlier submissions, whose results are recorded."""
         return None if tasks is None else tuple(task for task in tasks if task.job not in self._made.past)
 
     def _hear(self, tasks: tuple[Task, ...] | None) -> None:
-        """What the scheduler says."""
+        """Process the scheduler's answer about the elements."""
         self._silent = tasks is None
         if tasks is None:
             self._note(f"{self._kind} cannot be reached; what has been recorded is taken, and it is asked again")
@@ -314,7 +317,7 @@ class Cluster:
             self._lost([index for index in gone if self._is_quiet(self._shares[index])])
 
     def _note_ends(self, tasks: Iterable[Task]) -> None:
-        """Keep how the elements ended that were submitted last."""
+        """Keep the end reasons of the elements that were submitted last."""
         ended = (task for task in tasks if task.state is State.ENDED)
         for index, task in submission.last(self._session, ended):
             if index < len(self._shares):
@@ -323,7 +326,7 @@ class Cluster:
                 share.cancelled = task.cancelled
 
     def _is_fine(self) -> bool:
-        """Whether the probe, or an element that has begun since, says that nodes can execute elements."""
+        """Return True if the preflight job, or an element that has begun since, shows that nodes can execute elements."""
         try:
             return self._harvest.has_begun() or self._probe.is_fine()
         except Missing as error:
@@ -331,7 +334,7 @@ class Cluster:
             return True
 
     def _hear_of_probe(self, tasks: tuple[Task, ...] | None) -> None:
-        """What the scheduler says of the probe, as long as it has said nothing itself."""
+        """Process the scheduler's answer about the preflight job, as long as the job has recorded nothing itself."""
         if tasks is None:
             self._hear(None)
         if tasks is None or self._stopping is not None or not self._probing:
@@ -356,7 +359,7 @@ class Cluster:
                 self._lost_probe(tasks)
 
     def _begin_anew(self) -> None:
-        """Submit all again: the probe could not be begun, by mishap, and the elements wait for that one."""
+        """Submit everything again: the preflight job could not be started, by mishap, and the elements depend on it."""
         self._unheard, self._probes = 0, self._probes + 1
         self._cancel()
         try:
@@ -365,7 +368,7 @@ class Cluster:
             self._end(error)
 
     def _lost_probe(self, tasks: tuple[Task, ...]) -> None:
-        """The probe is gone, and has recorded nothing. One that nobody knows anything of (any more) is submitted again."""
+        """Handle a preflight job that is gone without a record. If the scheduler no longer knows it, it is submitted again."""
         wrong = self._probe.gone(next((task.reason for task in tasks if task.reason), ""))
         self._unheard, self._probes = 0, self._probes + 1
         if tasks or self._probes >= self._table.attempts or submission.last_line(self._session, "0"):
@@ -380,11 +383,11 @@ class Cluster:
         return share.gone > 1 and time.monotonic() - share.grew > QUIET_S
 
     def _unstick(self, stuck: Sequence[Task]) -> None:
-        """Cancel what will never begin; where that is not by mishap, nothing will."""
+        """Cancel tasks that will never begin, to submit them again. If the reason is not a mishap, end the session."""
         mishaps = [task for task in stuck if is_mishap(task)]
         if mishaps:
             held = sorted(self._elements(mishaps))
-            for index in held:  # that it is cancelled then is no reason
+            for index in held:  # the cancellation that follows is not the reason
                 self._shares[index].trouble = mishaps[0].reason
             self._cancel(held)
         wrong = [task for task in stuck if task not in mishaps]
@@ -396,9 +399,10 @@ class Cluster:
         return submission.elements(self._session, tasks) & set(range(len(self._shares)))
 
     def _settle(self, now: float) -> None:
-        """All is recorded: let elements end that have executed all that they had, and cancel what else may live.
+        """Everything is recorded: let elements end that have executed all of their runs, and cancel the other living jobs.
 
-        An element that has no runs left is not cancelled: it would be on record as cancelled, though it did all of its work.
+        An element without missing runs is not cancelled: the scheduler would list it as cancelled, though it did all of its
+        work.
         """
         self._whole = self._whole or now
         closing = self._harvest.closing() if self._alive is None else self._harvest.closing() & self._alive
@@ -415,10 +419,10 @@ class Cluster:
         if needless:
             self._cancel(sorted(self._elements(needless)))
 
-    # ------------------------------------------------------------ going on
+    # Resubmission
 
     def _lost(self, indices: Sequence[int]) -> None:
-        """These elements are gone, and runs of theirs are missing."""
+        """Handle elements that are gone while runs of theirs are missing."""
         foreign = [index for index in indices if self._is_foreign(index)]
         if foreign and self._is_heeded():
             sent = submission.sent(self._session)
@@ -449,10 +453,10 @@ class Cluster:
             self._again[index] = word
 
     def _is_foreign(self, index: int) -> bool:
-        """Whether others than SIERRA have ended an element, as far as can be told.
+        """Return True if somebody other than SIERRA has ended an element, as far as this can be known.
 
-        Where the scheduler does not say who or what has ended it, an element that was asked to end before its time was over was
-        cancelled; so was one that never began, where the scheduler forgets at once what has ended.
+        The scheduler may not report what has ended an element. Then an element was cancelled if it was asked to end before its
+        time was over, or if it never began and the scheduler forgets ended jobs at once.
         """
         share = self._shares[index]
         if share.ours or share.cancelled:
@@ -466,7 +470,7 @@ class Cluster:
         return self._table.cancelled == "stop"
 
     def _heed(self, jobs: Sequence[str], what: str, *, sure: bool) -> None:
-        """End the session because others have cancelled a part of it; or seem to have, where that is not `sure`."""
+        """End the session because somebody else has cancelled a part of it; if not `sure`, because it looks like that."""
         job = f"{self._kind} job {jobs[0]}" if jobs else f"a {self._kind} job"
         table = f"[runners.{self.name}]"
         unknown = f", unless that was a time limit that SIERRA does not know: set wall in {table}"
@@ -478,12 +482,15 @@ class Cluster:
         self.stop()
 
     def _suspects(self, share: Share, times: int) -> list[str]:
-        """The runs that were cut off so often; or at all, where the element ended so often, got nowhere and said nothing."""
+        """Return the runs of an element that may have ended it: those that were begun at least `times` times.
+
+        If the element was submitted `times` times without progress and gave no reason, these are all runs that have not ended.
+        """
         stuck = share.tries >= times and not share.trouble
         return [one for one, begun in share.begun.items() if stuck or begun >= times]
 
     def _why(self, index: int) -> str:
-        """Why an element is gone: by its own words, and the scheduler's."""
+        """Return the reason why an element is gone, in its own words and the scheduler's."""
         share = self._shares[index]
         told = share.trouble or submission.last_line(self._session, str(index))
         word = share.word or self._overdue(index, told)
@@ -492,7 +499,10 @@ class Cluster:
         return f"{told} ({word})" if word else told
 
     def _overdue(self, index: int, told: str) -> str:
-        """For a scheduler that is silent on what has ended, as PBS without a history: whether an element's time was over."""
+        """Return the words for an exceeded time limit if an element's time was over; else an empty text.
+
+        This is for a scheduler that reports nothing about ended jobs, for example PBS without a history.
+        """
         asked, wall = ASKED.search(told), self._table.wall or self._harvest.allowed(index)
         return f"walltime of {wall:g} s exceeded" if asked and wall and int(asked[1]) >= wall - 1 else ""
 
@@ -516,7 +526,7 @@ class Cluster:
             self._end(error)
 
     def _give_more_time(self) -> None:
-        """Let elements take twice as long from now on, where that was a guess; no longer than the site allows."""
+        """Double the time limit of later elements if it was an estimate. It stays within the site's limit."""
         before = self._table.wall
         if not self._made.estimated or before is None:
             return
@@ -526,15 +536,15 @@ class Cluster:
             self._note(f"elements may take {wall / 60:g} minutes from now on, for {before / 60:g} were too few")
 
     def _allow(self, wall: float) -> None:
-        """Have elements that are submitted from now on ask for so much time."""
+        """Set the time limit that elements request from now on."""
         self._table = self._table.model_copy(update={"wall": wall})
         self._made = replace(self._made, table=self._table.model_dump(mode="json"), estimated=True)
         self._made.save(self._session)
         self._scheduler = schedulers.find(self._kind)(self._table)
-        self._poll = Poll(self._scheduler)  # the other one will not know what this one submits
+        self._poll = Poll(self._scheduler)  # the old scheduler object does not know what the new one submits
 
     def _learn(self, told: Told) -> float | None:
-        """What the other runs take in the mean, by what those that went first have told; where that is more, give more time."""
+        """Return the expected mean time of the other runs. If calibration shows that it is longer, raise the time limit."""
         made, wall = self._made, self._table.wall
         if told.seconds is None or made.first_s is None or made.rest_s is None:
             return made.rest_s if told.seconds is None else told.seconds
@@ -544,7 +554,7 @@ class Cluster:
         return made.rest_s * slower
 
     def _deal_rest(self, told: Told) -> None:
-        """Deal the other runs out, by what those that went first have told, and hand them over. Raises what is refused."""
+        """Shard the other runs according to the calibration, and submit them. Raises the scheduler's refusals."""
         self._pilot = self._told = None
         count, why = elements_of(self._made.rest, self._learn(told), self._table, self._made.bounds, before=True)
         begin = len(self._shares)
@@ -558,7 +568,7 @@ class Cluster:
             self._session.rest.unlink()
 
     def _hand_over(self, indices: tuple[int, ...], why: str, after: str = "") -> None:
-        """Submit elements; those that are too many now are submitted later. Raises what the scheduler refuses."""
+        """Submit elements. If they are too many now, some are submitted later. Raises the scheduler's refusals."""
         number = len(list(self._session.sent.iterdir()))
         intent = submission.intent(indices, why)
         submission.note(self._session, number, intent)
@@ -575,7 +585,10 @@ class Cluster:
             self._note(f"submitted as {self._kind} job {job} ({self._name}): {counted(len(indices), 'element')}")
 
     def _put_off(self, number: int, indices: tuple[int, ...], why: str, error: Full, after: str) -> None:
-        """Try half of them, and the others later; or all later. Raises where the site takes not even one, and has none."""
+        """Submit half of the elements now and the others later, or all later.
+
+        Raises `error` if the site takes not even one element and has no other job of the session.
+        """
         (self._session.sent / f"{number}.json").unlink()
         half = len(indices) // 2
         if half:
@@ -598,7 +611,7 @@ class Cluster:
         self._due, self._pause = time.monotonic(), FIRST_POLL_S / 2
 
     def _cancel(self, elements: Sequence[int] | None = None) -> None:
-        """Have jobs, or elements, ended; where nobody can be asked to, that is tried again with the next snapshot."""
+        """Cancel jobs, or some elements. If the scheduler cannot be reached, this is tried again at its next answer."""
         self._deaf = False
         for index in elements or ():
             self._shares[index].ours = True
@@ -611,7 +624,7 @@ class Cluster:
             self._note(f"{error}; what is to end is cancelled as soon as {self._kind} can be reached")
 
     def _end(self, error: SierraError) -> None:
-        """End all: asking again will do no better unless something is done about it."""
+        """End the session with an error: submitting again would end the same way until something is done about it."""
         self._wrong = self._wrong or error
         self.stop()
 
@@ -622,7 +635,7 @@ class Cluster:
 
 
 def _means(times: Times | None, first: Sequence[int]) -> tuple[float | None, float | None]:
-    """What the runs at these places, and the others, are expected to take in the mean."""
+    """Return the expected mean times of the runs at the places `first`, and of the other runs."""
     if times is None or not first:
         return None, times.mean if times else None
     chosen = [times.each[place] for place in first]
@@ -631,7 +644,7 @@ def _means(times: Times | None, first: Sequence[int]) -> tuple[float | None, flo
 
 
 class Answer:
-    """What a scheduler has answered."""
+    """The answer of a scheduler."""
 
     def __init__(self, name: str, tasks: tuple[Task, ...] | None) -> None:
         self.name = name
@@ -639,7 +652,7 @@ class Answer:
 
 
 class Poll:
-    """Questions to a scheduler, one at a time, in another thread: one that is out of reach takes its time to say so."""
+    """Queries to a scheduler, one at a time, in another thread, because an unreachable scheduler takes long to fail."""
 
     def __init__(self, scheduler: schedulers.Scheduler) -> None:
         self._scheduler = scheduler
@@ -647,7 +660,7 @@ class Poll:
         self._answers: list[Answer] = []
 
     def ask(self, name: str) -> bool:
-        """Ask for the jobs of a name, where no snapshot is open."""
+        """Ask for the jobs of a name; return False if a query is still open."""
         if self._thread is not None and self._thread.is_alive():
             return False
         self._thread = threading.Thread(target=self._look, args=(name,), daemon=True)
@@ -666,12 +679,12 @@ class Poll:
 
 
 def is_mishap(task: Task) -> bool:
-    """Whether a task that will never begin could, if it were submitted again."""
+    """Return True if a task that will never begin could begin if it were submitted again."""
     return RELAUNCHED in task.reason.lower()
 
 
 def forget(session: SessionPaths) -> None:
-    """Remove what was submitted before in the same session, and is recorded: others have given more runs back meanwhile."""
+    """Remove the session's earlier, recorded submission. Since then, other sessions have released more runs."""
     session.submission.unlink(missing_ok=True)
     session.cancelled.unlink(missing_ok=True)
     for folder in (session.results, session.logs, session.sent, session.jobs(0).parent):

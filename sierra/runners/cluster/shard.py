@@ -1,9 +1,9 @@
-"""Dealing jobs out to the elements of a cluster's job: the files that `sierra.worker.array_task.jobs` reads.
+"""Sharding of jobs over the elements of an array job, into the files that `sierra.worker.array_task.jobs` reads.
 
-What all jobs of an element have in common is written once, with what their input files, which come from one template, have in
-common. All files are written at once where that much memory suffices: on a network file system, opening one is what costs.
+Each file has once what all jobs of the element have in common, including the common parts of their input files, which come from
+one template. If memory suffices, each file is written in one go, because opening files is expensive on a network file system.
 
-Where a few runs go first, the others lie in one file until these have told how many elements there are to be.
+If a few runs go first, the others wait in one file until these have shown how many elements are needed.
 """
 
 from __future__ import annotations
@@ -30,15 +30,15 @@ from sierra.store.segments import disk_errors
 LEVEL = 1
 ENCODER = json.JSONEncoder(separators=(",", ":"))
 BUFFERED = 2 << 20
-"""Bytes of lines that wait to be compressed."""
+"""Bytes of lines that may wait to be compressed."""
 PACKED = 4 << 20
-"""Bytes, compressed, that wait to be written."""
+"""Bytes of compressed data that may wait to be written."""
 
 
 def deal(jobs: Iterable[Job], elements: int, session: SessionPaths) -> tuple[int, ...]:
-    """Write job k to element k mod `elements`; how many jobs each has got. An element without any gets no file.
+    """Write job k to element k mod `elements`; return the number of jobs of each. An element without jobs has no file.
 
-    Raises Missing where there is no room for them.
+    Raises Missing if the disk is full.
     """
     shares = [_Share(session.jobs(number)) for number in range(elements)]
     _write(((shares[number % elements], job) for number, job in enumerate(jobs)), shares, session)
@@ -46,16 +46,16 @@ def deal(jobs: Iterable[Job], elements: int, session: SessionPaths) -> tuple[int
 
 
 def deal_first(jobs: Iterable[Job], first: AbstractSet[int], session: SessionPaths) -> tuple[int, int]:
-    """Write the jobs at the places `first` to element 0, and the others to `rest`; how many each has got."""
+    """Write the jobs at the places `first` to element 0, and the others to `rest`; return the number of jobs of each."""
     shares = [_Share(session.jobs(0)), _Share(session.rest)]
     _write(((shares[number not in first], job) for number, job in enumerate(jobs)), shares, session)
     return shares[0].count, shares[1].count
 
 
 def deal_rest(elements: int, begin: int, session: SessionPaths) -> tuple[int, ...]:
-    """Write the jobs that lie in `rest` to so many elements from `begin` on, as `deal` does. It may be done again.
+    """Write the jobs in `rest` to `elements` elements from `begin` on, as `deal` does. It may be repeated.
 
-    Raises Damaged where they are not all there.
+    Raises Damaged if jobs are missing.
     """
     shares = [_Share(session.jobs(begin + number)) for number in range(elements)]
     lines = _lines(session.rest)
@@ -67,7 +67,7 @@ def deal_rest(elements: int, begin: int, session: SessionPaths) -> tuple[int, ..
 
 
 def _lines(path: Path) -> Iterator[bytes]:
-    """What all jobs of a file have in common, and then each job; as they are written there."""
+    """Yield the lines of a job file as they are: first the common part of all jobs, then each job."""
     count = -1
     try:
         with gzip.open(path, "rb") as lines:
@@ -82,10 +82,10 @@ def _lines(path: Path) -> Iterator[bytes]:
 
 
 def _write(dealt: Iterable[tuple[_Share, Job | bytes]], shares: Sequence[_Share], session: SessionPaths) -> None:
-    """Give each share what is dealt to it, and have as little in memory as is needed to open files seldom."""
+    """Give each share its jobs. Keep only as much in memory as is needed to open files seldom."""
     buffered = packed = 0
     with disk_errors(session.root):
-        session.jobs(0).parent.mkdir(mode=0o700, exist_ok=True)  # variables of runs are nobody else's business
+        session.jobs(0).parent.mkdir(mode=0o700, exist_ok=True)  # variables of runs are private
         for share, job in dealt:
             buffered += share.put(job) if isinstance(job, bytes) else share.add(job)
             if buffered > BUFFERED:
@@ -97,7 +97,7 @@ def _write(dealt: Iterable[tuple[_Share, Job | bytes]], shares: Sequence[_Share]
 
 
 class _Share:
-    """The jobs of one element: lines, then members of a gzip file, then what is on the disk."""
+    """The jobs of one element: first lines, then members of a gzip file, then bytes on the disk."""
 
     def __init__(self, path: Path) -> None:
         self.count = 0
@@ -108,7 +108,7 @@ class _Share:
         self._templates: dict[str, _Template] = {}
 
     def add(self, job: Job) -> int:
-        """The bytes of memory that it takes until it is compressed."""
+        """Add a job; return the bytes of memory that it uses until it is compressed."""
         if self._common is None:
             self._common = job
             self._templates = defaultdict(_Template, ((name, _Template(content)) for name, content in job.files))
@@ -116,19 +116,19 @@ class _Share:
         return self.put(_line(_difference(job, self._common, self._templates)))
 
     def begin(self, common: bytes) -> None:
-        """The first line; a file that is there already is begun anew."""
+        """Write the first line. An existing file is replaced."""
         with disk_errors(self._path.parent):
             self._path.unlink(missing_ok=True)
         self._lines.append(common)
 
     def put(self, line: bytes) -> int:
-        """One job, without what it has in common; the bytes of memory that it takes until it is compressed."""
+        """Add the line of a job, without its common part; return the bytes of memory that it uses until it is compressed."""
         self._lines.append(line)
         self.count += 1
         return len(line)
 
     def compress(self) -> int:
-        """The bytes that it has become."""
+        """Compress the waiting lines; return the bytes of the result."""
         if not self._lines:
             return 0
         compressor = zlib.compressobj(LEVEL, zlib.DEFLATED, zlib.MAX_WBITS | 16)
@@ -138,7 +138,7 @@ class _Share:
         return len(member)
 
     def write(self) -> int:
-        """The bytes that still wait: none."""
+        """Write the compressed data; return the bytes that still wait, which are 0."""
         if self._members:
             with self._path.open("ab") as file:
                 file.writelines(self._members)
@@ -153,14 +153,14 @@ class _Share:
 
 
 class _Template:
-    """An input file of the first job, and with how many of its bytes those of the others have begun and ended so far."""
+    """An input file of the first job, and the number of bytes at its start and end that all files so far share with it."""
 
     def __init__(self, content: bytes = b"") -> None:
         self._content = content
         self._head = self._tail = len(content)
 
     def difference(self, content: bytes) -> list[Any]:
-        """The bytes with which it begins like the template, what comes then, and the bytes with which it ends like it."""
+        """Return the number of bytes shared at the start, the base64 of the bytes between, and the number shared at the end."""
         if not self._fits(content):
             most = min(len(content), len(self._content))
             self._head = _alike(content, self._content, min(most, self._head))
@@ -179,12 +179,15 @@ class _Template:
 def _line(record: Mapping[str, Any]) -> bytes:
     try:
         return to_json(record) + b"\n"
-    except ValueError:  # a path whose bytes are no text
+    except ValueError:  # a path whose bytes are not valid text
         return ENCODER.encode(record).encode() + b"\n"
 
 
 def _difference(job: Job, common: Job, templates: Mapping[str, _Template]) -> dict[str, Any]:
-    """What a job does not have in common with another of its session, whose files are `templates`."""
+    """Return the parts of a job that differ from the common job, whose files are `templates`.
+
+    Raises ValueError if they differ in the names of their variables or in the use of an engine.
+    """
     if job.environment.keys() != common.environment.keys() or (job.client is None) != (common.client is None):
         raise ValueError(f"run {job.run} is not executed like run {common.run}: other variables, or another engine")
     shared = common.environment
@@ -201,7 +204,7 @@ def _difference(job: Job, common: Job, templates: Mapping[str, _Template]) -> di
 
 
 def _alike(one: bytes, other: bytes, most: int) -> int:
-    """How many bytes two contents begin with that are the same, at most so many: found by halving."""
+    """Return the length of the longest common beginning of two contents, at most `most`. It is found by bisection."""
     low, high = 0, most
     while low < high:
         middle = (low + high + 1) // 2

@@ -1,4 +1,4 @@
-"""How many elements a batch is dealt out to, and how long each may take; and why."""
+"""Number of elements that a batch is sharded into, the time limit of each, and the reasons."""
 
 from __future__ import annotations
 
@@ -12,39 +12,40 @@ from sierra.model import Times
 from sierra.runners.schedulers.base import Bounds
 
 ELEMENT_S = 450.0
-"""What an element is to take, where that can be told: between 5 and 10 minutes. Shorter ones cost a scheduler more than they
-compute (it starts a few a second), longer ones wait longer for a node, and lose more with it."""
+"""Seconds that an element should take, if this can be estimated: between 5 and 10 minutes. Shorter elements cost a scheduler
+more time than they compute, because it starts only a few per second. Longer ones wait longer for a node, and lose more with it.
+"""
 UNKNOWN = 16
-"""Elements where nobody knows how long runs take, and nobody waits until some tell."""
+"""Number of elements if nobody knows how long runs take, and no process waits for a calibration."""
 FIRST = 2
-"""Runs that go first and tell, where there are more than UNKNOWN: of those that were never timed, the first and the last."""
+"""Number of runs that go first for calibration, if there are more than UNKNOWN: the first and the last of those never timed."""
 PROBES = 1
-"""Jobs that go before all elements: the one that tries nodes out."""
+"""Number of jobs that go before all elements: the preflight job."""
 SPARE, SPARE_OF_ESTIMATE = 3.0, 6.0
-"""Times the expected time that an element may take; and where runs have values that were never timed."""
+"""Factors between the expected time of an element and its limit; the second is for runs with values that were never timed."""
 LEAST_S = 600.0
 
 
 @dataclass(frozen=True, slots=True)
 class Size:
-    """How a batch is dealt out."""
+    """Number and time limits of a batch's elements."""
 
     elements: int
     wall_s: float | None
-    """What each element may take; None is what the site says."""
+    """Time limit of each element; None means the site's."""
     expected_s: float | None
-    """What each is expected to take."""
+    """Expected time of each element."""
     why: tuple[tuple[str, str], ...]
-    """Settings, and why they are what they are."""
+    """Names of settings, each with the reason for its value."""
     first: tuple[int, ...] = ()
-    """The places of runs that go first, as an element of their own: what they take decides how the others are dealt out."""
+    """Places of the runs that go first, as an element of their own. Their times decide how the others are sharded."""
 
 
 def size(count: int, times: Times | None, table: ClusterTable, bounds: Bounds, *, waits: bool = True) -> Size:
-    """How to deal `count` runs out, which are expected to take these times (None: nobody knows).
+    """Return how `count` runs with these expected times (None: unknown) are sharded.
 
-    `waits`: whether somebody follows, and so waits for runs that go first. Raises ConfigError for a time that the site does
-    not allow.
+    `waits` is true if a process follows, and so can wait for the runs that go first. Raises ConfigError for a time that the
+    site does not allow.
     """
     if table.wall is not None and bounds.wall_s is not None and table.wall > bounds.wall_s:
         where = bounds.whose.get("wall_s", "the site's")
@@ -59,13 +60,13 @@ def size(count: int, times: Times | None, table: ClusterTable, bounds: Bounds, *
 
 
 def longest(each: Sequence[float], elements: int, cpus: int) -> float:
-    """Seconds that the longest of so many elements takes at most, where run k goes to element k mod `elements`."""
+    """Return an upper bound for the seconds of the longest element, if run k goes to element k mod `elements`."""
     shares = (each[number::elements] for number in range(min(elements, len(each))))
     return max(sum(share) / cpus + (1 - 1 / cpus) * max(share) for share in shares)
 
 
 def _first(count: int, times: Times | None) -> tuple[int, ...]:
-    """Of the runs whose time nobody knows, the first and the last, where there are more."""
+    """Return the places of the first and the last run of unknown duration, if there are more than two."""
     new = range(count) if times is None else times.new
     return (new[0], new[-1]) if len(new) > FIRST else ()
 
@@ -73,9 +74,10 @@ def _first(count: int, times: Times | None) -> tuple[int, ...]:
 def elements_of(
     count: int, seconds: float | None, table: ClusterTable, bounds: Bounds, *, before: bool, how: str = ""
 ) -> tuple[int, str]:
-    """How many elements so many runs are dealt out to, and why; `before`: whether there is one already, of the first runs.
+    """Return the number of elements for `count` runs, and the reason for it.
 
-    `seconds` is what a run takes in the mean, and `how` says where that comes from.
+    `seconds` is the mean time of a run, and `how` says where it comes from. `before` is true if there is already one element,
+    of the first runs.
     """
     elements, why = _elements(count, seconds, table, how)
     array, jobs = bounds.array and max(bounds.array - before, 1), bounds.jobs and max(bounds.jobs - PROBES - before, 1)

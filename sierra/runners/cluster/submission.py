@@ -1,9 +1,9 @@
-"""What a session has submitted to a cluster, as its folder has it: enough for any process to go on with it.
+"""Record of a session's submission to a cluster. It suffices for any process to continue the session.
 
-`submission.json` is written before anything is handed over. Where some runs go first (see `sierra.runners.cluster.calibrate`),
-it is written again when the others have been dealt out, before these are handed over. Each job that is handed over has a file
-of its own, `sent/<number>.json`. It is written before that without the job's id, and again with it: a submitter that dies in
-between leaves no id, and the job is found by its name.
+`submission.json` is written before anything is submitted. If some runs go first (see `sierra.runners.cluster.calibrate`), it is
+written again after the others have been sharded and before they are submitted. Each submitted job has a file of its own,
+`sent/<number>.json`. This is written before the submission without the job's id, and after it with the id. If the submitting
+process dies in between, there is no id, and the job is found by its name.
 """
 
 from __future__ import annotations
@@ -24,54 +24,54 @@ from sierra.util.fs import read_record, write_whole
 from sierra.util.text import few
 
 NAMED = 8
-"""Digits of a session's id in the name of its jobs."""
+"""Number of digits of the session's id in the name of its jobs."""
 UNFOLLOWED = (
     "an element that its time limit ends goes on by itself only where the site lets tasks requeue themselves; otherwise, "
     "sierra attach (or asking again) submits what is missing"
 )
 SHOWN_REASONS, LONGEST = 2, 70
-"""Reasons why elements wait that are told of, and letters of each."""
+"""Largest number of reasons for waiting that are shown, and of characters of each."""
 
 
 @dataclass(frozen=True, slots=True)
 class Sent:
-    """One job that was, or was to be, handed over."""
+    """One job that was submitted, or was about to be."""
 
     elements: tuple[int, ...]
     when: float
-    """Seconds since the epoch."""
+    """Time in seconds since the epoch."""
     why: str = ""
-    """Why these elements were submitted again; empty at first."""
+    """The reason why these elements were submitted again; empty at first."""
     job: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class Submission:
-    """What was dealt out, and for whom."""
+    """Record of what was submitted, and for which batch."""
 
     runner: str
     scheduler: str
     version: str
-    """Of the scheduler, with its name."""
+    """Name and version of the scheduler."""
     table: Mapping[str, Any]
     batch: str
     counts: tuple[int, ...]
-    """The runs of each element."""
+    """Number of runs of each element."""
     around: Mapping[str, Any]
     """The row of `environments` of the submitting process."""
     probed: bool = False
-    """Whether a probe goes before all elements."""
+    """True if a preflight job (probe) goes before all elements."""
     rest: int = 0
-    """Runs that are not dealt out to elements yet."""
+    """Number of runs that are not sharded yet."""
     allowed: Mapping[str, Any] = field(default_factory=dict)
-    """What the site allowed then: the fields of `Bounds`."""
+    """Limits of the site at that time: the fields of `Bounds`."""
     estimated: bool = False
-    """Whether the time of an element is SIERRA's own guess, and not the project's."""
+    """True if the time limit of an element is SIERRA's own estimate, and not the project's setting."""
     first_s: float | None = None
-    """What those that go first were expected to take in the mean, and (`rest_s`) the others; None where nobody knew."""
+    """Expected mean time of the runs that go first; `rest_s` is that of the others. None if it was unknown."""
     rest_s: float | None = None
     past: tuple[str, ...] = ()
-    """Jobs of the same name that have nothing to do with it: of what the session had submitted before."""
+    """Jobs of earlier submissions of the session. They have the same name, but do not belong to this one."""
 
     @property
     def bounds(self) -> Bounds:
@@ -83,7 +83,7 @@ class Submission:
 
     @property
     def cluster(self) -> ClusterTable:
-        """What the project said of the cluster then."""
+        """The project's table for the cluster at that time."""
         return ClusterTable.model_validate({**self.table, "scheduler": self.scheduler})
 
     def save(self, session: SessionPaths) -> None:
@@ -93,7 +93,7 @@ class Submission:
 
     @classmethod
     def load(cls, session: SessionPaths) -> Submission:
-        """Raises FileNotFoundError, and Damaged where another version of SIERRA has written it."""
+        """Read a session's submission. Raises FileNotFoundError, and Damaged if another version of SIERRA wrote it."""
         fields = read_record(session.submission)
         try:
             made = cls(**{**fields, "counts": tuple(fields["counts"]), "past": tuple(fields.get("past", ()))})
@@ -104,42 +104,42 @@ class Submission:
 
 
 def name_of(session: SessionPaths, what: str = "sierra") -> str:
-    """What the jobs of a session are called; its `probe` has another name than its elements."""
+    """Return the name of a session's jobs. The preflight job (`probe`) has another name than the elements."""
     return f"{what}-{session.root.name[:NAMED]}"
 
 
 def elements_request(session: SessionPaths, name: str, elements: tuple[int, ...], table: ClusterTable) -> Request:
-    """The array job that executes these elements, each of which knows how much time it has."""
+    """Return the request for the array job that executes these elements, with their time limit as an option."""
     return request(session, name, elements, table.python, *([f"--wall={table.wall:g}"] if table.wall else []))
 
 
 def request(session: SessionPaths, name: str, elements: tuple[int, ...], python: str, *options: str) -> Request:
-    """The array job that calls `array_task.py` for these elements."""
+    """Return the request for an array job that calls `array_task.py` for these elements."""
     command = (python, "-I", "-S", str(session.root / "array_task.py"), str(session.root), *options)
     return Request(name, f"sierra {session.root.name}", elements, session.root, session.logs, command)
 
 
 def last_line(session: SessionPaths, index: str) -> str:
-    """The last that the newest log of an element says; empty where it says nothing."""
+    """Return the last line of an element's newest log; an empty text if there is none."""
     newest = max(session.logs.glob(f"*[._]{index}.out"), key=lambda file: file.stat().st_mtime, default=None)
     said = newest.read_bytes()[-4096:].decode("utf-8", "replace").strip().splitlines() if newest else []
     return said[-1] if said else ""
 
 
 def sent(session: SessionPaths) -> list[Sent]:
-    """All that was, or was to be, handed over, in order."""
+    """Return all jobs that were submitted, or were about to be, in order."""
     files = sorted(session.sent.glob("*.json"), key=lambda file: int(file.stem))
     return [Sent(**{**found, "elements": tuple(found["elements"])}) for found in map(_read, files) if found]
 
 
 def note(session: SessionPaths, number: int, one: Sent) -> None:
-    """Write what is handed over, or was."""
+    """Write the record of one job."""
     with disk_errors(session.root):
         write_whole(session.sent / f"{number}.json", json.dumps(asdict(one)).encode())
 
 
 def last(session: SessionPaths, tasks: Iterable[Task]) -> Iterator[tuple[int, Task]]:
-    """Each element of which these tasks are the last submission, with its task; those of earlier jobs are left out."""
+    """Yield each element of which these tasks are the last submission, with its task. Tasks of earlier jobs are left out."""
     handed = sent(session)
     known = {one.job for one in handed}
     latest = {index: one.job for one in handed for index in one.elements}
@@ -154,7 +154,7 @@ def intent(elements: tuple[int, ...], why: str) -> Sent:
 
 
 def waits(tasks: Iterable[Task]) -> str:
-    """Why tasks are queued, as the scheduler says it, in short and the most frequent first; empty where it does not."""
+    """Return the most frequent reasons why tasks are queued, in the scheduler's words, shortened; empty if it gives none."""
     words = Counter(task.reason for task in tasks if task.state is State.QUEUED and task.reason)
     told = [word if len(word) <= LONGEST else f"{word[: LONGEST - 1]}…" for word, _ in words.most_common()]
     return few(told, SHOWN_REASONS)
@@ -163,22 +163,22 @@ def waits(tasks: Iterable[Task]) -> str:
 def _read(file: Any) -> dict[str, Any]:
     try:
         return read_record(file)
-    except FileNotFoundError:  # taken back meanwhile: the site took no more
+    except FileNotFoundError:  # removed since: the site took no more jobs
         return {}
 
 
 def jobs(session: SessionPaths) -> Iterator[str]:
-    """The ids of all jobs that are known to have been handed over."""
+    """Yield the ids of all jobs that are known to have been submitted."""
     return (one.job for one in sent(session) if one.job is not None)
 
 
 def past(session: SessionPaths) -> tuple[str, ...]:
-    """The jobs of what was submitted so far, when the session submits something else."""
+    """Return the ids of the session's jobs so far, before it submits something else."""
     return (*Submission.load(session).past, *jobs(session)) if session.submission.exists() else ()
 
 
 def elements(session: SessionPaths, tasks: Iterable[Task]) -> set[int]:
-    """The elements that tasks are of; of a job that does not say, all that it has."""
+    """Return the elements of tasks. A task that names no element stands for all elements of its job."""
     tasks = tuple(tasks)
     handed = sent(session) if any(task.element is None for task in tasks) else []
     found: set[int] = set()

@@ -1,4 +1,4 @@
-"""Schedulers: the programs that share out a cluster's nodes."""
+"""Schedulers: the programs that assign a cluster's nodes to jobs."""
 
 from __future__ import annotations
 

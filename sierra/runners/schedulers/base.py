@@ -1,11 +1,11 @@
-"""What shares a cluster's nodes out: the Scheduler contract, and the door to find one by name.
+"""The Scheduler contract, and a function that finds a scheduler by its name.
 
-Shipped: `slurm` and `pbs`. Others (LSF, HTCondor) come as entry points of the group `sierra.schedulers`, each naming a
-class that fulfils `Scheduler`; `sierra.testing.runners` holds them to it, on a real cluster.
+SIERRA ships `slurm` and `pbs`. Plug-ins for others (LSF, HTCondor) come as entry points of the group `sierra.schedulers`, each
+naming a class that fulfils `Scheduler`. `sierra.testing.runners` has the conformance suite, which needs a real cluster.
 
-A scheduler's word is a hint, never the truth of a run: only what an element has recorded is (see `sierra.worker.array_task`).
-It is asked for one thing, whether anything may still come. So a scheduler need not know how jobs ended, may forget them, and
-may be out of reach for a day. Its commands are called as argv, with text formats that are the same in all its versions.
+A scheduler's answer is only a hint. The truth about a run is what an element has recorded (see `sierra.worker.array_task`). The
+scheduler is asked for one thing: whether more may come. So it need not know how jobs ended, it may forget them, and it may be
+unreachable for a day. Its commands are called as argv tuples, with text formats that are the same in all its versions.
 """
 
 from __future__ import annotations
@@ -24,67 +24,67 @@ SHIPPED = {
     "pbs": "sierra.runners.schedulers.pbs:Pbs",
 }
 NAME_LENGTH = 15
-"""The longest name of a job that all schedulers take."""
+"""Length of the longest job name that all schedulers accept."""
 
 
 class State(StrEnum):
-    """What a scheduler says of one task."""
+    """State of one task, as the scheduler reports it."""
 
     QUEUED = "queued"
     RUNNING = "running"
     STUCK = "stuck"
-    """It will never begin as it is: a request that no node satisfies, a dependency that failed, held after a failed launch."""
+    """It will never begin as it is: no node satisfies the request, a dependency failed, or it is held after a failed launch."""
     ENDED = "ended"
 
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """One element of a job, as the scheduler tells of it."""
+    """One element of a job, as the scheduler reports it."""
 
     job: str
-    """The job's id, which `cancel` takes."""
+    """The job's id, which `cancel` accepts."""
     element: int | None
-    """Its index in the array; None where the job is no array, or where no element of one has begun."""
+    """Index in the array; None if the job is not an array, or if no element of the array has begun."""
     state: State
     reason: str = ""
-    """The scheduler's own words: why it waits, or how it ended (NODE_FAIL, TIMEOUT, OUT_OF_MEMORY)."""
+    """The scheduler's own words for why it waits or how it ended (NODE_FAIL, TIMEOUT, OUT_OF_MEMORY)."""
     node: str = ""
     cancelled: bool = False
-    """Whether it has ended because somebody cancelled it, and not by a limit, a lost node or preemption."""
+    """True if it ended because somebody cancelled it, and not because of a limit, a lost node or preemption."""
 
 
 @dataclass(frozen=True, slots=True)
 class Limit:
-    """Something that a site allows."""
+    """A limit of a site."""
 
     most: float
     whose: str
-    """Where it is set, in the scheduler's words: `MaxWall of QOS short`."""
+    """The place where it is set, in the scheduler's words, for example `MaxWall of QOS short`."""
 
 
 def least(*limits: Limit | None) -> Limit | None:
-    """The one that is met first."""
+    """Return the lowest of these limits; None if there are none."""
     return min(filter(None, limits), key=lambda limit: limit.most, default=None)
 
 
 @dataclass(frozen=True, slots=True)
 class Bounds:
-    """What a site allows; None is not known, or without bound."""
+    """The limits of a site. None means unknown or unlimited."""
 
     array: int | None = None
-    """Elements of one array."""
+    """Largest number of elements of one array."""
     jobs: int | None = None
-    """Jobs (elements count each) that may be there at a time."""
+    """Largest number of queued and running jobs at a time; each element counts as a job."""
     wall_s: float | None = None
-    """Seconds that an element may take in the partition that is asked for."""
+    """Largest number of seconds that an element may take in the requested partition."""
     running: int | None = None
-    """Jobs that may run at a time; others wait."""
+    """Largest number of jobs that run at a time; others wait."""
     whose: Mapping[str, str] = field(default_factory=dict)
-    """Where each of these is set, by its name, in the scheduler's words."""
+    """The place where each limit is set, in the scheduler's words, by the name of the limit."""
 
     @classmethod
     def of(cls, **limits: Limit | None) -> Bounds:
-        """By the names of the above."""
+        """Make the bounds from limits by the names of the fields."""
         known = {name: limit for name, limit in limits.items() if limit is not None}
         most = {name: limit.most if name == "wall_s" else int(limit.most) for name, limit in known.items()}
         return cls(**most, whose={name: limit.whose for name, limit in known.items()})  # type: ignore[arg-type]
@@ -92,81 +92,87 @@ class Bounds:
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """One array job that is asked for."""
+    """One array job to submit."""
 
     name: str
-    """At most NAME_LENGTH letters, digits and `-`; the same for all jobs of a session, by which they are found again."""
+    """At most NAME_LENGTH letters, digits and `-`. It is the same for all jobs of a session, which are found by it."""
     comment: str
     elements: tuple[int, ...]
-    """The indices, ascending, without gaps or with."""
+    """Indices in ascending order, with or without gaps."""
     folder: Path
-    """On the shared file system: the working directory, and where the script lies."""
+    """A folder on the shared file system: the working directory, and the folder of the script."""
     logs: Path
-    """The folder of what the script prints: one file for each element and job."""
+    """The folder for the output of the script: one file for each element and job."""
     command: tuple[str, ...]
-    """What the script executes in the end, by `exec`; the index of the element is put after it, as its last argument."""
+    """The command that the script executes in the end, by `exec`. The index of the element is added as its last argument."""
     after: str = ""
-    """A job that must have ended well before; where it has not, these may be cancelled, or be STUCK."""
+    """A job that must have ended successfully before. If it fails, this job may be cancelled or become STUCK."""
 
 
 class Scheduler(Protocol):
-    """One way to have elements executed on a cluster's nodes."""
+    """One way to execute elements on a cluster's nodes."""
 
     name: str
 
     def __init__(self, table: ClusterTable) -> None:
-        """`table`: what the project says of this cluster."""
+        """Make a scheduler from the project's `table` for the cluster."""
         ...
 
     @property
     def requeue(self) -> tuple[str, ...]:
-        """The command by which a task has itself begun anew later, to which its own id is added; empty where there is none."""
+        """Command by which a task asks to be started again later; the task adds its own id. Empty if there is none."""
         ...
 
     @property
     def forgets(self) -> bool:
-        """Whether `look` leaves out what has ended. A task that vanishes while it waits was cancelled then."""
+        """True if `look` omits ended tasks. A task that vanishes while it waits was cancelled then."""
         ...
 
     def version(self) -> str:
-        """The scheduler and its version, as in `slurm 22.05.8`. Raises Missing where its commands are not here."""
+        """Return the scheduler and its version, for example `slurm 22.05.8`.
+
+        Raises Missing if its commands are not on this host.
+        """
         ...
 
     def bounds(self) -> Bounds:
-        """What the site allows. Raises Missing where it can't be reached."""
+        """Return the site's limits. Raises Missing if the scheduler cannot be reached."""
         ...
 
     def script(self, request: Request) -> str:
-        """The whole script that `submit` hands over: directives, modules, the command. Nothing of it is secret."""
+        """Return the whole script that `submit` submits: directives, modules, the command. It contains no secret."""
         ...
 
     def submit(self, request: Request) -> str:
-        """Hand it over; the job's id. Nothing of the caller's environment goes along.
+        """Submit the job and return its id. Nothing of the caller's environment is passed on.
 
-        Raises ConfigError for what the scheduler refuses (a partition, an account, a limit), in its own words; Full where it
-        refuses because too much is there at a time; Missing where it can't be reached, and then it may have been taken all
-        the same: `look` will tell.
+        Raises ConfigError, with the scheduler's own words, for a request that it refuses (a partition, an account, a limit).
+        Raises Full if it refuses because too many jobs are there at a time. Raises Missing if it cannot be reached. It may have
+        taken the job all the same then; `look` will show this.
         """
         ...
 
     def look(self, name: str) -> tuple[Task, ...] | None:
-        """All tasks of the caller's jobs of that name that the scheduler knows of, by one call; those that have ended may be
-        left out. None where it can't be reached: nothing is known then.
+        """Return all tasks of the caller's jobs of that name that the scheduler knows, by one call.
+
+        Ended tasks may be left out. Return None if the scheduler cannot be reached, so that nothing is known.
         """
         ...
 
     def explain(self, words: str) -> str:
-        """The scheduler's words on a request that it refuses, or will never begin, and what they are about: which of the
-        table's settings, and what the site has, as far as these are known. In one line; raises nothing.
+        """Return an explanation of the scheduler's words about a request that it refuses or will never begin.
+
+        The explanation is one line. It begins with these words. It names the settings of the table that they are about and what
+        the site offers, as far as these are known. It raises nothing.
         """
         ...
 
     def cancel(self, name: str, elements: Sequence[int] | None = None) -> None:
-        """Ask that the jobs of that name end (or only these elements of them); idempotent, also where there is none."""
+        """Cancel the jobs of that name, or only these elements of them. It is idempotent, and there may be no such job."""
         ...
 
 
 def find(name: str) -> type[Scheduler]:
-    """The scheduler of that name. Raises ConfigError where there is none."""
+    """Return the scheduler of that name. Raises ConfigError if there is none."""
     found: type[Scheduler] = entry_points.find("scheduler", SHIPPED, name)
     return found

@@ -1,22 +1,23 @@
-"""PBS: OpenPBS (and PBS Pro), Torque, and the `qsub` that Debian's slurm-wlm-torque puts over SLURM.
+"""PBS: OpenPBS (and PBS Pro), Torque, and the `qsub` that Debian's slurm-wlm-torque provides for SLURM.
 
-`qsub --version` tells them apart. They agree in little but the names of their commands; `qsub` (the module) says what each is
-handed, `qstat` what each answers. What holds for all:
+`qsub --version` tells them apart. They have little in common but the names of their commands. The module `qsub` describes the
+input of each, and the module `qstat` the answers of each. These facts hold for all:
 
-- The script is always a file: the wrapper takes none on its standard input. It is named without its folder, for the wrapper
-  puts its words into a shell.
-- No history is asked for, which is off by default in OpenPBS, and `-x` means XML in Torque. A job that isn't listed has ended;
-  `qstat` with ids ends with 153 (unknown) or 35 (finished) then. An exit status is never believed: an array's is 0 or 1,
-  whatever became of its elements.
-- OpenPBS takes a job that waits for one that it does not know (any more), and deletes it at once: it is submitted again then.
-- Ids of one `qdel` are of whole jobs, or of elements and plain jobs: told of an array and an element of it at once, OpenPBS
-  deletes the element, keeps the array, and says that all is well.
-- Where nothing is known of a name, all jobs are listed, by one call; from then on, one call asks for the ids that were alive,
-  until one of them isn't, for a list of a whole site is long.
-- Commands see few variables of the caller's (`PASSED`): a site may have made `-V` its default, and PBS_DPREFIX or SBATCH_*
-  would change what scripts mean.
-- Over SLURM, `qstat` and `qdel` know nothing of elements, which have plain numbers there. Where this `qsub` is, SLURM's own
-  commands are, so they are asked.
+- The script is always a file, because the SLURM wrapper does not read standard input. It is named without its folder, because
+  the wrapper passes its arguments through a shell.
+- No history is requested: it is off by default in OpenPBS, and `-x` means XML in Torque. A job that is not listed has ended.
+  `qstat` with ids ends with status 153 (unknown) or 35 (finished) then. Exit statuses are not trusted: an array's is 0 or 1,
+  whatever its elements did.
+- OpenPBS accepts a job that depends on a job that it does not know (any more), and deletes it at once. It is submitted again
+  then.
+- The ids of one `qdel` are either all of whole jobs, or all of elements and plain jobs. If an array and an element of it are
+  given at once, OpenPBS deletes the element, keeps the array, and reports success.
+- If nothing is known about a name, one call lists all jobs. From then on, one call asks for the ids that were alive, until one
+  of them is gone, because the list of a whole site is long.
+- Commands see few variables of the caller's environment (`PASSED`): a site may have made `-V` its default, and PBS_DPREFIX or
+  SBATCH_* would change the meaning of scripts.
+- With the SLURM wrapper, `qstat` and `qdel` know nothing of elements, which have plain numbers there. SLURM's own commands are
+  installed beside this `qsub`, so SIERRA uses them instead.
 """
 
 from __future__ import annotations
@@ -43,9 +44,9 @@ from sierra.util.fs import write_whole
 PATIENCE_S = 20.0
 SUBMITTING_S = 120.0
 AT_ONCE = 200
-"""Ids on one command line."""
+"""Largest number of ids on one command line."""
 ARRAY = 10_000
-"""OpenPBS's own `max_array_size`, where none is set."""
+"""OpenPBS's default of `max_array_size`."""
 PASSED = frozenset(
     (
         *("PATH", "HOME", "USER", "LOGNAME", "LD_LIBRARY_PATH", "PERL5LIB", "TMPDIR", "KRB5CCNAME", "SLURM_CONF"),
@@ -54,8 +55,9 @@ PASSED = frozenset(
 )
 HANDED_ON = frozenset(("HOME", "USER", "LOGNAME", "LD_LIBRARY_PATH", "PERL5LIB", "SLURM_CONF"))
 SYSTEM = {"PATH": "/usr/local/bin:/usr/bin:/bin", "SBATCH_EXPORT": "ALL"}
-"""SLURM's sbatch hands all that it sees on to the job, so the wrapper sees nearly nothing. Were it told to hand on nothing, it
-would have a login shell started on the node for each task, and wait for that, which may take minutes."""
+"""Environment of the SLURM wrapper, in addition to HANDED_ON. SLURM's sbatch passes its whole environment to the job, so the
+wrapper sees almost nothing. If sbatch were told to pass on nothing, it would start a login shell on the node for each task and
+wait for it, which may take minutes."""
 OPENPBS = re.compile(r"pbs_version\s*=\s*(\S+)")
 TORQUE = re.compile(r"^Version:\s*(\S+)", re.MULTILINE)
 JOB = re.compile(r"\d+(\[\])?(\.\S+)?")
@@ -74,16 +76,17 @@ DEPENDENCY = re.compile(r"unknown job|dependency", re.IGNORECASE)
 
 
 class Pbs:
-    """The scheduler `pbs`, whichever it is."""
+    """The scheduler `pbs`, in any of its dialects."""
 
     name = "pbs"
 
     def __init__(self, table: ClusterTable) -> None:
         self._table = table
         self._alive: dict[str, tuple[str, ...]] = {}
-        """Ids of the jobs of a name that were alive when it was last looked for, if none was submitted since."""
+        """Ids of the living jobs of a name at the last look, if none was submitted since."""
         self._submitted = 0
-        """Grows when a submission begins and when it ends: a look in another thread may not have seen its job."""
+        """A counter that grows when a submission begins and when it ends. A look in another thread may not have seen the new
+        job."""
 
     @property
     def requeue(self) -> tuple[str, ...]:
@@ -125,7 +128,7 @@ class Pbs:
         return about(words, PBS, self._table, self._site)
 
     def _site(self) -> list[str]:
-        """The queue that is asked for, or that is the default, and what it allows; or else all queues by name."""
+        """Return the requested or default queue with its limits; if it is unknown, the names of all queues."""
         try:
             name = self._table.partition or _first(_said("qstat", "-B", "-f")).get("default_queue", "")
             if queue := _queue(name):
@@ -167,7 +170,7 @@ class Pbs:
         if self._dialect is not Dialect.SLURM:
             return _call("qsub", script.name, folder=script.parent, patience=SUBMITTING_S)
         environment = {name: value for name, value in os.environ.items() if name in HANDED_ON} | SYSTEM
-        # the wrapper gives jobs files in which they print, unless it is told otherwise here
+        # without these options, the wrapper chooses files for the jobs' output
         words = (shutil.which("qsub") or "qsub", "-j", "oe", "-o", "/dev/null", script.name)
         return _call(*words, folder=script.parent, patience=SUBMITTING_S, environment=environment)
 
@@ -199,7 +202,7 @@ class Pbs:
         return schedulers.find("slurm")(self._table)
 
     def _records(self, name: str) -> list[qstat.Record]:
-        """The caller's jobs of that name, and their elements. Raises Missing where nobody answers."""
+        """Return the caller's jobs of that name, and their elements. Raises Missing if PBS does not answer."""
         alive = self._alive.get(name, ())
         records = self._listed(alive) if alive else None
         if records is None:
@@ -209,7 +212,7 @@ class Pbs:
         return qstat.own(records, name, _user())
 
     def _listed(self, ids: Sequence[str]) -> list[qstat.Record] | None:
-        """All jobs, or those; None where there is no answer, or one of them is gone."""
+        """Return all jobs, or those with these ids; None if there is no answer, or if one of the jobs is gone."""
         if self._dialect is Dialect.OPENPBS:
             done = _call("qstat", "-t", "-f", "-F", "json", *ids)
             try:
@@ -223,7 +226,7 @@ class Pbs:
 def _call(
     *argv: str, folder: Path | None = None, patience: float = PATIENCE_S, environment: Mapping[str, str] | None = None
 ) -> subprocess.CompletedProcess[str]:
-    """What a command says. Raises Missing where there is none, or it doesn't end."""
+    """Run a command and return its outcome. Raises Missing if it does not exist, cannot start or does not end in time."""
     if environment is None:
         environment = {name: value for name, value in os.environ.items() if name in PASSED} | {"LC_ALL": "C"}
     try:
@@ -254,7 +257,7 @@ def _said(*argv: str) -> str:
 
 
 def _words(done: subprocess.CompletedProcess[str]) -> str:
-    """What a command complains of, in one line."""
+    """Return a command's error message in one line."""
     said = (done.stderr + "\n" + done.stdout).partition("and the output was:")
     lines = (
         re.sub(r"^(qsub|qstat|qdel|sbatch)(: error)?:\s*", "", line.strip(" \t'")) for line in (said[2] or said[0]).splitlines()
@@ -263,7 +266,7 @@ def _words(done: subprocess.CompletedProcess[str]) -> str:
 
 
 def _taken(done: subprocess.CompletedProcess[str], *, waits: bool) -> str:
-    """The job's id in what `qsub` says. Raises as `submit` does."""
+    """Return the job's id from the answer of `qsub`. Raises the same errors as `submit`."""
     words = _words(done)
     if not done.returncode:
         ids = [line.strip() for line in done.stdout.splitlines() if JOB.fullmatch(line.strip())]
@@ -291,7 +294,7 @@ def _first(text: str) -> qstat.Record:
 
 
 def _queue(name: str) -> qstat.Record:
-    """What is said of a queue; nothing where there is none: `qsub` will refuse it."""
+    """Return a queue's attributes; empty if the queue does not exist. `qsub` will refuse it then."""
     done = _call("qstat", "-Q", "-f", name) if name else None
     return _first(done.stdout) if done and not done.returncode else {}
 
@@ -317,7 +320,7 @@ def _numbers(*records: qstat.Record, names: Sequence[str]) -> Iterator[Limit]:
 
 
 def _of_user(*records: qstat.Record, name: str) -> Iterator[Limit]:
-    """Of limits such as `[u:PBS_GENERIC=100], [u:ann=200], [o:PBS_ALL=1000]`, those that concern the caller."""
+    """Yield the caller's limits from texts such as `[u:PBS_GENERIC=100], [u:ann=200], [o:PBS_ALL=1000]`."""
     for record in records:
         said = {who: int(limit) for who, limit in re.findall(r"([uo]:[^=\]]+)=(\d+)", record.get(name, ""))}
         for limit in (said.get("o:PBS_ALL"), said.get(f"u:{_user()}", said.get("u:PBS_GENERIC"))):
@@ -326,5 +329,5 @@ def _of_user(*records: qstat.Record, name: str) -> Iterator[Limit]:
 
 
 def _seconds(text: str) -> float:
-    """A duration: seconds, or up to days before colons."""
+    """Return the seconds of a duration: a number of seconds, or fields separated by colons, up to days."""
     return sum(float(part) * unit for part, unit in zip(reversed(text.strip().split(":")), (1, 60, 3600, 86400), strict=False))

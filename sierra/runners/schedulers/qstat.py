@@ -1,4 +1,4 @@
-"""What `qstat` answers, as records and as tasks.
+"""Parser of the answers of `qstat`, into records and tasks.
 
 Two forms are read. The text of `qstat -f` is the same in OpenPBS, Torque and SLURM's wrapper:
 
@@ -7,8 +7,8 @@ Two forms are read. The text of `qstat -f` is the same in OpenPBS, Torque and SL
         Variable_List = PBS_O_HOME=/home/user,PBS_O_PATH=/usr/local/bin:/usr/b
     <tab>in:/bin
 
-What is too long goes on in lines that begin with a tab. OpenPBS's JSON (`-F json`) is quicker to read; but some of its
-versions write it so that no reader takes it (strings that hold quotes), and then its text is asked for instead.
+A long value continues in lines that begin with a tab. OpenPBS's JSON (`-F json`) is faster to read, but some of its versions
+write invalid JSON (strings that contain quotes). Then the text is requested instead.
 """
 
 from __future__ import annotations
@@ -23,23 +23,23 @@ from typing import Any
 from sierra.runners.schedulers.base import State, Task
 
 Record = Mapping[str, str]
-"""The attributes of a job, a queue or a server by their names, as in the text: `resources_max.walltime`; and its `id`."""
+"""Attributes of a job, a queue or a server by their names in the text, for example `resources_max.walltime`; and its `id`."""
 
 ELEMENTS = "SIERRA_ELEMENTS"
-"""The variable of a job that says which elements its tasks are, by their places, where the scheduler doesn't."""
+"""The variable of a job that lists the elements of its tasks, by their places, if the scheduler does not know them."""
 HEAD = re.compile(r"(?:Job Id|Queue|Server):\s*(\S+)\s*")
 ATTRIBUTE = re.compile(r"(?: {4}|\t)([A-Za-z_][\w.]*) = (.*)")
 ID = re.compile(r"(\d+)(?:\[(\d*)\]|-(\d+))?(\..+)?")
-"""`12.pbs1`, the array `12[].pbs1`, its element `12[3].pbs1` or, in old Torques, `12-3.pbs1`."""
+"""`12.pbs1`, the array `12[].pbs1`, its element `12[3].pbs1` or, in old versions of Torque, `12-3.pbs1`."""
 SPELLED = re.compile(r"\d{1,9}(-\d{1,9})?(\+\d{1,9}(-\d{1,9})?)*")
 ENDED = frozenset("FXC")
 WAITING = frozenset("QWT")
 NEVER = re.compile(r"can never run|too many failed attempts", re.IGNORECASE)
 FORGOTTEN = "Subjob finished"
-"""The comment of what OpenPBS knows no more of an element than that."""
+"""The comment of an element about which OpenPBS knows nothing else."""
 HOLDS = frozenset("sop")
-"""Holds of the system (a launch that failed), of an operator, for a bad password. The user's own (u) is theirs to release,
-and Torque's a and l hold elements until the array is there or has a place."""
+"""Holds by the system (a launch that failed), by an operator, or because of a bad password. A user's own hold (u) is theirs to
+release. Torque's holds a and l only keep elements until the array is complete or has a free place."""
 ENDS = {
     ("Exit_status", "-20"): "its node was lost",
     ("Exit_status", "-27"): "memory exceeded",
@@ -49,24 +49,24 @@ ENDS = {
     ("exit_status", "-11"): "walltime exceeded",
     ("exit_status", "271"): "asked to end",
 }
-"""What statuses that are no program's mean: OpenPBS's and, in small letters, Torque's (job.h, pbs_job.h)."""
+"""Meanings of special exit statuses, which no program returns: OpenPBS's and, in small letters, Torque's (job.h, pbs_job.h)."""
 DELETED = "91"
-"""The `substate` of what was deleted while it ran, or waited (OpenPBS)."""
+"""The `substate` of a job that was deleted while it ran or waited (OpenPBS)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Name:
-    """What a job's id says."""
+    """The parts of a job's id."""
 
     job: str
     """The id of the whole job."""
     place: int | None
-    """The index in the array; None where it is no element of one."""
+    """The index in the array; None if the id is not that of an element."""
     array: bool
 
 
 def name(text: str) -> Name:
-    """Read a job's id."""
+    """Parse a job's id."""
     match = ID.fullmatch(text)
     if not match:
         return Name(text, None, array=False)
@@ -77,7 +77,7 @@ def name(text: str) -> Name:
 
 
 def text_records(text: str) -> Iterator[Record]:
-    """What stands in the text of `qstat -f`, `-Q -f` or `-B -f`."""
+    """Yield the records in the text of `qstat -f`, `-Q -f` or `-B -f`."""
     record: dict[str, str] = {}
     key = ""
     for line in text.splitlines():
@@ -95,7 +95,7 @@ def text_records(text: str) -> Iterator[Record]:
 
 
 def json_records(text: str) -> Iterator[Record]:
-    """What stands in the answer to `qstat -f -F json`. Raises ValueError where that is no JSON, or not such JSON."""
+    """Yield the records in the answer to `qstat -f -F json`. Raises ValueError for invalid or unexpected JSON."""
     answer = json.loads(text, strict=False) if text.strip() else {}
     jobs = answer.get("Jobs", {}) if isinstance(answer, dict) else None
     if not isinstance(jobs, dict) or not all(isinstance(job, dict) for job in jobs.values()):
@@ -105,14 +105,14 @@ def json_records(text: str) -> Iterator[Record]:
 
 
 def _plain(value: Any) -> str:
-    """As the text has it; numbers in JSON may have been texts of digits."""
+    """Return a JSON value as the text form has it. Numbers in the JSON may have been texts of digits."""
     if isinstance(value, dict):
         return ",".join(f"{key}={_plain(inner)}" for key, inner in value.items())
     return str(value)
 
 
 def own(records: Iterable[Record], called: str, owner: str) -> list[Record]:
-    """Those jobs that have this name and this owner. Torque adds to the name of an element its index."""
+    """Return the jobs of this name and owner. Torque appends the index to the name of an element."""
     return [one for one in records if one.get("Job_Owner", "").partition("@")[0] == owner and _is_called(one, called)]
 
 
@@ -122,7 +122,7 @@ def _is_called(record: Record, called: str) -> bool:
 
 
 def tasks(records: Sequence[Record]) -> Iterator[Task]:
-    """What is to be said of jobs: of each element, and of an array as a whole only where none of it is listed."""
+    """Yield the task of each element. A whole array is one task if none of its elements is listed."""
     wholes = {name(one["id"]).job: one for one in records if name(one["id"]).place is None}
     listed = {name(one["id"]).job for one in records if name(one["id"]).place is not None}
     for record in records:
@@ -136,7 +136,7 @@ def tasks(records: Sequence[Record]) -> Iterator[Task]:
 
 
 def element(record: Record) -> int | None:
-    """Which element a job or a part of one is: what the job's variable says, else its index."""
+    """Return the element of a job or of a part of one: from the job's variable, if there is one, else its index."""
     known = name(record["id"])
     if known.array and known.place is None:
         return None
@@ -150,7 +150,7 @@ def element(record: Record) -> int | None:
 
 @lru_cache(maxsize=4)
 def _spelled(text: str) -> tuple[int, ...]:
-    """What was spelled, nothing where it is damaged; every part of an array says the same."""
+    """Return the elements in such a text; empty if it is damaged. All parts of an array have the same text."""
     if not SPELLED.fullmatch(text):
         return ()
     ends = [part.partition("-") for part in text.split("+") if part]
@@ -158,7 +158,7 @@ def _spelled(text: str) -> tuple[int, ...]:
 
 
 def _state(record: Record, whole: Record) -> tuple[State, str]:
-    """What becomes of a task, and the scheduler's words on it. A letter that nobody knows is a task that may live."""
+    """Return the state of a task and the scheduler's words about it. A task with an unknown letter may be alive."""
     letter, comment = record.get("job_state", ""), record.get("comment", "")
     if letter in ENDED:
         return State.ENDED, _end(record)
@@ -172,9 +172,9 @@ def _state(record: Record, whole: Record) -> tuple[State, str]:
 
 
 def _end(record: Record) -> str:
-    """How a task ended, where that is worth a word.
+    """Return how a task ended; empty if it ended normally or nothing is known.
 
-    Without a history, OpenPBS has forgotten an element that ended in an array that lives, and says what the array is instead.
+    Without a history, OpenPBS has forgotten an ended element of a living array. It reports the array's attributes instead.
     """
     if record.get("comment") == FORGOTTEN:
         return ""
@@ -185,12 +185,12 @@ def _end(record: Record) -> str:
 
 
 def _is_deleted(record: Record) -> bool:
-    """Whether `qdel` has ended a task: what it says of itself may be any exit status."""
+    """Return True if `qdel` has ended a task, whose own exit status may be any."""
     return record.get("substate") == DELETED or "271" in (record.get("Exit_status"), record.get("exit_status"))
 
 
 def _held(record: Record) -> State:
-    """A job that waits for another is held by the system as well, and will be released."""
+    """Return the state of a held job. The system also holds a job that waits for another, and will release it."""
     if "depend" in record or not HOLDS & set(record.get("Hold_Types", "")):
         return State.QUEUED
     return State.STUCK

@@ -1,23 +1,25 @@
-"""What `qsub` is handed: one script, whose lines `#PBS` say all, so that nothing else need be said on the command line.
+"""Scripts for `qsub`. Their `#PBS` lines contain all options, so that the command line needs none.
 
-OpenPBS, Torque and the `qsub` that Debian puts over SLURM differ in these lines:
+OpenPBS, Torque and the `qsub` that Debian provides for SLURM differ in these lines:
 
               resources                        array          index
     OpenPBS   -l select=1:ncpus=4:mem=8mb      -J 0-5         $PBS_ARRAY_INDEX
     Torque    -l nodes=1:ppn=4, -l mem=8mb     -t 0-3,5       $PBS_ARRAYID
     SLURM's   -l nodes=1:ppn=4, -l mem=8mb     -J 0-3,5       $SLURM_ARRAY_TASK_ID
 
-OpenPBS has only ranges, and refuses one of a single index; what a single one means in Torque depends on its version. So one
-element is a plain job, and elements with gaps are an array of places in OpenPBS: the script turns the place into the element,
-and the job has a variable, SIERRA_ELEMENTS, that says the same to whom lists it.
+OpenPBS has only ranges, and refuses a range of a single index. The meaning of a single index in Torque depends on its version.
+So one element is a plain job. In OpenPBS, elements with gaps are an array of places: the script turns the place into the
+element, and the job's variable SIERRA_ELEMENTS tells the same to programs that list the job.
 
-PBS keeps what a job prints on the node until the end, and copies it by rules of each site's own. So scripts write into their
-log themselves, from their first line on. (Torque adds the index even to `/dev/null`: it gets a file of its own for its words.)
-OpenPBS takes `/dev/null` for one on the host of `qsub`, and copies what is empty there by scp; where that has no way, it tries
-so often that the job takes a minute and a half to end. The node's own, `localhost:/dev/null`, is copied to by nobody.
+PBS keeps the output of a job on the node until the end, and copies it by rules of each site. So scripts write to their log
+themselves, from their first line on. PBS's own output goes to `/dev/null`, with two exceptions:
 
-Jobs may be executed again when their node is lost (`-r y`): OpenPBS takes no array that may not, they come back also where
-nobody follows them, and a second copy does no harm.
+- Torque adds the index even to `/dev/null`, so an array gets a file of its own for PBS's output.
+- OpenPBS takes `/dev/null` for a file on the host of `qsub`, and copies an empty file there by scp. If scp does not work, it
+  tries so often that the job takes a minute and a half to end. Nothing is copied to the node's own file, `localhost:/dev/null`.
+
+Jobs may be executed again when their node is lost (`-r y`), for three reasons: OpenPBS accepts arrays only with this option,
+such jobs come back even if no process follows them, and a second copy does no harm.
 """
 
 from __future__ import annotations
@@ -37,12 +39,12 @@ MIB = 1 << 20
 
 
 class Dialect(StrEnum):
-    """Whose `qsub` it is."""
+    """Variants of `qsub`."""
 
     OPENPBS = "openpbs"
     TORQUE = "torque"
     SLURM = "slurm"
-    """The wrapper over SLURM: sbatch reads the script, its lines `#SBATCH` and most of `#PBS`."""
+    """The wrapper over SLURM. Here sbatch reads the script: its `#SBATCH` lines and most of its `#PBS` lines."""
 
 
 INDEX = {
@@ -58,7 +60,7 @@ NUMBER = {
 
 
 def script(request: Request, table: ClusterTable, dialect: Dialect) -> str:
-    """The whole script. Raises ConfigError for what this scheduler doesn't have."""
+    """Return the whole script. Raises ConfigError for a setting that this scheduler does not have."""
     if table.qos and dialect is not Dialect.SLURM:
         raise ConfigError(f"qos = {table.qos!r} is SLURM's; say in directives what this PBS has instead")
     shell = "/bin/bash" if table.modules else "/bin/sh"
@@ -97,7 +99,7 @@ def _resources(table: ClusterTable, dialect: Dialect) -> Iterator[str]:
         gpus = f"ngpus={table.gpus}" if table.gpus else ""
         yield "select=" + ":".join(filter(None, ("1", f"ncpus={table.cpus}", memory, gpus, table.constraint)))
     else:
-        # SLURM's are said in its own lines, beyond what its sbatch knows of PBS
+        # for SLURM, its own lines say what its sbatch does not understand in PBS lines
         more = () if dialect is Dialect.SLURM else (table.gpus and f"gpus={table.gpus}", table.constraint)
         yield "nodes=" + ":".join(filter(None, ("1", f"ppn={table.cpus}", *more)))
         if memory:

@@ -1,7 +1,8 @@
-"""What a scheduler's word of refusal is about: which settings of a cluster's table, and what they ask for.
+"""Explanations of a scheduler's refusals: the settings of a cluster's table that they are about, and their values.
 
-Schedulers say `PartitionConfig`, and not of what. The tables are of what SLURM (`slurm_strerror`, reasons of squeue) and PBS
-(`pbs_error`, comments of jobs) say of requests that they refuse, or that will never begin; their own words stay first.
+Schedulers report `PartitionConfig`, for example, but not what is wrong. The tables list the words of SLURM (`slurm_strerror`,
+reasons of squeue) and PBS (`pbs_error`, comments of jobs) for requests that they refuse or that will never begin. These words
+always come first in the message.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ SIZE = ("cpus", "memory", "gpus", "constraint")
 
 @dataclass(frozen=True, slots=True)
 class Meaning:
-    """What some words are about."""
+    """The meaning of some words of a scheduler."""
 
     words: re.Pattern[str]
     means: str
@@ -73,9 +74,9 @@ PBS = (
 
 
 def about(words: str, meanings: Sequence[Meaning], table: ClusterTable, site: Callable[[], Sequence[str]]) -> str:
-    """These words, and what they mean, what was asked for, and what the site has, as far as each is known; in one line.
+    """Return these words with their meaning, the requested settings and what the site offers, if known, in one line.
 
-    The site is asked only where that is about its nodes, or places in a queue.
+    The site is queried only if the words are about its nodes or about places in a queue.
     """
     known = next((one for one in meanings if one.words.search(words)), None)
     if known is None:

@@ -1,14 +1,15 @@
 """The scheduler `slurm`: array jobs by sbatch, squeue, scancel and scontrol.
 
-They are asked for forms of text that are the same in 22.05, 24.11 and 26.05, as those in JSON are not.
+These commands are asked for text formats that are the same in 22.05, 24.11 and 26.05. Their JSON formats are not.
 
 Jobs begin with nothing of the caller's environment, and without the user's login shell, which may take seconds, hang, or hold
-secrets too: what sbatch is called with goes along, and that is only who the user is, a plain PATH, and SLURM_CONF. (Many sites
-don't know `--export=NIL` yet; all but ALL has each task start a login shell there.) So variables such as SBATCH_PARTITION or
-SQUEUE_FORMAT change nothing either. Where modules are to be loaded, the site's /etc/profile is read first.
+secrets too. The environment of sbatch is passed on to the job, and it contains only the user's name, a plain PATH, and
+SLURM_CONF. (Many sites don't know `--export=NIL` yet. Every other value except ALL makes each task start a login shell there.)
+So variables such as SBATCH_PARTITION or SQUEUE_FORMAT have no effect either. If modules are to be loaded, the site's
+/etc/profile is read first.
 
-Jobs ask to be requeued when their node is lost or they are preempted, whatever the site's default: they come back by
-themselves then, also where nobody follows them. An attempt begins with what others have recorded, so that it does no harm.
+Jobs ask to be requeued when their node is lost or they are preempted, whatever the site's default is. So they come back by
+themselves, even if no process follows them. This does no harm, because an attempt begins by reading what others have recorded.
 """
 
 from __future__ import annotations
@@ -36,12 +37,12 @@ PATIENCE_S = 20.0
 POLL_S = 0.5
 PATH = "/usr/local/bin:/usr/bin:/bin"
 KEPT = ("SLURM_CONF",)
-"""Of the caller's environment: where the cluster is."""
+"""Variables of the caller's environment that are kept, because they locate the cluster."""
 
 LOOK = "%F|%K|%T|%N|%r"
-"""The array's job id, the index, the state, the node, the reason: that is free text, and so the last."""
+"""The array's job id, the index, the state, the node and the reason. The reason is free text, and so comes last."""
 KINDS, SHOWN_KINDS = "%P|%a|%l|%c|%m|%G|%f", 4
-"""Partition (`*`: the default), whether it is up, its time limit, and of its nodes cores, MB, resources, features."""
+"""The partition (`*`: the default), whether it is up, its time limit, and its nodes' cores, MB, resources and features."""
 SEEN = re.compile(r"^(\d+)\|([^|]*)\|([A-Z_]+)\|([^|]*)\|(.*)$", re.MULTILINE)
 
 ENDED = frozenset({"BOOT_FAIL", "CANCELLED", "COMPLETED", "DEADLINE", "FAILED", "LAUNCH_FAILED", "NODE_FAIL"}) | frozenset(
@@ -56,20 +57,21 @@ NEVER = re.compile(
     r"|(Assoc|QOS)Max\w+Per(Job|Node)(Limit)?|QOSMin\w+"
     r"|MaxMemPerLimit|DependencyNeverSatisfied|ReservationDeleted|JobHeldAdmin|JobHoldMaxRequeue|.*requeued\b.*\bheld\b"
 )
-"""Reasons that never resolve, as the request is. Those that may are no part of it: limits on many jobs together (AssocMaxJobs…,
-QOSGrp…), partitions and nodes that are down, licenses, begin times, and JobHeldUser: who held it may release it."""
+"""Reasons that never resolve without another request. Reasons that may resolve are not included: limits on many jobs together
+(AssocMaxJobs…, QOSGrp…), partitions and nodes that are down, licenses, begin times, and JobHeldUser (the user can release the
+job)."""
 
 BUSY = re.compile(r"temporarily unable to accept job|job queue full")
-"""sbatch says so, and tries again for two minutes."""
+"""Words of sbatch when it keeps trying for two minutes."""
 LIMIT = re.compile(r"(Max|Grp)SubmitJob")
-"""Of the limits that a request may violate, those on how much is there at a time."""
+"""Words for a violated limit on the number of jobs that are there at a time."""
 UNREACHABLE = re.compile(
     r"unable to contact|timed out|zero bytes|communication|authentication|munge|configuration (source|file)"
     r"|in standby|unexpected message|connection (refused|reset)",
     re.IGNORECASE,
 )
 SUBMITTED = re.compile(r"^(\d+)(;\S+)?$", re.MULTILINE)
-"""What sbatch answers; in a federation, with the cluster."""
+"""The answer of sbatch; in a federation, with the cluster."""
 
 
 class Slurm:
@@ -136,7 +138,7 @@ class Slurm:
         return ConfigError(self.explain(str(error))) if isinstance(error, ConfigError) else error
 
     def _site(self) -> list[str]:
-        """The partitions that are asked for (or the default one), by kinds of nodes; where they are not there, all by name."""
+        """Return the requested (or default) partitions by kinds of nodes; if they do not exist, the names of all partitions."""
         try:
             told = _answer("sinfo", "--noheader", "--all", f"--format={KINDS}")
         except Missing:
@@ -173,7 +175,7 @@ class Slurm:
             _answer("scancel", *jobs)
 
     def _directives(self, request: Request) -> Iterator[str]:
-        """What the table asks for, what the user adds to it, and then what must hold: of two of a kind, the later counts."""
+        """Yield the table's settings, then the user's directives, then what must hold. The last of two equal options wins."""
         yield from ("--requeue", "--nodes=1", "--ntasks=1", *self._asked())
         yield from self._table.directives
         yield f"--job-name={request.name}"
@@ -200,7 +202,7 @@ class Slurm:
             yield f"--time={math.ceil(table.wall / 60)}"
 
     def _partitions(self, told: str) -> dict[str, dict[str, str]]:
-        """The partitions that are asked for, or the site's default."""
+        """Return the requested partitions, or the site's default. Raises ConfigError for an unknown partition."""
         known = {line["PartitionName"]: line for line in map(_fields, told.splitlines()) if "PartitionName" in line}
         asked = (self._table.partition or "").split(",") if self._table.partition else []
         if unknown := [name for name in asked if name not in known]:
@@ -209,7 +211,7 @@ class Slurm:
 
 
 def tasks(told: str) -> tuple[Task, ...]:
-    """What squeue tells in the form LOOK."""
+    """Return the tasks in squeue's answer in the format LOOK."""
     return tuple(_task(*match.groups()) for match in SEEN.finditer(told))
 
 
@@ -220,7 +222,7 @@ def _task(job: str, element: str, word: str, node: str, reason: str) -> Task:
 
 
 def _state(word: str, reason: str) -> State:
-    """A state that nobody knows is one in which something may come."""
+    """Return the state for SLURM's word. A task in an unknown state may be alive."""
     if word in ENDED:
         return State.ENDED
     if word in HELD or (word in WAITING and NEVER.match(reason)):
@@ -229,20 +231,20 @@ def _state(word: str, reason: str) -> State:
 
 
 def refusal(said: str) -> SierraError:
-    """What it means that sbatch did not take a job, by what it said on standard error."""
+    """Return the error for sbatch's message when it does not accept a job."""
     kind = Full if LIMIT.search(said) or BUSY.search(said) else Missing if UNREACHABLE.search(said) else ConfigError
     return kind(f"SLURM: {_line(said)}")
 
 
 def _kind(partition: str, state: str, limit: str, cores: str, megabytes: str, resources: str, features: str) -> str:
-    """Nodes of one kind in a partition."""
+    """Return a description of one kind of nodes in a partition."""
     more = [text for text in (resources, features) if text != "(null)"]
     nodes = ", ".join((f"nodes of {cores} cores", f"{megabytes} MB", *more))
     return f"partition {partition.rstrip('*')} ({'' if state == 'up' else f'{state}, '}up to {limit}): {nodes}"
 
 
 def _named(found: Iterable[Task]) -> list[str]:
-    """Elements as scancel takes them, each job's together: `12_[0-5,7]`."""
+    """Return the elements as scancel takes them, grouped by job: `12_[0-5,7]`."""
     jobs: dict[str, list[int]] = {}
     for task in found:
         jobs.setdefault(task.job, []).append(task.element or 0)
@@ -250,14 +252,20 @@ def _named(found: Iterable[Task]) -> list[str]:
 
 
 def _pattern(folder: Path) -> str:
-    """A folder's name before a pattern of SLURM's, which a backslash anywhere in it would turn off."""
+    """Return a folder's name for use before a file name pattern of SLURM. A backslash in it would turn the pattern off.
+
+    Raises ConfigError for such a name.
+    """
     if "\\" in str(folder):
         raise ConfigError(f"SLURM can't have jobs print into {str(folder)!r}; use a name without a backslash")
     return str(folder).replace("%", "%%")
 
 
 def _quoted(text: str) -> str:
-    """A value as sbatch reads it in a script: unlike a shell, and to the end of the line."""
+    """Return a value in quotes, as sbatch reads it in a script: unlike a shell, and to the end of the line.
+
+    Raises ConfigError for a line feed.
+    """
     if "\n" in text:
         raise ConfigError(f"SLURM can't be told of {text!r}; use a name without a line feed")
     return '"' + re.sub(r'(["\\])', r"\\\1", text) + '"'
@@ -273,14 +281,17 @@ def _asked_for(chosen: Mapping[str, Mapping[str, str]]) -> Partitions:
 
 
 def _limit(most: str | float | None, whose: str) -> Limit | None:
-    """None where it is no number."""
+    """Return the limit; None if `most` is not a number."""
     if isinstance(most, str):
         most = float(most) if most.isdigit() else None
     return None if most is None else Limit(most, whose)
 
 
 def _submit(script: str, folder: Path) -> tuple[int, str, str]:
-    """sbatch's status and what it said. Raises Full while it waits until it is let in, Missing where it says nothing."""
+    """Return sbatch's exit status, output and error output.
+
+    Raises Full if sbatch waits to be accepted, and Missing if it does not answer in time.
+    """
     argv = (_program("sbatch"), "--parsable")
     pipe = subprocess.PIPE
     with subprocess.Popen(argv, stdin=pipe, stdout=pipe, stderr=pipe, env=_environment(), cwd=folder) as process:
@@ -302,7 +313,7 @@ def _submit(script: str, folder: Path) -> tuple[int, str, str]:
 
 
 def _answer(program: str, *words: str) -> str:
-    """What one of SLURM's commands prints. Raises Missing where it fails, in its words."""
+    """Return the output of one of SLURM's commands. Raises Missing, with the command's message, if it fails."""
     try:
         done = subprocess.run(
             (_program(program), *words),
@@ -329,13 +340,13 @@ def _program(name: str) -> str:
 
 
 def _environment() -> dict[str, str]:
-    """All that SLURM's commands are called with, and that jobs begin with."""
+    """Return the whole environment of SLURM's commands, with which jobs begin too."""
     kept = {name: os.environ[name] for name in KEPT if name in os.environ}
     user = pwd.getpwuid(os.geteuid())
     return {**kept, "PATH": PATH, "HOME": user.pw_dir, "USER": user.pw_name, "LOGNAME": user.pw_name}
 
 
 def _line(said: str) -> str:
-    """What a command complains of, in one line."""
+    """Return a command's error message in one line."""
     lines = [re.sub(r"^\w+: (error: |fatal: )?", "", line.strip()) for line in said.splitlines()]
     return "; ".join(dict.fromkeys(line for line in lines if line and not line.startswith("Try ")))

@@ -1,8 +1,9 @@
-"""What accounting (slurmdbd) allows a user of SLURM: by association, and by quality of service.
+"""Limits that accounting (slurmdbd) sets for a user of SLURM, by association and by quality of service (QOS).
 
-Of a kind of limit, the first that is set counts: the one of the partition's QOS, of the job's, of the user's association (what
-its accounts set is inherited, but for limits on groups). So SLURM's "Resource Limits" has it. Without accounting, or where it
-enforces nothing, nothing is asked; where it can't be reached, nothing is known, and sbatch will say what it refuses.
+For each kind of limit, the first one that is set is effective: that of the partition's QOS, of the job's QOS, or of the user's
+association. An association inherits its account's limits, except limits on groups. (Source: "Resource Limits" in SLURM's
+documentation.) Without accounting, or if accounting enforces nothing, nothing is queried. If accounting cannot be reached,
+nothing is known, and sbatch will report what it refuses.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from sierra.errors import ConfigError, Missing
 from sierra.runners.schedulers.base import Limit, least
 
 Ask = Callable[..., str]
-"""What a command with these words prints; raises Missing."""
+"""A function that returns the output of a command with these words; it raises Missing."""
 Row = Mapping[str, str]
 
 ASSOCIATION = (
@@ -25,12 +26,12 @@ ASSOCIATION = (
 )
 QOS = ("Name", "MaxSubmitJobsPerUser", "MaxSubmitJobsPerAccount", "GrpSubmitJobs", "MaxJobsPerUser", "MaxWall")
 USUAL = "normal"
-"""The QOS of whoever has none."""
+"""The QOS of users who have none."""
 
 
 @dataclass(frozen=True, slots=True)
 class Allowed:
-    """What accounting allows of each kind."""
+    """The limits of each kind."""
 
     jobs: Limit | None = None
     running: Limit | None = None
@@ -39,16 +40,16 @@ class Allowed:
 
 @dataclass(frozen=True, slots=True)
 class Partitions:
-    """The partitions that are asked for, and their QOS."""
+    """The requested partitions, and their QOS."""
 
     names: tuple[str, ...]
     qos: tuple[str, ...]
 
 
 def allowed(ask: Ask, config: Row, user: str, table: ClusterTable, partitions: Partitions) -> Allowed:
-    """What this user may have of the cluster with that configuration.
+    """Return the limits of this user on the cluster with that configuration.
 
-    Raises ConfigError for an account or a QOS that is not the user's.
+    Raises ConfigError for an account or a QOS that the user does not have.
     """
     enforced = set(re.findall(r"\w+", config.get("AccountingStorageEnforce", "")))
     if not config.get("AccountingStorageType", "").endswith("slurmdbd") or not enforced & {"associations", "limits", "qos"}:
@@ -62,7 +63,7 @@ def allowed(ask: Ask, config: Row, user: str, table: ClusterTable, partitions: P
 
 
 def seconds(text: str) -> float | None:
-    """A limit as SLURM writes it, `1-12:00:00`; None where there is none."""
+    """Return the seconds of a limit as SLURM writes it, for example `1-12:00:00`; None if there is no limit."""
     match = re.fullmatch(r"(?:(\d+)-)?(\d+):(\d+):(\d+)", text)
     if match is None:
         return None
@@ -78,7 +79,10 @@ def _rows(ask: Ask, what: str, columns: Sequence[str], *where: str) -> list[Row]
 
 
 def _association(ask: Ask, cluster: str, user: str, table: ClusterTable, partitions: Partitions) -> Row:
-    """The one that counts: of the account that is asked for, or of the user's default; empty where there is none."""
+    """Return the association of the requested account, or of the user's default; empty if there is none.
+
+    Raises ConfigError if the user does not have the requested account.
+    """
     found = _rows(ask, "associations", ASSOCIATION, f"user={user}", f"cluster={cluster}")
     accounts = dict.fromkeys(row["Account"].lower() for row in found)
     if table.account is not None and found and table.account.lower() not in accounts:
@@ -90,7 +94,10 @@ def _association(ask: Ask, cluster: str, user: str, table: ClusterTable, partiti
 
 
 def _qos(association: Row, table: ClusterTable, *, strict: bool) -> str:
-    """The quality of service that a job will have."""
+    """Return the quality of service that a job will have.
+
+    Raises ConfigError if the account does not have the requested one.
+    """
     names = [name for name in association.get("QOS", "").split(",") if name]
     if table.qos is not None and names and strict and table.qos.lower() not in names:
         raise ConfigError(f"QOS {table.qos!r} is none of account {association['Account']!r}; there are {', '.join(names)}")
@@ -98,7 +105,7 @@ def _qos(association: Row, table: ClusterTable, *, strict: bool) -> str:
 
 
 def _qualities(ask: Ask, names: Mapping[str, object]) -> list[Row]:
-    """What is said of each quality of service, in this order."""
+    """Return the rows of these qualities of service, in this order."""
     said = {row["Name"]: row for row in _rows(ask, "qos", QOS, f"name={','.join(names)}")}
     return [said[name.lower()] for name in names if name.lower() in said]
 
