@@ -59,7 +59,7 @@ class Checkout:
     used: tuple[tuple[str, str], ...]
     """Recorded programs, libraries and files: name (`{project}/path`, or an absolute path) and kind."""
     content: Callable[[str], bytes | None]
-    """Return the content of a file that git does not have, by git's hash."""
+    """Function that returns the content of a file that git does not have, by git's hash."""
     mounted: Programs = NOTHING
     """Files that are mounted into the containers of runs, in their current state."""
     commit: str | None = None
@@ -100,7 +100,7 @@ class Checkout:
 
 
 def _leads_out(link: Path, root: Path) -> bool:
-    """Return whether a restored link leads out of the folder that it was restored to."""
+    """Check whether a restored link leads out of the folder that it was restored to."""
     try:
         return not link.resolve().is_relative_to(root.resolve())
     except (OSError, RuntimeError):  # a link to itself

@@ -60,7 +60,7 @@ class Summary:
     runs: int
     executed: int
     again: int
-    """Number of these runs that had been executed before."""
+    """Number of executed runs that had been executed before."""
     reused: int
     failed: int
     missing: int
@@ -72,7 +72,7 @@ class Summary:
     left: tuple[str, ...] = ()
     """Ids of sessions on a cluster that continue without this process."""
     counts: tuple[Counted, ...] = ()
-    """Numbers of each experiment, in the batch's order."""
+    """Numbers of runs by experiment, in the batch's order."""
     failures: tuple[Failure, ...] = ()
     """Failures by reason, most frequent first; at most `SHOWN_REASONS`."""
     notes: tuple[str, ...] = ()

@@ -350,7 +350,7 @@ class Executor:
         self.interrupted = attached.interrupted
 
     def _hearing(self, runs: set[str]) -> Observer:
-        """Return the observer of a followed session: it counts how many of these runs are not finished."""
+        """Return the observer of a followed session; its progress shows how many of these runs are not finished."""
         to_come = set(runs)
 
         def tell(running: int, queued: int, waits: str) -> None:

@@ -41,7 +41,10 @@ def _sweep(paths: SessionPaths) -> None:
 
 
 def recover(store: Store, paths: SessionPaths) -> int:
-    """Record executions that are finished in a session's journal and missing in the store; return their number."""
+    """Record executions that are finished in a session's journal and missing in the store.
+
+    Returns the number of recorded executions that were not interrupted.
+    """
     events = [event for event in Journal(paths.journal).read() if isinstance(event, Result)]
     results = [result for result in (_own(paths, event) for event in events) if result is not None]
     if not results:

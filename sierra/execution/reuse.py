@@ -11,7 +11,7 @@ from sierra.ingest.rejudge import foresee
 from sierra.store.store import Snapshot, Store
 
 FAILED, OTHER_RULES, OTHER_PROGRAMS, GOOD = range(4)
-"""Values of a recorded execution for a session; greater is better."""
+"""Worth of a recorded execution for a session; a greater number is better."""
 MANY = 4
 """Ratio of executions to runs above which the query selects these runs only; that is fast, and takes memory."""
 

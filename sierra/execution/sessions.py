@@ -327,7 +327,7 @@ def _is_silent(owner: Path) -> bool:
 
 
 def _process(pid: int) -> dict[str, Any]:
-    """Return a record that identifies one process for ever; `born` is None if the process does not exist or is not verifiable."""
+    """Return a record that identifies one process for ever; `born` is None if the process cannot be found."""
     try:
         boot = Path("/proc/sys/kernel/random/boot_id").read_text().strip()
     except OSError:

@@ -40,7 +40,7 @@ class Why:
     story: tuple[Event, ...]
     """Events in order; for an execution, only the event of that execution."""
     new_because: Mapping[str, tuple[str, ...]]
-    """Lines by the batch that executed new runs: the batch that it is compared with, and the differences."""
+    """Lines by batch with new runs: the batch that it is compared with, and the differences."""
     standings: tuple[Standing, ...]
     again: tuple[str, ...]
     """Effect of repeating the query on these runs."""

@@ -140,7 +140,7 @@ def _volatile(recorded: Any, found: Any, rules: Rules) -> list[str]:
 
 
 def _alike(recorded: Any, found: Any, name: str) -> bool:
-    """Return whether two tables have the same column of that name."""
+    """Check whether two tables have the same column of that name."""
     if name not in recorded.column_names or name not in found.column_names or recorded.num_rows != found.num_rows:
         return False
     old, new = (_plain(table.select([name])).column(0) for table in (recorded, found))

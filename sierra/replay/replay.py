@@ -61,7 +61,7 @@ class ReplayOptions:
     engine: str | None = None
     """Name of the engine; None for the one that was used before."""
     tolerances: Tolerances = field(default_factory=dict)
-    """Tolerances that replace the project's."""
+    """Tolerances that override those of the project."""
     keep: bool = False
     """True to keep the restored source and the folders of the runs."""
 
@@ -277,7 +277,7 @@ WROTE = "SELECT DISTINCT execution FROM judged_artifacts SEMI JOIN taken USING (
 def _declared(record: _Record, project: LoadedProject, tolerances: Tolerances) -> dict[str, Output]:
     """Return the rules for the comparison, by output.
 
-    They are the recorded declarations, replaced by the project's current ones, with the requested tolerances.
+    These are the recorded declarations, overridden by the project's current ones and by the requested tolerances.
     Raises UsageError for an unknown output or column.
     """
     declared = {**record.of.outputs, **project.config.outputs}

@@ -1,4 +1,4 @@
-"""Operands of a comparison: the two sides with their batch-wide records; their runs are in temporary tables.
+"""Operands of a comparison: two sides with everything that the store has about each; their runs are in temporary tables.
 
 A run is represented by its effective execution (or its last one) in the batch whose session is the latest; an experiment is
 represented in the same way.

@@ -102,7 +102,7 @@ def _outputs(
 
 
 def _declared(snapshot: Snapshot, reading: str, project: LoadedProject) -> dict[str, Output]:
-    """Return the declared outputs, which give volatile parts and tolerances: the recorded ones, replaced by the project's."""
+    """Return the declared outputs with volatile parts and tolerances; the project's current ones override the recorded ones."""
     rows = snapshot.sql("SELECT declared FROM readings WHERE reading = $r", r=reading).to_pylist()
     recorded = rules_of(json.loads(rows[0]["declared"]))[0] if rows else {}
     return {**recorded, **project.config.outputs}
