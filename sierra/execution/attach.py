@@ -1,4 +1,4 @@
-"""Following what another process has submitted to a cluster, to its end or for a while."""
+"""Reattach to a session on a cluster: follow it to its end, or record what has finished and leave it."""
 
 from __future__ import annotations
 
@@ -21,23 +21,23 @@ from sierra.util.signals import noted
 
 @dataclass(frozen=True, slots=True)
 class Attached:
-    """How far a session on a cluster has come."""
+    """Progress of a reattached session on a cluster."""
 
     batch: str
     executed: int
-    """Runs that were recorded meanwhile; so `failed`."""
+    """Number of runs that were recorded while it was followed. `failed`: how many of these did not succeed."""
     failed: int
     left: bool
-    """Whether it goes on without this process; else it has ended."""
+    """True if the session continues without this process; False if it has ended."""
     interrupted: bool
-    """Whether the user, or somebody else, has ended it meanwhile."""
+    """True if the user or another process ended it while it was followed."""
     notes: tuple[str, ...] = ()
 
 
 def attach(store: Store, session: Session, observer: Observer, leave: Callable[[], bool], *, detach: bool = False) -> Attached:
-    """Follow a session that was adopted, and close it; with `detach`, record what has finished and leave it.
+    """Follow a session that was taken over, and close it; with `detach`, record what has finished and leave it.
 
-    Raises what a runner raises that can't go on.
+    Raises the errors of a runner that cannot continue.
     """
     done: dict[str, Status] = {}
     cancelled = session.paths.cancelled.exists()
@@ -57,14 +57,17 @@ def attach(store: Store, session: Session, observer: Observer, leave: Callable[[
             records.finish(store, session, interrupted=session.paths.cancelled.exists())
         failed = sum(status is not Status.OK for status in done.values())
         notes = () if following.left else tuple(recorder.notes())
-        ended = not (cancelled or following.left) and session.paths.cancelled.exists()  # by others, or on a cluster
+        ended = not (cancelled or following.left) and session.paths.cancelled.exists()  # by others, or on the cluster
         return Attached(context.batch, len(done), failed, following.left, (bool(signals) and not detach) or ended, notes)
     finally:
         session.close()
 
 
 def _submitted(session: Session) -> tuple[Context, Runner]:
-    """What was submitted, and its runner. Where that can't be had here and now, the session is left as it is."""
+    """Return the recorded context of a submitted session, and its runner.
+
+    If either cannot be loaded, the session is left as it is, and the error is raised again.
+    """
     try:
         context, made = Context.load(session.paths.context), Submission.load(session.paths)
         return context, runners.find(made.runner, {made.runner: made.cluster})(1)

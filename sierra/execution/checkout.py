@@ -1,8 +1,9 @@
-"""The code of a batch in a folder of its own, ready to execute: as it was recorded, or as it was committed.
+"""Checkout: the code of a batch in a folder of its own, ready to execute, as it was recorded or committed.
 
-The user's files are never touched. What runs need of the project, and the source does not hold (git ignores what was built,
-say), is copied as it is now: programs, the libraries that they load, files that the command or a variable names. Its
-fingerprint tells whether it is still what it was. Of a virtual environment, where a program is its Python, all is linked.
+The user's files are never changed. Runs may need project files that the source does not contain, for example build results
+that git ignores. These are copied as they are now: programs, the libraries that they load, and files that the command or a
+variable names. Their fingerprint shows whether they have changed. A virtual environment is linked as a whole if a program
+is its Python.
 """
 
 from __future__ import annotations
@@ -23,13 +24,13 @@ from sierra.util.fs import inside
 
 INSIDE = "{project}/"
 VENV = "pyvenv.cfg"
-"""Says that a folder is a virtual environment."""
+"""File name that marks a folder as a virtual environment."""
 
 
 def programs_in(recipe: Recipe, manifest: bytes, root: Path, data: Programs = NOTHING, project: Path | None = None) -> Programs:
-    """The programs that a recipe's command starts where the code lies in `root`, and the files that they need.
+    """Return the programs that a recipe's command starts, with the code in `root`, and the files that they need.
 
-    `data` are those that nothing in the recipe names; `project` is where the user has the project. Raises Missing.
+    `data` are the files that nothing in the recipe names. `project` is the user's project folder. Raises Missing.
     """
     command, variables = recipe.command, recipe.environment
     if recipe.image is not None:
@@ -41,7 +42,7 @@ def programs_in(recipe: Recipe, manifest: bytes, root: Path, data: Programs = NO
 
 
 def _beside_image(recipe: Recipe, manifest: bytes, root: Path, data: Programs) -> Programs:
-    """The files of the project, and those mounted, that count where the programs are the image's."""
+    """Return the project files and mounted files that belong to the fingerprint when the image provides the programs."""
     words = [word for word in (*recipe.command, *recipe.environment.values()) if "{project}" in word]
     files = referenced_files.files(words, root, source.paths(manifest), data)
     kept = {one.path for one in data.all}
@@ -50,22 +51,22 @@ def _beside_image(recipe: Recipe, manifest: bytes, root: Path, data: Programs) -
 
 @dataclass(frozen=True, slots=True)
 class Checkout:
-    """What is to be put into a folder."""
+    """Content of a folder with the code of a batch."""
 
     project: Path
     recipe: Recipe
     manifest: bytes
     used: tuple[tuple[str, str], ...]
-    """The programs, libraries and files that were recorded, by name (`{project}/path`, or where they are) and kind."""
+    """Recorded programs, libraries and files: name (`{project}/path`, or an absolute path) and kind."""
     content: Callable[[str], bytes | None]
-    """A file that git does not have, by git's hash."""
+    """Function that returns the content of a file that git does not have, by git's hash."""
     mounted: Programs = NOTHING
-    """Files that are mounted into the containers of runs, as they are now."""
+    """Files that are mounted into the containers of runs, in their current state."""
     commit: str | None = None
-    """The commit that was checked out, to be named where something is missing."""
+    """The commit that was checked out; error messages name it if something is missing."""
 
     def make(self, root: Path) -> None:
-        """Write it into `root`, which is made. Raises Missing for what is nowhere any more."""
+        """Create `root` and write the code into it. Raises Missing if a file no longer exists anywhere."""
         if self.recipe.source is None:
             root.mkdir(parents=True)
         else:
@@ -76,12 +77,15 @@ class Checkout:
                 _bring(self.project / path, root, path)
 
     def left_out(self) -> str:
-        """What git ignores of the project and nobody has named, so that it is not in there: in a few words, or empty."""
+        """Return a short text about the project files that git ignores and nothing names, so that the checkout lacks them.
+
+        The text is empty if there are none.
+        """
         brought = (name.removeprefix(INSIDE) for name, _ in self.used if name.startswith(INSIDE))
         return source.ignored(self.project, (STORE, FIGURES, *brought))
 
     def programs_in(self, root: Path) -> Programs:
-        """The programs that its command starts where it was made in `root`, and the files that it needed, as they are now."""
+        """Return the programs that the command starts in the checkout `root`, and the files that it needed, as they are now."""
         contained = self.recipe.image is not None
         kept = (name for name, kind in self.used if kind == Kind.FILE and (not contained or name.startswith(INSIDE)))
         files = referenced_files.again(kept, root)
@@ -89,14 +93,14 @@ class Checkout:
         return programs_in(self.recipe, self.manifest, root, files, self.project)
 
     def programs(self) -> Programs:
-        """The same, found in a folder that is gone again."""
+        """Return `programs_in` for a temporary checkout, which is removed again."""
         with tempfile.TemporaryDirectory(prefix="sierra-") as folder:
             self.make(root := Path(folder, "code"))
             return self.programs_in(root)
 
 
 def _leads_out(link: Path, root: Path) -> bool:
-    """Return whether a restored link leads out of the folder that it was restored to."""
+    """Check whether a restored link leads out of the folder that it was restored to."""
     try:
         return not link.resolve().is_relative_to(root.resolve())
     except (OSError, RuntimeError):  # a link to itself
@@ -104,7 +108,11 @@ def _leads_out(link: Path, root: Path) -> bool:
 
 
 def _bring(there: Path, root: Path, name: Path) -> None:
-    """Copy what was not restored, or only as a link that leads out of the project. Nothing is written outside `root`."""
+    """Copy one project file that was not restored, or that was restored as a link that leads out of the project.
+
+    Writes nothing outside `root`. For a program in a folder of a virtual environment, links the whole environment.
+    Raises Missing if the file does not exist.
+    """
     here = root / name
     if here.exists() and not here.is_symlink():
         return

@@ -1,9 +1,9 @@
-"""From a run to a job: the command and the environment of one execution, with placeholders filled in.
+"""Commands of jobs: the argument list and environment of one execution, with placeholders filled in.
 
-Placeholders of a command: `{input}` the first input file, `{output}` the folder to write to (also the working
-directory), `{run}` the run's own folder, `{seed}`, `{project}` the project's root, `{python}` the Python that
-runs SIERRA; `{{name}}` stands for `{name}` itself. A word that names a file, as seen from the project's root,
-stands for `{project}/word`: runs have folders of their own.
+Placeholders of a command: `{input}` is the first input file, `{output}` the folder to write to (also the working
+directory), `{run}` the run's own folder, `{seed}` its seed, `{project}` the project's root, and `{python}` the Python
+that runs SIERRA. `{{name}}` stands for the text `{name}`. A word that names a file relative to the project's root
+becomes `{project}/word`, because runs have folders of their own.
 """
 
 from __future__ import annotations
@@ -41,18 +41,19 @@ FIXED = {
     "VECLIB_MAXIMUM_THREADS": "1",
     "NUMEXPR_NUM_THREADS": "1",
 }
-"""What every run sees, whoever asks; part of its identity."""
+"""Variables that every run gets; they are part of its identity."""
 OWN = ("HOME", "TMPDIR")
 HERE = "\0"
-"""The run's folder, which only the worker knows."""
+"""Placeholder for the run's folder, which only the worker knows."""
 _IN_RUN = f"{INSIDE}/run"
 SEARCHED = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin"
-"""The PATH of an image that has none of its own."""
+"""PATH of an image that sets none."""
 
 
 def command(platform: Platform, root: Path, *, contained: bool = False) -> tuple[str, ...]:
-    """The command as a run's identity holds it. Raises ConfigError for an unknown placeholder, or for a path that
-    a container lacks.
+    """Return the command as it is part of a run's identity.
+
+    Raises ConfigError for an unknown placeholder, or for a path that does not exist in a container.
     """
     words = tuple(_in_project(word, root) for word in platform.command())
     for word in words:
@@ -69,9 +70,9 @@ def command(platform: Platform, root: Path, *, contained: bool = False) -> tuple
 
 
 def environment(platform: Platform, project: Project) -> dict[str, str]:
-    """The declared variables of a run: SIERRA's fixed ones, the platform's, the project's.
+    """Return the declared variables of a run: SIERRA's fixed ones, the platform's and the project's.
 
-    Raises ConfigError for one that each run has of its own.
+    Raises ConfigError for a variable that SIERRA sets for each run.
     """
     boxed = project.container.variables if project.container else ()
     for table, names in (
@@ -87,32 +88,32 @@ def environment(platform: Platform, project: Project) -> dict[str, str]:
 def declared(
     variables: Mapping[str, str], root: Path, project: Path | None = None, *, image: Image | None = None
 ) -> dict[str, str]:
-    """The declared variables with the paths of this machine, and the PATH of runs; with those that an image sets."""
+    """Return the declared variables with this machine's paths and the PATH of runs; with an `image`, its variables too."""
     filled = within(image, {name: fill((value,), root, project=project)[0] for name, value in variables.items()})
     return {**filled, "PATH": search_path(filled)}
 
 
 def within(image: Image | None, variables: Mapping[str, str]) -> dict[str, str]:
-    """The variables of runs with those that their image sets; its PATH is that which engines give where it has none."""
+    """Return the variables of runs together with those of their image. An image without a PATH gets the engines' default."""
     return {"PATH": SEARCHED, **image.variables, **variables} if image else dict(variables)
 
 
 def on_host(recipe: Recipe, image: Image, root: Path) -> tuple[tuple[str, ...], dict[str, str]]:
-    """A command that was recorded in an image, and its variables, for this machine."""
+    """Return, for this machine, a command that was recorded in an image, and its variables."""
     return fill(recipe.command, root, {"python": PYTHON}), declared(recipe.environment, root, image=image)
 
 
 def search_path(variables: Mapping[str, str]) -> str:
-    """The PATH of runs: the declared one, or the caller's."""
+    """Return the PATH of runs: the declared one, or the caller's."""
     return variables.get("PATH", os.environ.get("PATH", os.defpath))
 
 
 def fill(
     words: Iterable[str], root: Path, values: Mapping[str, str] | None = None, *, project: Path | None = None
 ) -> tuple[str, ...]:
-    """The placeholders of the machine filled in; those of a run too, where `values` are given.
+    """Return the words with the placeholders of the machine filled in, and with those in `values`.
 
-    The code lies in `root`; what is outside of it (`{project}/../build`) is where the user has the `project`.
+    The code is in `root`. Paths outside of it (`{project}/../build`) are resolved in the user's `project` folder.
     """
     known = {"project": str(root), "python": sys.executable, **(values or {})}
 
@@ -126,13 +127,13 @@ def fill(
 
 
 def limits(project: Project) -> Limits:
-    """The limits of each execution."""
+    """Return the limits of each execution."""
     table = project.limits
     return Limits(table.wall, table.cpu, table.memory, table.output, table.grace)
 
 
 class CommandBuilder:
-    """Makes the jobs of one session."""
+    """Builder of the jobs of one session."""
 
     def __init__(
         self,
@@ -147,11 +148,11 @@ class CommandBuilder:
         box: ContainerSpec | None = None,
         script: Path | None = None,
     ) -> None:
-        """`root` is where the code is, `project` where the user has it; `box` is what contains the runs, if anything does.
+        """Prepare the variables and containers that all jobs share.
 
-        `script` is the worker where runs execute, if that is on a cluster: runs have the devices that are allotted then.
-
-        With an `image` and without a box, runs have the image's variables on this machine.
+        `root` is the folder of the code, `project` the user's project folder. `box` is the container specification, if runs
+        execute in containers. `script` is the worker's path on the nodes of a cluster; with it, runs get the devices that the
+        scheduler allots. With an `image` and without a `box`, runs get the image's variables on this machine.
         """
         self._recipe = recipe
         self._root = root
@@ -180,7 +181,7 @@ class CommandBuilder:
         self._same: dict[str, tuple[str, ...]] = {}
 
     def job(self, run: Run, files: tuple[tuple[str, bytes], ...]) -> Job:
-        """The job that executes a run in this session."""
+        """Return the job that executes a run in this session."""
         execution = digest_plain("execution", {"session": self._environment["SIERRA_SESSION"], "run": run.id})
         seed = str(run.seed)
         own = {"SIERRA_RUN_ID": run.id, "SIERRA_SEED": seed, "SIERRA_EXECUTION": execution}
@@ -190,13 +191,13 @@ class CommandBuilder:
         return Job(run.id, execution, argv, variables, files, self._bounds, client, shared=self._shared is not None)
 
     def _argv(self, file: str, seed: str) -> tuple[str, ...]:
-        """The command of a run; what does not depend on its seed is made once."""
+        """Return the command of a run. If it does not depend on the seed, it is built once per input file name."""
         if (same := self._same.get(file)) is not None:
             return same
         here = self._here
         values = {"input": f"{here}/{file}", "output": f"{here}/{RUN_OUTPUT}", "run": here, "seed": seed}
         argv = self._fill(self._recipe.command, values)
-        if self._search is not None:  # a node may find another program of that name
+        if self._search is not None:  # a node may find another program with that name
             argv = (shutil.which(argv[0], path=self._search) or argv[0], *argv[1:])
         if not any("{seed}" in word for word in self._recipe.command):
             self._same[file] = argv
@@ -206,7 +207,7 @@ class CommandBuilder:
         return fill(words, self._root, {**self._placed, **(values or {})}, project=self._project)
 
     def _contained(self, argv: tuple[str, ...], variables: Mapping[str, str]) -> Client | None:
-        """What starts the container of one run."""
+        """Return the client that starts the container of one run; None without containers."""
         if self._box is None:
             return None
         own = (
@@ -218,7 +219,7 @@ class CommandBuilder:
         return self._engine.client(self._box, process)
 
     def _container(self) -> Client:
-        """What starts a container for the runs of a slot, with the worker in it."""
+        """Return the client that starts one container for all runs of a slot, with the worker in it."""
         runs, script = f"{INSIDE}/runs", f"{INSIDE}/worker.py"
         own = (Mount(f"{HERE}/{worker.RUNS}", runs, writable=True), Mount(str(self._script), script))
         variables = {name: self._environment[name] for name in ("PATH", "SIERRA_SESSION")} | {"HOME": runs, "TMPDIR": "/tmp"}  # noqa: S108
@@ -228,7 +229,7 @@ class CommandBuilder:
 
 
 def _in_project(word: str, root: Path) -> str:
-    """`sim.py` is `{project}/sim.py` where there is such a file, and `../build/sim` likewise."""
+    """Return `{project}/sim.py` for `sim.py` if that file exists in `root`; paths like `../build/sim` work too."""
     if "{" in word or not word or word.startswith(("/", "-")):
         return word
     try:

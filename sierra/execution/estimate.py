@@ -1,4 +1,4 @@
-"""What answering a plan on a cluster would ask for; nothing is submitted or written."""
+"""Estimate of the jobs that a plan would submit to a cluster; nothing is submitted or written."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from sierra.store.layout import ProjectPaths, StorePaths
 from sierra.store.store import Store
 
 OF_JOB = 200.0
-"""Bytes of a run among the jobs of its element, about: what no other run has."""
+"""Approximate bytes that one run adds to the job list of its element, without the parts that runs share."""
 OF_RECORD = 600.0
-"""Bytes of what is recorded of a run, about, beside its files."""
+"""Approximate bytes of the records of one run, without its files."""
 WROTE = """
 WITH those AS (
     SELECT execution FROM executions e JOIN batches b USING (batch) JOIN recipes r USING (recipe)
@@ -29,10 +29,10 @@ SELECT sum(size) / (SELECT count(*) FROM those) AS bytes FROM artifacts SEMI JOI
 
 
 def proposal(plan: Plan, store: Store | None, runner: str, *, detach: bool) -> Estimate | None:
-    """What is missing of a plan, as that runner's cluster would be asked for it; None where it has none, or nothing is missing
-    that is not on a cluster already. `detach`: nobody would follow.
+    """Return the estimate of a plan's missing runs on the cluster of that runner.
 
-    Raises ConfigError.
+    Returns None if the runner has no cluster, or if all missing runs are on a cluster already. With `detach`, no process
+    would follow the jobs. Raises ConfigError.
     """
     found = runners.scheduler_of(runner, plan.project.config.runners)
     missing = {run for run, state in foreseen(plan, store, states(plan, store)).items() if not (state.good or state.anew)}
@@ -56,13 +56,13 @@ def proposal(plan: Plan, store: Store | None, runner: str, *, detach: bool) -> E
 
 
 def _wrote(plan: Plan, store: Store) -> float | None:
-    """Bytes that good runs with the same command left in the mean; None where there are none."""
+    """Return the mean bytes that successful runs with the same command wrote; None without such runs."""
     [row] = store.rows(WROTE, command=list(plan.batch.recipe.command))
     return None if row["bytes"] is None else float(row["bytes"])
 
 
 def _code(plan: Plan) -> tuple[int, int]:
-    """How many files the code has, and their bytes, as they lie in the project now."""
+    """Return the number of files of the code, and their bytes, as they are in the project now."""
     manifest = plan.source.manifest if plan.source else plan.checkout.manifest if plan.checkout else b""
     paths = source.paths(manifest)
     return len(paths), sum(_size(plan.project.root / os.fsdecode(path)) for path in paths)

@@ -1,8 +1,8 @@
-"""The order of things: query → design → inputs → execute → record → analyse → deliver.
+"""Execution of a plan, step by step: query → design → inputs → execute → record → analyse → deliver.
 
-`sierra.execution.plans` goes from a query to inputs; `run` goes on from there, and reads as that list. Each step turns values
-into values and knows nothing of the others; what they left behind is in the store. Everything is idempotent: asking
-again executes only what has no good execution.
+`sierra.execution.plans` turns a query into inputs; `run` continues from there and reads as that list. Each step turns values
+into values and knows nothing about the other steps; their results are in the store. Everything is idempotent: a repeated
+query executes only the runs without a successful execution.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ SHOWN_REASONS = 10
 
 @dataclass(frozen=True, slots=True)
 class Failure:
-    """Runs without a good execution for one reason; and of the first of them, which it is and the end of its log."""
+    """Runs without a successful execution that share one reason; with the first of these runs and the end of its log."""
 
     count: int
     status: str
@@ -42,7 +42,7 @@ class Failure:
 
 @dataclass(frozen=True, slots=True)
 class Counted:
-    """One experiment of the batch: its values, its runs, how many are good, and how many were tried without success."""
+    """One experiment of the batch: its values, and the numbers of its runs, successful runs and failed runs."""
 
     values: Mapping[str, Any]
     runs: int
@@ -52,7 +52,7 @@ class Counted:
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """The answer to a query, as far as it went. `failed` and `missing` are runs without a good execution."""
+    """Result of a query's execution. `failed` and `missing` are numbers of runs without a successful execution."""
 
     batch: str
     query: str
@@ -60,31 +60,31 @@ class Summary:
     runs: int
     executed: int
     again: int
-    """Of these, runs that had been executed before."""
+    """Number of executed runs that had been executed before."""
     reused: int
     failed: int
     missing: int
     interrupted: bool
     awaited: int = 0
-    """Of those reused, runs that another asking has executed meanwhile."""
+    """Number of the reused runs that another session executed at the same time."""
     judged: int = 0
-    """Of those that were not executed, runs that were judged anew, because [outputs] or [success] have changed."""
+    """Number of runs that were not executed but evaluated again, because [outputs] or [success] have changed."""
     left: tuple[str, ...] = ()
-    """Sessions on a cluster that go on without this process."""
+    """Ids of sessions on a cluster that continue without this process."""
     counts: tuple[Counted, ...] = ()
-    """By experiment, in the batch's order."""
+    """Numbers of runs by experiment, in the batch's order."""
     failures: tuple[Failure, ...] = ()
-    """By reason, that of the most runs first; at most `SHOWN_REASONS`."""
+    """Failures by reason, most frequent first; at most `SHOWN_REASONS`."""
     notes: tuple[str, ...] = ()
     figures: tuple[str, ...] = ()
     undrawn: str | None = None
-    """Why no figure could be written at all (a full disk, a file in the way); the answer itself is recorded."""
+    """Reason why no figure could be written (a full disk, a file in the way); the results themselves are recorded."""
 
 
 def run(plan: Plan, store: Store, options: RunOptions) -> Summary:
-    """Execute what has no good execution yet, record it, and say how it went.
+    """Execute and record the runs without a successful execution; return a summary.
 
-    When interrupted, ends what runs, or leaves it to itself where it lives on elsewhere; what has finished is kept.
+    When it is interrupted, it ends the runs, or leaves them running if they do not need this process. Finished runs are kept.
     """
     recover.finish_dead(store)
     began = datetime.now(UTC)
@@ -115,7 +115,7 @@ def run(plan: Plan, store: Store, options: RunOptions) -> Summary:
 
 
 def _sum_up(executor: Executor) -> Summary:
-    """Count by what the store says now."""
+    """Return the summary of an execution, counted from the store's current state."""
     plan, store = executor.plan, executor.store
     now = states(plan, store)
     runs = len(now)
@@ -156,10 +156,10 @@ def _summary(
     left: tuple[str, ...] = (),
     notes: tuple[str, ...] = (),
 ) -> Summary:
-    """What is told of an asking that executed some runs; what is neither `failed` nor `missing` (nor both) is good.
+    """Return the summary of a session that executed some runs.
 
-    What is `missing` was not `executed`.
-    `tried` are those of them that have failed, now or earlier.
+    The arguments are sets of run ids. Runs that are neither `failed` nor `missing` are successful. Runs that are `missing` were
+    not `executed`. `tried` are the unsuccessful runs that failed, now or earlier.
     """
     failures = tuple(_failures(plan, store, failed)) if failed else ()
     if failures:
@@ -203,7 +203,7 @@ FROM last JOIN failed USING (run) GROUP BY reason ORDER BY count(*) DESC, min(pl
 
 
 def _failures(plan: Plan, store: Store, failed: AbstractSet[str]) -> Iterator[Failure]:
-    """The failed runs of a batch by reason."""
+    """Yield the failures of a batch by reason."""
     import pyarrow as pa
 
     ordered = [run for run in plan.batch.runs if run.id in failed]

@@ -1,4 +1,4 @@
-"""Answering a plan: executing what is missing, while other sessions may be doing the same."""
+"""Executor of a plan: it executes the missing runs, also while other sessions execute the same ones."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ from sierra.util.text import counted, few
 
 JOIN_S = 0.2
 NOTED = 4
-"""Reasons why runs are not judged anew that are told."""
+"""Maximum number of reported reasons why runs cannot be evaluated again."""
 
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """How far an asking has come."""
+    """Progress of a session."""
 
     total: int
     reused: int
@@ -45,9 +45,9 @@ class Progress:
     running: int
     elsewhere: int = 0
     queued: int = 0
-    """Elements of a cluster's jobs that wait for a node."""
+    """Number of elements (of array jobs) that wait for a node."""
     waits: str = ""
-    """Why they wait, in the scheduler's words."""
+    """Reason why they wait, in the scheduler's words."""
 
 
 Watch = Callable[[Progress], None]
@@ -55,24 +55,24 @@ Watch = Callable[[Progress], None]
 
 @dataclass(frozen=True, slots=True)
 class RunOptions:
-    """How to answer: where, and who hears of it."""
+    """Options of an execution: where runs execute, and callbacks for progress and notices."""
 
     slots: int
     runner: str = "local"
     fail_fast: bool = False
     only: AbstractSet[str] | None = None
-    """No other runs than these."""
+    """Ids of the runs to execute; None for all."""
     watch: Watch = lambda progress: None
     say: Callable[[str], None] = lambda text: None
-    """Hears what the user should know at once."""
+    """Callback for notices that the user should see at once."""
     leave: Callable[[], bool] = lambda: True
-    """Whether what lives on without this process is left to itself, asked when the user wants to end; else it is ended too."""
+    """Callback when the user wants to stop: return True to leave jobs on a cluster running, False to end them too."""
     detach: bool = False
-    """Whether it is left to itself at once."""
+    """True to leave jobs on a cluster without waiting for them."""
 
 
 class Executor:
-    """One asking while it is answered: what is done, what failed, what others do."""
+    """State of one session while it executes: finished runs, failed runs, and runs of other sessions."""
 
     def __init__(self, plan: Plan, store: Store, session: Session, runner: Callable[[], Runner], options: RunOptions) -> None:
         self.plan = plan
@@ -92,27 +92,27 @@ class Executor:
         self._context = context(plan, session.id, session.number)
         self.containment: Isolation | None = None
         self.left: list[SessionPaths] = []
-        """The sessions that were left to themselves."""
+        """Sessions on a cluster that continue without this process."""
         self.awaited: set[str] = set()
         """Runs that other sessions were executing, or had submitted."""
         self.judged: set[str] = set()
-        """Runs of which a recorded execution was judged anew, by other rules than before."""
+        """Runs with a recorded execution that was evaluated again by changed rules."""
         self._looked_at: set[str] = set()
         self.rules_changed = rules_changed(plan, store)
-        """Whether the batch was last asked for by other rules."""
+        """True if the last session of the batch used other rules."""
 
     @property
     def attempted(self) -> AbstractSet[str]:
-        """The runs that this asking has executed to their end."""
+        """Return the runs that this session has executed to their end."""
         return self._claimed - self._open
 
     @property
     def again(self) -> AbstractSet[str]:
-        """Those of them that had been executed before."""
+        """Return those of the attempted runs that had been executed before."""
         return self.attempted & (self._before or {}).keys()
 
     def answer(self) -> None:
-        """Execute what is missing; wait for what other sessions execute, and take over what they leave."""
+        """Execute missing runs, wait for runs that other sessions execute, and take over runs that these leave."""
         while not (self.interrupted or self.left):
             recorded = len(self.store.segments())
             wanted = self._wanted()
@@ -120,7 +120,7 @@ class Executor:
                 return
             mine = self.session.claim(wanted)
             if len(self.store.segments()) != recorded:
-                continue  # what is claimed now may have been executed since the store was asked
+                continue  # claimed runs may have been executed since the store was read
             self.awaited |= wanted - mine
             if not mine:
                 if self._wait(wanted):
@@ -138,7 +138,7 @@ class Executor:
                 return
 
     def _wanted(self) -> set[str]:
-        """The runs that have no good execution, and that nobody has tried since this asking began."""
+        """Return the runs without a successful execution that no session has tried since this one began."""
         now = states(self.plan, self.store)
         wanted = {run for run, state in now.items() if not state.good}
         if self._before is None:
@@ -152,7 +152,10 @@ class Executor:
         return wanted
 
     def _judge(self, wanted: set[str]) -> set[str]:
-        """Judge anew what is recorded of these runs, once each, where rules have changed; return those that must execute."""
+        """Evaluate the recorded executions of these runs again, once each, if rules have changed.
+
+        Returns the runs that must be executed.
+        """
         fresh = wanted & (self._before or {}).keys() - self._looked_at
         self._looked_at |= fresh
         if not fresh:
@@ -169,15 +172,15 @@ class Executor:
         return wanted - anew.judged
 
     def _execute(self, wanted: AbstractSet[str]) -> set[str]:
-        """Execute these runs; those of which executions, now or earlier, were found to be unlike their siblings."""
+        """Execute these runs; return those with an execution, new or old, that is inconsistent with other executions."""
         runner, plan = self._runner(), self.plan
         root, programs = self._snapshot() if runner.stays else (self._code(), self.plan.programs)
         contained = self._contain(root, elsewhere=runner.stays)
         self._context = replace(self._context, **contained.context)
         self._context.save(self.session.paths.context)
-        self._claimed = self._claimed | wanted if self._claimed else wanted  # of 100,000 runs, a set takes 4 MB
+        self._claimed = self._claimed | wanted if self._claimed else wanted  # a set of 100,000 runs takes 4 MB
         self._open |= wanted
-        # what a cluster executes is a snapshot, and its nodes check the programs
+        # a cluster executes a copy of the code, and its nodes check the programs
         doubt = self._doubt if not runner.stays else lambda: None
         recorder = Recorder(self.store, self.session.paths, self._context, doubt=doubt)
         with noted(self._options.detach) as signals:
@@ -206,7 +209,7 @@ class Executor:
         return odd
 
     def _doubt(self) -> str | None:
-        """Why what has been executed cannot be ascribed to what was planned: files are others than then, or were."""
+        """Return the reason why results do not belong to the plan (files have changed, even if only for a while); else None."""
         contained = self.containment
         self._doubted = self._doubted or self.plan.seen.doubt() or (contained.doubt() if contained else None)
         return self._doubted
@@ -220,7 +223,7 @@ class Executor:
             self.failed.add(run)
 
     def _contain(self, root: Path, *, elsewhere: bool) -> Isolation:
-        """What contains the runs, ready."""
+        """Return the isolation of the runs; it is prepared at the first call."""
         if self.containment is None:
             plan = self.plan
             self.containment = contain(
@@ -259,12 +262,12 @@ class Executor:
                 yield maker.job(run, files)
 
     def _search(self, root: Path) -> str:
-        """The PATH of runs whose code lies in `root`."""
+        """Return the PATH of runs with the code in `root`."""
         plan = self.plan
         return commands.declared(plan.batch.recipe.environment, root, plan.project.root, image=plan.image)["PATH"]
 
     def _code(self) -> Path:
-        """The folder of the code that is executed."""
+        """Return the folder of the code that is executed."""
         if self.plan.checkout is None:
             return self.plan.project.root
         root = self.session.paths.source
@@ -273,7 +276,10 @@ class Executor:
         return root
 
     def _snapshot(self) -> tuple[Path, Programs]:
-        """A folder with the code as it is now, which may be changed while runs wait for a node; and the programs there."""
+        """Return a folder with a copy of the current code, and the programs in it.
+
+        The project may change while runs wait for a node. Raises Missing if the code or the programs changed during the copy.
+        """
         plan = self.plan
         checkout = plan.checkout or plan.snapshot(self.store.blob)
         root = self.session.paths.source
@@ -286,15 +292,15 @@ class Executor:
             raise Missing(f"{doubt}; ask again")
         if programs.id != plan.programs.id:
             raise Missing(f"programs have changed {meanwhile}: {few(plan.programs.unlike(programs), 3)}; ask again")
-        if made and (left_out := checkout.left_out()):  # said last: who listens may write it to a file of the project
+        if made and (left_out := checkout.left_out()):  # reported last: the callback may write to a file of the project
             what = "nodes have of these only what the command, a variable or the template names"
             self._options.say(f"git ignores {left_out} in the project: {what}")
         return root, programs
 
     def _wait(self, wanted: AbstractSet[str]) -> bool:
-        """Other sessions execute what is wanted: until one of them ends, or has recorded something; whether to go on then.
+        """Wait until one of the sessions that execute these runs ends or records something; return False to stop waiting.
 
-        What is on a cluster, and nobody follows (any more), is followed here.
+        If such a session is on a cluster and no process follows it, follow it here.
         """
         session = self._adopted(wanted)
         if session is None and self._options.detach:
@@ -306,7 +312,10 @@ class Executor:
         return True
 
     def _until_free(self, wanted: AbstractSet[str]) -> Session | None:
-        """Wait; a session on a cluster whose follower has died meanwhile."""
+        """Wait until other sessions free or record some of these runs.
+
+        Returns a session on a cluster that can be taken over because its follower has died; otherwise None.
+        """
         known = len(self.store.segments())
         with noted() as signals:
             while not signals and sessions.others(self.session.store, self.session.id) & wanted:
@@ -321,7 +330,10 @@ class Executor:
         return None
 
     def _adopted(self, wanted: AbstractSet[str]) -> Session | None:
-        """A session on a cluster that has claimed some of these, and that nobody follows: taken over."""
+        """Take over a session on a cluster that has claimed some of these runs and that no process follows.
+
+        Returns the session, or None.
+        """
         for paths in sessions.submitted(self.session.store):
             session = Session.adopted(self.session.store, paths) if sessions.claims(paths) & wanted else None
             if session is not None:
@@ -329,7 +341,7 @@ class Executor:
         return None
 
     def _join(self, session: Session, wanted: AbstractSet[str]) -> None:
-        """Follow what was submitted before."""
+        """Follow runs that were submitted before."""
         mine = sessions.claims(session.paths) & wanted
         self._options.say(f"{len(mine)} runs have been submitted before ({session.id}); they are followed")
         attached = attach(self.store, session, self._hearing(mine), self._options.leave, detach=self._options.detach)
@@ -338,7 +350,7 @@ class Executor:
         self.interrupted = attached.interrupted
 
     def _hearing(self, runs: set[str]) -> Observer:
-        """Who hears of what is followed for these runs: that they become fewer."""
+        """Return the observer of a followed session; its progress shows how many of these runs are not finished."""
         to_come = set(runs)
 
         def tell(running: int, queued: int, waits: str) -> None:

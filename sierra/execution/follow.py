@@ -1,4 +1,4 @@
-"""Executing jobs: a runner is followed to its end, and what it says is recorded."""
+"""Poll loop: a runner is followed until it ends, and its results are recorded."""
 
 from __future__ import annotations
 
@@ -17,13 +17,15 @@ from sierra.store.store import Store
 
 POLL_S = 0.05
 MANY = 100
-"""Results of one look, of which there are so many that the next look is at once."""
+"""Number of results in one poll from which on the next poll follows without a pause."""
 
 
 @dataclass(frozen=True, slots=True)
 class Observer:
-    """Who hears of what happens: of each run as it ends (and again if recording finds fault with it), of how many are running,
-    how many elements wait and why, of what the user should know at once.
+    """Callbacks for finished runs, progress and notices.
+
+    `took` gets each run that ends, and gets it again if recording finds a problem. `tell` gets the number of running runs,
+    the number of waiting elements, and the reason why they wait. `say` gets notices for the user.
     """
 
     took: Callable[[str, Status], None]
@@ -32,7 +34,7 @@ class Observer:
 
 
 class Following:
-    """One runner and the recorder that takes what it says."""
+    """One runner and the recorder of its results."""
 
     def __init__(
         self,
@@ -44,7 +46,10 @@ class Following:
         *,
         leave: Callable[[], bool] = lambda: True,
     ) -> None:
-        """`leave`: asked when the user wants to end, where what runs lives on without this process: whether it is to."""
+        """Prepare to follow a runner.
+
+        `leave` is called when the user wants to stop and runs can continue without this process; it returns True to let them.
+        """
         self._runner = runner
         self._recorder = recorder
         self._store = store
@@ -52,13 +57,14 @@ class Following:
         self._observer = observer
         self._leave = leave
         self.left = False
-        """Whether what runs was left to itself."""
+        """True if the runs were left to continue without this process."""
         self._submitted = self._over = False
 
     def execute(self, work: Work, signals: Sequence[int], *, enough: Callable[[], bool] = lambda: False) -> None:
-        """Execute all jobs, until `signals` has something in it, or `enough` is true: what runs is ended then, or left.
+        """Execute all jobs until they end.
 
-        Whatever goes wrong, what had finished is recorded, or left for whoever asks next.
+        If `signals` is not empty or `enough` returns True, end the running jobs, or leave them. After an error, results of
+        finished runs are recorded, or left for the next session to record.
         """
         with self._giving_up():
             self._runner.submit(work, self._session.paths)
@@ -66,7 +72,7 @@ class Following:
             self._follow(signals, enough)
 
     def go_on(self, signals: Sequence[int]) -> None:
-        """The same with what another process has submitted."""
+        """Follow jobs that another process has submitted, as `execute` does."""
         self._submitted = True
         with self._giving_up():
             rows = self._store.rows("SELECT execution, attempt FROM executions WHERE session = $s", s=self._session.id)
@@ -103,7 +109,7 @@ class Following:
         self._observer.tell(0, 0, "")
 
     def _look(self) -> Look:
-        """What has happened; where the runner can't go on, what it had told is recorded first."""
+        """Return the runner's new results. If the runner cannot continue, record its results first and raise its error."""
         try:
             look = self._runner.look()
         except SierraError:
@@ -131,7 +137,10 @@ class Following:
 
     @contextlib.contextmanager
     def _giving_up(self) -> Iterator[None]:
-        """Whatever goes wrong meanwhile: what lives on without this process does, and all else is ended and recorded."""
+        """Handle any error in the block, and raise it again.
+
+        Jobs that can continue without this process do so; all others are ended and recorded.
+        """
         try:
             yield
         except BaseException:

@@ -1,4 +1,4 @@
-"""What is in the store, for people: lists of batches, and all about one thing by its id."""
+"""Listings of the store for people: all batches, or everything about one object by its id."""
 
 from __future__ import annotations
 
@@ -45,14 +45,15 @@ WHERE list_contains($batches, m.batch) AND (n.verdict IS NULL OR n.verdict = 'di
 
 
 def batches(store: Store) -> list[dict[str, Any]]:
-    """All batches in the order in which they were last asked for.
+    """Return all batches, ordered by their last session.
 
-    `failed` and `missing` are runs without a good execution, tried or not; where the last asking ended well, both are 0 and
-    nothing is counted again, unless records were rewritten since: executions may have been removed. `nondeterministic` are
-    runs that gave other bytes when executed again, with the same programs, and beyond what the project declares to be
-    volatile or within tolerance. `sets` is what was set for all runs beside; `unlike` is what else differs from the batch
-    before it in the list that is called the same. `clusters` are the sessions that were submitted for a batch and are not
-    closed yet; what they stand like, `sierra.execution.status` asks the schedulers.
+    `failed` and `missing` are numbers of runs without a successful execution, tried or not. If the last session left both at 0,
+    they are not counted again, unless records were rewritten since, because executions may have been removed.
+    `nondeterministic` is the number of runs whose output changed when they were executed again with the same programs, apart
+    from outputs that the project declares to be volatile or within tolerance. `sets` are the changes that were set for all
+    runs. `unlike` lists other differences from the previous batch in the list with the same query, controller, scenario and
+    sets. `clusters` are the sessions that were submitted for a batch and are not closed yet; `sierra.execution.status` queries
+    the schedulers for their state.
     """
     with store.snapshot() as snapshot:
         rewritten = any(segment.replaces for segment in snapshot.segments)
@@ -92,13 +93,13 @@ DIFFERENCES = {
     "variables": "environment",
     "reach": "reach",
 }
-"""What people call that in which batches of one query differ."""
+"""Names for people of the settings in which batches of one query can differ."""
 ELSE = "settings"
-"""What `sierra.toml` changes in the template."""
+"""Name for all other differences: changes that `sierra.toml` makes to the template."""
 
 
 def _add_settings(snapshot: Snapshot, rows: Sequence[dict[str, Any]]) -> None:
-    """Add what tells batches apart that have one query: what was set, and what differs from the one before."""
+    """Add the differences between batches of one query: what was set, and what differs from the previous one."""
     settings = {row["batch"]: row for row in snapshot.sql(SETTINGS).to_pylist()}
     before: dict[tuple[Any, ...], dict[str, Any]] = {}
     for row in rows:
@@ -112,15 +113,15 @@ def _add_settings(snapshot: Snapshot, rows: Sequence[dict[str, Any]]) -> None:
 
 
 def _named(row: Mapping[str, Any], axes: Sequence[str]) -> dict[str, Any]:
-    """Return the controller and the scenario of a whole batch: the project's own is not that of one with an axis of them."""
+    """Return the controller and the scenario of a whole batch; None for one that is an axis of the batch."""
     return {name: None if name in axes else row[name] for name in ("controller", "scenario")}
 
 
 def _on_clusters(store: Store) -> dict[str, list[dict[str, Any]]]:
-    """By batch, what was submitted to clusters and is there still, as far as that is known here."""
+    """Return the sessions that are on clusters, by batch, as far as this machine knows them."""
     found: dict[str, list[dict[str, Any]]] = {}
     for paths in sessions.submitted(store.paths):
-        with contextlib.suppress(Damaged):  # another version's: it is that one's to go on with
+        with contextlib.suppress(Damaged):  # it belongs to another version of SIERRA, which must continue it
             if one := submitted(paths):
                 told = {name: getattr(one, name) for name in ("session", "runner", "jobs", "elements", "runs", "since")}
                 found.setdefault(one.batch, []).append(told)
@@ -128,7 +129,10 @@ def _on_clusters(store: Store) -> dict[str, list[dict[str, Any]]]:
 
 
 def show(store: Store, prefix: str) -> dict[str, Any]:
-    """All that is recorded of what a beginning of an id names; `kind` says what it is. Of a batch, also what is on clusters."""
+    """Return everything that is recorded about the object with this id prefix; `kind` is its type.
+
+    For a batch, also return its sessions on clusters.
+    """
     found = store.resolve(prefix)
     with store.snapshot() as snapshot:
         shown = {"kind": found.kind, **SHOWN[found.kind](snapshot, found)}
@@ -160,7 +164,7 @@ SELECT arg_max(programs, lamport) AS programs, arg_max(environment, lamport) AS 
 FROM (SELECT programs, environment, lamport FROM sessions WHERE batch = $b UNION ALL
       SELECT programs, environment, lamport FROM executions WHERE batch = $b AND purpose = 'run')
 """
-"""What was around the last execution or asking of a batch."""
+"""Programs and environment of a batch's last session or execution."""
 NONDETERMINISM = """
 SELECT run, executions, results, verdict, programs FROM nondeterminism
 WHERE run = $r OR run IN (SELECT run FROM members WHERE batch = $b) ORDER BY run
@@ -169,14 +173,14 @@ TOLD = "a.element, a.job, a.node, a.started, a.ended, a.runs, a.cut, a.state, a.
 ATTEMPTS_OF_BATCH = f"""
 SELECT session, {TOLD} FROM attempts a WHERE batch = $b ORDER BY state = 'finished', element, started
 """  # noqa: S608 - of our own parts
-"""On clusters, each time that an element of a batch was executed: those that were cut off first."""
+"""Attempts at the elements of a batch on clusters; those that were cut off come first."""
 ATTEMPTS_OF_RUN = f"""
 WITH mine AS (SELECT attempt FROM executions WHERE run = $r AND (execution = $e OR $e IS NULL))
 SELECT session, {TOLD}, attempt IN (SELECT attempt FROM mine) AS executed
 FROM attempts a SEMI JOIN (SELECT session, element FROM attempts SEMI JOIN mine USING (attempt)) USING (session, element)
 ORDER BY started
 """  # noqa: S608 - of our own parts
-"""The same of the elements that a run was executed in, and in which of these attempts it was."""
+"""Attempts at the elements that executed a run, and whether each attempt executed this run."""
 REPLAYS = "SELECT replay, started, kind, target, runs, verdict FROM replays WHERE batch = $b ORDER BY lamport"
 
 
@@ -191,7 +195,7 @@ def _source(snapshot: Snapshot, batch: str, tree: str | None) -> dict[str, Any] 
 
 
 def _experiments(snapshot: Snapshot, batch: str, axes: Sequence[str]) -> list[dict[str, Any]]:
-    """The experiments of a batch; its axes stand in the order of its query, and those of other batches do not stand here."""
+    """Return the experiments of a batch, with its axes in the order of its query and without the axes of other batches."""
     rows: list[dict[str, Any]] = snapshot.sql(
         "WITH tried AS (SELECT run, arg_max(status, lamport) AS last FROM executions WHERE purpose = 'run' GROUP BY run), "
         "good AS (SELECT ordinal, run, true AS good FROM counting WHERE batch = $b), "
@@ -226,7 +230,7 @@ FROM failed GROUP BY reason ORDER BY runs DESC, reason
 def _failures(
     snapshot: Snapshot, batch: str, experiments: Sequence[Mapping[str, Any]], axes: Sequence[str]
 ) -> list[dict[str, Any]]:
-    """Why runs of a batch failed: for each reason, the most frequent first, how many runs, and the first of them."""
+    """Return the reasons why runs of a batch failed, most frequent first, with the number of runs and the first run of each."""
     values = {row["ordinal"]: {name: row[name] for name in axes} for row in experiments}
     return [
         {
@@ -306,11 +310,11 @@ SELECT i.*, count(*) AS executions
 FROM executions e SEMI JOIN (SELECT run FROM members WHERE batch = $b) USING (run) JOIN isolations i USING (isolation)
 WHERE e.purpose = 'run' GROUP BY ALL ORDER BY max(e.lamport) DESC
 """
-"""How executions of a batch's runs were contained, the last way first."""
+"""Isolations of the executions of a batch's runs, most recent first."""
 
 
 def _image(snapshot: Snapshot, identity: str | None) -> dict[str, Any] | None:
-    """What is recorded of an image, with its texts of several facts taken apart."""
+    """Return the record of an image, with its JSON texts decoded."""
     rows = snapshot.sql("SELECT * FROM images WHERE image = $i", i=identity).to_pylist()
     if not rows:
         return {"image": identity} if identity else None
@@ -319,14 +323,14 @@ def _image(snapshot: Snapshot, identity: str | None) -> dict[str, Any] | None:
 
 
 def _isolation(row: dict[str, Any]) -> dict[str, Any]:
-    """How executions were contained, likewise; with the limits that were asked for and not enforced."""
+    """Return the record of an isolation, with its JSON texts decoded, and the limits that were requested but not enforced."""
     return row | {"mounts": json.loads(row["mounts"])} | limits(row)
 
 
 def _programs(snapshot: Snapshot, identity: str | None) -> list[dict[str, Any]]:
-    """What was used together: programs first, then files, installed distributions and libraries.
+    """Return the rows of one set of programs: programs first, then files, installed distributions and libraries.
 
-    What was only a replay's copy of the project's, and is gone, is left out where the project's is recorded too.
+    A replay's copy of a project's program, which no longer exists, is left out if the project's own is recorded too.
     """
     rows: list[dict[str, Any]] = snapshot.sql(
         "SELECT name, kind, version, path, sha256 FROM programs WHERE programs = $p "
@@ -339,7 +343,7 @@ def _programs(snapshot: Snapshot, identity: str | None) -> list[dict[str, Any]]:
 
 
 def _environment(snapshot: Snapshot, identity: str | None) -> dict[str, Any] | None:
-    """What was around, with its texts of several facts taken apart."""
+    """Return the record of an environment, with its JSON texts and lists decoded."""
     rows = snapshot.sql("SELECT * FROM environments WHERE environment = $e", e=identity).to_pylist()
     if not rows:
         return None

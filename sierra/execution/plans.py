@@ -1,4 +1,4 @@
-"""A query with all that its answer depends on, and nothing executed yet: query → design → inputs."""
+"""Plans: a resolved query with everything that its results depend on, before anything executes: query → design → inputs."""
 
 from __future__ import annotations
 
@@ -32,20 +32,20 @@ from sierra.util.text import few
 from sierra.version import __version__
 
 BARE = re.compile(r"[^\W\d]\w*")
-"""A word that is no criterion: it has no range."""
+"""Pattern of a word that is not a criterion, because it has no range."""
 
 
 class Inputs(Protocol):
-    """What knows the input files of runs."""
+    """Source of the input files of runs."""
 
     def files(self, batch: Batch, wanted: Callable[[Run], bool]) -> Iterator[tuple[Run, Files]]:
-        """The input files of the runs that are wanted, a run at a time; of a run that is in the batch twice, perhaps twice."""
+        """Yield the input files of the wanted runs, one run at a time; a run that is twice in the batch may come twice."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """A query with all that its answer depends on, and nothing executed yet."""
+    """A resolved query with everything that its results depend on, before anything executes."""
 
     project: LoadedProject
     query: Query
@@ -53,25 +53,25 @@ class Plan:
     batch: Batch
     inputs: Inputs
     source: source.Source | None
-    """None where the code is that of a recorded batch."""
+    """Source of the code; None for a recorded batch."""
     source_id: str | None
     checkout: Checkout | None
-    """Where other files are executed than the project has now."""
+    """Checkout to execute instead of the project's current files; None to execute those."""
     programs: Programs
     environment: Mapping[str, Any]
     engine: Engine
     image: Image | None
-    """What runs execute in."""
+    """Image that runs execute in."""
     limits: Limits
     template_sha256: str
     outputs: Mapping[str, Output]
     success: Success
     seen: ChangeGuard
-    """What executes, as it was when it was taken for that."""
+    """Guard that notices changes of the code and programs since planning."""
     notes: tuple[str, ...] = ()
 
     def snapshot(self, content: Callable[[str], bytes | None]) -> Checkout:
-        """What makes a copy of the code as it is; `content` is that of a file which git does not have, by git's hash."""
+        """Return a checkout of the current code; `content` returns a file that git does not have, by git's hash."""
         manifest = self.source.manifest if self.source else b""
         used = tuple((program.name, program.kind) for program in self.programs.all)
         mounted = Programs(tuple(program for program in self.programs.all if program.name.startswith(isolation.MOUNTS)))
@@ -87,7 +87,7 @@ def ask(
     scenario: str | None = None,
     sets: Sequence[tuple[str, str]] = (),
 ) -> Query:
-    """The query that these words are: criteria, and the name of a query in `sierra.toml`, which stands for its criteria.
+    """Return the query for these words: criteria, or the name of a query in `sierra.toml`, which stands for its criteria.
 
     `sets` are pairs of an XPath and a value. Raises QueryError, UsageError.
     """
@@ -118,13 +118,12 @@ def ask(
 
 
 def plan(project: LoadedProject, asked: Query, *, engine: str | None = None, heed: Heed = deaf) -> Plan:
-    """All that a query's answer depends on; `engine` instead of what the project says. `heed` hears how far planning has come.
+    """Resolve a query into a plan. `engine` replaces the project's engine; `heed` receives the progress of planning.
 
-    Nothing is executed (but a Python is asked for its path, the loader for libraries, and an engine for its image) or written
-    (but the source's tree, by git).
+    Executes nothing, except that it asks a Python for its path, the loader for libraries, and an engine for its image. Writes
+    nothing, except that git writes the source's tree.
 
-
-    Raises what is wrong with project, query, template, source or programs.
+    Raises an error for a mistake in project, query, template, source or programs.
     """
     config, root = project.config, project.root
     _check_names(project)
@@ -186,7 +185,10 @@ def plan(project: LoadedProject, asked: Query, *, engine: str | None = None, hee
 
 
 def _contained(project: LoadedProject, name: str | None) -> tuple[Engine, Image | None]:
-    """What contains the runs, and the image, which is still what was pinned. Raises ConfigError, Missing."""
+    """Return the engine and the image of the runs, and verify that the image is still the pinned one.
+
+    Raises ConfigError, Missing.
+    """
     container = project.config.container
     engine = engines.find(name or (container.engine if container else "none"))
     if engine.name == "none":
@@ -216,15 +218,15 @@ def _source(project: LoadedProject, own: Sequence[str]) -> source.Source:
 
 
 def _committed(root: Path, recipe: Recipe, code: source.Source, used: Programs) -> Checkout:
-    """The code of the commit, which executes instead of the files that are there."""
+    """Return a checkout of the commit's code, which is executed instead of the current files."""
     known = tuple((program.name, program.kind) for program in used.all)
     return Checkout(root, recipe, code.manifest, known, lambda blob: None)
 
 
 def out_of_reach(plan: Plan, logs: Sequence[str] | None) -> Iterator[str]:
-    """Yield what to write where a template names files by relative paths, which lead nowhere from a run's folder.
+    """Yield a hint if a template names files by relative paths, which do not exist in a run's folder.
 
-    `logs` are of runs that failed: only files that they mention are meant. Without, all are.
+    `logs` are logs of failed runs: the hint then names only files that they mention. With None, it names all.
     """
     config, root = plan.project.config, plan.project.root
     template = root / config.template
@@ -241,7 +243,7 @@ def out_of_reach(plan: Plan, logs: Sequence[str] | None) -> Iterator[str]:
 
 
 def _reached(plan: Plan, path: str) -> str:
-    """Return how a template can name a file of the project, today."""
+    """Return a hint how a template can name a file of the project."""
     if plan.image is not None:
         return f"write its path in the container, {PROJECT}/{path}"
     link = path.split("/")[0]
@@ -251,13 +253,13 @@ def _reached(plan: Plan, path: str) -> str:
 
 
 def versioned(plan: Plan) -> Plan:
-    """The plan, with what its programs say of themselves: for that, they are executed."""
+    """Return the plan with the versions that its programs report; this executes the programs."""
     variables = commands.declared(plan.batch.recipe.environment, plan.project.root)
     return replace(plan, programs=versions.asked(plan.programs, plan.project.config.programs, variables, plan.project.root))
 
 
 def context(plan: Plan, session: str = "", number: int | None = None) -> Context:
-    """What recording needs to know of a session that executes this."""
+    """Return the context that recording needs for a session that executes this plan."""
     return Context(
         session=session,
         batch=plan.batch.id,
@@ -272,22 +274,25 @@ def context(plan: Plan, session: str = "", number: int | None = None) -> Context
 
 
 def _drawn(root: Path) -> list[str]:
-    """The folders that figures were drawn to; what else is in `figures` is the project's."""
+    """Return the folders that figures were drawn to; other files in `figures` belong to the project."""
     return [f"{FIGURES}/{memory.parent.name}" for memory in ProjectPaths(root).figures.glob(f"*/{DRAWN}")]
 
 
 def _inside(template: str) -> list[str]:
-    """The template, where it lies in the project: it is hashed by what is made from it."""
+    """Return the template's path if it is in the project.
+
+    The source leaves it out, because the inputs that are made from it are hashed.
+    """
     path = os.path.normpath(template)
     return [] if path.startswith((os.pardir, os.sep)) else [path]
 
 
 WRITTEN = ("value", "xml", "per_run")
-"""Keys whose texts may stand in an input; those of the others are XPaths and names, and `/x` is no file there."""
+"""Keys whose texts may become part of an input. Texts of other keys are XPaths and names, and `/x` is not a file there."""
 
 
 def _written(config: Project) -> Iterator[str]:
-    """Yield what the project may put into a template, whatever is asked: the texts of its changes."""
+    """Yield the texts that the project's changes may put into a template, for any query."""
     changes = config.model_dump(include={"variables", "changes", "run_changes", "per_run", "controllers", "scenarios"})
     pending: list[tuple[bool, Any]] = [(False, changes)]
     while pending:
@@ -301,7 +306,7 @@ def _written(config: Project) -> Iterator[str]:
 
 
 def _doubts(designed: Design, command: Sequence[str]) -> Iterator[str]:
-    """What is allowed, and yet hardly meant."""
+    """Yield warnings about settings that are allowed but probably not intended."""
     mentioned = " ".join(command)
     seeded = any(mentions(change, "seed") for change in designed.per_run)
     if designed.query.runs > 1 and not seeded and "{seed}" not in mentioned:
@@ -314,7 +319,7 @@ def _doubts(designed: Design, command: Sequence[str]) -> Iterator[str]:
 
 
 def _texts(designed: Design, config: Project, template: templates.Template) -> Iterator[str]:
-    """Texts as values of a variable where the template has a number: a range that was mistyped, perhaps."""
+    """Yield warnings about variables with text values where the template has numbers; a range may be mistyped."""
     for axis in designed.axes:
         variable = config.variables.get(axis.name)
         if variable is not None and variable.set is not None and not axis.numeric:
@@ -324,7 +329,7 @@ def _texts(designed: Design, config: Project, template: templates.Template) -> I
 
 
 def _set_by(designed: Design) -> set[str]:
-    """The texts that a query puts into the template: what its values that are texts are set as."""
+    """Return the texts that a query puts into the template: values of `--set`, and values of axes that are not numeric."""
     names = [axis.name for axis in designed.axes if not axis.numeric]
     found = {change.value for change in designed.query.sets}
     for cell in designed.cells if names else ():
@@ -338,7 +343,7 @@ def _set_by(designed: Design) -> set[str]:
 
 
 def _same(batch: Batch) -> Iterator[str]:
-    """Experiments that are the same: values that make no difference. The first two, and how many more there are."""
+    """Yield a warning if experiments are identical because their values change nothing; it names two and counts the others."""
     first: dict[tuple[str, ...], Experiment] = {}
     again = [(one, other) for other in batch.experiments if (one := first.setdefault(_key(other), other)) is not other]
     for one, other in again[:1]:
@@ -355,7 +360,10 @@ def _called(experiment: Experiment) -> str:
 
 
 def _check_names(project: LoadedProject) -> None:
-    """What becomes a table or a column of the store may not be called like one of the store's own, or be named in vain."""
+    """Check the names of outputs and variables against the store's own, and that the store's path is not a file.
+
+    Also checks that an output has no column names together with a header. Raises ConfigError, Missing.
+    """
     for name, output in project.config.outputs.items():
         if not check_name(name):
             raise ConfigError(f"{project.file}: [outputs.{name}]: the store has a table {name!r} of its own; take another name")

@@ -1,4 +1,4 @@
-"""What is recorded of an asking itself: the batch and its inputs before anything executes, the session at its end."""
+"""Records of a session: the batch and its inputs before anything executes, and the session at its end."""
 
 from __future__ import annotations
 
@@ -24,19 +24,19 @@ from sierra.util.fs import read_record, write_whole
 from sierra.util.hashing import sha256
 
 AT_A_TIME = 4_096
-"""Members that are in memory as rows."""
+"""Number of members that are in memory as rows at a time."""
 THERE = "SELECT blob FROM blobs SEMI JOIN objects USING (sha256)"
-"""Files of sources that the store has: both what stands for them, and their content, which a repair may have taken."""
+"""SQL: source files in the store with both their entry and their content; a repair may have removed the content."""
 COUNTS = ("executed", "again", "reused", "failed", "missing", "interrupted")
 
 
 def keep(plan: Plan, store: Store, session: Session) -> None:
-    """Record what is asked, before anything executes: the batch, its runs, and their input files.
+    """Record the batch, its runs and their input files before anything executes.
 
-    What the store has already is not recorded again, also where another asking was quicker.
+    Records that the store has already are not written again, also if another session wrote them first.
     """
     batch, code = plan.batch, plan.source
-    if code is None:  # a recorded batch, by its id
+    if code is None:  # a recorded batch, requested by its id
         return
     writer = store.writer(session.paths.segment, batch.id)
     with store.snapshot() as snapshot:
@@ -86,7 +86,7 @@ def keep(plan: Plan, store: Store, session: Session) -> None:
 def close(
     plan: Plan, store: Store, session: Session, counts: Mapping[str, Any], *, started: datetime, runner: str, slots: int | None
 ) -> None:
-    """Record how an asking went, with what was around it. `slots` is None where others than this process execute."""
+    """Record the result of a session, with its environment. `slots` is None if runs execute on a cluster."""
     record = _row(plan, session, started, runner, slots or _allotted(session.paths))
     writer = store.writer(session.paths.segment, plan.batch.id)
     writer.rows("sessions", [record | {"ended": datetime.now(UTC)} | {name: counts[name] for name in COUNTS}])
@@ -95,7 +95,10 @@ def close(
 
 
 def prepare(plan: Plan, store: Store, session: Session, *, started: datetime, runner: str) -> None:
-    """The same for an asking whose process may be gone when it is answered: all but how it went, which `finish` records."""
+    """Prepare the record of a session whose process may end before its jobs do.
+
+    Records everything except the result, which `finish` records.
+    """
     writer = store.writer(session.paths.segment, plan.batch.id)
     _write_around(plan, writer, executed=True)
     store.publish(writer)
@@ -105,7 +108,7 @@ def prepare(plan: Plan, store: Store, session: Session, *, started: datetime, ru
 
 
 def finish(store: Store, session: Session, *, interrupted: bool) -> None:
-    """Record how an asking went that another process had prepared; nothing where none had."""
+    """Record the result of a session that another process prepared; do nothing if none did."""
     if not session.paths.asking.exists():
         return
     record = read_record(session.paths.asking)
@@ -128,7 +131,7 @@ SELECT count(*) AS executed, count(*) FILTER (NOT good) AS failed, count(*) FILT
 
 
 def _allotted(session: SessionPaths) -> int | None:
-    """How many runs execute at a time of what a session has submitted, once all its elements do; None where it has nothing."""
+    """Return how many runs of a submitted session execute at a time once all its elements run; None without a submission."""
     try:
         made = Submission.load(session)
     except FileNotFoundError:
@@ -137,7 +140,7 @@ def _allotted(session: SessionPaths) -> int | None:
 
 
 def _row(plan: Plan, session: Session, started: datetime, runner: str, slots: int | None) -> dict[str, Any]:
-    """What is known of an asking before it is answered."""
+    """Return the row of a session before it executes."""
     now = context(plan)
     return {
         "session": session.id,
@@ -156,7 +159,7 @@ def _row(plan: Plan, session: Session, started: datetime, runner: str, slots: in
 
 
 def _write_around(plan: Plan, writer: Writer, *, executed: bool) -> None:
-    """Record what was around an asking."""
+    """Record the source of a session, and its environment and programs if it executed runs."""
     if plan.source:
         writer.rows("sources", [plan.source.row(sha256(plan.source.manifest))])
     if executed:
@@ -165,12 +168,12 @@ def _write_around(plan: Plan, writer: Writer, *, executed: bool) -> None:
 
 
 def is_kept(plan: Plan, store: Store) -> bool:
-    """Whether the store knows what is asked."""
+    """Check whether the store has the plan's batch."""
     return bool(store.rows("SELECT 1 FROM batches WHERE batch = $b LIMIT 1", b=plan.batch.id))
 
 
 def _known_inputs(plan: Plan, snapshot: Snapshot) -> set[str]:
-    """Runs of the batch whose input files the store has: those that belong to an earlier batch."""
+    """Return the runs of the batch whose input files the store has, because they belong to an earlier batch."""
     import pyarrow as pa
 
     recipe = {"recipe": plan.batch.recipe_id}
@@ -182,7 +185,7 @@ def _known_inputs(plan: Plan, snapshot: Snapshot) -> set[str]:
 
 
 def batch_row(plan: Plan) -> dict[str, Any]:
-    """What `batches` says of a plan."""
+    """Return the row of the table `batches` for a plan."""
     return {
         "batch": plan.batch.id,
         "created": datetime.now(UTC),

@@ -1,4 +1,4 @@
-"""Finishing what died: a session whose process is gone, with runs still going or not yet recorded."""
+"""Recovery of dead sessions: their processes are gone, but runs still execute or are not recorded."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from sierra.util.fs import inside
 
 
 def finish_dead(store: Store) -> int:
-    """End what dead sessions left running, and record what had finished there; how many executions that were."""
+    """End the runs that dead sessions left, and record finished ones; return the number of recovered executions."""
     recovered = 0
     with sessions.dead(store.paths) as found:
         if found:
@@ -41,7 +41,10 @@ def _sweep(paths: SessionPaths) -> None:
 
 
 def recover(store: Store, paths: SessionPaths) -> int:
-    """Record what a session's journal says has finished, and the store does not have yet."""
+    """Record executions that are finished in a session's journal and missing in the store.
+
+    Returns the number of recorded executions that were not interrupted.
+    """
     events = [event for event in Journal(paths.journal).read() if isinstance(event, Result)]
     results = [result for result in (_own(paths, event) for event in events) if result is not None]
     if not results:
@@ -58,9 +61,9 @@ def recover(store: Store, paths: SessionPaths) -> int:
 
 
 def _own(paths: SessionPaths, result: Result) -> Result | None:
-    """Return a result with its folder as it is in this session, wherever the journal says; None where that has not its files.
+    """Return a result with its folder in this session, wherever the journal says it is; None if its files are not there.
 
-    The journal may be a stranger's, or the project may have been moved: no other folder is ever read or removed.
+    The journal may come from somebody else, or the project may have been moved: no other folder is ever read or removed.
     """
     name = Path(result.directory).name
     folder = paths.runs / name if name.isdigit() else paths.runs

@@ -1,4 +1,4 @@
-"""What the store has of each run of a plan: a good execution, or why there must be one."""
+"""Reuse: the recorded state of each run of a plan, and the reason why it must be executed."""
 
 from __future__ import annotations
 
@@ -11,26 +11,26 @@ from sierra.ingest.rejudge import foresee
 from sierra.store.store import Snapshot, Store
 
 FAILED, OTHER_RULES, OTHER_PROGRAMS, GOOD = range(4)
-"""What an execution is worth to an asking, the better the greater."""
+"""Worth of a recorded execution for a session; a greater number is better."""
 MANY = 4
-"""Times as many executions as runs, beyond which the store is asked for these runs alone; it is quick, and takes memory."""
+"""Ratio of executions to runs above which the query selects these runs only; that is fast, and takes memory."""
 
 
 @dataclass(frozen=True, slots=True)
 class State:
-    """What the store has of a run: the worth of its best execution, or None without any."""
+    """Recorded state of a run: the worth of its best execution; None without an execution."""
 
     worth: int | None = None
     reason: str | None = None
-    """Why the last one failed, where all did."""
+    """Reason why the last execution failed, if all failed."""
     failed: int = 0
-    """The place of that one in the order of executions."""
+    """Place of that execution in the order of executions."""
     executions: int = 0
-    """How many executions there are, and judgements made anew."""
+    """Number of executions, and of repeated evaluations."""
     anew: bool = False
-    """Whether it would be judged anew; so `lack`. Only `foreseen` says."""
+    """True if a recorded execution would be evaluated again. Only `foreseen` sets this and `lack`."""
     lack: str | None = None
-    """Why it cannot be, where the rules have changed."""
+    """Reason why it cannot be evaluated again although the rules have changed."""
 
     @property
     def good(self) -> bool:
@@ -38,7 +38,7 @@ class State:
 
     @property
     def why(self) -> str:
-        """Why the run is to be executed, or not."""
+        """Return the reason why the run is executed or reused."""
         match self.worth:
             case _ if self.anew:
                 return "[outputs] or [success] have changed: judged anew from the record, not executed"
@@ -54,7 +54,7 @@ class State:
                 return "reused"
 
     def after(self, worth: int, reason: str | None, failed: int, judgements: int) -> State:
-        """Return this with one execution more, which was judged so often."""
+        """Return this state with one more execution, which was evaluated `judgements` times."""
         count = self.executions + judgements
         if self.worth is None or worth > self.worth or (worth == FAILED == self.worth and failed > self.failed):
             return State(worth, reason, failed, count)
@@ -62,27 +62,27 @@ class State:
 
 
 def is_answered(plan: Plan, store: Store) -> bool:
-    """Whether the last asking of all was this one, by the same programs and rules, and every run is good: nothing is to do."""
+    """Check whether the store's last session was this plan with the same programs and rules, and every run succeeded."""
     now = context(plan)
     with store.snapshot() as snapshot:
         snapshot.views.make(("sessions",))
         snapshot.views.make(("batches",))
         last = snapshot.run("SELECT arg_max(batch, lamport), arg_max(programs, lamport), arg_max(rules, lamport) FROM sessions")
         if not snapshot.run("SELECT 1 FROM batches WHERE batch = $b LIMIT 1", {"b": plan.batch.id}):
-            return False  # what was recorded of it is lost
+            return False  # its records are lost
         same = last == [(plan.batch.id, now.programs, now.rules)]
         return same and all(state.good for state in states(plan, snapshot).values())
 
 
 def states(plan: Plan, asked: Store | Snapshot | None) -> dict[str, State]:
-    """What the store has of each run of the batch."""
+    """Return the recorded state of each run of the batch, by run id."""
     new = State()
     runs = dict.fromkeys((run.id for run in plan.batch.runs), new)
     if asked is None:
         return runs
     same: dict[State, State] = {}
     with asked.snapshot() if isinstance(asked, Store) else contextlib.nullcontext(asked) as snapshot:
-        snapshot.run("SET threads = 1")  # of 100,000 runs, each thread would hold its own
+        snapshot.run("SET threads = 1")  # each thread would hold its own copy of 100,000 runs
         for run, worth, reason, failed, judgements in snapshot.each(*_statement(plan, snapshot, list(runs))):
             if run in runs:
                 state = runs[run].after(worth, reason, failed, judgements)
@@ -91,7 +91,7 @@ def states(plan: Plan, asked: Store | Snapshot | None) -> dict[str, State]:
 
 
 def foreseen(plan: Plan, store: Store | None, found: Mapping[str, State]) -> dict[str, State]:
-    """Return these states, with what judging anew would do."""
+    """Return these states with the effect of evaluating executions again by changed rules."""
     bad = [run for run, state in found.items() if state.worth in (FAILED, OTHER_RULES)]
     if store is None or not bad:
         return dict(found)
@@ -104,12 +104,12 @@ def foreseen(plan: Plan, store: Store | None, found: Mapping[str, State]) -> dic
 
 
 def rules_changed(plan: Plan, store: Store) -> bool:
-    """Check whether the batch was last asked for by other rules, those of what may differ between siblings included."""
+    """Check whether the last session of the batch used other rules, including the rules for differences between siblings."""
     [row] = store.rows("SELECT arg_max(rules, lamport) AS rules FROM sessions WHERE batch = $b", b=plan.batch.id)
     return row["rules"] not in (None, context(plan).rules)
 
 
-# The runs of one recipe were executed for batches of that recipe, and for no others; some of these may have been removed.
+# Runs of one recipe are executed only for batches of that recipe. Some of these batches may have been removed.
 THOSE = (
     "FROM {judged} WHERE purpose = 'run' AND (batch IN (SELECT batch FROM batches WHERE recipe = $recipe) "
     "OR batch NOT IN (SELECT batch FROM batches))"
@@ -128,11 +128,11 @@ FROM (
            arg_max({'status': status, 'reason': reason, 'reading': reading}, (reading = $reading, place, judgement)) AS j
     FROM judged GROUP BY execution
 ))"""
-"""Executions as the rules that are asked for judge them; where these have not, as they were judged last."""
+"""SQL: executions as evaluated by the requested rules, or else as they were evaluated last."""
 
 
 def _statement(plan: Plan, snapshot: Snapshot, runs: list[str]) -> tuple[str, dict[str, str]]:
-    """The executions that may be of these runs."""
+    """Return the statement for the executions that may belong to these runs, and its parameters."""
     recipe = {"recipe": plan.batch.recipe_id}
     snapshot.views.make(("judged", "batches"))
     [(count,)] = snapshot.run(f"SELECT count(*) {THOSE.format(judged='judged')}", recipe)

@@ -1,17 +1,17 @@
-"""Who executes what now: each asking has a session, a folder whose lock is held as long as its process lives.
+"""Sessions and claims: each session has a folder whose lock is held as long as its process lives.
 
-Claims only save work, never guard truth: two processes that execute the same run (because a file system has no
-locks) record two executions of it, and neither is lost. A session whose lock nobody holds has died; whoever
-finds it ends what it left running, records what had finished, and removes it. Until then its claims hold, so
-that nobody executes again what only waits to be recorded.
+Claims only save work; they never guarantee correctness. If two processes execute the same run (because a file system has no
+locks), two executions of it are recorded, and neither is lost. A session whose lock nobody holds is dead. The process that
+finds it ends the runs that it left, records the finished ones, and removes it. Until then its claims stay valid, so that
+no process executes a run again that only waits to be recorded.
 
-What was submitted to a cluster lives on without a process. Such a session (it has `submission.json`) does not die with its
-process: it is unattended then, until somebody takes it over, and whoever asks for its runs does.
+A session that was submitted to a cluster (it has `submission.json`) continues when its process ends. It is then unattended
+until another process takes it over, for example one that needs the same runs.
 
-Where a file system has no locks, claims are not heeded, but for those on a cluster, and a session has died once its owner's
-process is gone, as far as its own host can tell: `owner.0` names the process that made it, `owner.1` the one that finishes it
-because that has died, and so on. Each is created by one process alone. An owner of what is on a cluster may be on another
-host: it touches its file now and then, and has died when it has not for a while.
+On a file system without locks, only claims of sessions on a cluster are respected. There, a session is dead once its owner's
+process is gone, as far as the owner's host can tell. `owner.0` names the process that created the session, `owner.1` the
+process that finishes it after the first one died, and so on. Each of these files is created by exactly one process. The
+owner of a session on a cluster may be on another host: it touches its file regularly, and is dead if it stops doing so.
 """
 
 from __future__ import annotations
@@ -36,21 +36,21 @@ from sierra.store.segments import disk_errors
 from sierra.worker import worker
 
 BEAT_S, SILENT_S = 20.0, 120.0
-"""Between two signs of life of an owner on a file system without locks, and after how long without one it has died."""
+"""Seconds between two signs of life of an owner on a file system without locks, and the silence after which it is dead."""
 
 
 class Session:
-    """One asking, alive."""
+    """One session of a living process."""
 
     def __init__(self, store: StorePaths, elsewhere: Path | None = None) -> None:
-        """Begin a session; its runs execute in a folder below `elsewhere`, if that is given. Raises Missing."""
+        """Start a session. Its runs execute in a folder below `elsewhere`, if that is given. Raises Missing."""
         self.id = secrets.token_hex(8)
         self.paths: SessionPaths = store.session(self.id)
         self.store = store
         self.number: int | None = None
-        """Its Lamport number, once it has taken one."""
+        """Lamport number of the session, or None before it has taken one."""
         self.recorded = True
-        """Whether all that has finished here is recorded; otherwise the session is left to whoever asks next."""
+        """True if all finished runs are recorded; otherwise the session's folder stays for the next session to recover."""
         self._generation, self._beaten = 0, time.monotonic()
         with exclusively(store), disk_errors(self.paths.root):
             self.paths.root.mkdir(parents=True)
@@ -62,7 +62,10 @@ class Session:
 
     @classmethod
     def adopted(cls, store: StorePaths, paths: SessionPaths) -> Session | None:
-        """A session that was submitted to a cluster, taken over; None where somebody else has it, or it is gone."""
+        """Take over a session that was submitted to a cluster.
+
+        Returns None if another process has it, or if it is gone.
+        """
         made = cls.__new__(cls)
         made.id, made.paths, made.store, made.recorded = paths.root.name, paths, store, True
         made.number = _number(paths)
@@ -72,7 +75,7 @@ class Session:
                 return None
             try:
                 made._lock = _locked(paths.lock, wait=False)
-            except (BlockingIOError, PermissionError):  # another user's: their jobs are nobody else's to find, or to end
+            except (BlockingIOError, PermissionError):  # another user's session: only its owner can find or end the jobs
                 return None
             generation = _take_over(paths) if made._lock is None else 0
             if generation is None:
@@ -90,28 +93,28 @@ class Session:
             raise Missing(f"[store] work: {error}") from error
 
     def take_number(self) -> None:
-        """Take a Lamport number, before anything is recorded (see `sierra.store.order`)."""
+        """Take a Lamport number. Call this before anything is recorded (see `sierra.store.order`)."""
         with exclusively(self.store), disk_errors(self.paths.root):
             living = [_number(paths) or 0 for paths in all_of(self.store)]
             self.number = session_numbers.following(self.store, living)
             self.paths.number.write_text(str(self.number))
 
     def beat(self) -> None:
-        """Show that the session's owner lives, where no lock does."""
+        """Give a sign of life of the session's owner on a file system without locks."""
         if self._lock is None and time.monotonic() - self._beaten > BEAT_S:
             self._beaten = time.monotonic()
             with contextlib.suppress(OSError):
                 os.utime(self.paths.owner(self._generation))
 
     def leave(self) -> None:
-        """Let it go on without a process."""
+        """Leave the session to continue without a process."""
         self.recorded = False
         if self._lock is None:
             with contextlib.suppress(OSError):
                 self.paths.left(self._generation).touch()
 
     def claim(self, runs: set[str]) -> set[str]:
-        """Claim those of `runs` that no other session has claimed; the ones that were free (the same set, where all are)."""
+        """Claim those of `runs` that no other session has claimed; return them (the same set object if all were free)."""
         with exclusively(self.store) as alone:
             claimed = _claimed(self.store, self.id, submitted=not alone)
             free = runs - claimed if claimed else runs
@@ -120,7 +123,7 @@ class Session:
         return free
 
     def close(self) -> None:
-        """Give all claims back, and remove what is recorded."""
+        """Release all claims, and remove the session's folder if everything is recorded."""
         if self.recorded:
             _remove(self.store, self.paths)
         if self._lock is not None:
@@ -129,14 +132,14 @@ class Session:
 
 
 def others(store: StorePaths, own: str) -> set[str]:
-    """The runs that other sessions have claimed. Those of one that has died are its own until it is finished."""
+    """Return the runs that other sessions have claimed. A dead session keeps its claims until it is finished."""
     with exclusively(store) as alone:
         return _claimed(store, own, submitted=not alone)
 
 
 @contextlib.contextmanager
 def dead(store: StorePaths) -> Iterator[list[SessionPaths]]:
-    """The sessions that have died, and that nobody else finishes now; they are removed at the end."""
+    """Yield the dead sessions that no other process finishes now; remove them at the end."""
     held: list[int] = []
     found: list[SessionPaths] = []
     with exclusively(store):
@@ -161,8 +164,9 @@ def dead(store: StorePaths) -> Iterator[list[SessionPaths]]:
 
 
 def alive(store: StorePaths) -> list[SessionPaths]:
-    """The sessions whose lock is held, or that are on a cluster. To be called within `exclusively`, where it says that there
-    are locks.
+    """Return the sessions whose lock is held, and those on a cluster.
+
+    Call this within `exclusively`, and only if that yields True (the file system has locks).
     """
     found = []
     for paths in all_of(store):
@@ -181,7 +185,7 @@ def alive(store: StorePaths) -> list[SessionPaths]:
 
 @contextlib.contextmanager
 def exclusively(store: StorePaths) -> Iterator[bool]:
-    """Alone among this store's sessions, for the moment that a claim takes; False where the file system has no locks."""
+    """Hold the exclusive lock of this store's sessions, for a short time; yield False if the file system has no locks."""
     with disk_errors(store.work):
         marks.mark_work(store)
         lock = _locked(store.work_lock)
@@ -193,17 +197,17 @@ def exclusively(store: StorePaths) -> Iterator[bool]:
 
 
 def all_of(store: StorePaths) -> list[SessionPaths]:
-    """All sessions that are there, alive or not."""
+    """Return all sessions of the store, alive or dead."""
     return list(marks.sessions(store))
 
 
 def submitted(store: StorePaths) -> list[SessionPaths]:
-    """The sessions that were submitted to a cluster, attended or not."""
+    """Return the sessions that were submitted to a cluster, attended or not, ordered by id."""
     return sorted((paths for paths in all_of(store) if paths.submission.exists()), key=lambda paths: paths.root.name)
 
 
 def _number(paths: SessionPaths) -> int | None:
-    """Return the number that a session has taken; None where it has none."""
+    """Return the Lamport number that a session has taken; None if it has none."""
     try:
         return int(paths.number.read_text())
     except (OSError, ValueError):
@@ -211,7 +215,7 @@ def _number(paths: SessionPaths) -> int | None:
 
 
 def claims(paths: SessionPaths) -> set[str]:
-    """The runs that a session has claimed."""
+    """Return the runs that a session has claimed."""
     try:
         return set(json.loads(paths.claims.read_bytes()))
     except (OSError, ValueError, TypeError, RecursionError):
@@ -219,7 +223,7 @@ def claims(paths: SessionPaths) -> set[str]:
 
 
 def holder(paths: SessionPaths) -> str:
-    """Who has a session, in words; its lock says so, or its last owner."""
+    """Return the process that holds a session, in words, from its lock or its last owner file."""
     owners = sorted(paths.root.glob(paths.owner(0).with_suffix(".*").name), key=lambda file: int(file.suffix[1:]))
     for file in (paths.lock, *reversed(owners)):
         with contextlib.suppress(OSError, ValueError, LookupError, TypeError, RecursionError):
@@ -229,7 +233,7 @@ def holder(paths: SessionPaths) -> str:
 
 
 def _claimed(store: StorePaths, own: str, *, submitted: bool) -> set[str]:
-    """What other sessions have claimed; or only those that are on a cluster."""
+    """Return the runs that other sessions have claimed; with `submitted`, only sessions on a cluster."""
     claimed: set[str] = set()
     for paths in all_of(store):
         if paths.root.name != own and (not submitted or paths.submission.exists()):
@@ -238,24 +242,30 @@ def _claimed(store: StorePaths, own: str, *, submitted: bool) -> set[str]:
 
 
 def _remove(store: StorePaths, paths: SessionPaths) -> None:
-    """Remove a session's folders; its lock goes last, and at once with the folder, so that nobody finds half of it."""
+    """Remove a session's folders.
+
+    Its lock is removed last, together with the folder, so that no process finds half a session.
+    """
     if not marks.is_session(paths.root):
         return
     if paths.elsewhere is not None:
         worker.remove(str(paths.elsewhere))
     with contextlib.suppress(OSError):
-        paths.submission.unlink(missing_ok=True)  # first: half of what was submitted is not to be gone on with
+        paths.submission.unlink(missing_ok=True)  # first, so that no process continues half a submission
         for entry in paths.root.iterdir():
             if worker.is_folder(str(entry)):
                 worker.remove(str(entry))
-            elif entry not in (paths.lock, paths.owner(0)):  # without these, nobody knows what it is
+            elif entry not in (paths.lock, paths.owner(0)):  # these identify the folder as a session
                 entry.unlink()
     with exclusively(store):
         worker.remove(str(paths.root))
 
 
 def _locked(path: Path, *, wait: bool = True) -> int | None:
-    """A descriptor that holds the lock; None where the file system has no locks. BlockingIOError: somebody else has it."""
+    """Return a descriptor that holds the lock; None if the file system has no locks.
+
+    Raises BlockingIOError if another process holds the lock and `wait` is False.
+    """
     descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o644)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
@@ -268,7 +278,7 @@ def _locked(path: Path, *, wait: bool = True) -> int | None:
 
 
 def _sign(lock: int | None) -> None:
-    """Write into a lock who holds it, for people."""
+    """Write into a lock file which process holds it, for people."""
     if lock is not None:
         with contextlib.suppress(OSError):
             os.ftruncate(lock, 0)
@@ -276,7 +286,7 @@ def _sign(lock: int | None) -> None:
 
 
 def _own(paths: SessionPaths, generation: int) -> bool:
-    """Become a session's owner of that generation; False where another process has."""
+    """Create the owner file of that generation for this process; return False if another process has created it."""
     try:
         with paths.owner(generation).open("x") as file:
             json.dump(_process(os.getpid()), file)
@@ -286,9 +296,9 @@ def _own(paths: SessionPaths, generation: int) -> bool:
 
 
 def _take_over(paths: SessionPaths) -> int | None:
-    """Become the owner of a session whose last owner is gone: a process of this host, or one that left or fell silent.
+    """Become the owner of a session whose last owner is gone: a dead process of this host, or one that left or fell silent.
 
-    The generation of it; None where it can't be taken over.
+    Returns the new generation; None if the session cannot be taken over.
     """
     generation = 0
     while paths.owner(generation + 1).exists():
@@ -296,7 +306,7 @@ def _take_over(paths: SessionPaths) -> int | None:
     file = paths.owner(generation)
     try:
         owner = json.loads(file.read_bytes())
-    except ValueError:  # it is being written, or who began to has died
+    except ValueError:  # it is being written, or its writer has died
         owner = None
     except OSError:
         return None
@@ -308,7 +318,7 @@ def _take_over(paths: SessionPaths) -> int | None:
 
 
 def _is_silent(owner: Path) -> bool:
-    """Whether a file has not been touched for long, by the clock of the file system."""
+    """Check whether a file was not touched for more than `SILENT_S`, by the clock of the file system."""
     try:
         with tempfile.NamedTemporaryFile(dir=owner.parent) as now:
             return os.fstat(now.fileno()).st_mtime - owner.stat().st_mtime > SILENT_S
@@ -317,7 +327,7 @@ def _is_silent(owner: Path) -> bool:
 
 
 def _process(pid: int) -> dict[str, Any]:
-    """What names one process for ever; `born` is None where there is none, or where that can't be told."""
+    """Return a record that identifies one process for ever; `born` is None if the process cannot be found."""
     try:
         boot = Path("/proc/sys/kernel/random/boot_id").read_text().strip()
     except OSError:
@@ -326,7 +336,10 @@ def _process(pid: int) -> dict[str, Any]:
 
 
 def _where() -> list[str]:
-    """Who can tell whether a process lives: this host, in this namespace of process ids (a container has its own)."""
+    """Return the host and its namespace of process ids; only processes there can tell whether one of them lives.
+
+    A container has a namespace of its own.
+    """
     try:
         return [socket.gethostname(), str(Path("/proc/self/ns/pid").readlink())]
     except OSError:

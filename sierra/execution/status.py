@@ -1,7 +1,7 @@
-"""What the project has on clusters: each session that was submitted and is not closed yet, and how it stands.
+"""Status of cluster jobs: each session that was submitted and is not closed yet.
 
-`standing` records first what has finished of those that nobody follows; `seen` writes nothing. A scheduler is asked once for
-each session, and once more while all of it waits for the small task that tries nodes out.
+`standing` first records finished runs of sessions that no process follows; `seen` writes nothing. Each session needs one query
+to its scheduler, and a second one while all its elements wait for the small task that probes nodes.
 """
 
 from __future__ import annotations
@@ -27,69 +27,69 @@ from sierra.store.store import PREFIX, Store
 from sierra.util.fs import read_record
 
 AT_ONCE = 8
-"""Questions to schedulers at a time: one that is out of reach takes its time to say so."""
+"""Parallel queries to schedulers; one that cannot be reached takes long to fail."""
 PROBED = "nodes are tried out first"
 ON_CLUSTER = "on a cluster now: followed, not executed again"
-"""What asking again does to a run that was submitted before."""
+"""Text for runs that were submitted before, when the query is repeated."""
 DEAF = Observer(lambda run, status: None, lambda running, queued, waits: None)
 
 
 @dataclass(frozen=True, slots=True)
 class Standing:
-    """One submission: what was asked for, how far it has come, who follows it."""
+    """Status of one submission: its query, its progress, and the process that follows it."""
 
     session: str
     batch: str
     query: str | None
-    """As it was asked; None of a replay."""
+    """Text of the query; None for a replay."""
     runner: str
     scheduler: str
-    """With its version."""
+    """Name and version of the scheduler."""
     jobs: tuple[str, ...]
-    """Their ids, as far as they are known."""
+    """Ids of the jobs, as far as they are known."""
     elements: int
     runs: int
     since: datetime
     done: int = 0
-    """Runs that are recorded, well or not."""
+    """Number of recorded runs, successful or not."""
     failed: int = 0
-    """Of these, those that failed."""
+    """Number of these that failed."""
     queued: int | None = None
-    """Elements that wait for a node, by the scheduler's word; None where it can't be reached. So `running`."""
+    """Number of elements that wait for a node, as the scheduler reports; None if it cannot be reached. `running` likewise."""
     running: int | None = None
     waits: str = ""
-    """Why they wait, in the scheduler's words; empty where it does not say."""
+    """Reason why they wait, in the scheduler's words; empty if it gives none."""
     stuck: str | None = None
-    """Why elements will never begin, in the scheduler's words."""
+    """Reason why elements will never start, in the scheduler's words."""
     attended: str | None = None
-    """The process that follows it; None where none does."""
+    """Process that follows the session; None without one."""
     cancelled: bool = False
     ended: bool = False
-    """Whether all that there is of it has been recorded now, and nothing of it lives any more."""
+    """True if everything is recorded and no job of the session is left."""
 
     @property
     def is_gone(self) -> bool:
-        """Whether the scheduler has nothing of it any more, although it has not ended."""
+        """Check whether the scheduler no longer has jobs of the session although the session has not ended."""
         return self.queued == 0 and self.running == 0 and not (self.stuck or self.ended)
 
 
 def standing(store: Store, prefix: str | None = None, say: Callable[[str], None] = lambda text: None) -> list[Standing]:
-    """All that is on clusters, or what is of the batch (or the session) whose id begins so; the oldest first.
+    """Return the sessions on clusters, oldest first: all, or those of the batch or session whose id starts with `prefix`.
 
-    `say` hears what the user should know. Raises NotFound.
+    Records finished runs first. `say` receives notices for the user. Raises NotFound.
     """
     found = [row for paths in named(store, prefix) if (row := submitted(paths))]
     rows = [_recorded(store, row, say) for row in found]
     with ThreadPoolExecutor(AT_ONCE) as pool:
         rows = list(pool.map(partial(_asked, store), rows))
-    rows = [_recorded(store, row, say) if row.is_gone else row for row in rows]  # what ended between the two
+    rows = [_recorded(store, row, say) if row.is_gone else row for row in rows]  # sessions that ended between the two queries
     counts = counted(store, [row.session for row in rows])
     rows = [replace(row, done=counts[row.session][0], failed=counts[row.session][1]) for row in rows]
     return sorted(rows, key=lambda row: (row.since, row.session))
 
 
 def seen(store: Store, runs: AbstractSet[str]) -> list[Standing]:
-    """The same of all that was submitted with some of these runs, as it is now; nothing is recorded, `done` counts what is."""
+    """Return the status of all submissions with some of these runs; record nothing. `done` counts runs that are recorded."""
     those = (paths for paths in sessions.submitted(store.paths) if not runs.isdisjoint(sessions.claims(paths)))
     found = [row for paths in those if (row := submitted(paths))]
     with ThreadPoolExecutor(AT_ONCE) as pool:
@@ -99,12 +99,15 @@ def seen(store: Store, runs: AbstractSet[str]) -> list[Standing]:
 
 
 def claimed(store: Store) -> dict[str, str]:
-    """The runs that were submitted to clusters, and the session of each; what is recorded of them counts all the same."""
+    """Return the runs that were submitted to clusters, and the session of each; runs that are recorded already are included."""
     return {run: paths.root.name for paths in sessions.submitted(store.paths) for run in sessions.claims(paths)}
 
 
 def named(store: Store, prefix: str | None) -> list[SessionPaths]:
-    """The sessions on clusters; those of the batch, or that one, whose id begins so. Raises NotFound for what is no id."""
+    """Return the sessions on clusters: all, or those whose batch or session id starts with `prefix`.
+
+    Raises NotFound if no batch or session has such an id.
+    """
     found = sessions.submitted(store.paths)
     if prefix is None:
         return found
@@ -122,7 +125,7 @@ def named(store: Store, prefix: str | None) -> list[SessionPaths]:
 
 
 def submitted(paths: SessionPaths) -> Standing | None:
-    """What a session's folder says of it; None where it has been closed meanwhile."""
+    """Return the status that a session's folder shows; None if the session has been closed."""
     try:
         made = Submission.load(paths)
         sent = submission.sent(paths)
@@ -144,7 +147,7 @@ def submitted(paths: SessionPaths) -> Standing | None:
 
 
 def counted(store: Store, those: list[str]) -> dict[str, tuple[int, int]]:
-    """How many runs each session has executed, and how many of these failed."""
+    """Return for each session the number of runs that it executed, and how many of these failed."""
     counts = dict.fromkeys(those, (0, 0))
     return counts | {row["session"]: (row["executed"], row["failed"]) for row in store.rows(COUNTS, s=those)}
 
@@ -166,7 +169,10 @@ def _query(paths: SessionPaths) -> str | None:
 
 
 def _recorded(store: Store, row: Standing, say: Callable[[str], None]) -> Standing:
-    """The same, once what has finished is recorded, by us or by whoever follows it; and once what is cancelled has ended."""
+    """Return the status after finished runs are recorded, by this process or by the one that follows the session.
+
+    If the session is cancelled, end its jobs first.
+    """
     paths = store.paths.session(row.session)
     session = Session.adopted(store.paths, paths)
     if session is None:
@@ -180,7 +186,7 @@ def _recorded(store: Store, row: Standing, say: Callable[[str], None]) -> Standi
 
 
 def _asked(store: Store, row: Standing) -> Standing:
-    """The same, with the scheduler's word of its elements."""
+    """Return the status with the scheduler's report on the elements."""
     if row.ended:
         return replace(row, queued=0, running=0)
     paths = store.paths.session(row.session)
@@ -204,7 +210,7 @@ def _asked(store: Store, row: Standing) -> Standing:
 
 
 def _waits(tasks: tuple[Task, ...], probing: tuple[Task, ...]) -> str:
-    """Why elements wait: for the probe, as long as that lives, which may wait itself."""
+    """Return the reason why elements wait: the probe of nodes while its task lives (it may wait too), else the scheduler's."""
     if any(task.state is State.RUNNING for task in probing):
         return PROBED
     if any(task.state is State.QUEUED for task in probing):

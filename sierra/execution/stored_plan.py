@@ -1,7 +1,7 @@
-"""What a batch was made from, recalled from the store: code, inputs, programs and rules, without the query that made them.
+"""Plans rebuilt from the store: code, inputs, programs and rules of a batch, without the query that made them.
 
-A replay executes from it, and so does an asking for a batch by its id: what is missing of it is executed with the code of
-then, whatever the project's files are now.
+A replay executes such a plan. So does `run` with a batch id: missing runs are executed with the recorded code, whatever the
+project's files are now.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from sierra.util.hashing import short
 from sierra.version import __version__
 
 AT_A_TIME = 512
-"""Runs whose input files are in memory."""
+"""Number of runs whose input files are in memory at a time."""
 LAST = """
 WITH asked AS (
     SELECT programs, reading, source, query, lamport FROM sessions WHERE batch = $b
@@ -53,28 +53,28 @@ SELECT declared FROM readings WHERE reading = (SELECT arg_max(reading, lamport) 
 
 
 def last_outputs(store: Store) -> Mapping[str, Output]:
-    """Return what was last declared of outputs."""
+    """Return the output declarations that were used last."""
     rows = store.rows(LAST_DECLARED)
     return rules_of(json.loads(rows[0]["declared"]))[0] if rows else {}
 
 
 @dataclass(frozen=True, slots=True)
 class Recalled:
-    """All that runs of one batch have in common."""
+    """Everything that the runs of one batch have in common."""
 
     batch: str
     recipe: Recipe
     manifest: bytes
-    """The files of the source."""
+    """Manifest of the source: the list of its files."""
     commit: str | None
     programs: Sequence[Mapping[str, Any]]
-    """The rows of `programs`."""
+    """Rows of the table `programs`."""
     fingerprint: str
     outputs: Mapping[str, Output]
     success: Success
 
     def checkout(self, project: LoadedProject, store: Store) -> Checkout:
-        """What restores the code."""
+        """Return the checkout that restores the code."""
         used = tuple((row["name"], row["kind"]) for row in self.programs)
         container = project.config.container if self.recipe.image else None
         mounted = isolation.data(NOTHING, container, project.root) if container else NOTHING
@@ -82,7 +82,7 @@ class Recalled:
 
 
 def recall(store: Store, batch: str, programs: str, reading: str) -> Recalled:
-    """What a batch was made from, when it was executed with these programs and judged by these rules."""
+    """Return the recorded plan of a batch for one set of programs and one set of rules."""
     with store.snapshot() as snapshot:
         made = _one(snapshot, "SELECT r.* FROM recipes r JOIN batches b USING (recipe) WHERE b.batch = $b", b=batch)
         rules = _one(snapshot, "SELECT declared FROM readings WHERE reading = $r", r=reading)
@@ -102,7 +102,10 @@ def recall(store: Store, batch: str, programs: str, reading: str) -> Recalled:
 
 
 def engine(store: Store, batch: str, recipe: Recipe, name: str | None, *, hosted: bool) -> Engine:
-    """What is to contain runs of a recipe: what is asked for, or else what contained those of this batch last."""
+    """Return the engine for the runs of a recipe: the requested one, or the one that this batch used last.
+
+    Raises UsageError if the engine does not fit the recipe.
+    """
     if recipe.image is None:
         if name not in (None, "none"):
             raise UsageError(f"--engine {name}: batch {short(batch)} was executed without an image; leave it out")
@@ -120,7 +123,7 @@ def engine(store: Store, batch: str, recipe: Recipe, name: str | None, *, hosted
 
 
 def image(project: LoadedProject, store: Store, recipe: Recipe) -> Image | None:
-    """The image of a recipe: as it is pinned now, by whatever name, or as it was recorded. Raises Missing."""
+    """Return the image of a recipe: the pinned one with this id, under any name, or the recorded one. Raises Missing."""
     if recipe.image is None:
         return None
     found = next((one for one in images.pins(project.root).values() if one.id == recipe.image), None)
@@ -128,7 +131,7 @@ def image(project: LoadedProject, store: Store, recipe: Recipe) -> Image | None:
 
 
 def image_contents(store: Store, identity: str) -> Contents:
-    """What is recorded of an image. Raises Missing."""
+    """Return the record of an image. Raises Missing."""
     rows = store.rows("SELECT * FROM images WHERE image = $i LIMIT 1", i=identity)
     if not rows:
         raise Missing(f"the image {identity} is neither pinned nor recorded; sierra image import brings it, then pin it")
@@ -138,7 +141,7 @@ def image_contents(store: Store, identity: str) -> Contents:
 def inputs(store: Store, runs: Iterable[Taken]) -> Iterator[tuple[Taken, Files]]:
     """Yield the recorded input files of these runs.
 
-    Raises Damaged where one is not in the store, or has a name that leads out of the folder of its run.
+    Raises Damaged if one is not in the store, or if its name leads out of the folder of its run.
     """
     pending = iter(runs)
     with store.snapshot() as snapshot:
@@ -158,7 +161,7 @@ def inputs(store: Store, runs: Iterable[Taken]) -> Iterator[tuple[Taken, Files]]
 
 @dataclass(frozen=True, slots=True)
 class Inputs:
-    """The recorded input files of a batch; see `sierra.execution.plans.Inputs`."""
+    """Recorded input files of a batch; see `sierra.execution.plans.Inputs`."""
 
     store: Store
 
@@ -170,7 +173,7 @@ class Inputs:
 
 
 def plan(project: LoadedProject, store: Store, prefix: str, *, contained: str | None = None) -> Plan:
-    """A recorded batch, to be executed as it was recorded. Raises NotFound, Missing."""
+    """Return the plan that executes a recorded batch as it was recorded. Raises NotFound, Missing."""
     found = store.resolve(prefix)
     if found.kind != "batch":
         of = f": sierra run {short(found.batch)}" if found.batch else ""
@@ -214,7 +217,7 @@ def plan(project: LoadedProject, store: Store, prefix: str, *, contained: str | 
 
 
 def _batch(store: Store, row: Mapping[str, Any], recipe: Recipe) -> Batch:
-    """A batch as its records have it."""
+    """Return a batch as it is recorded."""
     with store.snapshot(row["batch"]) as snapshot:
         names = tuple(_one(snapshot, "SELECT files FROM recipes WHERE recipe = $r", r=row["recipe"])["files"])
         cells = snapshot.sql("SELECT * FROM experiments WHERE batch = $b ORDER BY ordinal", b=row["batch"]).to_pylist()
@@ -237,7 +240,7 @@ MEMBERS = "SELECT ordinal, number, run, seed, input, others FROM members WHERE b
 
 
 def _one(snapshot: Snapshot, statement: str, **parameters: Any) -> dict[str, Any]:
-    """The one row that a statement gives. Raises Damaged where there is none."""
+    """Return the first row of a statement's result. Raises Damaged if there is none."""
     rows: list[dict[str, Any]] = snapshot.sql(statement, **parameters).to_pylist()
     if not rows:
         table = statement.split(" FROM ")[1].split()[0]

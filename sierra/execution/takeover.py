@@ -1,4 +1,4 @@
-"""Going on with, or ending, what is on a cluster without a process: by the id of its batch, or of its session."""
+"""Takeover of unattended sessions on a cluster, by batch or session id: follow them or cancel them."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from sierra.store.layout import SessionPaths
 from sierra.store.store import Store
 
 PATIENCE_S = 60.0
-"""How long a process that follows may take to end what another one has cancelled."""
+"""Maximum seconds to wait until the process that follows a session ends it after another process cancelled it."""
 POLL_S = 0.2
 
 Say = Callable[[str], None]
@@ -32,23 +32,23 @@ Say = Callable[[str], None]
 
 @dataclass(frozen=True, slots=True)
 class Cancelled:
-    """What became of a session that was cancelled."""
+    """Result of cancelling a session."""
 
     session: str
     batch: str
     kept: int
-    """Runs that had been executed, and are recorded; so `failed`."""
+    """Number of runs that were executed and are recorded. `failed`: how many of these failed."""
     failed: int
     missing: int
-    """Runs that were not executed."""
+    """Number of runs that were not executed."""
     ending: str | None = None
-    """The process that still ends it; None where it has ended."""
+    """Process that still has to end the session; None if it has ended."""
 
 
 def follow(store: Store, prefix: str, watch: Watch, say: Say, leave: Callable[[], bool]) -> Summary:
-    """Follow what nobody follows of a batch, or one session, to its end; how the batch stands then.
+    """Follow a batch's unattended sessions, or one session, to the end; return the state of the batch then.
 
-    Raises NotFound where there is nothing on a cluster, SierraError where other processes follow all of it.
+    Raises NotFound if none is on a cluster, SierraError if other processes follow all of them.
     """
     rows = found(store, prefix)
     told: list[Attached] = []
@@ -72,19 +72,20 @@ def follow(store: Store, prefix: str, watch: Watch, say: Say, leave: Callable[[]
 
 
 def cancel(store: Store, prefix: str, say: Say) -> list[Cancelled]:
-    """Cancel what is on a cluster of a batch, or one session; what had finished is recorded.
+    """Cancel the sessions of a batch on clusters, or one session; finished runs are recorded.
 
-    Raises as `follow`, and Missing where a scheduler is out of reach: whoever looks next goes on, as they are marked so.
+    Raises the same errors as `follow`, and Missing if a scheduler cannot be reached. The sessions stay marked as cancelled, so
+    that the next `sierra` command that looks at them cancels the jobs.
     """
     rows = found(store, prefix)
     for row in rows:
-        with contextlib.suppress(FileNotFoundError):  # it has been closed meanwhile
+        with contextlib.suppress(FileNotFoundError):  # it has been closed
             store.paths.session(row.session).cancelled.touch()
     return [_cancel(store, row, say) for row in rows]
 
 
 def found(store: Store, prefix: str) -> list[Standing]:
-    """What is on a cluster of that name, attended or not. Raises NotFound where nothing is."""
+    """Return the sessions on clusters for this id prefix, attended or not. Raises NotFound if there are none."""
     rows = [row for paths in named(store, prefix) if (row := submitted(paths))]
     if not rows:
         raise NotFound(f"nothing of {prefix!r} is on a cluster now; sierra status shows what is, sierra ls what is recorded")
@@ -96,7 +97,7 @@ def _busy(store: Store, row: Standing) -> str:
 
 
 def _observer(store: Store, row: Standing, watch: Watch, say: Say) -> Observer:
-    """Who hears of one session: progress counts its runs."""
+    """Return the observer of one session, whose progress counts this session's runs."""
     before, failed = counted(store, [row.session])[row.session]
     done: set[str] = set()
     bad: set[str] = set()
@@ -113,7 +114,7 @@ def _observer(store: Store, row: Standing, watch: Watch, say: Say) -> Observer:
 
 
 def _summary(store: Store, batch: str, told: list[Attached], left: list[str], busy: list[str]) -> Summary:
-    """How a batch stands, in the words of an asking for it."""
+    """Return the state of a batch as the summary of a session."""
     shown = listing.show(store, batch)
     counts = tuple(
         Counted({axis: row[axis] for axis in shown["axes"]}, row["runs"], row["good"], row["failed"])
@@ -145,7 +146,7 @@ def _failure(store: Store, row: Mapping[str, Any]) -> Failure:
 
 
 def _cancel(store: Store, row: Standing, say: Say) -> Cancelled:
-    """End one session: it is taken over, or whoever follows it does."""
+    """End one session: take it over, or let the process that follows it end it."""
     paths = store.paths.session(row.session)
     session, ending = Session.adopted(store.paths, paths), None
     if session is None and paths.submission.exists():
@@ -157,7 +158,10 @@ def _cancel(store: Store, row: Standing, say: Say) -> Cancelled:
 
 
 def _asked_to_end(store: Store, paths: SessionPaths) -> tuple[Session | None, str | None]:
-    """Have whoever follows a session end it: the session, where they have left it meanwhile; or who has not ended it yet."""
+    """Let the process that follows a session end it.
+
+    Returns the session if that process has left it, or the name of the process if it has not ended the session in time.
+    """
     holder = sessions.holder(paths)
     with contextlib.suppress(FileNotFoundError, Missing):
         made = Submission.load(paths)

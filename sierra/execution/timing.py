@@ -1,9 +1,9 @@
-"""How long runs are expected to take: as they were timed with the same values, or estimated from other values.
+"""Expected duration of runs: measured with the same values, or estimated from other values.
 
 An estimate is rather too long than too short. Between two timed values of a variable, a run takes as long as the slower of
-the two. Beyond them it grows by a power of the variable, fitted to neighbouring values; with fewer than three timed values,
-it grows at least in proportion. Variables that are text, or were not varied, count as they are. Runs whose values were never
-timed are named, so that some of them can be executed first.
+the two. Beyond them its duration grows by a power of the variable, fitted to neighbouring values; with fewer than three
+timed values, it grows at least in proportion. Variables that are text, or were not varied, do not scale the estimate. Runs
+whose values were never timed are listed, so that some of them can be executed first.
 """
 
 from __future__ import annotations
@@ -19,21 +19,21 @@ from sierra.model import Times, Value
 from sierra.store.store import Store
 
 STEEPEST = 4.0
-"""The highest power with which a run's time is taken to grow; and `MOST`, how many times as long it may become."""
+"""Highest power with which a run's duration may grow; `MOST` is the greatest factor."""
 MOST = 1e6
 
 
 @dataclass(frozen=True, slots=True)
 class Timed:
-    """What good runs with these values took in the mean."""
+    """Mean duration of successful runs with these values."""
 
     values: Mapping[str, Value | None]
-    """None of a variable that had the template's value."""
+    """Values by variable; None for a variable with the template's value."""
     seconds: float
 
 
 def expected(plan: Plan, store: Store | None, runs: AbstractSet[str]) -> Times | None:
-    """What these runs of a plan are expected to take; None where nothing like them was timed."""
+    """Return the expected durations of these runs of a plan; None if no comparable run was timed."""
     known = list(_timed(plan, store)) if store and runs else []
     if not known:
         return None
@@ -48,7 +48,7 @@ def expected(plan: Plan, store: Store | None, runs: AbstractSet[str]) -> Times |
 
 
 def recorded(store: Store, runs: Sequence[str]) -> Times | None:
-    """What these runs, which were executed before, took in the mean; None where none of them was executed well."""
+    """Return the recorded mean durations of these runs; None if none of them succeeded."""
     import pyarrow as pa
 
     with store.snapshot() as snapshot:
@@ -62,7 +62,7 @@ def recorded(store: Store, runs: Sequence[str]) -> Times | None:
 
 
 def estimate(values: Mapping[str, Value], known: Sequence[Timed]) -> float:
-    """The time of a run with values that were never timed, from those that were."""
+    """Return the duration in seconds of a run with values that were never timed, estimated from timed runs."""
     near = [one for one in known if all(_is_near(name, value, one, known) for name, value in values.items())]
     slowest = max(one.seconds for one in near or known)
     return slowest * math.prod(_growth(name, value, known) for name, value in values.items())
@@ -83,7 +83,7 @@ SELECT run, avg(wall) FROM executions SEMI JOIN asked USING (run) WHERE status =
 
 
 def _timed(plan: Plan, store: Store) -> Iterator[Timed]:
-    """What runs with the same command took: with the same controller, scenario and settings; or else with others."""
+    """Yield the durations of runs with the same command, controller, scenario and settings, or else with others."""
     project, query, batch = plan.project.config, plan.query, plan.batch
     with store.snapshot() as snapshot:
         snapshot.views.make(("executions", "members", "experiments", "batches", "recipes"))
@@ -96,7 +96,7 @@ def _timed(plan: Plan, store: Store) -> Iterator[Timed]:
 
 
 def _plain(value: object, *, numeric: bool) -> Value | None:
-    """A value as an axis has it; in a column of several batches, numbers may have become text."""
+    """Return a value as an axis has it; numbers may have become text in a column of several batches."""
     if value is None:
         return None
     if not numeric:
@@ -108,12 +108,12 @@ def _plain(value: object, *, numeric: bool) -> Value | None:
 
 
 def _measured(values: Mapping[str, Value], known: Iterable[Timed]) -> float | None:
-    """What runs with all of these values took."""
+    """Return the duration of runs with all of these values; None if there are none."""
     return max((one.seconds for one in known if all(one.values[name] == values[name] for name in values)), default=None)
 
 
 def _is_near(name: str, value: Value, one: Timed, known: Sequence[Timed]) -> bool:
-    """Whether a timed run has the same value of a variable, or a neighbouring one."""
+    """Check whether a timed run has the same value of a variable, or a neighbouring one."""
     there = one.values[name]
     if there is None or there == value:
         return True
@@ -125,7 +125,7 @@ def _is_near(name: str, value: Value, one: Timed, known: Sequence[Timed]) -> boo
 
 
 def _growth(name: str, value: Value, known: Sequence[Timed]) -> float:
-    """How many times longer a run takes than those with the nearest value, beyond all values that were timed."""
+    """Return the factor by which a run takes longer than runs with the nearest timed value; 1.0 within the timed range."""
     numbers = _numbers(name, known)
     if isinstance(value, str) or not numbers or numbers[0] <= value <= numbers[-1]:
         return 1.0
@@ -145,7 +145,7 @@ def _growth(name: str, value: Value, known: Sequence[Timed]) -> float:
 
 
 def _linear(slowest: Mapping[float, float], end: float, value: float) -> float:
-    """The same along a straight line, for values that have no logarithm."""
+    """Return the factor of `_growth` along a straight line, for values that have no logarithm."""
     slopes = [abs(slowest[b] - slowest[a]) / (b - a) for a, b in itertools.pairwise(sorted(slowest))]
     return min(1.0 + max([0.0, *slopes]) * abs(value - end) / slowest[end], MOST) if slowest[end] > 0 else 1.0
 

@@ -1,4 +1,4 @@
-"""Why runs are new: what differs between a plan and the batch most like it that is recorded."""
+"""Reasons for new runs: differences between a plan and the most similar recorded batch."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ CHANGES = "sierra.toml makes other changes to the template (variables, changes, 
 
 
 def why_new(plan: Plan, store: Store | None) -> list[str]:
-    """What makes the runs of a plan others than those of the last batch over the same axes, a line each."""
+    """Return the differences between a plan and the last batch over the same axes, one line each."""
     if store is None:
         return ["nothing is recorded here yet"]
     if is_kept(plan, store):
@@ -57,7 +57,7 @@ def why_new(plan: Plan, store: Store | None) -> list[str]:
 
 
 def why_other(plan: Plan, store: Store, batch: str) -> list[str]:
-    """What makes the runs of a plan others than those of a recorded batch, a line each."""
+    """Return the differences between a plan and a recorded batch, one line each."""
     [before] = store.rows(
         "SELECT b.*, r.* EXCLUDE (recipe) FROM batches b JOIN recipes r USING (recipe) WHERE b.batch = $b", b=batch
     )
@@ -65,7 +65,10 @@ def why_other(plan: Plan, store: Store, batch: str) -> list[str]:
 
 
 def why_again(plan: Plan, store: Store | None) -> list[str]:
-    """Why the runs of a plan execute again although the same was asked before; empty where it was not, or where they don't."""
+    """Return the reasons why a repeated query executes runs again.
+
+    The list is empty for a query that is not a repetition, or that executes nothing again.
+    """
     if store is None:
         return []
     [known] = store.rows(KNOWN, batch=plan.batch.id)
@@ -89,9 +92,10 @@ LOOKED_AT = 100
 
 
 def respelled(plan: Plan, store: Store) -> Iterator[str]:
-    """Yield a line where runs are new only because a number is written otherwise than in a recorded batch: 0.0 for 0.
+    """Yield a line if runs are new only because a number is written differently than in a recorded batch, such as 0.0 for 0.
 
-    Both are kept as they are written, since a simulator may tell them apart (roslaunch takes 1 for an int, 1.0 for a double).
+    Numbers are kept as they are written, because a simulator may distinguish them (roslaunch takes 1 for an int, 1.0 for a
+    double).
     """
     if not any(isinstance(value, int | float) for axis in plan.batch.axes for value in axis.values):
         return
@@ -112,7 +116,7 @@ def respelled(plan: Plan, store: Store) -> Iterator[str]:
 
 
 def _spelled_otherwise(plan: Plan, before: str) -> tuple[str, Value, Value] | None:
-    """Return the name of an axis and one of its values, now and in another query, that are one number in two spellings."""
+    """Return an axis and one of its values, now and in another query, if the same number is written differently; else None."""
     with contextlib.suppress(SierraError):  # densities have values only with a template
         asked = {one.name: ranges.values(one.scale) for one in grammar.parse_all(before.split())}
         for axis in plan.batch.axes:
@@ -124,7 +128,7 @@ def _spelled_otherwise(plan: Plan, before: str) -> tuple[str, Value, Value] | No
 
 
 def _made_from(plan: Plan, store: Store, before: dict[str, Any]) -> Iterator[str]:
-    """What runs are made from now that they were not then."""
+    """Yield the differences in command, variables, platform, image, source and template."""
     yield from _recipe(plan, before)
     yield from _image(plan, store, before)
     if before["source"] != plan.batch.recipe.source:
@@ -143,7 +147,7 @@ WHERE programs = (
 
 
 def other_programs(plan: Plan, store: Store) -> list[str]:
-    """Which programs are others than those that the batch was last executed with, a line each."""
+    """Return the programs that differ from those of the batch's last execution, one line each."""
     words = mentioned(plan.batch.recipe.command, plan.project.root)
     return list(programs.told(store.rows(PROGRAMS, batch=plan.batch.id), plan.programs, words))
 
@@ -163,7 +167,7 @@ def _recipe(plan: Plan, before: dict[str, Any]) -> list[str]:
 
 
 def _image(plan: Plan, store: Store, before: dict[str, Any]) -> Iterator[str]:
-    """Another image, what is other in it, and what runs reach beyond it."""
+    """Yield the differences of the image, of its content, and of the host access of runs."""
     recipe = plan.batch.recipe
     if before["image"] != recipe.image:
         was, now = _recorded(store, before["image"]), _known(plan, store)
@@ -178,21 +182,21 @@ def _image(plan: Plan, store: Store, before: dict[str, Any]) -> Iterator[str]:
 
 
 def _recorded(store: Store, identity: str | None) -> Contents | None:
-    """What is recorded of an image; None where it can't be read, which is for fsck to say."""
+    """Return the record of an image; None if it cannot be read, which `sierra fsck` reports."""
     with contextlib.suppress(Missing, NotFound, Damaged):
         return stored_plan.image_contents(store, identity) if identity else None
     return None
 
 
 def _known(plan: Plan, store: Store) -> Contents | None:
-    """What is known of a plan's image without reading all of it."""
+    """Return what is known about a plan's image without reading the whole image."""
     if plan.image is None:
         return None
     return images.contents(store.paths, plan.image) or _recorded(store, plan.image.id)
 
 
 def _inside(was: Contents, now: Contents, words: frozenset[str]) -> str:
-    """The packages that differ, else the files."""
+    """Return a line with the packages that differ or, if none do, the files."""
     changes = [
         f"{change.text} ({manager})"
         for manager, those in packages(was.packages, now.packages, words).items()
@@ -214,7 +218,7 @@ def _source(plan: Plan, store: Store, tree: str) -> list[str]:
 
 
 def _asked(plan: Plan, before: dict[str, Any]) -> list[str]:
-    """What is asked for now that was not then."""
+    """Return the differences in the query, one line each."""
     now = batch_row(plan)
     names = [name for name in ASKED if name not in now["axes"]]
     lines = [f"{name} was {before[name]!r} and is {now[name]!r}" for name in names if before[name] != now[name]]

@@ -1,4 +1,7 @@
-"""Which executions count in which batch, and why no other does: the rule of the table `counting`, said in words."""
+"""Effective executions: for each batch, the effective execution of runs, and the reason if there is none.
+
+The module states the rule of the table `counting` in words.
+"""
 
 from __future__ import annotations
 
@@ -18,16 +21,16 @@ SHOWN = 4
 
 @dataclass(frozen=True, slots=True)
 class Standing:
-    """Runs of one batch for which the same holds."""
+    """Group of runs of one batch in the same situation."""
 
     batch: str
     runs: int
     counts: bool
     why: str
     run: str
-    """One of them."""
+    """Id of one of the runs."""
     execution: str | None
-    """Of that run: the one that counts, else its last one."""
+    """Effective execution of that run, or else its last one."""
 
 
 ASKED = f"{LATEST} SELECT programs, reading FROM latest WHERE batch = $b"  # noqa: S608 - of our own parts
@@ -44,7 +47,7 @@ GROUP BY ALL ORDER BY runs DESC, run
 
 
 def standings(snapshot: Snapshot, batches: list[str]) -> Iterator[Standing]:
-    """What holds for the runs in the table `wanted` in each of these batches."""
+    """Yield the situation of the runs in the table `wanted`, in each of these batches."""
     snapshot.views.make(("members", "sessions", "judged", "batches"))
     for batch in batches:
         make_runs(snapshot, Place(batch), "standing", good_first=True, only=" AND m.run IN (SELECT run FROM wanted)")

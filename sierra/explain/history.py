@@ -1,7 +1,8 @@
-"""What happened to some runs, in order: each asking and each replay, and why it executed what it executed.
+"""History of some runs, in order: each session and each replay, and the reason why it executed runs.
 
-An execution is judged against earlier ones of the same run, but for those in flight at the time, as the asking saw them: a
-finding counts from when it was made. The better of several counts: failed, by other rules, with other programs, good.
+An execution is compared with earlier executions of the same run, except those that ran at the same time, as the session saw
+them: a finding is valid from the time when it was made. If there are several, the best one decides. The order is: failed,
+other rules, other programs, successful.
 """
 
 from __future__ import annotations
@@ -22,41 +23,41 @@ SHOWN = 4
 
 @dataclass(frozen=True, slots=True)
 class Cause:
-    """Why some executions happened."""
+    """Reason for some executions."""
 
     executions: int
     why: str
     execution: str
-    """One of them."""
+    """Id of one of the executions."""
     run: str
     new: bool
-    """Whether it was the first execution of these runs."""
+    """True if it was the first execution of these runs."""
 
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """One asking, or one replay."""
+    """One session or one replay."""
 
     session: str
     when: datetime | None
     what: str
-    """`asking`, `replay`, or another purpose."""
+    """Kind: `asking` for a session, `replay`, or another purpose."""
     batch: str
     query: str
     executed: int
-    """Of the runs that this is about; so `failed`."""
+    """Number of executed runs among the selected ones. `failed`: how many of these executions failed."""
     failed: int
     judged: int
-    """Runs of which a recorded execution was judged anew, by other rules."""
+    """Number of runs with a recorded execution that was evaluated again by other rules."""
     other_rules: str
-    """What is other about these rules; empty where none was."""
+    """Differences of these rules; empty if nothing was evaluated again."""
     reused: int | None
-    """Of all runs of its batch; None of a replay, and of an asking that was not recorded."""
+    """Number of reused runs of the whole batch; None for a replay or a session that was not recorded."""
     ended: bool
-    """Whether it came to its end, and was recorded as an asking."""
+    """True if it ended and was recorded."""
     causes: tuple[Cause, ...]
     more: tuple[str, ...] = ()
-    """Why runs were begun, or executed, more often than was asked, on a cluster."""
+    """Reasons why runs were started or executed more often than requested on a cluster."""
 
 
 EXECUTED = """
@@ -123,7 +124,7 @@ REPLAYS = "SELECT replay, kind, target, verdict FROM replays WHERE list_contains
 
 
 def tell(snapshot: Snapshot, batches: Sequence[str]) -> list[Event]:
-    """All that happened to the runs in the table `wanted`, and all askings of these batches."""
+    """Return all events of the runs in the table `wanted`, and all sessions of these batches, in order."""
     snapshot.views.make(("executions", "judged", "findings", "sessions", "replays", "members", "attempts", "copies"))
     snapshot.run(EXECUTED, {"failed": FAILED, "rules": OTHER_RULES, "programs": OTHER_PROGRAMS, "good": GOOD})
     rows = snapshot.sql(CAUSES).to_pylist()
@@ -178,12 +179,12 @@ def _event(
 
 
 def _began(rows: Sequence[Mapping[str, Any]], judged: Mapping[str, Any] | None) -> datetime | None:
-    """Return when a session that was not recorded as an asking had first done something."""
+    """Return the time of the first action of a session without a record."""
     return min((row["started"] for row in rows), default=judged["judged"] if judged else None)
 
 
 def _more(snapshot: Snapshot) -> dict[str, list[str]]:
-    """By session: what was begun, or executed, more often than was asked, and why."""
+    """Return, by session, lines about runs that were started or executed more often than requested, and the reasons."""
     told: dict[str, list[str]] = {}
     for row in snapshot.sql(CUT).to_pylist():
         why = few([trouble for trouble in row["troubles"] if trouble], SHOWN) or "nobody says by what"

@@ -1,4 +1,4 @@
-"""What asking a recorded batch again would do now, with the project as it is."""
+"""Preview of repeating a recorded batch's query now, with the current project."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from sierra.util.hashing import short
 
 
 def again(project: LoadedProject, store: Store, batch: str, runs: Container[str] | None) -> list[str]:
-    """What would happen to these runs (None: to all), a line each. Nothing is executed."""
+    """Return the effect of repeating the query on these runs (None: on all), one line each. Executes nothing."""
     try:
         plan = _plan(project, store, batch)
     except SierraError as error:

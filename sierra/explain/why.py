@@ -1,4 +1,4 @@
-"""Why recorded runs were executed, or not; which executions count, and why; and what asking again would do."""
+"""Reasons why recorded runs were executed or not, their effective executions, and the effect of repeating the query."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from sierra.store.store import Found, Snapshot, Store
 from sierra.util.hashing import short
 
 BATCHES = 10
-"""Batches that are told of."""
+"""Maximum number of batches in the answer."""
 
 ASKED_LAST = """
 SELECT b.batch FROM batches b LEFT JOIN (SELECT batch, max(lamport) AS asked FROM sessions GROUP BY batch) s USING (batch)
@@ -33,23 +33,23 @@ ORDER BY CASE WHEN s.asked < this.lamport THEN s.asked ELSE b.lamport END DESC L
 
 @dataclass(frozen=True, slots=True)
 class Why:
-    """The answer."""
+    """Answer to `sierra why`."""
 
     found: Found
     runs: int
     story: tuple[Event, ...]
-    """In order. Of an execution: only that in which it happened."""
+    """Events in order; for an execution, only the event of that execution."""
     new_because: Mapping[str, tuple[str, ...]]
-    """By the batch that new runs were executed for: compared with which batch they were new, and what differs."""
+    """Lines by batch with new runs: the batch that it is compared with, and the differences."""
     standings: tuple[Standing, ...]
     again: tuple[str, ...]
-    """What asking again would do to these runs."""
+    """Effect of repeating the query on these runs."""
     clusters: tuple[OnCluster, ...] = ()
-    """What is on clusters now with some of these runs."""
+    """Sessions on clusters with some of these runs."""
 
 
 def why(project: LoadedProject, store: Store, prefix: str) -> Why:
-    """Why what an id names was executed, or not. Raises NotFound."""
+    """Return the reasons why the runs of an id were executed or not. Raises NotFound."""
     found = store.resolve(prefix)
     with store.snapshot() as snapshot:
         snapshot.run("SET threads = 1")
@@ -70,7 +70,10 @@ def why(project: LoadedProject, store: Store, prefix: str) -> Why:
 
 
 def _runs(snapshot: Snapshot, found: Found) -> list[str]:
-    """Make the table `wanted` of the runs that are meant; the batches to tell of, the last asked for first."""
+    """Create the table `wanted` of the runs of an id.
+
+    Returns the batches that the answer covers, last used first.
+    """
     if found.kind == "batch":
         snapshot.views.make(("members",))
         snapshot.run("CREATE TEMP TABLE wanted AS SELECT DISTINCT run FROM members WHERE batch = $b", {"b": found.id})
@@ -97,7 +100,7 @@ def _before(snapshot: Snapshot, batch: str) -> str | None:
 
 
 def _because(project: LoadedProject, store: Store, batch: str, before: str | None) -> Iterator[str]:
-    """Why the runs of a batch were new when it was asked for first."""
+    """Yield the reasons why the runs of a batch were new in its first session."""
     if before is None:
         yield "nothing over these variables was recorded before"
         return

@@ -1,7 +1,7 @@
-"""How far two executions of one run agree: verdicts, from identical to different, and where they part.
+"""Comparison of values: verdicts from identical to different, and the first place where two outputs differ.
 
-Values are compared, never texts: NaN agrees with NaN, a missing value with a missing value, 1 with 1.0. A distance is taken
-between doubles: absolute, relative to the recorded number, and in units in the last place of the greater one.
+Values are compared, never texts: NaN equals NaN, a missing value equals a missing value, and 1 equals 1.0. Distances are
+computed between doubles: absolute, relative to the recorded number, and in units in the last place of the greater one.
 """
 
 from __future__ import annotations
@@ -18,33 +18,33 @@ from sierra.config.project_file import Tolerance
 from sierra.util.text import counted, few
 
 STEPS = 10
-"""Parts of the rows for which the growth of a difference is told."""
+"""Number of parts of the rows for which the growth of a difference is reported."""
 EXACT = Tolerance()
 MANY_ULP = 1e6
-"""From which on units in the last place tell nobody anything."""
+"""Units in the last place from which on the number is not informative."""
 NAMED = 4
-"""Columns that are named in a line; others are counted."""
+"""Number of columns that a line names; others are only counted."""
 LONGEST = 80
-"""Characters of a value that a line shows."""
+"""Maximum number of characters of a value in a line."""
 EXACT_UP_TO = 2.0**52
-"""Whole numbers below are their doubles, and so are the distances between them."""
+"""Limit below which whole numbers are exact as doubles, and so are the distances between them."""
 LARGEST_ULP = 2.0**971
-"""That of the greatest double, for which numpy says infinity."""
+"""Unit in the last place of the greatest double, for which numpy returns infinity."""
 
 
 class Verdict(StrEnum):
-    """How far something agrees with its record; each is weaker than the one before."""
+    """Verdict of a comparison with the record; each one is weaker than the one before."""
 
     IDENTICAL = "identical"
-    """The same bytes."""
+    """Identical bytes."""
     EQUAL = "equal"
-    """The same values; what was declared volatile, or how numbers are written, differs."""
+    """Equal values. Only parts that are declared volatile, or the notation of numbers, differ."""
     WITHIN = "within tolerance"
     EQUIVALENT = "equivalent"
-    """Other values; but over the runs of a whole experiment, the declared metrics are the same within their margins."""
+    """Different values, but the declared metrics over all runs of the experiment are the same within their margins."""
     DIFFERENT = "different"
     FAILED = "failed"
-    """It did not execute to a good end."""
+    """The run was executed again without success."""
 
     @property
     def fine(self) -> bool:
@@ -52,54 +52,54 @@ class Verdict(StrEnum):
 
 
 def worst(verdicts: Iterable[Verdict]) -> Verdict:
-    """The weakest of these; identical where there are none."""
+    """Return the weakest of these verdicts; identical if there are none."""
     order = list(Verdict)
     return max(verdicts, key=order.index, default=Verdict.IDENTICAL)
 
 
 @dataclass(frozen=True, slots=True)
 class Agreement:
-    """What came of comparing one output: the verdict, and for tables where they part and how far they are apart at worst."""
+    """Result of comparing one output: the verdict, and for tables the first difference and the greatest distances."""
 
     verdict: Verdict
     why: str = ""
-    """In a line; empty where they are identical."""
+    """Explanation in one line; empty if the outputs are identical."""
     row: int | None = None
-    """The first row, from 0, in which they differ."""
+    """First row that differs, counted from 0."""
     column: str | None = None
     recorded: str | None = None
     found: str | None = None
     abs: float | None = None
-    """The greatest distance."""
+    """Greatest absolute distance; `rel` is the greatest relative one, `ulp` the greatest in units in the last place."""
     rel: float | None = None
     ulp: float | None = None
     growth: tuple[tuple[Any, float], ...] = ()
-    """For each tenth of the rows: its last time (or row, without a time), and the greatest absolute distance in it."""
+    """For each tenth of the rows: its last time (or row number, without a time), and its greatest absolute distance."""
     form: bool = False
-    """Whether not values differ, but what there is: a file, or the columns of a table."""
+    """True if the form differs instead of values: a missing or additional file, or other columns of a table."""
 
 
 @dataclass(frozen=True, slots=True)
 class Rules:
-    """By what two tables are compared."""
+    """Rules for the comparison of two tables."""
 
     tolerance: Mapping[str, Tolerance] = field(default_factory=dict)
-    """By column; `*` stands for those that are not named."""
+    """Tolerances by column; `*` stands for all other columns."""
     volatile: Sequence[str] = ()
     """Columns that are not compared."""
     time: str = ""
-    """The column in whose terms it is said where tables part; the row's number without."""
+    """Time column that locates a difference; without one, row numbers locate it."""
     ordered: bool = True
-    """Whether the order of rows means anything."""
+    """True if the order of rows is significant."""
 
     def of(self, column: str) -> Tolerance:
         return self.tolerance.get(column, self.tolerance.get("*", EXACT))
 
 
 def of_tables(recorded: Any, found: Any, rules: Rules | None = None) -> Agreement:
-    """Compare two pyarrow tables, row by row; where their order means nothing, each sorted by all columns, numbers last.
+    """Compare two pyarrow tables, row by row. If the order of rows is not significant, sort both by all columns, numbers last.
 
-    Where only one of them has a column, or they have different numbers of rows, what both have is compared as well.
+    If only one table has a column, or their numbers of rows differ, the common part is compared as well.
     """
     rules = rules or Rules()
     old, new = ([name for name in table.column_names if name not in rules.volatile] for table in (recorded, found))
@@ -113,7 +113,7 @@ def of_tables(recorded: Any, found: Any, rules: Rules | None = None) -> Agreemen
 
 
 def other_columns(was: Sequence[str], now: Sequence[str]) -> str:
-    """Say in a line which columns only one of two tables has, the first few by name."""
+    """Return a line with the columns that only one of two tables has; it names the first few."""
     lost, more = ([name for name in a if name not in b] for a, b in ((was, now), (now, was)))
     sides = [
         f"{few([_cut(repr(name)) for name in names], NAMED)} {what}" for names, what in ((lost, "gone"), (more, "new")) if names
@@ -140,7 +140,7 @@ def _volatile(recorded: Any, found: Any, rules: Rules) -> list[str]:
 
 
 def _alike(recorded: Any, found: Any, name: str) -> bool:
-    """Return whether two tables have the same column of that name."""
+    """Check whether two tables have the same column of that name."""
     if name not in recorded.column_names or name not in found.column_names or recorded.num_rows != found.num_rows:
         return False
     old, new = (_plain(table.select([name])).column(0) for table in (recorded, found))
@@ -148,7 +148,7 @@ def _alike(recorded: Any, found: Any, name: str) -> bool:
 
 
 def _plain(table: Any) -> Any:
-    """The table, with columns of lists, structures and the like, which Arrow compares and sorts not, as texts."""
+    """Return the table with nested and similar columns as texts, because Arrow cannot compare or sort them."""
     import pyarrow as pa
 
     kinds = (pa.types.is_nested, pa.types.is_interval, pa.types.is_dictionary, pa.types.is_null)
@@ -160,7 +160,7 @@ def _plain(table: Any) -> Any:
 
 
 def _of_rows(recorded: Any, found: Any, rules: Rules, unlike: Sequence[str] = ()) -> Agreement:
-    """Compare tables of the same columns; `unlike` are the volatile columns beside these that differ."""
+    """Compare tables with the same columns; `unlike` are volatile columns that differ."""
     time = recorded.column(rules.time) if rules.time in recorded.column_names else None
     distances = [_Distance(name, recorded.column(name), found.column(name), time) for name in recorded.column_names]
     parted = [one for one in distances if one.first is not None]
@@ -177,7 +177,7 @@ def _of_rows(recorded: Any, found: Any, rules: Rules, unlike: Sequence[str] = ()
 
 
 def _equal(distances: Sequence[_Distance], unlike: Sequence[str]) -> str:
-    """Say why two tables of other bytes are equal."""
+    """Return the reason why two tables with different bytes are equal."""
     digits = " (of fractions, the 17 digits that a number holds)" * any(one.fractions for one in distances)
     if not unlike:
         return f"the same values{digits}, written in other bytes"
@@ -188,7 +188,7 @@ def _equal(distances: Sequence[_Distance], unlike: Sequence[str]) -> str:
 
 
 def _other_length(was: int, now: int, parted: Sequence[_Distance]) -> Agreement:
-    """Say that tables have different numbers of rows, and how the rows that both have compare."""
+    """Return the result for tables with different numbers of rows, with a comparison of the rows that both have."""
     why = f"{was} rows were recorded, {now} found"
     first = min(parted, key=lambda one: one.first or 0, default=None)
     if first is None:
@@ -197,7 +197,7 @@ def _other_length(was: int, now: int, parted: Sequence[_Distance]) -> Agreement:
 
 
 def _in_a_line(first: _Distance, parted: Sequence[_Distance]) -> str:
-    """Say where tables part first, how far they are apart there, and which columns differ in how many rows."""
+    """Return a line with the first difference, the greatest distance in its column, and the columns and rows that differ."""
     parts = [first.where(), *([text] if (text := first.how_far()) else [])]
     if len(parted) > 1:
         ordered = [first, *(one for one in parted if one is not first)]
@@ -208,7 +208,10 @@ def _in_a_line(first: _Distance, parted: Sequence[_Distance]) -> str:
 
 
 def _sorted(table: Any) -> Any:
-    """The rows in the order of their values: texts and whole numbers first, which tell rows apart though others waver."""
+    """Return the rows sorted by their values.
+
+    Texts and whole numbers are the first keys, because they identify rows even if floating-point values vary.
+    """
     import pyarrow as pa
 
     names = sorted(table.column_names, key=lambda name: pa.types.is_floating(table.column(name).type))
@@ -216,7 +219,7 @@ def _sorted(table: Any) -> Any:
 
 
 def of_texts(recorded: bytes, found: bytes, volatile: Sequence[str] = ()) -> Agreement:
-    """Compare two files line by line, without lines in which one of the regular expressions `volatile` is found."""
+    """Compare two files line by line, without lines that match one of the regular expressions `volatile`."""
     patterns = [re.compile(pattern.encode()) for pattern in volatile]
     ours, theirs = (
         [line for line in content.split(b"\n") if not any(pattern.search(line) for pattern in patterns)]
@@ -237,7 +240,7 @@ def of_texts(recorded: bytes, found: bytes, volatile: Sequence[str] = ()) -> Agr
 
 
 def _is_text(content: bytes) -> bool:
-    """Return whether people read it: UTF-8 without the character NUL."""
+    """Check whether content is text: UTF-8 without the character NUL."""
     try:
         return b"\0" not in content and content.decode() is not None
     except UnicodeDecodeError:
@@ -245,7 +248,7 @@ def _is_text(content: bytes) -> bool:
 
 
 def _of_bytes(recorded: bytes, found: bytes) -> str:
-    """Say in a line how two files differ that nobody reads."""
+    """Return a line that describes the difference of two binary files."""
     import numpy as np
 
     shorter = min(len(recorded), len(found))
@@ -256,7 +259,7 @@ def _of_bytes(recorded: bytes, found: bytes) -> str:
 
 
 class _Distance:
-    """How far one column of two tables is apart, in the rows that both have."""
+    """Distances of one column of two tables, in the rows that both have."""
 
     def __init__(self, name: str, recorded: Any, found: Any, time: Any = None) -> None:
         import numpy as np
@@ -291,7 +294,7 @@ class _Distance:
             self.growth = tuple((self._when(int(part[-1])), float(apart[part].max())) for part in parts)
 
     def _exactly(self, np: Any, apart: Any, size: Any) -> None:
-        """Take anew the distances of numbers that doubles do not tell apart: large whole ones, and decimals."""
+        """Compute exact distances for numbers that doubles cannot distinguish: large whole numbers, and decimals."""
         if not any(_is_exact(column.type) for column in (self._recorded, self._found)):
             return
         whole = all(_is_whole(column.type) for column in (self._recorded, self._found))
@@ -317,15 +320,15 @@ class _Distance:
         return f"row {self.first}{at}: {self.called()} was {was} and is {now}"
 
     def called(self) -> str:
-        """Its name as a line has it."""
+        """Return the column's name for a line."""
         return _cut(repr(self.name))
 
     def rows(self) -> str:
-        """In how many rows it differs."""
+        """Return the number of rows that differ."""
         return f"{int(self._apart.sum())} of {counted(len(self._apart), 'row')}"
 
     def how_far(self) -> str:
-        """How far numbers are apart at worst; empty where one of them is none, or is not finite."""
+        """Return the greatest distance as text; empty if the column is not numeric, or if the distance is not finite."""
         return f"at worst {self.far()}" if self.numeric and self.abs < float("inf") else ""
 
     def far(self) -> str:
@@ -347,17 +350,17 @@ class _Distance:
 
 
 def distance(far: float) -> str:
-    """Write a distance; one from a number to what is none, or is infinite, is not a number."""
+    """Return a distance as text; one that is not finite is not written as a number."""
     return f"{far:.3g}" if far < float("inf") else "by no number"
 
 
 def _value(value: Any) -> str:
-    """A cell as a line has it."""
+    """Return a cell's value for a line."""
     return "missing" if value is None else _cut(str(value) if isinstance(value, Decimal) else repr(value))
 
 
 def _or_infinite(values: Any) -> Any:
-    """Distances, of which those that are no number count as infinite."""
+    """Return the distances with NaN replaced by infinity."""
     import numpy as np
 
     return np.where(np.isnan(values), np.inf, values)
@@ -388,7 +391,7 @@ def _doubles(column: Any) -> Any:
 
 
 def _differ(recorded: Any, found: Any) -> Any:
-    """Where two columns differ, as a numpy array of truth values."""
+    """Return where two columns differ, as a numpy array of bool."""
     import numpy as np
     import pyarrow as pa
     import pyarrow.compute as pc

@@ -1,6 +1,6 @@
-"""Executing one run of a batch twice before the others, to say whether the same run gives the same bytes.
+"""Determinism probe: execute one run of a batch twice before the others, to see if it gives the same bytes.
 
-The first execution is that of the batch; the second is a replay of it, recorded as such.
+The first execution belongs to the batch. The second one is a replay of it and is recorded as a replay.
 """
 
 from __future__ import annotations
@@ -20,7 +20,10 @@ from sierra.util.hashing import short
 
 
 def probe(plan: Plan, store: Store, options: RunOptions) -> tuple[str, ...]:
-    """Probe the first run that has no good execution; what came of it. Nothing where there is none, or it fails."""
+    """Execute the first run without a successful execution twice; return the result as notes.
+
+    Returns nothing if there is no such run, or if it fails. Raises KeyboardInterrupt when it is interrupted.
+    """
     found = states(plan, store)
     run = next((run.id for run in plan.batch.runs if not found[run.id].good), None)
     if run is None:

@@ -1,7 +1,7 @@
-"""Runs that are not deterministic, compared in a replay by what the project declares: `[equivalence.NAME]`.
+"""Equivalence of nondeterministic runs in a replay, by the project's declarations `[equivalence.NAME]`.
 
-Over the runs of one experiment, what they gave is held against what they give now, pair by pair, in a test of equivalence
-(see `sierra.stats.equivalence`). A run that has a value in only one of the two makes a metric not comparable.
+For each experiment, recorded and new values of the same runs are compared pair by pair with an equivalence test (see
+`sierra.stats.equivalence`). If a run has a value in only one of the two, the metric cannot be compared.
 """
 
 from __future__ import annotations
@@ -18,21 +18,21 @@ from sierra.store.samples import Column, Frame
 from sierra.store.store import Store
 
 Values = dict[str, dict[tuple[int, str], float]]
-"""By metric: what each run of an experiment (its place) was reduced to."""
+"""By metric: the value of each run, by (experiment's place, run id)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Metric:
-    """One metric of one experiment, compared."""
+    """Comparison of one metric in one experiment."""
 
     name: str
     declared: Equivalence
     was: float | None
-    """The recorded mean."""
+    """Recorded mean."""
     now: float | None
     tested: equivalence.Tested | None
     why: str
-    """In a line."""
+    """Explanation in one line."""
 
     @property
     def equivalent(self) -> bool:
@@ -42,8 +42,9 @@ class Metric:
 def values(
     store: Store, batch: str, executions: Mapping[str, str], metrics: Mapping[str, Equivalence], outputs: Mapping[str, Output]
 ) -> Values:
-    """What the given execution of each run comes to, by metric. Raises NotFound for an output or a column that is not there,
-    or of which runs have several values at one time.
+    """Return the value of the given execution of each run, by metric.
+
+    Raises NotFound for an output or a column that does not exist, or if runs have several values at one time.
     """
     found: Values = {}
     with Frame(store, batch, executions) as frame:
@@ -69,7 +70,7 @@ def _check_single(column: Column) -> None:
 
 
 def compare(metrics: Mapping[str, Equivalence], was: Values, now: Values, ordinal: int, runs: list[str]) -> Iterator[Metric]:
-    """Each metric of the experiment at a place in its batch, over these runs."""
+    """Yield the comparison of each metric of one experiment (`ordinal` is its place in the batch), over these runs."""
     for name, metric in metrics.items():
         pairs = [(was[name].get((ordinal, run), math.nan), now[name].get((ordinal, run), math.nan)) for run in runs]
         yield _compare(name, metric, [pair for pair in pairs if not all(map(math.isnan, pair))])

@@ -1,7 +1,8 @@
-"""Executing on this machine itself what was recorded in an image: with this machine's programs, which may be others.
+"""Check of this machine's programs before it executes runs that were recorded in an image.
 
-What counts is what counts without an image (see `sierra.provenance.programs`): programs, the libraries that they load, what a
-Python has installed. What is not in the image, where it is here, as the same file, is named before anything executes.
+It checks the same things that are recorded without an image (see `sierra.provenance.programs`): programs, the libraries that
+they load, and the distributions of a Python. Everything that the image does not have as the same file at the same path is
+reported before anything executes.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ SHOWN = 3
 
 
 def unlike(recipe: Recipe, inside: Contents, root: Path) -> Iterator[str]:
-    """Yield a line that says which of this machine's programs are not the image's, if any are; the code lies in `root`.
+    """Yield a line with those of this machine's programs that differ from the image's, if any; the code is in `root`.
 
     Raises Missing for a program that is not on this machine.
     """
@@ -33,7 +34,7 @@ def unlike(recipe: Recipe, inside: Contents, root: Path) -> Iterator[str]:
 
 
 def _other(one: Program, inside: Contents, root: Path) -> str | None:
-    """How one thing here differs from the image's; None where it does not."""
+    """Return the difference between one program or file here and in the image; None if they are the same."""
     if one.kind == Kind.DISTRIBUTIONS:
         lines = set((one.version or "").splitlines())
         lacking = sorted(lines - set(inside.packages.get("python", ())))

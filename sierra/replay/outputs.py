@@ -1,4 +1,4 @@
-"""What two executions wrote, compared file by file: bytes first, values where those differ."""
+"""Comparison of the outputs of two executions, file by file: bytes first, then values if the bytes differ."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ from sierra.store.results import objects, rows_of
 from sierra.store.store import Snapshot
 
 BYTES = 64 << 20
-"""Of files that are compared at a time, as large as they were."""
+"""Maximum total size, in bytes, of the recorded files that are compared at a time."""
 PAIRS = 1000
 
 Artifact = Mapping[str, Any]
-"""A row of `artifacts`."""
+"""Row of `artifacts`."""
 Artifacts = Mapping[str, Artifact]
-"""What one execution left, without logs, by path."""
+"""Artifacts of one execution by path, without logs."""
 _Pair = tuple[tuple[str, str], list[tuple[Artifact, Artifact]]]
-"""Two executions, and the files of both that have other bytes."""
+"""Pair of executions, and the files of both whose bytes differ."""
 
 
 def compare(snapshot: Snapshot, recorded: str, found: str, declared: Mapping[str, Output]) -> dict[str | None, Agreement]:
-    """How far what the execution `found` wrote agrees with what `recorded` did, by path; both are judgements of executions.
+    """Compare the outputs of `found` with those of `recorded`, by path; both are judgements of executions.
 
-    `declared` says what is volatile and which tolerance holds. Raises Damaged where the store lacks one of them.
+    `declared` gives volatile parts and tolerances. Raises Damaged if the store lacks an output.
     """
     return next(compare_all(snapshot, [(recorded, found)], declared))
 
@@ -39,7 +39,7 @@ def compare(snapshot: Snapshot, recorded: str, found: str, declared: Mapping[str
 def compare_all(
     snapshot: Snapshot, pairs: Sequence[tuple[str, str]], declared: Mapping[str, Output]
 ) -> Iterator[dict[str | None, Agreement]]:
-    """As `compare`, of many executions, a few of them in memory at a time."""
+    """Yield the result of `compare` for each pair of executions, with only a few of them in memory at a time."""
     left = _artifacts(snapshot, (execution for pair in pairs for execution in pair))
     counted = _counted(snapshot, left)
     for some in _by_weight((pair, list(_unlike(*(left[one] for one in pair)))) for pair in pairs):
@@ -50,7 +50,7 @@ def compare_all(
 
 
 def _artifacts(snapshot: Snapshot, executions: Iterable[str]) -> dict[str, Artifacts]:
-    """What each of these executions left."""
+    """Return the artifacts of each of these executions."""
     import pyarrow as pa
 
     left: dict[str, dict[str, Artifact]] = {execution: {} for execution in executions}
@@ -64,21 +64,21 @@ def _artifacts(snapshot: Snapshot, executions: Iterable[str]) -> dict[str, Artif
 def _counted(snapshot: Snapshot, left: Mapping[str, Artifacts]) -> Counter[tuple[str, str, str | None]]:
     """Return how many rows the store has of each table of these executions, counted without DuckDB.
 
-    The key is an execution, an output and, where there are several files of it, which.
+    The key is an execution, an output and, if the output has several files, the file.
     """
     outputs = {row["output"] for rows in left.values() for row in rows.values() if row["kind"] == "table"}
     counted: Counter[tuple[str, str, str | None]] = Counter()
     for segment in holding(snapshot, sorted(left)) if outputs else ():
         for output, path in segment.outputs():
             if output in outputs:
-                with contextlib.suppress(Damaged):  # what is not read is not counted, and said so
+                with contextlib.suppress(Damaged):  # a damaged file is not counted, and its rows are reported as missing
                     rows = rows_by_file(path).items()
                     counted.update({(one, output, file): count for (one, file), count in rows if one in left})
     return counted
 
 
 def _by_weight(pairs: Iterable[_Pair]) -> Iterator[list[_Pair]]:
-    """Pairs of which not too much must be read at a time; one at least."""
+    """Yield groups of pairs of limited total size; each group has at least one pair."""
     some: list[_Pair] = []
     weight = 0
     for pair in pairs:
@@ -92,7 +92,7 @@ def _by_weight(pairs: Iterable[_Pair]) -> Iterator[list[_Pair]]:
 
 
 def _unlike(was: Artifacts, now: Artifacts) -> Iterator[tuple[Artifact, Artifact]]:
-    """The files that are in both, with other bytes."""
+    """Yield the files that both have, with different bytes."""
     for path in was.keys() & now.keys():
         if was[path]["sha256"] != now[path]["sha256"]:
             yield was[path], now[path]
@@ -103,12 +103,12 @@ def _same_kind(was: Artifact, now: Artifact) -> bool:
 
 
 class _Contents:
-    """What some artifacts hold."""
+    """Content of some artifacts."""
 
     def __init__(
         self, snapshot: Snapshot, artifacts: Sequence[Artifact], counted: Mapping[tuple[str, str, str | None], int]
     ) -> None:
-        """`counted`: the rows of all tables that are compared, by another count."""
+        """Read the artifacts; `counted` has the rows of all compared tables, counted in another way."""
         self._counted = counted
         tables = [one for one in artifacts if one["kind"] == "table"]
         files = [one["sha256"] for one in artifacts if one["kind"] != "table"]
@@ -125,7 +125,7 @@ class _Contents:
         return rows
 
     def lost(self, was: Artifact, now: Artifact) -> str | None:
-        """Return how two tables of the same bytes are not as many rows in the store; None where they are."""
+        """Return the difference between the store's row counts of two tables with the same bytes; None if there is none."""
         for whose, one, other in (("recorded", was, now), ("new", now, was)):
             known = [row["counted"] for row in (one, other) if row["counted"] is not None]
             truth = next(iter(known), one["rows"])
@@ -154,20 +154,20 @@ def _of_artifacts(
 
 
 def _identical(contents: _Contents, was: Artifact, now: Artifact) -> Agreement:
-    """Return how far one output agrees, whose bytes are the same: of a table, the store must have all rows."""
+    """Compare one output with identical bytes; the store must have all rows of a table."""
     tables = was["kind"] == now["kind"] == "table"
     lost = contents.lost(was, now) if tables else None
     return Agreement(Verdict.DIFFERENT, lost, form=True) if lost else Agreement(Verdict.IDENTICAL)
 
 
 def _key(artifact: Artifact) -> tuple[str, str, str | None]:
-    """Return what names a table in the store: the execution, the output and, where there are several files, which."""
+    """Return the key of a table in the store: the execution, the output and, if it has several files, the file's path."""
     several = json.loads(artifact["form"] or "{}").get("file", "") is None
     return artifact["execution"], artifact["output"], artifact["path"] if several else None
 
 
 def _output(contents: _Contents, was: Artifact, now: Artifact, declared: Mapping[str, Output]) -> Agreement:
-    """How far one output agrees, whose bytes differ."""
+    """Compare one output whose bytes differ."""
     rules = declared.get(was["output"] or "") or next((o for o in declared.values() if o.matches(was["path"])), None)
     volatile = rules.volatile if rules else ()
     if not _same_kind(was, now):
@@ -181,7 +181,7 @@ def _output(contents: _Contents, was: Artifact, now: Artifact, declared: Mapping
 
 
 def _without_rows(was: Artifact, now: Artifact) -> Agreement:
-    """Two tables of which one or both have no row, and so are nothing but their columns' names."""
+    """Compare two tables by their columns' names; one or both of them have no rows."""
     columns, others = (list(json.loads(one["form"] or "{}").get("columns", ())) for one in (was, now))
     if columns != others:
         return Agreement(Verdict.DIFFERENT, other_columns(columns, others), form=True)

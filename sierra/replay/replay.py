@@ -1,8 +1,8 @@
-"""Executing recorded runs again, from the record alone, and saying how far they agree with it.
+"""Replay: execute recorded runs again, from the record alone, and compare the outcome with the record.
 
-The source is restored to a folder of the replay's own, inputs come from the store, programs are compared with the record
-before anything executes. What is executed is recorded as further executions of the same runs, with the purpose `replay`:
-these never count in statistics, and nothing that was recorded changes.
+The source is restored to the replay's own folder, inputs come from the store, and programs are compared with the record
+before anything executes. The executions are recorded as further executions of the same runs, with the purpose `replay`:
+they are never effective in statistics, and existing records do not change.
 """
 
 from __future__ import annotations
@@ -47,41 +47,41 @@ from sierra.util.signals import noted
 from sierra.version import __version__
 
 ARITHMETIC = ("machine", "cpu_flags", "gpus", "libc", "container")
-"""What of a machine may change the results of the same programs."""
+"""Facts about a machine that may change the results of the same programs."""
 
 
 @dataclass(frozen=True, slots=True)
 class ReplayOptions:
-    """How to replay."""
+    """Options of a replay."""
 
     slots: int
     runs: int | None = None
-    """The first so many of each experiment alone."""
+    """Number of runs to replay per experiment, from the first; None for all."""
     runner: str = "local"
     engine: str | None = None
-    """What contains them; that which did, where it is not said."""
+    """Name of the engine; None for the one that was used before."""
     tolerances: Tolerances = field(default_factory=dict)
-    """Instead of what the project declares."""
+    """Tolerances that override those of the project."""
     keep: bool = False
-    """Whether to leave the restored source and the folders of the runs."""
+    """True to keep the restored source and the folders of the runs."""
 
 
 @dataclass(slots=True)
 class _Record:
-    """What the store has of what is replayed."""
+    """Recorded data of the runs to replay."""
 
     found: Found
     of: Recalled
     runs: list[Taken]
     named: int
-    """How many runs the id names, also such as have no good execution."""
+    """Number of runs that the id names, including runs without a successful execution."""
     whole: bool
-    """Whether all good runs of each experiment are among them."""
+    """True if all successful runs of each experiment are replayed."""
     cells: dict[int, dict[str, Any]]
-    """The values of each experiment, by its place in the batch."""
+    """Values of each experiment, by its place in the batch."""
     seeds: dict[str, int]
     tables: dict[str, list[str]]
-    """The columns of the outputs that are tables."""
+    """Columns of each output that is a table."""
     environment: str
     notes: list[str]
 
@@ -94,9 +94,9 @@ def replay(
     watch: Watch = lambda progress: None,
     say: Callable[[str], None] = lambda text: None,
 ) -> Replay:
-    """Execute again what an id names, and compare. `say` hears what is other than it was recorded, before anything executes.
+    """Execute the runs of an id again and compare. `say` receives deviations from the record, before anything executes.
 
-    Raises NotFound for what is not there, Missing for what is needed and gone: the source, a program, an input.
+    Raises NotFound for an unknown id, Missing if the source, a program or an input no longer exists.
     """
     if not os.access(store.paths.root, os.W_OK):
         raise Missing(f"cannot write to {store.paths.root}; a replay with --no-record does not need to")
@@ -200,15 +200,15 @@ def unrecorded(
     watch: Watch = lambda progress: None,
     say: Callable[[str], None] = lambda text: None,
 ) -> Replay:
-    """Do as `replay` does, and write nothing to the store: all is recorded in one beside it, which is removed at the end.
+    """Replay without a record: a temporary store records everything, and is removed at the end.
 
-    Raises the same, and UsageError for what would need the record: to keep folders, or to execute on a cluster.
+    Raises the same errors as `replay`, and UsageError for options that need the record: to keep folders, or to use a cluster.
     """
     if options.keep:
         raise UsageError("--keep leaves folders in the store; ask without --no-record")
     if runners.find(options.runner, project.config.runners)(options.slots).stays:
         raise UsageError(f"what {options.runner!r} executes is found again by the record; ask without --no-record")
-    own = project.config.store.model_copy(update={"work": None})  # what is beside is elsewhere already
+    own = project.config.store.model_copy(update={"work": None})  # the temporary store is in that folder already
     inner = replace(project, config=project.config.model_copy(update={"store": own}))
     with store.beside(project.config.store.place()) as other:
         return replay(inner, other, prefix, options, watch, say)
@@ -260,7 +260,7 @@ def _look_up(store: Store, found: Found, runs: int | None) -> _Record:
 
 
 def _columns(forms: list[str | None]) -> list[str]:
-    """Return the columns of tables, as SQL calls them, by what is recorded of their form."""
+    """Return the columns of tables by their names in SQL, from the recorded forms of these tables."""
     named = (column_names(list(json.loads(form or "{}").get("columns", ()))) for form in forms)
     return list(dict.fromkeys(name for names in named for name in names))
 
@@ -269,13 +269,17 @@ TABLES = """
 SELECT output, list(DISTINCT form ORDER BY form) AS forms FROM judged_artifacts SEMI JOIN taken USING (execution)
 WHERE kind = 'table' GROUP BY output
 """
-"""What is recorded of the form of tables, by their output."""
+"""SQL: the recorded forms of tables, by output."""
 WROTE = "SELECT DISTINCT execution FROM judged_artifacts SEMI JOIN taken USING (execution) WHERE kind <> 'log'"
-"""The executions that left files, or tables."""
+"""SQL: the executions that left files or tables."""
 
 
 def _declared(record: _Record, project: LoadedProject, tolerances: Tolerances) -> dict[str, Output]:
-    """The rules to compare by: of outputs as they were recorded, as the project has them now, with the tolerances asked for."""
+    """Return the rules for the comparison, by output.
+
+    These are the recorded declarations, overridden by the project's current ones and by the requested tolerances.
+    Raises UsageError for an unknown output or column.
+    """
     declared = {**record.of.outputs, **project.config.outputs}
     known = sorted({*declared, *record.tables})
     if unknown := tolerances.keys() - {"*", *known}:
@@ -292,7 +296,7 @@ def _declared(record: _Record, project: LoadedProject, tolerances: Tolerances) -
 
 
 def _check_columns(output: str, columns: Iterable[str], tables: Mapping[str, list[str]]) -> None:
-    """Raise UsageError for a column that no table of that name has; `*` stands for all outputs, and for all columns."""
+    """Raise UsageError for a column that no table of that output has; `*` stands for all outputs, or for all columns."""
     known = sorted({name for table, names in tables.items() if output in ("*", table) for name in names})
     for column in columns:
         if known and column not in ("*", *known):
@@ -302,7 +306,7 @@ def _check_columns(output: str, columns: Iterable[str], tables: Mapping[str, lis
 
 
 def _unused(name: str, output: Output, columns: list[str] | None) -> Iterator[str]:
-    """Say which columns an output's declaration names that its table does not have."""
+    """Yield a line for each column that an output's declaration names and its table does not have."""
     for key, names in (("tolerance", output.tolerance), ("volatile", output.volatile)) if columns else ():
         for column in names:
             if column not in ("*", *(columns or ())):
@@ -312,7 +316,7 @@ def _unused(name: str, output: Output, columns: list[str] | None) -> Iterator[st
 def _metrics(
     project: LoadedProject, store: Store, record: _Record, declared: Mapping[str, Output]
 ) -> equivalence.Values | None:
-    """What the recorded runs come to, by metric; None where experiments cannot be compared by metrics."""
+    """Return the values of the recorded runs, by metric; None if experiments cannot be compared by metrics."""
     if not project.config.equivalence or record.found.kind not in ("batch", "experiment"):
         return None
     if not record.whole:
@@ -327,14 +331,14 @@ def _metrics(
 
 
 def _other_programs(of: Recalled, now: Programs, root: Path) -> Iterator[str]:
-    """What is other about the programs, by name; the code lies in `root`."""
+    """Yield a line for each program that differs from the record; the code is in `root`."""
     if now.id != of.fingerprint:
         words = mentioned(of.recipe.command, root)
         yield from (f"other programs: {line}" for line in programs.told(of.programs, now, words))
 
 
 def _other_machine(store: Store, record: _Record, around: Mapping[str, Any]) -> Iterator[str]:
-    """What is other about the machine that may change arithmetic."""
+    """Yield a line for each difference of the machine that may change arithmetic."""
     for row in store.rows("SELECT * FROM environments WHERE environment = $e", e=record.environment):
         for name, was, found in environment.differing(row, around):
             if name in ARITHMETIC:
@@ -343,7 +347,7 @@ def _other_machine(store: Store, record: _Record, around: Mapping[str, Any]) -> 
 
 
 def _jobs(record: _Record, store: Store, maker: commands.CommandBuilder) -> Iterator[Job]:
-    """A job for each run, with the inputs that are recorded."""
+    """Yield a job for each run, with its recorded inputs."""
     for taken, files in stored_plan.inputs(store, {one.run: one for one in record.runs}.values()):
         yield maker.job(Run(taken.run, taken.ordinal, taken.number, record.seeds[taken.run], (), b""), files)
 
@@ -359,7 +363,7 @@ def _execute(
     kept: Path | None,
     doubt: Callable[[], str | None],
 ) -> tuple[dict[str, Status], bool]:
-    """Execute; how runs ended that did not end well, and whether it was interrupted."""
+    """Execute the jobs; return the unsuccessful runs with their status, and whether the replay was interrupted."""
     context.save(session.paths.context)
     done: dict[str, Status] = {}
 
@@ -381,12 +385,15 @@ def _execute(
 
 
 def _doubt(files: ChangeGuard, contained: Isolation) -> Callable[[], str | None]:
-    """What says why executions cannot be ascribed to the programs, or to the image, that were there when they began."""
+    """Return a function that reports why results cannot be ascribed to the programs or the image at the start.
+
+    The function returns None if nothing has changed.
+    """
     return lambda: files.doubt() or contained.doubt()
 
 
 def _leave(session: SessionPaths, kept: Path | None) -> None:
-    """Put the restored source where it is kept."""
+    """Move the restored source to the folder where it is kept."""
     if kept is not None:
         kept.mkdir(parents=True, exist_ok=True)
         session.source.rename(kept / session.source.name)
@@ -436,7 +443,7 @@ def _experiments(
 
 
 def _wavers(runs: Sequence[Compared]) -> bool:
-    """Whether runs differ in values alone: none failed, and what they wrote is of the same form."""
+    """Check whether runs differ in values only: none failed, and their outputs have the same form."""
     different = [one for run in runs for one in run.outputs.values() if not one.verdict.fine]
     return bool(different) and all(one.verdict is Verdict.DIFFERENT and not one.form for one in different)
 

@@ -1,4 +1,4 @@
-"""What a replay found: of each output, run and experiment, and as the store keeps it."""
+"""Verdicts of a replay for each output, run and experiment, and their rows in the store."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from sierra.store.files import Taken
 from sierra.store.store import Found
 
 Tolerances = Mapping[str, Mapping[str, Tolerance]]
-"""By output (`*`: all) and column (`*`: all others)."""
+"""Tolerances by output (`*`: all) and column (`*`: all others)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Compared:
-    """One run, executed again: its outputs by path, each with how far it agrees. The key None is the run as a whole."""
+    """One run that was executed again, with the comparison of each output by path. The key None is the run as a whole."""
 
     taken: Taken
     execution: str | None
@@ -33,7 +33,7 @@ class Compared:
 
 @dataclass(frozen=True, slots=True)
 class OfExperiment:
-    """What came of one experiment: its runs, and, where these are not deterministic, its metrics."""
+    """Result of one experiment: its runs and, if these are not deterministic, its metrics."""
 
     id: str
     ordinal: int
@@ -43,7 +43,10 @@ class OfExperiment:
 
     @property
     def verdict(self) -> Verdict:
-        """That of its worst run; or equivalent, where values differ and all metrics are the same within their margins."""
+        """Return the verdict of the worst run.
+
+        It is `equivalent` instead if values differ and all metrics are the same within their margins.
+        """
         found = worst(run.verdict for run in self.runs)
         same = self.metrics and all(metric.equivalent for metric in self.metrics)
         return Verdict.EQUIVALENT if found is Verdict.DIFFERENT and same else found
@@ -51,18 +54,18 @@ class OfExperiment:
 
 @dataclass(frozen=True, slots=True)
 class Replay:
-    """The answer to a replay."""
+    """Result of a replay."""
 
     id: str
     found: Found
     experiments: tuple[OfExperiment, ...]
     notes: tuple[str, ...]
-    """What is other than it was recorded, before any verdict."""
+    """Deviations from the record that were found before the comparison, and other notes."""
     interrupted: bool
     of: int = 0
-    """How many runs the id names, compared or not."""
+    """Number of runs that the id names, compared or not."""
     kept: Path | None = None
-    """Where the restored source and the folders of the runs are left."""
+    """Folder where the restored source and the folders of the runs are kept."""
 
     @property
     def runs(self) -> tuple[Compared, ...]:
@@ -70,17 +73,20 @@ class Replay:
 
     @property
     def verdict(self) -> Verdict:
-        """That of the worst experiment. Nothing is said of what was not compared: a replay that was interrupted has failed."""
+        """Return the verdict of the worst experiment.
+
+        An interrupted replay has failed, because not everything was compared.
+        """
         return Verdict.FAILED if self.interrupted else worst(experiment.verdict for experiment in self.experiments)
 
     @property
     def counts(self) -> Counter[Verdict]:
-        """Runs, by verdict."""
+        """Return the number of runs by verdict."""
         return Counter(run.verdict for run in self.runs)
 
     @property
     def outputs(self) -> dict[str, Verdict]:
-        """The worst verdict of each output."""
+        """Return the worst verdict of each output."""
         found: dict[str, list[Verdict]] = {}
         for run in self.runs:
             for path, agreement in run.outputs.items():
@@ -90,12 +96,12 @@ class Replay:
 
 
 def plain(tolerances: Tolerances) -> dict[str, Any]:
-    """Tolerances as JSON has them."""
+    """Return tolerances as JSON values."""
     return {name: {c: t.model_dump(exclude_defaults=True) for c, t in of.items()} for name, of in tolerances.items()}
 
 
 def verdict_rows(replay: str, run: Compared) -> Iterator[dict[str, Any]]:
-    """The records of `verdicts` for one run."""
+    """Yield the rows of `verdicts` for one run."""
     for path, agreement in run.outputs.items():
         yield {
             "replay": replay,
@@ -116,7 +122,7 @@ def verdict_rows(replay: str, run: Compared) -> Iterator[dict[str, Any]]:
 
 
 def metric_rows(replay: str, experiment: OfExperiment) -> Iterator[dict[str, Any]]:
-    """The records of `equivalences` for one experiment."""
+    """Yield the rows of `equivalences` for one experiment."""
     for metric in experiment.metrics:
         yield {
             "replay": replay,

@@ -1,4 +1,4 @@
-"""The differences between two recorded batches, experiments, runs or executions."""
+"""Differences between two recorded batches, experiments, runs or executions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The code that two things were made from: files first, then the commits between, then the patch."""
+"""Differences of the code: first files, then the commits between, then the patch."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ SHOWN = 8
 
 
 def source(store: Store, root: Path, before: Side, after: Side) -> Iterator[Difference]:
-    """What differs in the trees that count."""
+    """Yield the difference of the two recorded sources."""
     was, now = before.recipe["source"], after.recipe["source"]
     if was == now:
         return
@@ -71,7 +71,7 @@ def _commits(root: Path, before: Side, after: Side) -> Commits:
 
 
 def _how(commits: Commits, after: Side) -> str:
-    """How the later commit lies to the earlier one, and whether there is more than is committed."""
+    """Return a text about the commits between both sides, and about uncommitted changes of the later one."""
     told = []
     if commits.on:
         told.append(f"{commits.on} commit{'s' * (commits.on > 1)} on")
@@ -92,12 +92,12 @@ def _logs(commits: Commits) -> Iterator[str]:
 
 
 def has_commits(before: Side, after: Side) -> bool:
-    """Whether it is recorded of both which commit was checked out, and their files are the same, so that it is told."""
+    """Check whether the commits of both sides are recorded and their sources are the same."""
     return bool(before.source and after.source) and before.recipe["source"] == after.recipe["source"]
 
 
 def commit(root: Path, before: Side, after: Side) -> Iterator[Difference]:
-    """Another commit, whose files are the same in all that counts."""
+    """Yield a difference if the commits differ although the sources are the same."""
     was, now = (side.source.get("commit") for side in (before, after))
     if was != now:
         commits = _commits(root, before, after)

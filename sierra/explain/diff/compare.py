@@ -1,7 +1,7 @@
-"""What differs between two batches, experiments, runs or executions: what is likely to matter for results first.
+"""Comparison of two batches, experiments, runs or executions; differences that are likely to affect results come first.
 
-All is told from the record: what was asked, what runs were made from, what was around their executions, and, last, what came
-out. Where something that is recorded cannot be read any more, that is noted, and the rest told.
+Everything comes from the record: the query, the parts that runs were made from, the environment of executions and, last, the
+results. If a record cannot be read any more, a note reports that, and the comparison continues.
 """
 
 from __future__ import annotations
@@ -20,22 +20,22 @@ from sierra.store.store import Found, Store
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """The answer: what was compared, and what differs."""
+    """Result of a comparison: its two sides, and their differences."""
 
     before: Found
     after: Found
     differences: tuple[Difference, ...]
-    """By rank."""
+    """Differences by rank."""
     same: tuple[str, ...]
-    """The kinds of things that were compared, all of them, and do not differ."""
+    """Kinds that were compared completely and do not differ."""
     notes: tuple[str, ...]
-    """What could not be compared, or not all of it; and what else is to be said."""
+    """Notes about kinds that could not be compared completely, and other notes."""
 
 
 def compare(project: LoadedProject, store: Store, before: str, after: str, *, results_too: bool = True) -> Comparison:
-    """What differs between what two beginnings of ids name; `results_too`: also in what came out.
+    """Compare the objects of two id prefixes; `results_too` compares their results too.
 
-    Raises NotFound, and UsageError for two of kinds that have nothing to compare.
+    Raises NotFound, and UsageError for two kinds of objects that cannot be compared.
     """
     old, new = store.resolve(before), store.resolve(after)
     check(old, new)
@@ -61,26 +61,26 @@ def compare(project: LoadedProject, store: Store, before: str, after: str, *, re
 
 
 MADE = frozenset(("query", "platform", "command", "image", "variables", "source", "template", "inputs", "seed"))
-"""The kinds of differences that make other runs."""
+"""Kinds of differences that lead to different runs."""
 FOLLOWING = ("as asked", "the seed")
-"""Differences in inputs that others tell already."""
+"""Names of differences in inputs that other kinds report already."""
 
 
 def made_other(project: LoadedProject, store: Store, before: str, after: str) -> list[str]:
-    """What makes the runs of a batch others than those of another, a line each; by the batches' ids."""
+    """Return the differences that make the runs of two batches different, one line each. Both arguments are batch ids."""
     compared = compare(project, store, before, after, results_too=False)
     return [one.line for one in compared.differences if one.kind in MADE and one.name not in FOLLOWING]
 
 
 Part = tuple[tuple[str, ...], Iterable[Difference]]
-"""The kinds that are compared, and their differences, still to be looked for."""
+"""Kinds that are compared, and their differences, which are computed when they are read."""
 
 
 AROUND = (
     ("environment", "environment", environment.environments),
     ("rules", "reading", environment.rules),
 )
-"""Kinds, the columns of `executions` that say which, and what compares them."""
+"""Kinds, the columns of `executions` that identify them, and the functions that compare them."""
 NOT_EXECUTED = "{kind}: not compared, since nothing was executed"
 
 

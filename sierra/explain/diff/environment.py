@@ -1,7 +1,7 @@
-"""What was around executions: programs, machines, and the rules by which they were judged.
+"""Differences of the environment of executions: programs, machines, and the rules that evaluated them.
 
-Where a side's runs were executed with several of them, the values of all are compared. Rows are taken as the store has them,
-with whatever columns there are.
+If a side's runs were executed with several of them, the values of all are compared. Rows are used with the columns that the
+store has.
 """
 
 from __future__ import annotations
@@ -23,7 +23,10 @@ USED = "SELECT DISTINCT e.{what} AS id FROM {table} t JOIN judged e ON e.judgeme
 
 
 def programs(snapshot: Snapshot, before: Side, after: Side, root: Path) -> Iterator[Difference]:
-    """Programs by name; where they lie makes no difference. What the command and its scripts in `root` name stands first."""
+    """Yield differences of programs by name; their paths are not compared.
+
+    Versions that the command or its scripts in `root` name come first.
+    """
     words = mentioned((*before.recipe["command"], *after.recipe["command"]), root)
     was, now = (_used(snapshot, side, "programs") for side in (before, after))
     yield from other_programs(snapshot, was, now, words)
@@ -32,7 +35,7 @@ def programs(snapshot: Snapshot, before: Side, after: Side, root: Path) -> Itera
 def other_programs(
     snapshot: Snapshot, before: Sequence[str], after: Sequence[str], words: frozenset[str] = frozenset()
 ) -> Iterator[Difference]:
-    """The same of sets of programs, by their ids."""
+    """Yield differences of two groups of program sets, by the ids of the sets."""
     old, new = (_programs(_rows(snapshot, ids, "programs")) for ids in (before, after))
     names = dict.fromkeys((*old, *new))
     for name in sorted(names, key=lambda name: (name[1].endswith(INSTALLED), KINDS.get(name[0], len(KINDS)))):
@@ -43,11 +46,11 @@ def other_programs(
 
 
 KINDS = {None: 0, "program": 0, "file": 1, "distributions": 2, "library": 3}
-"""The order of kinds; what a Python has installed stands after all of them."""
+"""Order of kinds; distributions of a Python come after all of them."""
 
 
 def _programs(rows: Rows) -> dict[tuple[str | None, str], list[Mapping[str, Any]]]:
-    """What is used by the name that it has wherever it lies."""
+    """Return the rows of programs by kind and name, independent of their paths."""
     found: dict[tuple[str | None, str], list[Mapping[str, Any]]] = {}
     for row in rows:
         found.setdefault((row.get("kind"), called(row["name"])), []).append(row)
@@ -64,7 +67,7 @@ def _one(row: Mapping[str, Any]) -> str:
 
 
 def _versions(was: Rows, now: Rows, words: frozenset[str]) -> Iterator[str]:
-    """Of what lists several versions, distributions say, those that differ; and where programs lie, if elsewhere."""
+    """Yield the differing versions of a list of versions, such as distributions, and the paths if they differ."""
     if len(was) == len(now) == 1:
         listed = [row[0].get("version") or "" for row in (was, now)]
         if any("\n" in text for text in listed):
@@ -77,7 +80,7 @@ def _versions(was: Rows, now: Rows, words: frozenset[str]) -> Iterator[str]:
 
 
 def environments(snapshot: Snapshot, before: Side, after: Side) -> Iterator[Difference]:
-    """Facts of the machines, column by column; and the runner, unless it is not known: of an asking that was killed."""
+    """Yield differences of the machines by column, and of the runner, which is unknown for a killed session."""
     old, new = (
         _facts(_rows(snapshot, _used(snapshot, side, "environment"), "environment"), _runners(snapshot, side))
         for side in (before, after)
@@ -87,7 +90,7 @@ def environments(snapshot: Snapshot, before: Side, after: Side) -> Iterator[Diff
 
 
 def _facts(environments: Rows, runners: Rows) -> dict[str, Any]:
-    """The value of each column; a list of them where there are several."""
+    """Return the value of each column; a list of values if there are several."""
     found: dict[str, Any] = {}
     for rows in (environments, runners):
         for name in (name for name in (rows[0] if rows else {}) if name != "environment"):
@@ -121,12 +124,12 @@ ISOLATION = {
     "limits_watched": "limits that SIERRA watched over",
     "limits_ignored": "limits ignored",
 }
-"""What is compared of how executions were contained, and what it is called. Devices and mounts belong to what runs reach."""
+"""Compared columns of an isolation, and their names in a line. Devices and mounts are compared as host access."""
 NOT_CONTAINED = "none, on the host itself"
 
 
 def isolations(snapshot: Snapshot, before: Side, after: Side) -> Iterator[Difference]:
-    """How executions were contained. An execution in no container is one of the engine `none`."""
+    """Yield differences of the isolation. An execution without a container has the engine `none`."""
     old, new = (
         _facts([_isolation(row) for row in _rows(snapshot, _used(snapshot, side, "isolation"), "isolation")], ())
         for side in (before, after)
@@ -145,17 +148,17 @@ def _isolation(row: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def executed(snapshot: Snapshot, side: Side) -> bool:
-    """Whether any of a side's runs was executed."""
+    """Check whether any of a side's runs was executed."""
     return bool(snapshot.run(f"SELECT 1 FROM {side.table} WHERE execution IS NOT NULL LIMIT 1"))  # noqa: S608 - our own names
 
 
 def rules(snapshot: Snapshot, before: Side, after: Side) -> Iterator[Difference]:
-    """What the project declared of outputs and success."""
+    """Yield differences of the declarations of outputs and success."""
     yield from other_rules(snapshot, *(_used(snapshot, side, "reading") for side in (before, after)))
 
 
 def other_rules(snapshot: Snapshot, before: Sequence[str], after: Sequence[str]) -> Iterator[Difference]:
-    """The same of rules, by their ids."""
+    """Yield differences of two groups of rules, by their ids."""
     if set(before) == set(after):
         return
     declared = [_declared(snapshot, ids) for ids in (before, after)]
@@ -171,12 +174,12 @@ def _declared(snapshot: Snapshot, ids: Sequence[str]) -> list[str]:
 
 
 def known(snapshot: Snapshot, side: Side, what: str) -> bool:
-    """Whether it is recorded which of `what` a side's runs were executed with, or would have been."""
+    """Check whether the store has the `what` of a side's executions, or of its last session."""
     return bool(_used(snapshot, side, what))
 
 
 def _used(snapshot: Snapshot, side: Side, what: str) -> list[str]:
-    """The ids of what a side's executions were executed with; of a batch without any, what the last asking would have used."""
+    """Return the ids of `what` that a side's executions used; for a batch without executions, that of the last session."""
     found = [row[0] for row in snapshot.run(USED.format(what=what, table=side.table)) if row[0]]
     known = None if side.is_one else side.session.get(what)
     return found or ([known] if known else [])

@@ -1,4 +1,4 @@
-"""Container images by what is in them, and what runs reach beyond them."""
+"""Differences of container images by content, and of the host access of runs."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from sierra.util.text import few
 
 SHOWN = 8
 DETAILS = 1000
-"""Packages or files of which is told what became of them."""
+"""Maximum number of packages or files in the details."""
 
 
 def image(snapshot: Snapshot, store: Store, before: Side, after: Side, root: Path) -> Iterator[Difference]:
-    """The image: which, its packages, its variables, its files; and what runs reach beyond it."""
+    """Yield differences of the image (its id, packages, variables and files) and of the host access of runs."""
     was, now = (side.recipe["image"] for side in (before, after))
     if was != now:
         old, new = (_row(snapshot, identity) for identity in (was, now))
@@ -47,7 +47,7 @@ def _called(identity: str | None, row: Mapping[str, Any] | None) -> str:
 
 
 def _inside(store: Store, old: Mapping[str, Any], new: Mapping[str, Any], words: frozenset[str]) -> Iterator[Difference]:
-    """What is in two images, what is likely to matter first."""
+    """Yield differences of the contents of two images, the most important first."""
     yield from changed("image", "architecture", old["architecture"], new["architecture"])
     was, now = (json.loads(row["packages"]) for row in (old, new))
     for manager, changes in packages(was, now, words).items():

@@ -1,4 +1,4 @@
-"""The input files of runs that stand in the same place, told apart in the template's terms; summed up over the runs."""
+"""Differences of the input files of paired runs, in terms of the template, summarized over the runs."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from sierra.store.store import Snapshot
 from sierra.templates.diff import Spot, differing
 
 LOOKED_AT = 40
-"""Pairs of runs whose files are read: the first of each experiment, then the second, and so on."""
+"""Number of pairs of runs whose files are read: the first pair of each experiment, then the second, and so on."""
 READ = 64 << 20
-"""Bytes of them."""
+"""Maximum number of bytes that are read."""
 
 SAMPLE = """
 SELECT ordinal, number, now_ordinal, now_number, was_seed, now_seed
@@ -27,7 +27,7 @@ ORDER BY place, ordinal LIMIT $most
 
 @dataclass(frozen=True, slots=True)
 class _Pair:
-    """Two runs of one place, and their files by name."""
+    """Pair of runs, and their files by name."""
 
     seeds: tuple[int, int]
     values: tuple[Mapping[str, Any], Mapping[str, Any]]
@@ -35,7 +35,7 @@ class _Pair:
 
 
 def inputs(snapshot: Snapshot, before: Side, after: Side, notes: list[Note]) -> Iterator[Difference]:
-    """Where input files differ; what is not known of that goes into `notes`."""
+    """Yield the differences of input files; `notes` receives what could not be compared."""
     [(others, runs)] = snapshot.run("SELECT count(*) FILTER (other_input), count(*) FROM both_sides")
     if not others:
         return
@@ -67,7 +67,7 @@ def _sample(snapshot: Snapshot, before: Side, after: Side) -> list[_Pair]:
 
 
 def _files(snapshot: Snapshot, runs: Sequence[Taken]) -> list[dict[str, Recorded]]:
-    """The input files of each run, by name."""
+    """Return the input files of each run, by name."""
     found: dict[int, dict[str, Recorded]] = {id(run): {} for run in runs}
     for file in recorded(snapshot, runs):
         if file.kind == "input":
@@ -76,7 +76,7 @@ def _files(snapshot: Snapshot, runs: Sequence[Taken]) -> list[dict[str, Recorded
 
 
 def _read(snapshot: Snapshot, files: Sequence[Recorded], notes: list[Note]) -> dict[str | None, bytes]:
-    """What is in these files, by SHA-256, as far as it is there and not too much."""
+    """Return the content of these files by SHA-256, at most `READ` bytes; `notes` reports files that are lost."""
     wanted, size = {}, 0
     for file in files:
         if file.sha256 not in wanted and size + (file.bytes or 0) <= READ:
@@ -105,7 +105,7 @@ def _spots(name: str, pair: _Pair, content: Mapping[str | None, bytes]) -> Itera
 
 
 def _told(name: str, those: Sequence[tuple[_Pair, Spot]], looked: int, read: str, before: Side, after: Side) -> Difference:
-    """One place of the input, in all pairs of runs in which it differs."""
+    """Return the difference at one place of the input, in all pairs of runs in which it differs."""
     first = those[0][1]
     values = {(spot.what, spot.was, spot.now) for _, spot in those}
     where = "" if before.is_one else f" (in {'all' if len(those) == looked else f'{len(those)} of'} {read})"
@@ -139,7 +139,7 @@ def _is_seed(pair: _Pair, spot: Spot) -> bool:
 
 
 def _is_asked(pair: _Pair, spot: Spot, before: Side, after: Side) -> bool:
-    """Whether it is what the values of the two experiments say, or a --set that only one of them has."""
+    """Check whether a difference follows from the values of the two experiments, or from a --set that only one side has."""
     was, now = pair.values
     for name in was.keys() & now.keys():
         if was[name] != now[name] and (spot.was, spot.now) == (str(was[name]), str(now[name])):

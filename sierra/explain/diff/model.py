@@ -1,4 +1,4 @@
-"""One difference between two recorded things, and how likely its kind is to matter for results."""
+"""Difference between two recorded objects, and its rank by the likelihood to affect results."""
 
 from __future__ import annotations
 
@@ -48,44 +48,44 @@ ORDER = (
     "status",
     "results",
 )
-"""Kinds, some with the name of what differs, by how likely they are to change results; the results themselves stand last."""
+"""Order of kinds, some with a name, from most to least likely to change results; the results themselves are last."""
 KINDS = tuple(dict.fromkeys(key.partition(".")[0] for key in ORDER))
 ARROW = "→"
 LONGEST = 100
-"""Characters of a value that a line shows."""
+"""Maximum number of characters of a value in a line."""
 
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """What was, and what is."""
+    """Difference with the old and the new value."""
 
     kind: str
     name: str
-    """What of that kind: a variable, a program, a path in an input, a column."""
+    """Name of the thing that differs: a variable, a program, a path in an input, a column."""
     line: str
-    """In one line."""
+    """Description in one line."""
     was: Any = None
     now: Any = None
     details: tuple[str, ...] = ()
-    """What else is to be said of it, a patch say."""
+    """Details, for example a patch."""
 
     @property
     def rank(self) -> int:
-        """How likely it is to matter, the likelier the smaller."""
+        """Return the rank by likelihood to affect results; smaller is more likely."""
         key = f"{self.kind}.{self.name}"
         return ORDER.index(key if key in ORDER else self.kind)
 
 
 @dataclass(frozen=True, slots=True)
 class Note:
-    """What is to be said and is no difference; with a `kind`, that not all of that could be compared."""
+    """Note that is not a difference; `kind` names a kind that could not be compared completely."""
 
     text: str
     kind: str | None = None
 
 
 def changed(kind: str, name: str, was: Any, now: Any, *, called: str = "") -> Iterator[Difference]:
-    """The one difference, if there is any, between two values of one thing; it is told by its parts where it has such."""
+    """Yield the difference between two values of one thing, if there is one; structured values are compared by their parts."""
     if was == now:
         return
     called = called or name
@@ -96,7 +96,7 @@ def changed(kind: str, name: str, was: Any, now: Any, *, called: str = "") -> It
 
 
 def shown(value: Any) -> str:
-    """A value as a line has it."""
+    """Return a value for a line."""
     match value:
         case None | "":
             return "nothing"
@@ -112,7 +112,7 @@ def shown(value: Any) -> str:
 
 
 def _parts(was: Any, now: Any) -> Iterator[str]:
-    """What differs in objects, by their keys; in long lists, what only one of them has."""
+    """Yield the differing keys of two objects; for two long lists, the items that only one of them has."""
     match was, now:
         case dict(), dict():
             old, new = dict(flat(was)), dict(flat(now))
@@ -127,7 +127,7 @@ def _parts(was: Any, now: Any) -> Iterator[str]:
 
 
 def flat(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
-    """An object's values by the paths to them, `outputs.swarm.file`."""
+    """Yield an object's values by their paths, such as `outputs.swarm.file`."""
     if isinstance(value, Mapping) and (value or not path):
         for key, inner in value.items():
             yield from flat(inner, f"{path}.{key}" if path else str(key))
@@ -136,7 +136,7 @@ def flat(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
 
 
 def _parsed(value: Any) -> Any:
-    """JSON in a text as what it is; lines of a text, and words of a long one, as a list."""
+    """Return JSON text as the value that it encodes; the lines of a text, or the words of a long line, as a list."""
     if not isinstance(value, str):
         return value
     if value[:1] in ("{", "["):

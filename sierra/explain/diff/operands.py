@@ -1,6 +1,7 @@
-"""The two things that are compared, each with all that the store has of it as a whole; runs stand in a temporary table.
+"""Operands of a comparison: two sides with everything that the store has about each; their runs are in temporary tables.
 
-A run stands for its execution that counts (else its last one) in the batch that was last asked for; an experiment likewise.
+A run is represented by its effective execution (or its last one) in the batch whose session is the latest; an experiment is
+represented in the same way.
 """
 
 from __future__ import annotations
@@ -18,29 +19,32 @@ from sierra.util.hashing import short
 
 BEFORE, AFTER = "before", "after"
 ONE = ("run", "execution")
-"""What is one run."""
+"""Kinds of objects that are one run."""
 
 
 @dataclass(frozen=True, slots=True)
 class Side:
-    """One of the two."""
+    """One side of a comparison."""
 
     found: Found
     table: str
-    """Its runs: `ordinal`, `number`, `run`, `seed`, `input`; `own`, `result` and `status` of the execution that a run stands
-    for, `execution`, the judgement of it that is meant, and whether that `counts`. `input` and `result` are 128 bits that stand
-    for the digests, for memory's sake."""
+    """Name of the table of its runs.
+
+    Columns: `ordinal`, `number`, `run`, `seed` and `input`; `own`, `result` and `status` of the execution that represents the
+    run; `execution`, the judgement of it that is used; and `counts`, true if that is effective. To save memory, `input` and
+    `result` are 128-bit numbers that replace the digests.
+    """
     runs: int
     batch: Mapping[str, Any]
     recipe: Mapping[str, Any]
     session: Mapping[str, Any]
-    """The asking that it is seen from: of a batch or an experiment the last one; empty where that is not recorded."""
+    """Session of this side: for a batch or an experiment the last one. Empty if it is not recorded."""
     source: Mapping[str, Any]
-    """The state of the code, as far as that asking, or else any, says it; empty where no source counts."""
+    """State of the code that this session recorded, or else any other session. Empty without a recorded source."""
     experiments: Mapping[int, str]
-    """The ids of the experiments, by their places in the batch."""
+    """Ids of the experiments, by their places in the batch."""
     cells: Mapping[int, Mapping[str, Any]]
-    """The values of each experiment, by its place in the batch; a controller or scenario of the whole batch among them."""
+    """Values of each experiment, by its place in the batch, including the controller or scenario of the whole batch."""
 
     @property
     def is_one(self) -> bool:
@@ -52,7 +56,7 @@ class Side:
 
 
 def check(before: Found, after: Found) -> None:
-    """Raises UsageError where two things are of kinds that have nothing to compare."""
+    """Check that two objects can be compared by their kinds. Raises UsageError."""
     if before.kind != after.kind and not (before.kind in ONE and after.kind in ONE):
         raise UsageError(
             f"{short(before.id)} is a {before.kind} and {short(after.id)} a {after.kind}; compare two of one kind, "
@@ -86,7 +90,7 @@ FROM one
 
 
 def make_runs(snapshot: Snapshot, place: Place, table: str, *, good_first: bool = False, only: str = "") -> None:
-    """Make a table of the runs of one side; `good_first`: the last good one before the last one, where none counts."""
+    """Create the table of one side's runs; with `good_first`, prefer the last successful execution if none is effective."""
     named = {} if place.execution is None else {"named": place.execution}
     statement = RUNS.format(
         table=table,
@@ -101,7 +105,7 @@ def make_runs(snapshot: Snapshot, place: Place, table: str, *, good_first: bool 
 
 
 def gather(snapshot: Snapshot, found: Found, table: str) -> Side:
-    """All that the store has of one of the two."""
+    """Return everything that the store has about one side."""
     place = where(snapshot, found)
     batch_id = place.batch
     snapshot.views.make(("recipes", "sources", "replays"))
@@ -167,10 +171,10 @@ FROM {before} b JOIN pairs p ON p.was = b.ordinal JOIN {after} a ON a.ordinal = 
 
 
 def pair(snapshot: Snapshot, before: Side, after: Side) -> list[tuple[int, int]]:
-    """The experiments that both have, by their places, and their runs as the temporary view `both_sides`.
+    """Return the experiments that both sides have, by their places; create the temporary view `both_sides` of their runs.
 
-    What is one experiment is paired with whatever it is compared with. An axis that only one batch has, with one value, and a
-    controller or a scenario that is no axis of either, keep no experiments apart.
+    A single experiment is paired with the one that it is compared with. Some variables do not separate experiments: an axis
+    that only one batch has, with one value, and a controller or a scenario that is not an axis of either.
     """
     import pyarrow as pa
 
@@ -189,7 +193,7 @@ def pair(snapshot: Snapshot, before: Side, after: Side) -> list[tuple[int, int]]
 
 
 def _telling(before: Side, after: Side) -> Iterator[str]:
-    """The axes by which experiments are told apart."""
+    """Yield the axes that distinguish experiments."""
     for name in dict.fromkeys((*before.batch["axes"], *after.batch["axes"])):
         values = [{cell.get(name) for cell in side.cells.values()} for side in (before, after)]
         if {None} not in values or any(len(several) > 1 for several in values):
@@ -197,7 +201,7 @@ def _telling(before: Side, after: Side) -> Iterator[str]:
 
 
 def takens(snapshot: Snapshot, side: Side, places: Sequence[tuple[int, int]]) -> list[Taken]:
-    """Some of a side's runs, by the places of their experiments and their numbers, in that order."""
+    """Return some of a side's runs, by their experiments' places and their numbers, in that order."""
     statement = f"SELECT run, own, status, execution FROM {side.table} WHERE ordinal = $o AND number = $n"  # noqa: S608
     found = []
     for ordinal, number in places:

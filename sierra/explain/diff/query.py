@@ -1,4 +1,4 @@
-"""What was asked for, and what runs are made from: query, recipe, template, seeds."""
+"""Differences of the query and of the parts that runs are made from: recipe, template, seeds."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ SHOWN = 8
 
 
 def query(before: Side, after: Side, pairs: Sequence[tuple[int, int]]) -> Iterator[Difference]:
-    """Axes, values, how many runs, controller, scenario, --set."""
+    """Yield differences of axes, values, number of runs, controller, scenario and --set."""
     if before.found.kind == "batch":
         yield from changed("query", "axes", before.batch["axes"], after.batch["axes"])
         yield from _values(before, after)
@@ -37,7 +37,7 @@ def query(before: Side, after: Side, pairs: Sequence[tuple[int, int]]) -> Iterat
 
 
 def _whole(side: Side, name: str) -> Any:
-    """A controller or a scenario, where all experiments have the same."""
+    """Return a controller or a scenario if it is the same in all experiments, else None."""
     values = {cell.get(name) for cell in side.cells.values()}
     return values.pop() if len(values) == 1 else None
 
@@ -48,7 +48,7 @@ def _runs(side: Side) -> int | float:
 
 
 def _values(before: Side, after: Side) -> Iterator[Difference]:
-    """The values of the axes that both have."""
+    """Yield differences of the values of the axes that both sides have."""
     for axis in before.batch["axes"]:
         if axis in after.batch["axes"]:
             old, new = (list(dict.fromkeys(cell[axis] for cell in side.cells.values())) for side in (before, after))
@@ -58,7 +58,7 @@ def _values(before: Side, after: Side) -> Iterator[Difference]:
 
 
 def _cells(before: Side, after: Side, pairs: Sequence[tuple[int, int]]) -> Iterator[Difference]:
-    """Experiments that only one of them has."""
+    """Yield a difference with the experiments that only one side has."""
     only = [
         [_called(side, ordinal) for ordinal in side.cells if ordinal not in shared]
         for side, shared in zip((before, after), map(set, zip(*pairs, strict=True)) if pairs else ((), ()), strict=True)
@@ -74,7 +74,7 @@ def _called(side: Side, ordinal: int) -> str:
 
 
 def recipe(before: Side, after: Side) -> Iterator[Difference]:
-    """What all runs of a side have in common, without source and image."""
+    """Yield differences of the recipe, without source and image, and for batches of the template."""
     old, new = before.recipe, after.recipe
     yield from changed("platform", "platform", old["platform"], new["platform"])
     yield from changed("command", "command", " ".join(old["command"]), " ".join(new["command"]))
@@ -92,7 +92,7 @@ def _template(before: Side, after: Side) -> Iterator[Difference]:
 
 
 def seeds(snapshot: Snapshot, before: Side, after: Side) -> Iterator[Difference]:
-    """Runs of one place that have other seeds."""
+    """Yield differences of the base seed, and of the seeds of paired runs."""
     if not before.is_one:
         yield from changed("seed", "base", before.batch["base_seed"], after.batch["base_seed"], called="base seed")
     [(count, others, was, now)] = snapshot.run(

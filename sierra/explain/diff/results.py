@@ -1,9 +1,9 @@
-"""What came out: outputs of two executions place by place, results of runs that both have, means of runs that differ.
+"""Differences of results: outputs of two executions by place, results of runs that both have, means of runs that differ.
 
-Means are of the last value that each run wrote (the measure `final`), for each experiment that both have. The interval of
-their difference is Welch's (1947), of independent samples: degrees of freedom by Satterthwaite, rounded down. That of two rates
-is Newcombe's (1998, Statist. Med. 17: 873-890, method 10), from Wilson's intervals of both. Where runs share their seeds, as
-they do by default, both are rather too wide.
+Means are computed from the last value that each run wrote (the measure `final`), for each experiment that both have. The
+interval of their difference is Welch's (1947), for independent samples: degrees of freedom by Satterthwaite, rounded down.
+The interval of the difference of two rates is Newcombe's (1998, Statist. Med. 17: 873-890, method 10), from Wilson's
+intervals of both. If runs share their seeds, as they do by default, both are rather too wide.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ from sierra.util.hashing import short
 from sierra.util.text import few
 
 LOOKED_AT = 5
-"""Runs with other results than before, of which the outputs are compared."""
+"""Number of runs with changed results whose outputs are compared."""
 COLUMNS = 4
-"""Columns whose means are compared."""
+"""Number of columns whose means are compared."""
 ROWS = 2_000_000
-"""Rows of outputs beyond which no means are computed."""
+"""Number of rows of outputs above which no means are computed."""
 LEVEL = 0.95
 SHOWN = 8
 
@@ -41,7 +41,7 @@ SHOWN = 8
 def of_one(
     snapshot: Snapshot, store: Store, project: LoadedProject, before: Side, after: Side, notes: list[Note]
 ) -> Iterator[Difference]:
-    """Two executions: how each ended, and output by output."""
+    """Yield the differences of two executions: their status, and each output."""
     was, now = (_execution(snapshot, side) for side in (before, after))
     if was is None or now is None:
         called = (before if was is None else after).called
@@ -59,7 +59,7 @@ def _execution(snapshot: Snapshot, side: Side) -> dict[str, Any] | None:
 
 
 def good(snapshot: Snapshot, before: Side, after: Side) -> Iterator[Difference]:
-    """How many runs have an execution that counts."""
+    """Yield a difference if the numbers of runs with an effective execution differ."""
     was, now = (
         snapshot.run(f"SELECT count(*) FILTER (counts) FROM {side.table}")[0][0]  # noqa: S608 - our own names
         for side in (before, after)
@@ -83,7 +83,7 @@ def _outputs(
     notes: list[Note],
     run: str = "",
 ) -> Iterator[Difference]:
-    """The outputs in which two executions differ; those of the same values in other bytes are only noted."""
+    """Yield the outputs in which two executions differ; equal values in different bytes only give a note."""
     try:
         declared = _declared(snapshot, now["reading"], project)
         compared = outputs.compare(snapshot, was["judgement"], now["judgement"], declared)
@@ -102,14 +102,14 @@ def _outputs(
 
 
 def _declared(snapshot: Snapshot, reading: str, project: LoadedProject) -> dict[str, Output]:
-    """What is volatile and which tolerances hold: as recorded, and as the project says now."""
+    """Return the declared outputs with volatile parts and tolerances; the project's current ones override the recorded ones."""
     rows = snapshot.sql("SELECT declared FROM readings WHERE reading = $r", r=reading).to_pylist()
     recorded = rules_of(json.loads(rows[0]["declared"]))[0] if rows else {}
     return {**recorded, **project.config.outputs}
 
 
 def _growth(agreement: Agreement) -> Iterator[str]:
-    """How a difference grows over the rows."""
+    """Yield a line that shows how a difference grows over the rows."""
     if agreement.growth:
         yield ", ".join(f"{distance(far)} apart until {shown(until)}" for until, far in agreement.growth)
 
@@ -130,7 +130,7 @@ WHERE b.execution <> a.execution AND b.result IS DISTINCT FROM a.result ORDER BY
 
 
 def of_shared(snapshot: Snapshot, store: Store, project: LoadedProject, notes: list[Note]) -> Iterator[Difference]:
-    """Runs that both have, where other executions of them count."""
+    """Yield differences of runs that both sides have with different effective executions."""
     [(count, others, same)] = snapshot.run(SHARED)
     if count:
         notes.append(Note(f"{count} runs are in both; of {same} of them the same execution counts"))
@@ -153,13 +153,13 @@ def of_shared(snapshot: Snapshot, store: Store, project: LoadedProject, notes: l
 
 @dataclass(frozen=True, slots=True)
 class Mean:
-    """One column in one experiment, over the runs of a side."""
+    """Statistics of one column in one experiment, over the runs of a side."""
 
     n: int
     mean: float
     sd: float
     rate: tuple[float, float] | None = None
-    """Wilson's interval, where it is a rate."""
+    """Wilson's interval, if the mean is a rate."""
 
 
 def means(
@@ -171,7 +171,7 @@ def means(
     rows: int,
     notes: list[Note],
 ) -> Iterator[Difference]:
-    """The means of the experiments of these pairs, if all the rows of their outputs are not too many."""
+    """Yield differences of the means of these pairs of experiments, unless their outputs have more than `ROWS` rows."""
     if rows > ROWS:
         text = f"means are not compared, of {rows} rows; sierra stats OUTPUT COLUMN -b HASH computes those of a batch"
         notes.append(Note(text, "results"))
@@ -197,21 +197,21 @@ OTHER = "was <> now AND other_result AND was_executed IS NOT NULL AND now_execut
 
 
 def of_places(snapshot: Snapshot) -> Iterator[Difference]:
-    """How many runs of one place wrote other bytes, where the runs are others."""
+    """Yield a difference with the number of paired runs that wrote other bytes, if the runs themselves are different."""
     [(count, all_runs)] = snapshot.run(f"SELECT count(*) FILTER ({OTHER}), count(*) FROM both_sides")  # noqa: S608 - our own
     if count:
         yield Difference("results", "bytes", f"results: {count} of {all_runs} runs wrote other bytes", None, count)
 
 
 def others(snapshot: Snapshot, pairs: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
-    """The experiments in which other runs wrote other bytes."""
+    """Return the pairs of experiments in which different runs wrote different bytes."""
     rows = snapshot.run(f"SELECT DISTINCT ordinal FROM both_sides WHERE {OTHER}")  # noqa: S608 - our own
     found = {row[0] for row in rows}
     return [pair for pair in pairs if pair[0] in found]
 
 
 def rows(snapshot: Snapshot) -> int:
-    """How many rows the outputs have, of both sides."""
+    """Return the number of rows of the outputs of both sides."""
     statement = (
         "SELECT coalesce(sum(rows), 0)::BIGINT FROM judged_artifacts WHERE kind = 'table' AND execution IN "
         "(SELECT execution FROM before UNION ALL SELECT execution FROM after)"
@@ -222,7 +222,7 @@ def rows(snapshot: Snapshot) -> int:
 
 
 def _columns(store: Store, project: LoadedProject, before: Side, after: Side) -> dict[str, list[str]]:
-    """The numeric columns that both wrote, by output, without those that are times."""
+    """Return the numeric columns that both sides wrote, by output, without time columns."""
     found = []
     for side in (before, after):
         with Frame(store, side.batch["batch"]) as frame:
@@ -240,7 +240,7 @@ def _is_time(column: str, declared: str | None) -> bool:
 
 
 def _means(project: LoadedProject, store: Store, side: Side, output: str, column: str) -> dict[int, Mean]:
-    """By the experiment's place."""
+    """Return the statistics of a column by the experiment's place."""
     table = render.statistics(project, store, side.batch["batch"], output, column, "final")
     names = _names(table, "experiment", "n", "mean", "sd", "low", "high", "interval")
     rows = zip(*(table.column(name).to_pylist() for name in names), strict=True)
@@ -252,7 +252,7 @@ def _means(project: LoadedProject, store: Store, side: Side, output: str, column
 
 
 def _names(table: Any, *names: str) -> list[str]:
-    """The columns of statistics, which have a `_` behind them where an axis is called so."""
+    """Return the names of columns of statistics, which end with `_` if an axis has the name."""
     return [f"{name}_" if f"{name}_" in table.column_names else name for name in names]
 
 
@@ -291,7 +291,7 @@ def _compared(was: Mean, now: Mean, interval: tuple[float, float] | None) -> str
 
 
 def newcombe(was: Mean, now: Mean) -> tuple[float, float] | None:
-    """Return the 95 % interval of the difference of two rates; None where one of them is none."""
+    """Return the 95 % interval of the difference of two rates; None if one of the two is not a rate."""
     if was.rate is None or now.rate is None:
         return None
     below = hypot(now.mean - now.rate[0], was.rate[1] - was.mean)
@@ -300,7 +300,7 @@ def newcombe(was: Mean, now: Mean) -> tuple[float, float] | None:
 
 
 def welch(was: Mean, now: Mean) -> tuple[float, float] | None:
-    """Return the 95 % interval of the difference of two means; None where one of them is of less than two values."""
+    """Return the 95 % interval of the difference of two means; None if a side has fewer than two values."""
     if min(was.n, now.n) < 2:
         return None
     errors = [one.sd / sqrt(one.n) for one in (was, now)]
