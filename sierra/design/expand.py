@@ -18,7 +18,7 @@ from sierra.util.hashing import canonical, canonical_plain, digest, merkle, sha2
 
 STREAM = 1 << 16
 STREAMS = (1 << 15) - 1
-"""Run numbers per stream of seeds (STREAM), and the number of streams; each `montecarlo` experiment has its own stream."""
+"""Run numbers per stream of seeds (STREAM), and number of streams (STREAMS); each `montecarlo` experiment has its own."""
 
 Files = tuple[tuple[str, bytes], ...]
 

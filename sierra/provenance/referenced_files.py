@@ -33,9 +33,10 @@ TAG = re.compile(r"""<[/?!]?[^\s<>"'/=]+""")
 def files(
     words: Iterable[str], root: Path, source: Container[bytes], texts: Programs = NOTHING, project: Path | None = None
 ) -> Programs:
-    """Return the files that the words of a command and the values of variables name, and the files in `texts`.
+    """Return the files that the words of a command and the values of variables name, and those in `texts`.
 
-    The code lies in `root`. Paths outside it (`{project}/../data`) are relative to the user's `project`.
+    `texts` has the files that were already found in the template. The code lies in `root`. Paths outside it
+    (`{project}/../data`) are relative to the user's `project`.
     """
     digests = HashCache()
     found = {}

@@ -37,7 +37,7 @@ LONGEST = 200
 MOST = 1024
 LIMITS = {resource.RLIMIT_FSIZE: 1 << 20, resource.RLIMIT_CPU: 2, resource.RLIMIT_CORE: 0}
 COLOUR = re.compile(rb"\x1b\[[0-9;:]*m")
-"""Select Graphic Rendition (ECMA-48, 8.3.117), the only control sequence here that does not move the cursor."""
+"""Select Graphic Rendition (ECMA-48, 8.3.117), the only control sequence that does not move the cursor."""
 MARK = "SIERRA_VERSION_ASKED"
 
 

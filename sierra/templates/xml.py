@@ -383,7 +383,10 @@ class _Frame:
         return self.before + self.encoded(body) + self.after
 
     def encoded(self, body: str) -> bytes:
-        """Return XML as bytes. Characters that the encoding lacks become references, which must not occur in names or comments."""
+        """Return XML as bytes.
+
+        Characters that the encoding lacks become references, so they must not occur in names or comments.
+        """
         return (body.replace("\n", "\r\n") if self.crlf else body).encode(self.codec, "xmlcharrefreplace")
 
     def error(self, change: Change, what: str, more: str) -> TemplateError:
