@@ -68,7 +68,7 @@ class Commits:
     log_on: tuple[str, ...] = ()
     log_back: tuple[str, ...] = ()
     missing: tuple[str, ...] = ()
-    """Those of the two commits that the repository does not have."""
+    """The given commits that the repository does not have."""
 
 
 def commits(root: Path, before: str, after: str) -> Commits:
