@@ -1,1 +1,1 @@
-"""Settings: sierra.toml, and the user's own defaults."""
+"""Settings: `sierra.toml`, and the user's own defaults."""

@@ -1,7 +1,8 @@
-"""Further lines of `#SBATCH` and `#PBS` that a project may not add: SIERRA says them itself, or nothing would work with them.
+"""Forbidden `#SBATCH` and `#PBS` lines: SIERRA writes them itself, or its jobs would not work with them.
 
-Of two of a kind, schedulers take the one or the other, and neither says so. What a setting of `[runners.…]` is for is refused
-in favour of that; so is what would have jobs not be found again, print elsewhere, or wait for ever.
+If an option occurs twice, schedulers use one of the two, without a message. Options that have a setting in `[runners.…]` are
+refused in favour of that setting. Options are also refused if jobs could not be found again, would write their logs elsewhere,
+or would wait for ever.
 """
 
 from __future__ import annotations
@@ -62,14 +63,14 @@ SLURM: Mapping[str, str] = {
     "usage": SUBMITTED,
     "version": SUBMITTED,
 }
-"""By sbatch's long options, why, or what instead."""
+"""The reason or the alternative for each long option of sbatch."""
 SHORT = {
     **{"c": "cpus-per-task", "t": "time", "p": "partition", "A": "account", "q": "qos", "C": "constraint", "a": "array"},
     **{"N": "nodes", "n": "ntasks", "J": "job-name", "M": "clusters", "o": "output", "e": "error", "d": "dependency"},
     **{"W": "wait", "D": "chdir", "Q": "quiet", "h": "help", "u": "usage", "V": "version"},
 }
 FLAGS = "HIOQVWhksuv"
-"""Short options of sbatch that take no value: others may follow in the same word."""
+"""Short options of sbatch without a value; others may follow in the same word."""
 
 PBS: Mapping[str, str] = {
     "q": PARTITION,
@@ -90,7 +91,7 @@ PBS: Mapping[str, str] = {
     "X": SUBMITTED,
     "z": SUBMITTED,
 }
-"""By qsub's options."""
+"""The reason or the alternative for each option of qsub."""
 RESOURCES: Mapping[str, str] = {
     "select": 'use cpus, memory and gpus; constraint = "…" is added to select',
     "nodes": 'use cpus, memory and gpus; constraint = "…" is added to it',
@@ -101,13 +102,16 @@ RESOURCES: Mapping[str, str] = {
     "walltime": WALL,
     "ngpus": "use gpus = N",
 }
-"""What stands after `-l`."""
+"""The reason or the alternative for each resource after `-l`."""
 ATTRIBUTES: Mapping[str, str] = {"depend": WAITS, "block": FOLLOWED, "interactive": SUBMITTED}
-"""What stands after `-W`."""
+"""The reason for each attribute after `-W`."""
 
 
 def complaint(scheduler: str, line: str) -> str | None:
-    """Why a line can't be added for that scheduler, and what would be right; None where it can, or nobody knows."""
+    """Return the reason why a line cannot be added for that scheduler, with an alternative; None if it can be added.
+
+    Lines for other schedulers than SLURM and PBS are not checked.
+    """
     if scheduler not in ("slurm", "pbs"):
         return None
     if not line.lstrip().startswith("-"):
@@ -124,7 +128,7 @@ def _slurm(line: str) -> Iterator[str]:
     for word in _words(line):
         if word.startswith("--"):
             begin = word[2:].partition("=")[0]
-            yield from (why for name, why in SLURM.items() if begin and name.startswith(begin))  # sbatch takes beginnings too
+            yield from (why for name, why in SLURM.items() if begin and name.startswith(begin))  # sbatch accepts prefixes too
         elif word.startswith("-"):
             for letter in word[1:]:
                 if letter in SHORT:
@@ -148,5 +152,5 @@ def _pbs(line: str) -> Iterator[str]:
 def _words(line: str) -> list[str]:
     try:
         return shlex.split(line, comments=True)
-    except ValueError:  # an open quote: the scheduler's to judge
+    except ValueError:  # an unclosed quote: left to the scheduler
         return line.split()

@@ -1,7 +1,7 @@
-"""`sierra.toml`: what people write, parsed once and trusted from there on.
+"""The models of `sierra.toml`, which is validated once when it is read.
 
-The same table may stand in `pyproject.toml` as `[tool.sierra]`. Unknown keys are errors that name the
-nearest right one. `schemas/sierra.toml.schema.json` is generated from these classes.
+The same table can be in `pyproject.toml` as `[tool.sierra]`. Unknown keys are errors that name the most similar valid key.
+`schemas/sierra.toml.schema.json` is generated from these classes, and their docstrings are its descriptions.
 """
 
 from __future__ import annotations
@@ -55,9 +55,9 @@ SETTINGS: Mapping[int | str, str] = {
     "project": "account",
     "mem": "memory",
 }
-"""What schedulers call settings of clusters."""
+"""Schedulers' names for settings of clusters, with the name in `sierra.toml`."""
 SYSTEM = ("proc", "sys", "dev", "tmp")
-"""Folders of a container that are its own."""
+"""Folders in a container where nothing can be mounted."""
 KINDS = {
     "int_type": "should be a whole number",
     "float_type": "should be a number",
@@ -71,28 +71,28 @@ KINDS = {
     "too_short": "should not be empty",
     "string_too_short": "should not be empty",
 }
-"""What pydantic complains of, in the words of TOML."""
+"""Messages in the terms of TOML for the error types of pydantic."""
 
 
 def _as_words(value: Any) -> Any:
-    """A command may be written as one line; it is split as a shell would, but never runs in one."""
+    """Split a command that is written as one line. The rules are those of a shell, but no shell executes it."""
     return tuple(shlex.split(value)) if isinstance(value, str) else value
 
 
 def _set_to(value: Any) -> Any:
-    """The short form of a table: the XPath alone."""
+    """Expand the short form of a table, which is the XPath alone."""
     return {"set": value} if isinstance(value, str) else value
 
 
 def _inside(path: str) -> str:
-    """A path or glob that stays in the output folder."""
+    """Check that a path or glob stays in the output folder."""
     if path.startswith("/") or ".." in PurePosixPath(path).parts:
         raise ValueError(f"{path!r} should be a path within the run's output folder, as in results.csv")
     return path
 
 
 def _inner(path: str) -> str:
-    """A path in a container where something may be put."""
+    """Check that something can be mounted at a path in a container."""
     parts = PurePosixPath(path).parts
     if parts[:1] != ("/",) or len(parts) < 2 or ".." in parts or parts[:3] == ("/", "run", "sierra") or parts[1] in SYSTEM:
         raise ValueError(f"{path!r} should be a path in the container such as /data (not in {', '.join(SYSTEM)} or run/sierra)")
@@ -100,14 +100,14 @@ def _inner(path: str) -> str:
 
 
 def _on_node(path: str) -> str:
-    """A path that means the same whatever folder a task begins in."""
+    """Check that a path does not depend on the folder in which a task begins."""
     if not path.startswith(("/", "$")):
         raise ValueError(f"{path!r} should be an absolute path on the node, as in /scratch or $TMPDIR/x")
     return path
 
 
 def _elsewhere(path: str) -> str:
-    """A path that means the same whoever begins in whatever folder."""
+    """Check that a path does not depend on the folder in which a command begins."""
     if not path.startswith(("/", "~", "$")):
         raise ValueError(f"{path!r} should be an absolute path, as in /scratch/me, ~/scratch or $SCRATCH")
     return path
@@ -126,7 +126,7 @@ def _once(names: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def size(text: Any) -> Any:
-    """Bytes: `500 MB`, `2 GiB`, or a plain number. Raises ValueError."""
+    """Return a size in bytes from `500 MB`, `2 GiB`, or a plain number. Raises ValueError."""
     if not isinstance(text, str):
         return text
     match = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([kKMGT]?i?)B?\s*", text)
@@ -156,7 +156,7 @@ Device = Annotated[str, AfterValidator(_device)]
 
 
 class Table(BaseModel):
-    """A table of `sierra.toml`: no unknown key, and nothing changes after reading."""
+    """A table of `sierra.toml`: unknown keys are errors, and it is immutable."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -271,7 +271,7 @@ class Output(Table):
     )
 
     def matches(self, path: str) -> bool:
-        """Return whether a file of the output folder is meant, by its name or as a glob; `*` matches slashes too."""
+        """Return True if a file of the output folder belongs to this output, by its name or as a glob; `*` matches slashes."""
         file = self.file.removeprefix("./")
         return path == file or fnmatch.fnmatchcase(path, file)
 
@@ -378,7 +378,7 @@ class ClusterTable(Table):
 
 
 def _submittable(tables: Mapping[str, ClusterTable]) -> Mapping[str, ClusterTable]:
-    """Clusters whose further lines contradict nothing that SIERRA says itself."""
+    """Check that the additional lines of clusters do not contradict lines that SIERRA writes itself."""
     for name, table in tables.items():
         for line in table.directives:
             if why := directives.complaint(table.scheduler or name, line):
@@ -412,11 +412,11 @@ class StoreTable(Table):
     )
 
     def place(self) -> Path | None:
-        """Return the folder where runs execute, if it is not the store's. Raises Missing for a variable that is not set."""
+        """Return the folder where runs execute, or None for the store's. Raises Missing for a variable that is not set."""
         if self.work is None:
             return None
         filled = Path(os.path.expandvars(self.work))
-        with contextlib.suppress(RuntimeError):  # there is no such user
+        with contextlib.suppress(RuntimeError):  # the user does not exist
             filled = filled.expanduser()
         if not filled.is_absolute() or "$" in str(filled):
             raise Missing(f"[store] work: {self.work!r} is {str(filled)!r} here, and no absolute path; set the variable")
@@ -577,24 +577,24 @@ class Project(Table):
 
 @dataclass(frozen=True, slots=True)
 class LoadedProject:
-    """A project: its root (absolute), the file it was read from, and what stands there."""
+    """A project: its root (absolute), its file, and its configuration."""
 
     root: Path
     file: Path
     config: Project
     written: bool = True
-    """Whether there is such a file. A store without one is read all the same."""
+    """True if the file exists. A store without a file can be read too."""
 
     def check_written(self) -> None:
-        """Raise Missing where nobody has written what to execute."""
+        """Raise Missing if there is no `sierra.toml`, so that nothing can be executed."""
         if not self.written:
             raise Missing(f"no {CONFIG} in {self.root}, only a store, which can be read; make one with: sierra init")
 
 
 def load(folder: Path) -> LoadedProject:
-    """The project that `folder` lies in: the nearest `sierra.toml` or `[tool.sierra]` here or above.
+    """Return the project that contains `folder`: the nearest `sierra.toml` or `[tool.sierra]` here or above.
 
-    Raises ConfigError for what is wrong in it, Missing where there is none.
+    Raises ConfigError if it is invalid, Missing if there is none.
     """
     folder = folder.resolve()
     for root in (folder, *folder.parents):
@@ -608,9 +608,9 @@ def load(folder: Path) -> LoadedProject:
 
 
 def load_store(folder: Path) -> LoadedProject:
-    """Return the project that `folder` lies in, as `load` does; else the nearest store, as a project where nothing is declared.
+    """Return the project that contains `folder`, like `load`, or the nearest store as a project without declarations.
 
-    Raises ConfigError, and Missing where there is neither.
+    Raises ConfigError, and Missing if there is neither.
     """
     try:
         return load(folder)
@@ -624,12 +624,12 @@ def load_store(folder: Path) -> LoadedProject:
 
 
 def parse(table: Mapping[str, Any], origin: str) -> Project:
-    """A table as TOML gives it, validated; `origin` names it in messages."""
+    """Validate a table from TOML; messages call it `origin`."""
     return options(Project, table, origin)
 
 
 def options(model: type[OptionsT], table: Mapping[str, Any], origin: str) -> OptionsT:
-    """A table as it is written, validated by its class: the project's, or a platform's own. No text is a number there."""
+    """Validate a table by its model: the project's, or a platform's own. A text is not accepted as a number."""
     try:
         return model.model_validate(_frozen(table, origin), strict=True)
     except ValidationError as error:
@@ -637,7 +637,10 @@ def options(model: type[OptionsT], table: Mapping[str, Any], origin: str) -> Opt
 
 
 def _frozen(value: Any, origin: str) -> Any:
-    """Lists as tuples, which do not change; no text with the character NUL, which no file or argument can hold."""
+    """Return lists as tuples, which are immutable.
+
+    Raises ConfigError for a text with the character NUL, which no file or argument can contain.
+    """
     match value:
         case str() if "\0" in value:
             raise ConfigError(f"{origin}: {value[:40]!r} has the character NUL in it; leave it out")
@@ -650,7 +653,7 @@ def _frozen(value: Any, origin: str) -> Any:
 
 
 def read_toml(file: Path) -> dict[str, Any]:
-    """What a TOML file holds. Raises ConfigError for what is none, Missing for one that can't be read."""
+    """Return the content of a TOML file. Raises ConfigError if it is not TOML, Missing if it cannot be read."""
     try:
         with file.open("rb") as stream:
             return tomllib.load(stream)
@@ -661,7 +664,7 @@ def read_toml(file: Path) -> dict[str, Any]:
 
 
 def _explain(error: ValidationError, model: type[BaseModel] = Project) -> str:
-    """The first complaint, in one line, with the nearest right key where a key is unknown."""
+    """Return the first error in one line; for an unknown key, with the most similar valid key."""
     complaint = error.errors()[0]
     where = ".".join(str(part) for part in complaint["loc"])
     if complaint["type"] == "extra_forbidden":
@@ -680,19 +683,19 @@ def _explain(error: ValidationError, model: type[BaseModel] = Project) -> str:
 
 
 def _no_name(value: object) -> str:
-    """Return what to write in the place of what is not a name."""
+    """Return a message for an invalid name, with a proposal."""
     letters = re.sub(r"[^A-Za-z0-9]+", "_", str(value)).strip("_").lstrip("0123456789_")
     return f"{value!r} is not a name; use letters, digits and _, as in {letters or 'my_name'}"
 
 
 def _written(value: Any) -> str:
-    """A value as TOML has it, nearly, and never a long one."""
+    """Return a value nearly in the form of TOML, shortened."""
     text = json.dumps(value, ensure_ascii=False, default=str)
     return text if len(text) <= 60 else text[:57] + "..."
 
 
 def _nearest(model: type[BaseModel], location: tuple[int | str, ...]) -> str:
-    """The known keys of the table that `location` lies in, the most similar first."""
+    """Return a hint with the known keys of the table that contains `location`, or the most similar one."""
     known = sorted(_keys(model, location[:-1]))
     if location[0] == "runners" and location[-1] in SETTINGS:
         return f"; here it is {SETTINGS[location[-1]]!r}"

@@ -1,7 +1,7 @@
-"""A user's own defaults, for all projects: how SIERRA works here, never what a result depends on.
+"""The user's own defaults for all projects: they affect how SIERRA works here, but not the results.
 
-They stand in `$XDG_CONFIG_HOME/sierra/config.toml` (`~/.config/sierra/config.toml` where that is not set). A variable such
-as `SIERRA_JOBS` goes before the file, and a command's option before both.
+The file is `$XDG_CONFIG_HOME/sierra/config.toml` (`~/.config/sierra/config.toml` if that variable is not set). A variable such
+as `SIERRA_JOBS` overrides the file, and a command's option overrides both.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from sierra.store.layout import user_settings
 
 
 class Settings(Table):
-    """The file `config.toml` of a user."""
+    """The user's file `config.toml`."""
 
     jobs: PositiveInt | None = Field(None, description="runs at a time; as many as there are usable cores where absent")
     figures: bool = Field(True, description="whether `sierra run` draws figures")
 
 
 def load() -> Settings:
-    """What the user's file and variables say. Raises ConfigError for what is wrong there."""
+    """Return the settings of the user's file and variables. Raises ConfigError if they are invalid."""
     file = user_settings()
     settings = project_file.options(Settings, project_file.read_toml(file), str(file)) if file.is_file() else Settings()
     for name in Settings.model_fields:

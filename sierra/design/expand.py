@@ -1,7 +1,7 @@
-"""From a design to a batch with ids, and to the input files of its runs.
+"""The expansion of a design to a batch with ids, and to the input files of its runs.
 
-The expansion of a design is a pure function: it gives the same bytes, and so the same ids, each time. So ids
-are made first, for all runs, and input files again, lazily, only for the runs that execute.
+The expansion is a pure function: it always gives the same bytes, and so the same ids. All ids are computed first. The input
+files are generated again later, lazily, and only for the runs that execute.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from sierra.util.hashing import canonical, canonical_plain, digest, merkle, sha2
 
 STREAM = 1 << 16
 STREAMS = (1 << 15) - 1
-"""Run numbers that one stream of seeds has; a `montecarlo` experiment takes a stream of its own."""
+"""Run numbers per stream of seeds (STREAM), and number of streams (STREAMS); each `montecarlo` experiment has its own."""
 
 Files = tuple[tuple[str, bytes], ...]
 
 
 class Expansion:
-    """A design with all that its runs are made from."""
+    """A design with everything that its runs are made from."""
 
     def __init__(self, design: Design, template: Template, platform: Platform, recipe: Recipe) -> None:
         self._design = design
@@ -38,7 +38,7 @@ class Expansion:
             _check_streams(max(cell.stream for cell in design.cells), design.query.runs)
 
     def batch(self, heed: Heed = deaf) -> Batch:
-        """The batch, with all ids. Raises TemplateError for a change that does not fit the template."""
+        """Return the batch with all ids. Raises TemplateError for a change that does not fit the template."""
         count = len(self._design.cells)
         experiments: list[Experiment] = []
         for cell in self._design.cells:
@@ -48,7 +48,7 @@ class Expansion:
         return Batch(identity, self._design.axes, tuple(experiments), self._recipe, self.recipe_id)
 
     def files(self, batch: Batch, wanted: Callable[[Run], bool]) -> Iterator[tuple[Run, Files]]:
-        """The input files of the runs that are wanted, in the batch's order, each made when it is asked for."""
+        """Yield the wanted runs with their input files, in the batch's order; each is generated on demand."""
         for cell, experiment in zip(self._design.cells, batch.experiments, strict=True):
             runs = [run for run in experiment.runs if wanted(run)]
             if runs:
@@ -93,11 +93,11 @@ def _check_streams(last: int, runs: int) -> None:
 
 
 def run_id(recipe: str, inputs: Iterable[tuple[str, str]], seed: int) -> str:
-    """A run's id: of what it has in common with its batch, its input files, and its seed."""
+    """Return a run's id, the hash of its batch's run specification, its input files and its seed."""
     preimage = {"sierra": "run", "format": 1, "recipe": recipe, "inputs": [list(item) for item in inputs], "seed": seed}
     return sha256(canonical_plain(preimage))
 
 
 def exact(value: Value) -> Value:
-    """A value as a pre-image holds it: numbers that JSON cannot hold exactly as text."""
+    """Return a value as written in a pre-image: numbers that JSON cannot represent exactly become text."""
     return str(value) if isinstance(value, int) and abs(value) >= 2**53 else value

@@ -1,13 +1,14 @@
-"""From a query to a design: the axes, and what each experiment and each run changes in the template.
+"""The design of a query: its axes, and the changes that each experiment and each run make to the template.
 
-Changes are made in this order, later ones over earlier ones: the platform's, the project's own, the
-controller's, the scenario's, the criteria's (in their order, the platform's own last), `--set`; then, in each run,
-the seed and the project's `run_changes`.
+Changes are made in this order, and later ones overwrite earlier ones: those of the platform, the project, the controller, the
+scenario, the criteria (in their order, the platform's own criteria last), and `--set`. In each run, the seed and the project's
+`run_changes` follow.
 
-A platform's own criterion may depend on what the template has become: a density needs the arena. So it is asked
-with all other changes made, once for each combination of the other axes' values, and must span the same axis for all.
+A platform's own criterion may depend on the changed template: a density needs the arena. Therefore the platform receives the
+template with all other changes made, once for each combination of the other axes' values. It must return the same axis for all
+of them.
 
-What an axis or a `--set` has set must last to the input of each run: see `sierra.design.overwritten`.
+The values that an axis or `--set` sets must not be overwritten in the input of a run: see `sierra.design.overwritten`.
 """
 
 from __future__ import annotations
@@ -45,7 +46,7 @@ from sierra.query import ranges
 
 GROUPED = ("controller", "scenario")
 AT_MOST = 1_000_000
-"""Runs that a batch may have."""
+"""Maximum number of runs in a batch."""
 
 
 Spanned = tuple[Axis, tuple[Point, ...]]
@@ -54,7 +55,7 @@ Placed = tuple[Axis, Point]
 
 @dataclass(frozen=True)
 class Changed:
-    """A template as changes leave it. They are made when it is first asked."""
+    """A template after changes, which are made when it is first read."""
 
     template: Template
     changes: tuple[Change, ...]
@@ -70,15 +71,18 @@ class Changed:
 
 
 Heed = Callable[[int, int, int], None]
-"""Hears how many experiments of how many are planned so far, and how many runs there are in all; it may raise."""
+"""A progress callback: number of planned experiments, number of all experiments, number of all runs. It may raise errors."""
 
 
 def deaf(done: int, experiments: int, runs: int) -> None:
-    """Hear nothing."""
+    """Ignore the progress."""
 
 
 def design(query: Query, project: Project, platform: Platform, template: Template, heed: Heed = deaf) -> Design:
-    """What `query` asks for. Raises QueryError, ConfigError for names that are not there; TemplateError; what `heed` raises."""
+    """Return the design of a query.
+
+    Raises QueryError; ConfigError for names that do not exist; TemplateError; and any error that `heed` raises.
+    """
     chosen = _chosen(query, project)
     common = (
         *platform.changes(template),
@@ -114,7 +118,7 @@ def design(query: Query, project: Project, platform: Platform, template: Templat
 
 
 def changes(tables: tuple[ChangeTable, ...], why: str, value: str | None = None) -> tuple[Change, ...]:
-    """Changes as they are written in `sierra.toml`; `value` is what a `set` without one gives."""
+    """Return the changes in tables of `sierra.toml`; `value` is the value of a `set` without one."""
     return tuple(_change(table, why, value) for table in tables)
 
 
@@ -133,16 +137,16 @@ def _change(table: ChangeTable, why: str, value: str | None) -> Change:
 
 @dataclass(frozen=True, slots=True)
 class Spans:
-    """All axes with their points. Those of the platform's own axes depend on where one is on the others."""
+    """All axes with their points. The points of the platform's own axes depend on the places on the other axes."""
 
     axes: tuple[Axis, ...]
     own: tuple[bool, ...]
-    """Which axes are the platform's own."""
+    """True for each axis that is the platform's own."""
     points: Mapping[tuple[int, ...], tuple[tuple[Point, ...], ...]]
-    """Of each axis, by the places on the others; where no axis is the platform's own, by ()."""
+    """The points of each axis, by the places on the other axes; the key is () if no axis is the platform's own."""
 
     def at(self, places: tuple[int, ...]) -> list[Placed]:
-        """One point of each axis, as their changes are made: the platform's own last."""
+        """Return one point of each axis, in the order of their changes: the platform's own last."""
         others = tuple(place for place, own in zip(places, self.own, strict=True) if not own)
         points = self.points[others if any(self.own) else ()]
         placed = [(axis, all_of[place]) for axis, all_of, place in zip(self.axes, points, places, strict=True)]
@@ -151,7 +155,10 @@ class Spans:
 
 
 def _spans(query: Query, project: Project, platform: Platform, common: Changed, heed: Heed) -> Spans:
-    """What the criteria mean. Raises QueryError where one of the platform's own spans several axes."""
+    """Return the axes and points of the criteria.
+
+    Raises QueryError if a criterion of the platform gives different axes for different values of the others.
+    """
     known = [_span(criterion, project) for criterion in query.criteria]
     own = tuple(span is None for span in known)
     others = [span for span in known if span is not None]
@@ -174,7 +181,7 @@ def _spans(query: Query, project: Project, platform: Platform, common: Changed, 
 
 
 def _without(common: Changed, chosen: Sequence[Placed], sets: Sequence[Set], names: Sequence[str]) -> Changed:
-    """What an input is without the criteria of these names, and without what uses a value of theirs."""
+    """Return an input without the criteria with these names, and without the changes that use their values."""
     made = (*common.changes, *(change for _, point in chosen for change in point.changes), *sets)
     apart = tuple(change for change in made if not any(mentions(change, name) for name in names))
     return Changed(common.template, apart, {**common.values, **{axis.name: point.value for axis, point in chosen}})
@@ -188,7 +195,7 @@ def _asked(criterion: Criterion, project: Project, platform: Platform, template:
 
 
 def _check_same(first: Sequence[Spanned], here: Sequence[Spanned], chosen: Sequence[Placed]) -> None:
-    """An axis has one meaning in a batch; `first` is what the axes are at the first value of each."""
+    """Raise QueryError if an axis has several meanings in a batch; `first` has the axes at the first value of each."""
     for (one, _), (other, _) in zip(first, here, strict=True):
         if one != other:
             starts = {axis.name: axis.values[0] for axis, _ in chosen}
@@ -205,7 +212,7 @@ def _few(axis: Axis) -> str:
 
 
 def _span(criterion: Criterion, project: Project) -> Spanned | None:
-    """The axis of one criterion, and what each of its values changes; None where only the platform may know it."""
+    """Return the axis of one criterion, and the changes of each value; None if only the platform may know it."""
     if isinstance(criterion.scale, MonteCarlo):
         values = ranges.values(criterion.scale)
         return Axis(criterion.name, values), tuple(Point(v, (), stream) for stream, v in enumerate(values))
@@ -224,7 +231,7 @@ def _span(criterion: Criterion, project: Project) -> Spanned | None:
 
 
 def _check_independent(spanned: Sequence[Spanned]) -> None:
-    """Two axes that set the same thing would make each other's values untrue."""
+    """Raise QueryError if two axes set the same place, because one would overwrite the other's values."""
     setters: dict[tuple[str, str | None], str] = {}
     for axis, points in spanned:
         for change in {change for point in points for change in point.changes if isinstance(change, Set)}:
@@ -244,14 +251,14 @@ def _check_count(query: Query, axes: Sequence[Axis], heed: Heed) -> None:
 
 
 def _check_lists(project: Project, axes: Sequence[Axis]) -> None:
-    """A list may not be called as what expressions know already."""
+    """Raise ConfigError if a list has a name that already has a meaning in expressions."""
     for name in project.per_run:
         if name in {"seed", "run", *GROUPED, *(axis.name for axis in axes)}:
             raise ConfigError(f"[per_run] {name}: expressions know another {name!r} already; take another name")
 
 
 def _check_effect(project: Project, cells: Sequence[Cell], per_run: tuple[Change, ...]) -> None:
-    """A controller or scenario that is no group, and that nothing in the template takes the name of, is a mistake."""
+    """Raise QueryError for a controller or scenario that is not declared, and whose name nothing in the template uses."""
     for kind in GROUPED:
         for cell in cells:
             name = cell.values.get(kind)
@@ -262,7 +269,7 @@ def _check_effect(project: Project, cells: Sequence[Cell], per_run: tuple[Change
 
 
 def mentions(change: Change, name: str) -> bool:
-    """Whether an expression in a change uses a name."""
+    """Return True if an expression in a change uses a name."""
     match change:
         case Set(value=text) | Add(xml=text) | Rename(to=text):
             return re.search(rf"\{{[^}}]*\b{name}\b", text) is not None
@@ -299,7 +306,7 @@ def _group(project: Project, kind: str, name: str) -> tuple[Change, ...]:
 
 
 def _chosen(query: Query, project: Project) -> dict[str, str]:
-    """Controller and scenario where they are no axes: asked for, or the project's own."""
+    """Return the controller and the scenario if they are not axes: the requested ones, or the project's own."""
     chosen: dict[str, str] = {}
     spanned = {criterion.name for criterion in query.criteria}
     for kind in GROUPED:
@@ -313,7 +320,7 @@ def _chosen(query: Query, project: Project) -> dict[str, str]:
 
 
 def _cells(query: Query, spans: Spans, common: Changed) -> Iterator[tuple[Cell, list[Placed]]]:
-    """The experiments, each with its place on the axes."""
+    """Yield the experiments, each with its place on the axes."""
     every = itertools.product(*(range(len(axis.values)) for axis in spans.axes))
     for ordinal, places in enumerate(every):
         placed = spans.at(places)
@@ -326,7 +333,7 @@ def _cells(query: Query, spans: Spans, common: Changed) -> Iterator[tuple[Cell, 
 def _layers(
     placed: Sequence[Placed], sets: Sequence[Set], seed: tuple[Change, ...], run_changes: tuple[Change, ...]
 ) -> Iterator[Layer]:
-    """All that changes an input after what is common to a batch, in order."""
+    """Yield all layers that follow the common changes of a batch, in order."""
     for axis, point in placed:
         yield Layer(f"{axis.name}={point.value}", point.changes, axis=True)
     for asked in sets:

@@ -1,9 +1,9 @@
-"""Whether what an axis or a `--set` has set is still so in the input of a run.
+"""Check that later changes do not overwrite axis or `--set` values in the input of a run.
 
-Where something else changes it later (another of these, the seed, `run_changes`), its values would be untrue, however
-the paths are written. So what each has set is set again in the input of a run, and must change nothing. It is tried
-with a mark in place of the values, once for all experiments that make the same changes. Only where the mark does not
-last, or a later path may select by the values, are the real ones tried.
+If a later change (of another axis or `--set`, the seed, or `run_changes`) overwrites a value, the recorded value would be
+wrong. Paths to the same place can be written differently. Therefore each value is set again in the input of a run, which must
+change nothing. This is tested with a mark instead of the values, once for all experiments that make the same changes. The real
+values are only tested if the mark is overwritten, or if a later path may select by the values.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from sierra.platforms.base import Reader
 
 MARK = "sierraMarkInPlaceOfAValue"
 CONSTANT = re.compile(r"""\[\s*(?:\d+|@([\w:.-]+)\s*=\s*(?:'[^']*'|"[^"]*"))\s*\]""")
-"""A test in a path, by number or of an attribute."""
+"""A test in a path, by number or by the value of an attribute."""
 SOME_SEED = seeds.LARGEST - 271_828
 
 
 class Document(Protocol):
-    """A template with changes made; see `sierra.templates.base.Document`."""
+    """A template after changes; see `sierra.templates.base.Document`."""
 
     def render(self) -> bytes: ...
 
@@ -34,7 +34,7 @@ class Document(Protocol):
 
 
 class Template(Reader, Protocol):
-    """What a design asks of a template; see `sierra.templates.base.Template`."""
+    """The part of a template that a design needs; see `sierra.templates.base.Template`."""
 
     def __init__(self, data: bytes, name: str) -> None: ...
 
@@ -43,7 +43,7 @@ class Template(Reader, Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Layer:
-    """What one of those who change an input changes in it, under the name that messages give it."""
+    """The changes to an input from one origin, with its name for messages."""
 
     name: str
     changes: tuple[Change, ...]
@@ -55,7 +55,7 @@ class Layer:
         return tuple(change for change in self.changes if isinstance(change, Set))
 
     def marked(self, sets: Sequence[Set]) -> Layer:
-        """With the mark as the value of some of its sets."""
+        """Return a layer with the mark as the value of some of its sets."""
         made = tuple(_mark(change) if isinstance(change, Set) and change in sets else change for change in self.changes)
         return replace(self, changes=made)
 
@@ -69,7 +69,7 @@ def _mark(change: Set) -> Set:
 
 @dataclass(frozen=True, slots=True)
 class Input:
-    """The input of a run, by the layers of its changes."""
+    """The input of a run, with its changes as layers."""
 
     template: Template
     layers: Layers
@@ -82,7 +82,7 @@ class Input:
         return document.per_run(per_run)({**self.values, **self.of_run}) if per_run else document.render()
 
     def until(self, number: int) -> Input:
-        """As it is once a layer's changes are made."""
+        """Return the input after a layer's changes, without later layers."""
         return replace(self, layers=self.layers[: number + 1])
 
     def without(self, number: int) -> Input:
@@ -93,7 +93,7 @@ class Input:
         return replace(self, layers=(*self.layers[:number], layer, *self.layers[number + 1 :]))
 
     def holds(self, sets: Sequence[Set]) -> bool | None:
-        """Whether these, set again, change nothing; None where they select nothing now."""
+        """Return True if setting these values again changes nothing, or None if their paths select nothing now."""
         again = [replace(change, expect=None) for change in sets]
         made = type(self.template)(self.render(), "an input")
         before = made.changed((), self.values).render()
@@ -107,7 +107,10 @@ class Input:
 
 
 def check(template: Template, designed: Design, cell: Cell, layers: Layers) -> bool:
-    """Raises QueryError where what an axis or `--set` sets is not so in the runs; whether only real values could tell."""
+    """Raise QueryError if an axis or `--set` value is overwritten in the runs.
+
+    Returns True if the check needed real values, so that it must be repeated for each experiment.
+    """
     runs = different_runs(designed)
     first = Input(template, layers, cell.values, runs[0])
     setting = [number for number, layer in enumerate(layers) if number and layer.sets and not layer.each_run]
@@ -126,14 +129,17 @@ def _check_each(made: Input, number: int) -> None:
 
 
 def different_runs(designed: Design) -> list[Mapping[str, Value]]:
-    """Return what per-run changes know in some runs: all values of the lists, and a seed that nobody has set by chance."""
+    """Return values of per-run changes in some runs: all values of the lists, and a seed that nobody has set by chance."""
     count = min(designed.query.runs, max([2, *map(len, designed.lists.values())]) if designed.per_run else 1)
     lists = [{name: values[number % len(values)] for name, values in designed.lists.items()} for number in range(count)]
     return [{**values, "seed": SOME_SEED, "run": number} for number, values in enumerate(lists)]
 
 
 def _by_value(layers: Layers, number: int) -> bool:
-    """Whether a later path may select by a value that a layer sets: has more than tests of attributes that it doesn't set."""
+    """Return True if a later path may select by a value that a layer sets.
+
+    It may do so if it contains more than tests of attributes that the layer does not set.
+    """
     own = " ".join(f"{CONSTANT.sub('', change.path)} {change.attribute or ''}" for change in layers[number].sets)
     any_name = "*" in own or "(" in own
 
@@ -144,7 +150,7 @@ def _by_value(layers: Layers, number: int) -> bool:
 
 
 def _lasts_marked(made: Input, number: int) -> bool:
-    """Whether the mark lasts in place of all that a layer sets, and so any value does."""
+    """Return True if the mark is not overwritten in any place that a layer sets; then no value is overwritten."""
     marked = made.marked(number, made.layers[number].sets)
     sets = marked.layers[number].sets
     try:
@@ -154,15 +160,15 @@ def _lasts_marked(made: Input, number: int) -> bool:
 
 
 def _lasts(made: Input, number: int, change: Set) -> bool:
-    """Whether what a layer sets is so in the end, as far as can be told."""
+    """Return True if a value of a layer is not overwritten in the end, as far as this can be determined."""
     held = made.holds((change,))
-    if held is None or (held is False and not made.until(number).holds((change,))):  # it may be its own layer's doing
+    if held is None or (held is False and not made.until(number).holds((change,))):  # its own layer may have overwritten it
         return not _lost(made.marked(number, (change,)), number)
     return held
 
 
 def _lost(marked: Input, number: int) -> bool:
-    """Whether a mark stands in fewer places in the end than once its layer's changes were made."""
+    """Return True if a mark is in fewer places at the end than directly after its layer's changes."""
     try:
         return _marks(marked.render()) < _marks(marked.until(number).render())
     except TemplateError:
@@ -185,5 +191,5 @@ def _overwritten(made: Input, number: int, change: Set) -> str:
 def _blamed(made: Input, later: int, number: int, change: Set) -> bool:
     try:
         return _lasts(made.without(later), number, change)
-    except TemplateError:  # what comes after it needs it
+    except TemplateError:  # a later layer needs this one
         return False

@@ -1,20 +1,19 @@
-"""A seed for each run: derived from the base seed and the run's number, never drawn, never the same twice.
+"""Seeds of runs: derived from the base seed and the run's number, not drawn at random, and never repeated.
 
-A seed is a number from 1 to 2³¹-1: an int32 for every simulator, and never 0, which many take for "choose
-one yourself". Hashing the run's number to 31 bits would give two runs of 50 000 the same seed nearly for
-certain, so the numbers are *permuted* instead. Format 1 of the permutation:
+A seed is a number from 1 to 2³¹-1. It fits into an int32, which every simulator accepts. It is never 0, which for many
+simulators means "choose a seed". If the run's number were hashed to 31 bits, two of 50 000 runs would almost certainly have the
+same seed. Therefore the numbers are *permuted* instead. Format 1 of the permutation:
 
 1. The key is SHA-256 of `{"base":"…","format":1,"sierra":"seeds","stream":"…"}` (`hashing.digest`; the base in
    decimal), read as eight big-endian 32-bit words.
 2. x is the run's number plus 1. For each word of the key, in order: x is increased by the word, xored with
-   itself shifted right by 16, and multiplied by 0x9E3779B9, all modulo 2³¹. At last x is xored with x >> 15.
-3. Where x is now 0, step 2 is done once more, from that 0.
+   itself shifted right by 16, and multiplied by 0x9E3779B9, all modulo 2³¹. Finally, x is xored with x >> 15.
+3. If x is now 0, step 2 is repeated once, starting from that 0.
 
-Each operation of step 2 can be undone modulo 2³¹ (adding, an odd factor, xor with one's own higher bits), so
-it is a bijection of 0 … 2³¹-1. Step 3 walks the cycle past 0, which no number starts from: what remains is a
-bijection of 1 … 2³¹-1. So runs 0 to 7 keep their seeds whatever number of runs comes after them. Eight
-rounds spread each bit of the number over all bits of the seed, so that neighbouring numbers get unlike seeds;
-it is no cipher, and nobody is kept from guessing the next seed.
+Each operation of step 2 is invertible modulo 2³¹ (addition, an odd factor, xor with the number's own higher bits), so step 2 is
+a bijection of 0 … 2³¹-1. Step 3 walks the cycle past 0, and no number starts from 0, so the result is a bijection of
+1 … 2³¹-1. So runs 0 to 7 keep their seeds for any number of further runs. Eight rounds spread each bit of the number over all
+bits of the seed, so that neighbouring numbers get unrelated seeds. It is not a cipher: the next seed can be guessed.
 
 Sources: Black and Rogaway, "Ciphers with Arbitrary Finite Domains" (2002), for walking the cycle; Knuth, "The Art of
 Computer Programming" 3, section 6.4, for the factor, 2³² over the golden ratio. Golden seeds in
@@ -29,17 +28,16 @@ from sierra.errors import QueryError
 from sierra.util.hashing import digest
 
 LARGEST = 2**31 - 1
-"""The largest seed, and how many seeds there are."""
+"""The largest seed, and also the number of different seeds."""
 FACTOR = 0x9E3779B9
 
 
 def seed(base: int, number: int, stream: str = "") -> int:
-    """The seed of run `number` (from 0 on): 1 to 2**31-1, different for each number of one base and stream.
+    """Return the seed of run `number` (from 0): 1 to 2**31-1, different for each number of one base and stream.
 
-    Another `stream`, for instance one per experiment, gives seeds that have nothing to do with the others;
-    between streams two may coincide. The values are a format, pinned by golden seeds: they never change.
-    Raises QueryError for a base that is negative or exceeds 2**63-1, a number outside 0 … 2**31-2, or a stream
-    that is not Unicode.
+    Another `stream`, for example one per experiment, gives unrelated seeds; seeds of different streams may coincide. The values
+    are a format that golden seeds pin: they never change. Raises QueryError for a base that is negative or exceeds 2**63-1, a
+    number outside 0 … 2**31-2, or a stream that is not Unicode.
     """
     if not 0 <= base < 2**63:
         raise QueryError(f"a base seed is from 0 to {2**63 - 1}, not {base}")

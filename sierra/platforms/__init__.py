@@ -1,4 +1,4 @@
-"""Platforms: how each simulator or robot stack is driven."""
+"""Platforms: the ways to drive a simulator or robot stack."""
 
 from __future__ import annotations
 

@@ -1,50 +1,50 @@
-"""ARGoS 3: one configuration, whose seed, length, controller, arena and population SIERRA knows how to set.
+"""ARGoS 3: a configuration in which SIERRA sets the seed, length, controller, arena and population.
 
-What of the template is replaced in every run, and then left to the project's own changes:
+In every run, these parts of the template are replaced first; the project's own changes follow:
 
-- `framework/experiment` gets `random_seed`; `length` and `ticks_per_second` where the options say so. A length of 0
-  (or less than a tick) makes ARGoS run for ever, so that it is refused, whoever sets it.
-- `framework/system/@threads` becomes the option `threads`. The results are the same for any number; many
-  runs side by side are faster than many threads, hence 0. With two or more, `method="balance_length"` hangs.
-  `pin_threads_to_cores` is refused where there are threads: it pins thread n of each run to core n.
+- `framework/experiment` gets `random_seed`. It gets `length` and `ticks_per_second` if the options set them. A length of 0
+  (or less than a tick) makes ARGoS run for ever. Therefore it is refused, also if a change of the project sets it.
+- `framework/system/@threads` gets the option `threads`. The results are the same for any number. Many parallel runs are
+  faster than many threads, so the default is 0. With two or more, `method="balance_length"` hangs.
+  `pin_threads_to_cores` is refused if there are threads: it pins thread n of each run to core n.
 - The placeholder `__CONTROLLER__`, as a tag and as an attribute, becomes the controller's name.
-- `visualization` is taken out. So `argos3` needs no `-z`, and a camera is no part of a run's identity.
+- `visualization` is removed. So `argos3` needs no `-z`, and a camera is not part of a run's identity.
 
-*The arena.* `arena = "10x10"` (or `10x10x2`, in metres) sets `arena/@size`. The arena keeps its centre, and
-the floor its height. What belongs to its shape follows; all else stays where it is (and ends a run with an error
-of ARGoS's where a smaller arena leaves a light outside):
+*The arena.* `arena = "10x10"` (or `10x10x2`, in metres) sets `arena/@size`. The arena keeps its centre, and the floor keeps
+its height. The elements that belong to its shape follow. All others stay in their places. If a smaller arena leaves a light
+outside, the run ends with an error of ARGoS.
 
-- The walls are the boxes whose ids begin with `wall`, or what the option `walls` selects: none, or one on
-  each side. Which side a wall is on is told by its longer dimension and by where it stands among the walls, not by
-  its name. Each keeps its thickness and height, is made as long as the side, and is put inside the arena with its
-  outer face on the edge: ARGoS ends a run as soon as a lit LED is outside `arena/@size`, so they can't stand on it.
-- The boxes of `distribute/position[@method="uniform"]` are stretched as the space between the walls is (or,
-  without walls, the arena), and cut at the walls. A nest along one wall remains a nest along that wall.
+- The walls are the boxes whose ids begin with `wall`, or the boxes that the option `walls` selects: none, or one on each
+  side. The side of a wall follows from its longer dimension and its position among the walls, not from its name. Each wall
+  keeps its thickness and height, and becomes as long as the side. It is moved inside the arena with its outer face on the
+  edge. It cannot stand on the edge, because ARGoS ends a run as soon as a lit LED is outside `arena/@size`.
+- The boxes of `distribute/position[@method="uniform"]` are stretched like the space between the walls (or, without walls,
+  like the arena), and cut at the walls. A nest along one wall remains a nest along that wall.
 
-Where anything else changes the arena's size along x or y, or its centre (a variable, a scenario, `--set`, `run_changes`),
-the walls must have moved too: an input whose walls leave an edge by more than their thickness is refused.
+If another change sets the arena's size along x or y, or its centre (a variable, a scenario, `--set`, `run_changes`), the
+walls must have moved too. An input is refused if its walls are further from an edge than their thickness.
 
-*Densities* are percent of robots per m² of `arena/@size`, as it is once project, controller, scenario, variables and
-`--set` have changed it: a population is ⌊area · density / 100⌋.
-`population_constant_density.5p0.I16.C4` starts with the arena as it is and makes both sides of each next one
-16 m longer; `population_variable_density.1p0.5p0.C4` keeps the arena. Populations are the values of both axes.
-Two equal ones, or less than one robot, are errors. Both fix `arena/@size`, so that no other criterion may.
+*Densities* are percent of robots per m² of `arena/@size`. The size is the one after the changes of project, controller,
+scenario, variables and `--set`. A population is ⌊area · density / 100⌋. `population_constant_density.5p0.I16.C4` starts with
+the current arena, and each following arena is 16 m longer on both sides. `population_variable_density.1p0.5p0.C4` keeps the
+arena. The values of both axes are populations. Two equal populations, or less than one robot, are errors. Both criteria set
+`arena/@size`, so no other criterion may set it.
 
-*Libraries.* ARGoS looks for those that a template names in `ARGOS_PLUGIN_PATH`: first below the project's folder,
-where `library="build/controllers/libx"` means what it means to who starts `argos3` there, then in the folders of
-the project that the option `libraries` names, `build` by default. All files in these count as programs: a run
-executes again where one has changed, also where git ignores them. A path of one machine would be a part of every run's
-id, so let ARGoS itself be installed where its loader finds it: in an image, or by `make install` and ldconfig. Otherwise
-`[environment] pass = ["LD_LIBRARY_PATH"]` works as well, but makes the value a part of the ids. A variable
-`ARGOS_PLUGIN_PATH` of the project's own replaces all this.
+*Libraries.* ARGoS searches the libraries that a template names in `ARGOS_PLUGIN_PATH`. The first entry is the project's
+folder: there `library="build/controllers/libx"` means the same as for a user who starts `argos3` in that folder. The folders
+of the option `libraries` follow, by default `build`. All files in these folders are fingerprinted like programs: a run
+executes again if one has changed, even if git ignores it. A path of one machine would become part of every run's id.
+Therefore ARGoS itself should be installed where its loader finds it: in an image, or by `make install` and ldconfig.
+Otherwise `[environment] pass = ["LD_LIBRARY_PATH"]` works as well, but its value becomes part of the ids. If the project sets
+the variable `ARGOS_PLUGIN_PATH`, its value replaces all this.
 
-*Failures.* ARGoS ends with exit status 1 where a library, a controller's id, a device, or the room for robots is missing,
-and where a loop function or, without threads, a controller throws; with threads such a controller, as one that
-crashes always does, ends it by a signal. It writes nothing at its end by which a run that was left early with exit
-status 0 would be known: `min_rows` in `[outputs.…]` says so.
+*Failures.* ARGoS ends with exit status 1 if a library, a controller's id, a device, or space for the robots is missing, and
+if a loop function throws. It does the same if a controller throws and there are no threads. With threads, such a controller
+ends ARGoS by a signal; a controller that crashes always does. ARGoS writes nothing at its end that would identify a run
+that ended early with exit status 0; use `min_rows` in `[outputs.…]` to detect it.
 
-An `output_dir` in the template is relative to where the run starts, its output folder; the worker keeps stdout and
-stderr, so neither `-l` nor `-e` is needed.
+An `output_dir` in the template is relative to the folder where the run starts, which is its output folder. The worker keeps
+stdout and stderr, so neither `-l` nor `-e` is needed.
 """
 
 from __future__ import annotations
@@ -91,14 +91,14 @@ EXPERIMENT = f"{ROOT}/framework/experiment"
 SYSTEM = f"{ROOT}/framework/system"
 ARENA = f"{ROOT}/arena"
 ROBOTS = f"{ARENA}//*[controller]"
-"""All that has a controller, wherever it is placed."""
+"""XPath of all elements with a controller, independent of their placement."""
 POPULATION = f"{ARENA}/distribute/entity[*/controller]/@quantity"
 WALLS = f"{ARENA}/box[starts-with(@id, 'wall')]"
 BOXES = f"{ARENA}/distribute/position[@method='uniform']"
 BOUNDARIES = f"{ROOT}/physics_engines/*/boundaries"
 
 LARGEST = 2**32 - 1
-"""What ARGoS can hold of ticks and of robots."""
+"""The largest number of ticks, and of robots, that ARGoS supports."""
 LABEL = "Population size"
 CRITERIA: Mapping[str, str] = {
     "population_size": "how many robots are distributed in the arena",
@@ -141,7 +141,7 @@ class ArgosOptions(Table):
 
 @dataclass(frozen=True, slots=True)
 class Size:
-    """The sides of an arena in metres; without `z`, its height stays."""
+    """The sides of an arena in metres; without `z`, the arena keeps its height."""
 
     x: Fraction
     y: Fraction
@@ -157,13 +157,13 @@ class Size:
 
 @dataclass(frozen=True, slots=True)
 class Wall:
-    """A box on one side of the arena: which one, and what of it doesn't change."""
+    """A box on one side of the arena: its side, and the properties that do not change."""
 
     id: str
     axis: int
-    """What it bounds: 0 is x, 1 is y."""
+    """The axis that the wall bounds: 0 is x, 1 is y."""
     high: bool
-    """Whether it bounds that from above."""
+    """True if the wall is at the upper end of the axis."""
     position: Vector
     thickness: Fraction
     height: Fraction
@@ -172,7 +172,7 @@ class Wall:
 
 @dataclass(frozen=True, slots=True)
 class Space:
-    """From where to where robots can be, along x and y."""
+    """The range of positions where robots can be, along x and y."""
 
     low: tuple[Fraction, Fraction]
     high: tuple[Fraction, Fraction]
@@ -227,7 +227,7 @@ class Argos:
         return CRITERIA
 
     def check(self, document: Reader, template: Reader) -> None:
-        """Refuse what ARGoS would run for ever, hang in or not find, and an arena without its walls: whoever made it so."""
+        """Refuse an input that ARGoS would run for ever, hang in or not find, or whose arena does not fit its walls."""
         _check_length(document)
         _check_method(document)
         _check_pinning(document)
@@ -317,7 +317,7 @@ class Argos:
         return Axis(criterion.name, tuple(sizes), label="Arena", unit="m"), points
 
     def _population(self, template: Reader) -> str:
-        """The XPath of the one attribute that holds how many robots there are."""
+        """Return the XPath of the one attribute that holds the number of robots."""
         path = self._options.population or POPULATION
         found = len(template.find(path))
         if found != 1 or (not self._options.population and len(template.find(ROBOTS)) != 1):
@@ -330,7 +330,7 @@ class Argos:
         return path
 
     def _resized(self, template: Reader, size: Size, why: str) -> tuple[Change, ...]:
-        """All that makes the arena, its walls and what is distributed in it fit a size."""
+        """Return the changes that fit the arena, its walls and the distributed robots to a size."""
         if template.find(BOUNDARIES):
             raise TemplateError(f"{why}: {BOUNDARIES} would not follow the arena; use changes of your own")
         walls = self._walls(template)
@@ -346,7 +346,7 @@ class Argos:
         )
 
     def _walls(self, template: Reader) -> tuple[Wall, ...]:
-        """The four walls, or none. Raises TemplateError where what is selected is neither."""
+        """Return the four walls, or none. Raises TemplateError if the selected elements are something else."""
         path = self._options.walls
         ids = template.find(f"({path})/@id")
         sizes = tuple(_parsed(text, "a wall's size") for text in template.find(f"({path})/@size"))
@@ -363,7 +363,7 @@ class Argos:
         return walls
 
     def _check_arena(self, document: Reader, template: Reader) -> None:
-        """Check that an arena with other edges than the template's has its walls there, whoever changed it."""
+        """Check the walls of an arena whose edges differ from the template's, independent of the change that moved them."""
         if not _has_other_edges(document, template):
             return
         size, everything = _arena_size(document), f"{BOUNDARIES}//@*"
@@ -372,7 +372,7 @@ class Argos:
             raise TemplateError(f"{BOUNDARIES} would not follow the {size} arena; change them as well")
 
     def _check_walls(self, document: Reader, size: Size, otherwise: str) -> None:
-        """Check that the walls are the arena's edges, within their thickness; if not, robots don't have its area."""
+        """Check that each wall is at most its thickness away from the arena's edge; otherwise robots lack part of the area."""
         arena = _space(_center(document), size)
         for wall in self._walls(document):
             if (wrong := _off_the_edge(wall, arena)) is not None:
@@ -382,7 +382,7 @@ class Argos:
                 )
 
     def _moved(self, wall: Wall, arena: Space, why: str) -> tuple[Change, ...]:
-        """Onto the edge of the arena, from inside, along the whole side."""
+        """Return the changes that move a wall to the inside of the arena's edge, along the whole side."""
         across, along = wall.axis, 1 - wall.axis
         size, position = [Fraction()] * 2, [Fraction()] * 2
         size[across] = wall.thickness
@@ -398,7 +398,7 @@ class Argos:
 
 
 def _check_folder(folder: str) -> None:
-    """One whose files can be told apart from the rest of the project, and that a list with `:` can hold."""
+    """Check that a folder lies below the project, and that its name fits into a list separated by `:`."""
     parts = PurePosixPath(folder).parts
     if not parts or parts[0] == "/" or ".." in parts or set(folder) & set(":;,={}"):
         raise ConfigError(f'{TABLE}: libraries: {folder!r} is not a folder below the project; use one as in ["build"]')
@@ -450,7 +450,7 @@ def _whole(name: str, value: Value) -> int:
 
 
 def _agents(name: str, area: Fraction, density: Fraction) -> int:
-    """How many robots a density means. Raises QueryError where it is less than one."""
+    """Return the number of robots at a density. Raises QueryError if it is less than one."""
     exact = area * density / 100
     if exact < 1:
         least = _step(100 / area)
@@ -462,7 +462,10 @@ def _agents(name: str, area: Fraction, density: Fraction) -> int:
 
 
 def _too_slow(name: str, first: Size, scale: ConstantDensity, populations: tuple[int, ...]) -> str:
-    """Two arenas with as many robots; from the increment named, each has at least one more than the last."""
+    """Return a message for two arenas with equal populations.
+
+    It names an increment from which on each arena has at least one robot more than the last.
+    """
     twice = next(n for n in populations if populations.count(n) > 1)
     around = float(first.x + first.y)
     enough = (math.sqrt(around**2 + 400 / float(scale.density)) - around) / 2
@@ -520,7 +523,7 @@ def _space(center: Vector, size: Size) -> Space:
 
 
 def _between(arena: Space, walls: Iterable[Wall]) -> Space:
-    """What the walls leave of an arena, once they stand inside its edges."""
+    """Return the space between the walls of an arena, when they stand inside its edges."""
     low, high = list(arena.low), list(arena.high)
     for wall in walls:
         if wall.high:
@@ -531,7 +534,7 @@ def _between(arena: Space, walls: Iterable[Wall]) -> Space:
 
 
 def _within(walls: Iterable[Wall]) -> Space:
-    """What four walls enclose where they stand."""
+    """Return the space that four walls enclose in their current places."""
     faces = {(wall.axis, wall.high): _face(wall, outer=False) for wall in walls}
     return Space((faces[0, False], faces[1, False]), (faces[0, True], faces[1, True]))
 
@@ -542,7 +545,7 @@ def _face(wall: Wall, *, outer: bool) -> Fraction:
 
 
 def _wall(identity: str, size: Vector, position: Vector, positions: tuple[Vector, ...]) -> Wall:
-    """The side is that of the walls' common middle on which this one stands."""
+    """Return a wall; its side is given by its position relative to the middle of all walls."""
     axis = 0 if size[0] < size[1] else 1
     places = [place[axis] for place in positions]
     middle = (min(places) + max(places)) / 2
@@ -552,7 +555,7 @@ def _wall(identity: str, size: Vector, position: Vector, positions: tuple[Vector
 
 
 def _off_the_edge(wall: Wall, arena: Space) -> str | None:
-    """Return how a wall fails to close its side of an arena, to within its thickness; None where it closes it."""
+    """Return a description of a gap in a side of the arena that exceeds the wall's thickness; None if there is no gap."""
     along = 1 - wall.axis
     outside = _face(wall, outer=True)
     off = abs(outside - (arena.high if wall.high else arena.low)[wall.axis])
@@ -564,19 +567,19 @@ def _off_the_edge(wall: Wall, arena: Space) -> str | None:
 
 
 def _has_other_edges(document: Reader, template: Reader) -> bool:
-    """Return whether changes gave the arena another size along x or y, or moved its centre."""
+    """Return True if changes gave the arena another size along x or y, or moved its centre."""
     paths = (f"{ARENA}/@size", f"{ARENA}/@center")
     if all(document.find(path) == template.find(path) for path in paths):
         return False
     now = _space(_center(document), _arena_size(document))
     try:
         return now != _space(_center(template), _arena_size(template))
-    except TemplateError:  # changes mended what is wrong there
+    except TemplateError:  # the template's arena is invalid, and changes corrected it
         return True
 
 
 def _lifted(template: Reader, center: Vector, size: Size, why: str) -> tuple[Change, ...]:
-    """The centre, where the arena becomes higher: its floor stays."""
+    """Return the change of the centre when the arena becomes higher; its floor stays."""
     if size.z is None:
         return ()
     z = center[2] + (size.z - _vector(template, f"{ARENA}/@size")[2]) / 2
@@ -584,7 +587,7 @@ def _lifted(template: Reader, center: Vector, size: Size, why: str) -> tuple[Cha
 
 
 def _stretched(template: Reader, before: Space, after: Space, why: str) -> tuple[Change, ...]:
-    """Each box of uniform positions, as the space around it is stretched, and within it."""
+    """Return the changes that stretch each box of uniform positions with its surrounding space, and keep it inside."""
     changes: list[Change] = []
     corners = zip(template.find(f"{BOXES}/@min"), template.find(f"{BOXES}/@max"), strict=True)
     for number, (least, most) in enumerate(corners, 1):
@@ -625,7 +628,7 @@ def _vector(template: Reader, path: str) -> Vector:
 
 
 def _parsed(text: str, what: str) -> Vector:
-    """Three numbers with commas between them, as ARGoS writes a vector."""
+    """Return three numbers that are separated by commas, the format of vectors in ARGoS."""
     parts = text.split(",")
     if len(parts) != 3:
         raise TemplateError(f"{what}: {text!r} is not three numbers; use one as 10,10,2")
@@ -643,17 +646,17 @@ def _joined(numbers: Iterable[Fraction]) -> str:
 
 
 def _plain(number: Fraction) -> str:
-    """For people: at most four decimals."""
+    """Return a number with at most four decimals, for messages."""
     return ranges.plain(round(number, 4))
 
 
 def _step(number: Fraction) -> str:
-    """At least that, as criteria write it: 6p25."""
+    """Return a number, rounded up to two decimals and written like in criteria: 6p25."""
     return ranges.plain(Fraction(math.ceil(number * 100), 100)).replace(".", "p")
 
 
 def _literal(text: str) -> str:
-    """A text within an XPath 1.0 expression, which has no escapes."""
+    """Return a text as a literal in an XPath 1.0 expression; XPath 1.0 has no escapes."""
     if "'" not in text:
         return f"'{text}'"
     if '"' not in text:

@@ -1,7 +1,7 @@
-"""How one simulator or robot stack is driven: the Platform contract, and the door to find one by name.
+"""The Platform contract for driving one simulator or robot stack, and the functions to find a platform by name.
 
-Shipped: `command` (any program) and `argos`. Others come as entry points of the group `sierra.platforms`,
-each naming a class that fulfils `Platform`; `sierra.testing.platforms` holds them to it.
+Shipped platforms are `command` (any program) and `argos`. Others are entry points of the group `sierra.platforms`; each names
+a class that implements `Platform`. `sierra.testing.platforms` checks that they fulfil the contract.
 """
 
 from __future__ import annotations
@@ -21,74 +21,74 @@ SHIPPED = {
 
 
 class Reader(Protocol):
-    """What a platform may ask of a template, be it as it is in its file or as changes have left it."""
+    """Read access to a template, either as in its file or after changes."""
 
     def find(self, path: str) -> tuple[str, ...]:
-        """The text of each attribute, text or element that an XPath 1.0 expression selects, in document order."""
+        """Return the text of each attribute, text or element that an XPath 1.0 expression selects, in document order."""
         ...
 
 
 class Platform(Protocol):
-    """One way to drive a simulator. Made once per batch from the project; holds no state of a run.
+    """One way to drive a simulator. It is created once per batch from the project, and holds no state of a run.
 
-    All methods may be called many times and must give the same answer for the same project and template:
-    what they return becomes part of what a run's identity is made from.
+    All methods may be called many times, and must return the same for the same project and template, because a run's identity
+    is made from their results.
     """
 
     Options: ClassVar[type[Table]]
-    """What `[platforms.NAME]` may hold. Such a table is checked wherever it stands, whichever platform drives."""
+    """The model of `[platforms.NAME]`. Such a table is always checked, even if another platform is used."""
 
     def __init__(self, project: Project) -> None:
-        """Raises ConfigError where the project's options for this platform are not as they should be."""
+        """Raise ConfigError if the project's options for this platform are invalid."""
         ...
 
     def changes(self, template: Reader) -> tuple[Change, ...]:
-        """What this platform changes in every run's input, before anybody else does; `template` is as in its file."""
+        """Return the platform's changes to every run's input; they are made before all others. `template` is as in its file."""
         ...
 
     def seed_changes(self) -> tuple[Change, ...]:
-        """Where the seed (`{seed}`) goes by this platform's own rules; may be none."""
+        """Return the changes that write the seed (`{seed}`) by this platform's own rules; may be empty."""
         ...
 
     def criterion(self, criterion: Criterion, template: Reader) -> tuple[Axis, tuple[Point, ...]] | None:
-        """What a criterion of this platform's own means, or None where it has none of that name.
+        """Return the axis and the points of one of this platform's own criteria, or None for an unknown name.
 
-        `template` is what an experiment's input is without this criterion: with all changes made, this platform's
-        own, the project's, controller's, scenario's, variables' and `--set`, but those that use a value of this
-        platform's criteria. It may be asked with several templates for one batch; the axis must be the same for all.
-        A variable of the project of the same name goes first. Raises QueryError where the criterion is the
-        platform's, but its scale does not fit. `sierra.query.ranges.values` gives a scale's numbers.
+        `template` is the experiment's input without this criterion. All changes of the platform, the project, controller,
+        scenario, variables and `--set` are made, except those that use a value of this platform's criteria. The method may be
+        called with several templates for one batch; the axis must be the same for all. A variable of the project with the same
+        name takes precedence. Raises QueryError if the criterion is the platform's but its scale does not fit.
+        `sierra.query.ranges.values` returns a scale's numbers.
         """
         ...
 
     def criteria(self) -> Mapping[str, str]:
-        """The names of the criteria that `criterion` knows, each with a sentence."""
+        """Return the names of the criteria that `criterion` accepts, each with a description."""
         ...
 
     def check(self, document: Reader, template: Reader) -> None:
-        """Raise TemplateError where the input of a run, with all changes made, can't be right.
+        """Raise TemplateError if the input of a run, after all changes, cannot be correct.
 
-        `template` is as in its file. Where only the seed differs between the runs of an experiment, one of them is checked.
+        `template` is as in its file. If the runs of an experiment differ only in the seed, one of them is checked.
         """
         ...
 
     def command(self) -> tuple[str, ...]:
-        """The program and its arguments, with placeholders: `{input}`, `{output}`, `{seed}`, `{project}`, …"""
+        """Return the program and its arguments, with placeholders: `{input}`, `{output}`, `{seed}`, `{project}`, …"""
         ...
 
     def files(self, document: bytes) -> tuple[tuple[str, bytes], ...]:
-        """The input files that one generated document becomes, by name; the first is `{input}`."""
+        """Return the names and contents of the input files for one generated document; the first is `{input}`."""
         ...
 
     def environment(self) -> Mapping[str, str]:
-        """Variables that this simulator needs; part of a run's identity, so without paths of this machine."""
+        """Return variables that this simulator needs. They are part of a run's identity, so they contain no local paths."""
         ...
 
 
 def find(name: str, project: Project) -> Platform:
-    """The platform of that name, made for a project.
+    """Return the platform with that name, created for a project.
 
-    Raises ConfigError where there is none, and where a table `[platforms.NAME]` is not as that platform's should be.
+    Raises ConfigError if there is none, or if a table `[platforms.NAME]` is invalid for that platform.
     """
     for other, table in project.platforms.items():
         if other not in names():
@@ -99,7 +99,7 @@ def find(name: str, project: Project) -> Platform:
 
 
 def names() -> tuple[str, ...]:
-    """All platforms that can be named here, the shipped ones first."""
+    """Return the names of all available platforms, the shipped ones first."""
     return entry_points.names("platform", SHIPPED)
 
 

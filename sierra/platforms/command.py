@@ -1,4 +1,4 @@
-"""Any program: it reads the generated file, and writes into its output folder."""
+"""The platform for any program that reads the generated file and writes into its output folder."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class CommandOptions(Table):
 
 
 class Command:
-    """The platform `command`: argv with placeholders, all else as the project says."""
+    """The platform `command`: arguments with placeholders; the project defines everything else."""
 
     Options: ClassVar[type[Table]] = CommandOptions
 
@@ -41,7 +41,7 @@ class Command:
         return {}
 
     def check(self, document: Reader, template: Reader) -> None:
-        """Nothing is known of what any program reads."""
+        """Accept every input, because nothing is known about the format that a program reads."""
 
     def command(self) -> tuple[str, ...]:
         return self._command

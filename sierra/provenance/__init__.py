@@ -1,1 +1,1 @@
-"""What a result came from: the code (`source`), the programs around it (`programs`), the machine (`environment`)."""
+"""The origin of a result: the code (`source`), the programs around it (`programs`), and the machine (`environment`)."""

@@ -1,9 +1,9 @@
-"""How files were when they were taken for the code and the programs of a batch, to be asked later whether they still are.
+"""A guard that detects changes to a batch's code and programs while the batch executes.
 
-A result must not be ascribed to files that did not make it, and while a batch executes for hours, somebody edits, pulls or
-upgrades. So each file is remembered by size, inode and both its times, as in git's index: no program can set back the time of
-change (ctime), so a file that was another for a while, and is as before again, is noticed too. Reading none of them, 50,000
-take 0.15 s. Files that are only new are no change: runs may leave some in the project.
+A result must not be ascribed to files that did not produce it. But while a batch executes for hours, users may edit files,
+pull commits or upgrade programs. Therefore the guard stores the size, inode and both times of each file, like git's index. No
+program can set back the time of change (ctime), so the guard also detects a file that was changed and then changed back. No
+file is read, so 50,000 files take 0.15 s. New files are not a change, because runs may leave files in the project.
 """
 
 from __future__ import annotations
@@ -19,21 +19,21 @@ from sierra.provenance.source.manifest import REPOSITORY, read
 from sierra.provenance.source.paths import shown
 
 State = tuple[int, int, int, int] | None
-"""Both times, size and inode; None where there is no file."""
+"""Both times, the size and the inode of a file; None if there is no file."""
 
 
 @dataclass(frozen=True, slots=True)
 class ChangeGuard:
-    """Files as they were."""
+    """The states of files at one time."""
 
     states: dict[bytes, State]
     root: bytes
-    """The project's folder, as whose part a file is named."""
+    """The project's folder; messages name its files relative to it."""
     source: tuple[bytes, ...] = ()
-    """The files of the source, from there."""
+    """The files of the source, relative to the project's folder."""
 
     def doubt(self, since: str = "since the runs began") -> str | None:
-        """What is not as it was, in a line that says why runs do not count; None where all is."""
+        """Return one line that names the changed files, or None if nothing has changed."""
         changed = [path for path, state in self.states.items() if _state(path) != state]
         if not changed:
             return None
@@ -41,11 +41,11 @@ class ChangeGuard:
         return f"code or programs have changed {since}: {shown(names)} ({self.advice(names)})"
 
     def advice(self, names: Iterable[bytes]) -> str:
-        """Return what to write where files are no code."""
+        """Return advice for the case that the changed files are not code."""
         return narrowing.advice(names, self.source)
 
     def named(self, descriptor: int) -> str | None:
-        """The one of them that is open there; None where none is."""
+        """Return the name of the guarded file that is open as `descriptor`, or None if it is another file."""
         try:
             status = os.fstat(descriptor)
         except OSError:
@@ -57,13 +57,16 @@ class ChangeGuard:
 
 
 def alone(path: Path) -> ChangeGuard:
-    """One file, as it is now."""
+    """Return a guard for one file in its current state."""
     name = os.fsencode(path)
     return ChangeGuard({name: _state(name)}, b"")
 
 
 def seen(root: Path, manifest: bytes, programs: Programs) -> ChangeGuard:
-    """The files of a source in the folder `root` (of none, where the list is empty), and the programs, as they are now."""
+    """Return a guard for the current states of a source's files in the folder `root`, and of the programs.
+
+    An empty manifest means that no file of a source is guarded.
+    """
     base = os.fsencode(root)
     paths = (*_files(base, manifest), *(os.fsencode(one.path) for one in programs.all if one.kind != Kind.DISTRIBUTIONS))
     return ChangeGuard({path: _state(path) for path in paths}, base, tuple(read(manifest)))
@@ -78,7 +81,7 @@ def _files(base: bytes, manifest: bytes) -> Iterator[bytes]:
 
 
 def _below(folder: bytes) -> Iterable[bytes]:
-    """The files of a repository inside, but for what git keeps there."""
+    """Return the files of a nested repository, except git's own files."""
     for here, folders, files in os.walk(folder):
         folders[:] = [name for name in folders if name not in (b".git", b"__pycache__")]
         yield from (here + b"/" + name for name in files if name != b".git")
@@ -86,7 +89,7 @@ def _below(folder: bytes) -> Iterable[bytes]:
 
 def _state(path: bytes) -> State:
     try:
-        status = os.stat(path)  # noqa: PTH116 - as quick as can be
+        status = os.stat(path)  # noqa: PTH116 - for speed
     except OSError:
         return None
     return status.st_mtime_ns, status.st_ctime_ns, status.st_size, status.st_ino

@@ -1,7 +1,8 @@
-"""What is around executions: the machine, what SIERRA runs on, and variables; recorded once and referred to by hash.
+"""The environment of executions: the machine, SIERRA's own installation, and variables; stored once, referred to by hash.
 
-Of variables only those that are known to change results are recorded, and those that `[environment] record` names: never
-all, since some hold secrets. What a batch system says of one job alone is left out, or each job had an environment of its own.
+Only variables that are known to change results are recorded, and those that `[environment] record` names. Other variables are
+not recorded, because some contain secrets. Values that a batch system sets for one job only are left out, because otherwise
+each job would have an environment of its own.
 """
 
 from __future__ import annotations
@@ -27,18 +28,18 @@ VARIABLES = (
     *("CUDA_VISIBLE_DEVICES", "CUBLAS_WORKSPACE_CONFIG", "XLA_FLAGS", "MUJOCO_GL", "PYOPENGL_PLATFORM", "LIBGL_*", "MESA_*"),
     *("ARGOS_PLUGIN_PATH", "ROS_DISTRO", "ROS_VERSION", "RMW_IMPLEMENTATION", "AMENT_PREFIX_PATH", "GZ_VERSION"),
 )
-"""Names (or patterns) of variables that are recorded."""
+"""Names (or patterns) of the variables that are recorded."""
 LOADED = "LOADEDMODULES"
 RELEVANT = (
     *("cpu_flags", "machine", "cpu", "libc", "gpus", "container", "os", "kernel", "variables", "modules", "sierra", "python"),
     *("distributions", "locale", "timezone", "cores", "memory", "limits", "host"),
 )
-"""The facts, those first that explain a different result best."""
+"""Names of the facts; those that best explain a different result come first."""
 SECRET = ("TOKEN", "SECRET", "PASSWORD", "CREDENTIAL")
 
 
 def capture(version: str, record: Sequence[str] = ()) -> dict[str, Any]:
-    """The record of this environment; `version` is SIERRA's, `record` are further names (or patterns) of variables."""
+    """Return the record of this environment; `version` is SIERRA's, `record` adds names (or patterns) of variables."""
     machine = facts()
     around = {
         **machine,
@@ -56,7 +57,10 @@ def capture(version: str, record: Sequence[str] = ()) -> dict[str, Any]:
 
 
 def elsewhere(around: Mapping[str, Any], machine: Mapping[str, Any], variables: Mapping[str, str]) -> dict[str, Any]:
-    """The record of the environment on another host, which told these facts and variables; `around` is that of this one."""
+    """Return the record of the environment on another host.
+
+    `machine` and `variables` are the facts and variables that the host reported; `around` is the record of this host.
+    """
     found = {
         **{name: value for name, value in around.items() if name != "environment"},
         **machine,
@@ -70,7 +74,10 @@ def elsewhere(around: Mapping[str, Any], machine: Mapping[str, Any], variables: 
 
 
 def recorded(record: Sequence[str]) -> tuple[str, ...]:
-    """Names (or patterns) of all variables that another host is to tell for `elsewhere`; `record` are further ones."""
+    """Return the names (or patterns) of all variables that another host has to report for `elsewhere`.
+
+    `record` adds further names.
+    """
     return (*VARIABLES, LOADED, *record)
 
 
@@ -84,16 +91,16 @@ def _variables(patterns: Sequence[str]) -> dict[str, str]:
 
 @cache
 def _distributions() -> str:
-    """What is installed where SIERRA runs, a line each."""
+    """Return the distributions that are installed where SIERRA runs, one per line."""
     folders = [Path(folder) for folder in sys.path if folder.endswith(("site-packages", "dist-packages"))]
     return "\n".join(one.line for one in pythons.distributions([folder for folder in folders if folder.is_dir()]))
 
 
 def differing(before: Mapping[str, Any], now: Mapping[str, Any]) -> Iterator[tuple[str, Any, Any]]:
-    """What is other in two rows of `environments`: name, was, is; the most relevant first.
+    """Yield the differences between two rows of `environments` as name, old value, new value; the most relevant come first.
 
-    Of lists, what only one of them has; of variables, limits and distributions, each that differs, as `variables.TZ`.
-    What an older record does not have is not compared.
+    For lists, the values are the items that only one row has. Variables, limits and distributions are compared one by one, as
+    in `variables.TZ`. Columns that an older record does not have are not compared.
     """
     for name in RELEVANT:
         was, found = before.get(name), now.get(name)
@@ -110,7 +117,7 @@ def differing(before: Mapping[str, Any], now: Mapping[str, Any]) -> Iterator[tup
 
 
 def _table(name: str, text: str | None) -> dict[str, Any]:
-    """A text of several facts, by their names."""
+    """Return the facts that a text contains, by name."""
     if name == "distributions":
         return dict(program.versions(text))
     table: dict[str, Any] = json.loads(text or "{}")

@@ -1,8 +1,8 @@
-"""SHA-256 of files, remembered for as long as a file is the same: its path, device, inode, size, and both its times.
+"""A cache of the SHA-256 of files, valid while a file's path, device, inode, size and both times are the same.
 
-The time of change (ctime) is set by the kernel whenever content or rights change, and no program can set it. A file that
-was changed within the last seconds is hashed again next time: a further change might fall into the same tick of the clock
-(what git calls racily clean).
+The kernel sets the time of change (ctime) whenever content or permissions change, and no program can set it. A file that was
+changed within the last seconds is hashed again next time, because another change could fall into the same tick of the clock
+(git calls such files racily clean).
 """
 
 from __future__ import annotations
@@ -17,19 +17,19 @@ from sierra.util.cache import Cache
 from sierra.util.hashing import sha256_file
 
 SMALL = 1 << 16
-"""Bytes up to which hashing is as quick as remembering."""
+"""Maximum size in bytes of files that are not cached, because hashing them is as fast as a look-up."""
 RACY_NS = 2 * 10**9
 MOST = 4096
 
 
 class HashCache:
-    """SHA-256 of files; `save` at the end keeps them for the next time."""
+    """A cache of the SHA-256 of files; `save` stores it for the next time."""
 
     def __init__(self) -> None:
         self._remembered = Cache(user_digests(), MOST)
 
     def of(self, path: str) -> str:
-        """The SHA-256 of a file's content. Raises Missing where it cannot be read."""
+        """Return the SHA-256 of a file's content. Raises Missing if the file cannot be read."""
         try:
             return self._of(os.path.abspath(path))  # noqa: PTH100 - links stay
         except OSError as error:
@@ -53,5 +53,5 @@ class HashCache:
 
 
 def _state(path: str) -> list[int]:
-    status = os.stat(path)  # noqa: PTH116 - as quick as can be
+    status = os.stat(path)  # noqa: PTH116 - for speed
     return [status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns]

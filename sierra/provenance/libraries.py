@@ -1,7 +1,7 @@
-"""The libraries that the system's loader gives a program, asked of the loader itself.
+"""The shared libraries that the system's loader loads for a program, as listed by the loader itself.
 
-`ld.so --list PROGRAM` maps what it would map and says where it found it; nothing of the program executes. An ELF file names
-its own loader, though, which could be any program: only loaders in the system's folders are asked.
+`ld.so --list PROGRAM` prints the libraries that the loader would map, and their paths, without executing the program. But an
+ELF file names its own loader, which could be any program. Therefore only loaders in the system's folders are executed.
 """
 
 from __future__ import annotations
@@ -23,13 +23,16 @@ LACKING = re.compile(
     r"|Error loading shared library (.+?): No such file.*"  # musl
 )
 HEARD = ("LD_LIBRARY_PATH", "LD_PRELOAD")
-"""The variables of a run that the loader is to heed here."""
+"""The variables of a run that are passed to the loader."""
 PATIENCE_S = 10.0
 
 
 @dataclass(frozen=True, slots=True)
 class Loaded:
-    """The libraries of one program: paths by name, and what is needed and not there. `doubt` says why none can be told."""
+    """The libraries of one program: their paths by name, and the names of missing ones.
+
+    `doubt` is the reason if the libraries are unknown.
+    """
 
     paths: Mapping[str, str]
     lacking: tuple[str, ...] = ()
@@ -40,7 +43,7 @@ NONE = Loaded({})
 
 
 def loaded(program: str, variables: Mapping[str, str]) -> Loaded:
-    """What the loader would load for a program in an environment; nothing for what is static, or no ELF file."""
+    """Return the libraries that the loader would load for a program; none for a static program, or if it is not an ELF file."""
     resolved = os.path.realpath(program)
     loader = interpreter(resolved)
     if not loader or not Path(loader).exists():
@@ -64,13 +67,13 @@ def loaded(program: str, variables: Mapping[str, str]) -> Loaded:
 
 
 def _is_systems(loader: str) -> bool:
-    """Whether it is called like a loader, and lies in the system's folders, with all links followed and without."""
+    """Return True for a path that has a loader's name and lies in the system's folders, before and after resolving links."""
     places = (os.path.normpath(loader), os.path.realpath(loader))
     return LOADER.fullmatch(Path(loader).name) is not None and all(map(SYSTEM.fullmatch, places))
 
 
 def _read(out: str, err: str) -> Loaded:
-    """What a loader has said, glibc's or musl's."""
+    """Parse the output of a loader of glibc or musl."""
     paths = {}
     for line in out.splitlines():
         if match := FOUND.fullmatch(line):
@@ -80,7 +83,7 @@ def _read(out: str, err: str) -> Loaded:
 
 
 def interpreter(path: str) -> str | None:
-    """The loader that an ELF file names (PT_INTERP); None of any other file. (Formats: elf(5).)"""
+    """Return the loader that an ELF file names (PT_INTERP), or None for any other file. (Formats: elf(5).)"""
     try:
         with open(path, "rb") as file:  # noqa: PTH123 - a text
             head = file.read(64)
@@ -101,14 +104,14 @@ def interpreter(path: str) -> str | None:
 
 
 def _table(head: bytes, order: str, wide: bool) -> tuple[int, int, int]:
-    """Where the program headers are, how long each is, and how many."""
+    """Return the offset, the entry size and the number of the program headers."""
     place = struct.unpack_from(order + ("Q" if wide else "I"), head, 32 if wide else 28)[0]
     size, count = struct.unpack_from(order + "HH", head, 54 if wide else 42)
     return place, size, count
 
 
 def _segment(header: bytes, order: str, wide: bool) -> tuple[int, int, int]:
-    """A program header's type, and where its content is."""
+    """Return a program header's type, and the offset and size of its content."""
     kind = struct.unpack_from(order + "I", header)[0]
     if wide:
         return kind, struct.unpack_from(order + "Q", header, 8)[0], struct.unpack_from(order + "Q", header, 32)[0]

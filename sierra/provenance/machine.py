@@ -1,9 +1,10 @@
-"""What a machine is, in facts that stay as they are while it runs: operating system, processor, graphics, container, limits.
+"""Facts about a machine that do not change while it runs: operating system, processor, graphics, container, limits.
 
-Nothing that changes by itself (free memory, load) is among them, and nothing is executed to find them: Linux tells all of
-it in files. Elsewhere what is not known is empty.
+Values that change by themselves (free memory, load) are not included. No program is executed, because Linux provides all facts
+in files. On other systems, unknown facts are empty.
 
-One file on the standard library alone (Python 3.8 or newer): a cluster's nodes, where SIERRA is not, execute it too.
+This is a single file that needs only the standard library (Python 3.8 or newer), because it also executes on cluster nodes
+without SIERRA.
 """
 
 from __future__ import annotations
@@ -25,25 +26,25 @@ ARITHMETIC = re.compile(
     r"3dnow(ext)?|abm|adx|aes|amx_.*|avx.*|bmi\d|f16c|fma4?|gfni|mmx|movbe|pclmulqdq|pni|popcnt|sha_ni|sse.*|ssse3|tbm|v?aes|"
     r"vpclmulqdq|xop"
 )
-"""The features of an x86 processor by which numeric libraries choose their code; of others, all are taken."""
+"""The x86 processor features by which numeric libraries select their code; for other processors, all features are kept."""
 ENGINES = ("docker", "podman", "kubepods", "lxc", "containerd", "apptainer", "singularity")
 ZONES = "/zoneinfo/"
 
 
 def facts() -> dict[str, Any]:
-    """All facts of this machine, by the names of the columns of `environments`."""
+    """Return all facts of this machine, by the column names of `environments`."""
     return {**_fixed(), "cores": usable_cores(), "limits": limits()}
 
 
 def usable_cores() -> int:
-    """Cores that this process may use."""
+    """Return the number of cores that this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
 def limits() -> dict[str, list[int | None]]:
-    """What `ulimit -a` tells: soft and hard limit by name, in bytes, seconds or pieces; None for no limit."""
+    """Return the limits of `ulimit -a`: soft and hard limit by name, in bytes, seconds or numbers; None means no limit."""
     names = sorted(name for name in dir(resource) if name.startswith("RLIMIT_") and name != "RLIMIT_OFILE")
     found = {}
     for name in names:
@@ -80,17 +81,17 @@ def _text(path: Path) -> str:
 
 
 def _os_release() -> str:
-    """The name that the os-release file gives, by its specification."""
+    """Return the name in the os-release file, according to its specification."""
     text = next(filter(None, map(_text, OS_RELEASE)), "")
     named = [line.partition("=")[2] for line in text.splitlines() if line.startswith("PRETTY_NAME=")]
-    with contextlib.suppress(ValueError):  # a quote that nobody closes
+    with contextlib.suppress(ValueError):  # an unclosed quote
         if named and shlex.split(named[-1]):
             return shlex.split(named[-1])[0]
     return os.uname().sysname
 
 
 def processor(cpuinfo: str) -> tuple[str, list[str]]:
-    """The first processor's model and features, from /proc/cpuinfo of x86, ARM and others."""
+    """Return the first processor's model and features, parsed from /proc/cpuinfo of x86, ARM and others."""
     first = cpuinfo.split("\n\n")[0]
     fields = {
         name.strip(): value.strip() for name, colon, value in (line.partition(":") for line in first.splitlines()) if colon
@@ -105,7 +106,10 @@ def processor(cpuinfo: str) -> tuple[str, list[str]]:
 
 
 def _gpus() -> Iterator[str]:
-    """Graphics processors: NVIDIA's by name and driver, all others by the ids of vendor and device, and the driver's name."""
+    """Yield the graphics processors.
+
+    NVIDIA's are described by name and driver; others by the ids of vendor and device, and the driver's name.
+    """
     driver = re.search(r"\b\d{3}\.\d+(\.\d+)*\b", _text(Path("/proc/driver/nvidia/version")))
     for file in Path("/proc/driver/nvidia/gpus").glob("*/information"):
         model = re.search(r"Model:\s*(.+)", _text(file))
@@ -125,7 +129,7 @@ def _libc() -> str:
 
 
 def _container() -> str | None:
-    """What contains this process, and its image where that is told (podman, apptainer); None where nothing does."""
+    """Return the container of this process, with its image if known (podman, apptainer); None outside a container."""
     for name in ("APPTAINER", "SINGULARITY"):
         if image := os.environ.get(f"{name}_NAME") or os.environ.get(f"{name}_CONTAINER"):
             return f"{name.lower()} {Path(image).name}"
@@ -140,6 +144,6 @@ def _container() -> str | None:
 
 
 def _timezone() -> str:
-    """The machine's time zone by its name."""
+    """Return the name of the machine's time zone."""
     linked = os.path.realpath("/etc/localtime")
     return linked.partition(ZONES)[2] or _text(Path("/etc/timezone")).strip() or "UTC"

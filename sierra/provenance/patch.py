@@ -1,7 +1,7 @@
-"""What differs between two recorded states of the code: commits, files, and the patch from one to the other.
+"""The difference between two recorded states of the code: commits, files, and the patch from one to the other.
 
-Trees hold what was in the files, committed or not. Where git has both trees, it makes the patch; else it is made here, of
-the files' contents, be they in git or in the store.
+A tree contains the content of the files, committed or not. If git has both trees, git makes the patch. Otherwise it is made
+here from the contents of the files, which are in git or in the store.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ from sierra.provenance.source.manifest import REPOSITORY, parts, read
 from sierra.util.textdiff import patch
 
 SHOWN = 20
-"""Commits that are told one by one."""
+"""Maximum number of commits that are listed."""
 HASH = re.compile(r"[0-9a-f]{40}([0-9a-f]{24})?")
 COLORLESS = ("--no-color", "--no-ext-diff", "--no-textconv", "--find-renames=100%")
 
 
 @dataclass(frozen=True, slots=True)
 class State:
-    """A recorded state of the code: its tree, and the list of its files as the store keeps it."""
+    """A recorded state of the code: its tree, and its manifest from the store."""
 
     tree: str
     manifest: bytes
@@ -36,12 +36,12 @@ class State:
 
 @dataclass(frozen=True, slots=True)
 class File:
-    """One file that differs. Lines are counted where both are texts and their contents are there."""
+    """One file that differs. Lines are counted if both versions are text and their contents are available."""
 
     path: str
     what: Literal["added", "removed", "changed", "renamed", "mode", "submodule"]
     was: str = ""
-    """Of a renamed file its old path, of a submodule its commit, of a mode the mode."""
+    """The old path of a renamed file, the old commit of a submodule, or the old mode."""
     now: str = ""
     added: int | None = None
     removed: int | None = None
@@ -49,30 +49,30 @@ class File:
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """All that differs between two trees."""
+    """The full difference between two trees."""
 
     files: tuple[File, ...]
     lines: tuple[str, ...]
-    """The patch."""
+    """The lines of the patch."""
     unknown: tuple[str, ...] = ()
-    """Paths of files whose contents are neither in git nor in the store, so that the patch lacks them."""
+    """Paths of files that the patch lacks, because their contents are neither in git nor in the store."""
 
 
 @dataclass(frozen=True, slots=True)
 class Commits:
-    """How two commits lie to each other: those that only one of them has, the newest first, `SHOWN` of them."""
+    """The commits that only one of two histories has: their numbers, and up to `SHOWN` of each, newest first."""
 
     on: int = 0
-    """How many the later one has that the earlier one has not."""
+    """Number of commits that the later one has and the earlier one does not have."""
     back: int = 0
     log_on: tuple[str, ...] = ()
     log_back: tuple[str, ...] = ()
     missing: tuple[str, ...] = ()
-    """Those of the two that the repository does not have."""
+    """The given commits that the repository does not have."""
 
 
 def commits(root: Path, before: str, after: str) -> Commits:
-    """The commits between two, as far as the repository of the project in `root` has them."""
+    """Return the commits between two commits, as far as the repository of the project in `root` has them."""
     git = _Git(root)
     if missing := tuple(commit for commit in dict.fromkeys((before, after)) if not git.has(commit, "commit")):
         return Commits(missing=missing)
@@ -81,7 +81,10 @@ def commits(root: Path, before: str, after: str) -> Commits:
 
 
 def between(before: State, after: State, root: Path, content: Callable[[str], bytes | None]) -> Difference:
-    """What differs between two trees; `content` gives a file that git has not, by git's hash of it, or None."""
+    """Return the difference between two trees.
+
+    `content` returns a file that git does not have, by git's hash of it, or None.
+    """
     git = _Git(root)
     old, new = _files(before.manifest), _files(after.manifest)
     files = list(_changed(old, new))
@@ -101,12 +104,12 @@ Files = Mapping[str, tuple[str, str]]
 
 
 def _files(manifest: bytes) -> Files:
-    """The files of a manifest, which has a line for each: mode, hash, path."""
+    """Return the files of a manifest, which has one line per file: mode, hash, path."""
     return {path.decode("utf-8", "surrogateescape"): parts(what) for path, what in read(manifest).items()}
 
 
 def _changed(old: Files, new: Files) -> Iterator[File]:
-    """The files that differ, by path; one that is the same under another name is renamed."""
+    """Yield the files that differ, ordered by path; an equal file under another name is renamed."""
     gone = {old[path]: path for path in sorted(old.keys() - new.keys(), reverse=True)}
     renamed = {path: gone.pop(new[path]) for path in sorted(new.keys() - old.keys()) if new[path] in gone}
     moved = set(renamed.values())
@@ -133,7 +136,7 @@ def _counted(file: File, counts: tuple[int | None, int | None] | None) -> File:
 
 
 def _by_content(files: list[File], old: Files, new: Files, content: Callable[[str], bytes | None]) -> Difference:
-    """The same without git: file by file."""
+    """Return the difference, computed without git's patch, file by file."""
     counted: list[File] = []
     lines: list[str] = []
     unknown: list[str] = []
@@ -154,7 +157,7 @@ def _by_content(files: list[File], old: Files, new: Files, content: Callable[[st
 
 
 class _Git:
-    """Git, asked about what the repository of a project has; where there is none, it has nothing."""
+    """Git in the repository of a project; without a repository, it finds nothing."""
 
     def __init__(self, root: Path) -> None:
         self._git = Git(root) if in_repository(root) and shutil.which("git") else None
@@ -166,20 +169,20 @@ class _Git:
         return self._run("cat-file", "blob", blob) if HASH.fullmatch(blob) else None
 
     def between(self, before: str, after: str) -> tuple[int, tuple[str, ...]]:
-        """The commits that the one has and the other has not: how many, and the newest."""
+        """Return the number and the newest of the commits that `after` has and `before` does not have."""
         span = f"{before}..{after}"
         count = int(self._run("rev-list", "--count", span, "--") or 0)
         log = self._run("log", "--no-color", "--no-show-signature", f"--max-count={SHOWN}", "--format=%h %s", span, "--") or b""
         return count, tuple(log.decode("utf-8", "replace").splitlines())
 
     def counts(self, before: str, after: str) -> dict[str, tuple[int | None, int | None]]:
-        """Lines added and removed, by path; None for what git takes for binary."""
+        """Return the numbers of added and removed lines by path; None for files that git treats as binary."""
         found: dict[str, tuple[int | None, int | None]] = {}
         fields = iter((self._run("diff-tree", "-r", "-z", "--numstat", *COLORLESS, before, after) or b"").split(b"\0"))
         for field in fields:
             if field:
                 added, removed, path = field.split(b"\t", 2)
-                if not path:  # a renamed file: both its names follow
+                if not path:  # a renamed file: both names follow
                     next(fields)
                     path = next(fields)
                 numbers = [None if number == b"-" else int(number) for number in (added, removed)]
@@ -191,7 +194,7 @@ class _Git:
         return tuple(found.decode("utf-8", "replace").removesuffix("\n").split("\n")) if found else ()
 
     def _run(self, *arguments: str) -> bytes | None:
-        """What git says; None where it cannot."""
+        """Return git's output, or None if git fails."""
         if self._git is None:
             return None
         with contextlib.suppress(Missing):

@@ -1,4 +1,4 @@
-"""One thing outside source and image that results depend on: a program, a library, installed distributions, a file."""
+"""Files and programs outside source and image that results depend on: programs, libraries, installed distributions, files."""
 
 from __future__ import annotations
 
@@ -13,52 +13,52 @@ from typing import Any
 from sierra.util.hashing import digest
 
 INSTALLED = ": installed distributions"
-"""How the name ends of all that a Python has installed, whose path is folders, as in a PATH."""
+"""Suffix of the name for all distributions of a Python; the path of that entry is a list of folders, as in PATH."""
 
 
 class Kind(StrEnum):
-    """What it is."""
+    """The kind of a program."""
 
     PROGRAM = "program"
     LIBRARY = "library"
     DISTRIBUTIONS = "distributions"
-    """What a Python interpreter has installed, or one distribution whose content counts."""
+    """The distributions that a Python interpreter has installed, or one distribution that is identified by content."""
     FILE = "file"
     LINK = "link"
-    """Its hash is that of the path that it says."""
+    """A symbolic link; its hash is that of the path that it contains."""
 
 
 @dataclass(frozen=True, slots=True)
 class Program:
-    """A program as a command calls it, where it was found, and what it is."""
+    """A program: its name in a command, its path, its hash and its kind."""
 
     name: str
     path: str
     sha256: str
     kind: Kind = Kind.PROGRAM
     version: str | None = None
-    """What it says of itself; of distributions, a line for each. It is recorded, and no part of the fingerprint."""
+    """The version that the program reports; for distributions, one line for each. It is not part of the fingerprint."""
 
     @property
     def called(self) -> str:
-        """Its name wherever it lies."""
+        """The name without its location."""
         return called(self.name)
 
 
 @dataclass(frozen=True, slots=True)
 class Programs:
-    """All that was used together; `id` is the same wherever the same lies."""
+    """All programs that are used together; `id` does not depend on their locations."""
 
     all: tuple[Program, ...]
     notes: tuple[str, ...] = ()
-    """What could not be found out."""
+    """Messages about facts that could not be determined."""
 
     @property
     def id(self) -> str:
         return fingerprint((program.name, program.sha256) for program in self.all)
 
     def unlike(self, others: Programs) -> list[str]:
-        """The names of those that are others there, or that only one side has."""
+        """Return the names of programs that differ between the two, or that only one of them has."""
         mine, theirs = ({(called(one.name), one.sha256) for one in side.all} for side in (self, others))
         return sorted({name for name, _ in mine ^ theirs})
 
@@ -72,17 +72,17 @@ NOTHING = Programs(())
 
 
 def fingerprint(programs: Iterable[tuple[str, str]]) -> str:
-    """The hash of names and SHA-256, wherever the programs lie, and in whatever order."""
+    """Return the hash of names and SHA-256, independent of location and order."""
     return digest("programs", {"programs": sorted({(called(name), found) for name, found in programs})})
 
 
 def versions(listed: str | None) -> dict[str, str]:
-    """The versions in a list of distributions, a line `name==version` for each, by name."""
+    """Return the versions by name from a list of distributions, which has a line `name==version` for each."""
     return dict(line.partition("==")[::2] for line in (listed or "").splitlines())
 
 
 def called(name: str) -> str:
-    """What a program is called wherever it lies: its path's last part, or what stands for a path of the project."""
+    """Return a program's name without its location: the last part of its path, or the placeholder form of a project path."""
     return name if "{" in name else Path(name).name
 
 
@@ -92,16 +92,16 @@ TOOLS = frozenset(
         *("pluggy", "pygments", "pytest", "ruff", "setuptools", "tzdata", "uv", "virtualenv", "wheel"),
     )
 )
-"""How the names of packages begin that hardly any result depends on."""
+"""First words of the names of packages that hardly any result depends on."""
 EVERYWHERE = frozenset(("python", "python3", "project", "input", "output", "seed", "run"))
-"""Words of commands that name no package in particular."""
+"""Words of commands that do not name a particular package."""
 IMPORT = re.compile(r"^\s*(?:import|from)\s+(\w+)", re.MULTILINE)
 READABLE = 1 << 20
-"""Bytes of a script in which imports are looked for."""
+"""Maximum number of bytes of a script that are searched for imports."""
 
 
 def mentioned(command: Iterable[str], root: Path) -> frozenset[str]:
-    """Return the words of a command, and what those scripts import that it names and that are in the folder `root`."""
+    """Return the words of a command, and the imports of the scripts in the folder `root` that the command names."""
     words: set[str] = set()
     for word in command:
         words |= set(re.findall(r"[a-z][a-z0-9_]{2,}", word.lower().replace("-", "_")))
@@ -112,7 +112,7 @@ def mentioned(command: Iterable[str], root: Path) -> frozenset[str]:
 
 
 def by_likelihood(names: Iterable[str], words: frozenset[str] = frozenset()) -> list[str]:
-    """Return packages in the order in which results are likely to depend on them: what `words` name first, tools last."""
+    """Return packages ordered by how likely results depend on them: those named in `words` first, tools last."""
 
     def weight(name: str) -> tuple[bool, bool, str]:
         plain = name.lower().replace("-", "_")

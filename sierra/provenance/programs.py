@@ -1,10 +1,11 @@
-"""Programs outside the source and outside an image, by fingerprint: a run is only reused where they are the same.
+"""Fingerprints of programs outside the source and outside an image: a run is only reused if they are the same.
 
-The fingerprint of a program is the SHA-256 of its file. Every word of a command that names a program counts (as in
-`nice -n 5 simulator`), and the interpreter that a script names in its first line. With a program count the libraries that
-the loader gives it in the runs' own environment (`sierra.provenance.libraries`), with a Python interpreter what it has
-installed (`pythons`), and files that the command, a variable or the template names (`named`). What a program itself opens
-while it runs, plug-ins say, counts where a variable names its folder by `{project}/…`.
+The fingerprint of a program is the SHA-256 of its file. Every word of a command that names a program is included (as in
+`nice -n 5 simulator`), and so is the interpreter that a script names in its first line. A program includes the libraries that
+the loader loads for it in the runs' own environment (`sierra.provenance.libraries`). A Python interpreter includes its
+installed distributions (`pythons`). Files that the command, a variable or the template names are included too
+(`referenced_files`). Files that a program opens by itself, such as plug-ins, are included if a variable names their folder by
+`{project}/…`.
 """
 
 from __future__ import annotations
@@ -36,10 +37,11 @@ def find(
     *,
     project: Path | None = None,
 ) -> Programs:
-    """The programs that a command starts, with what they load, and `more`; `variables` are those of its runs, with PATH.
+    """Return the programs that a command starts, with what they load, and `more`.
 
-    The code lies in `root`, which may be another folder than the `project`. Raises Missing where the first word is no program,
-    lacks a library, or imports from the project what is other code than in `root`.
+    `variables` are those of the runs, with PATH. The code lies in `root`, which may be another folder than the `project`.
+    Raises Missing if the first word is not a program, lacks a library, or imports code from the project that differs from
+    `root`.
     """
     search = variables["PATH"]
     first = shutil.which(argv[0], path=search)
@@ -59,9 +61,9 @@ def find(
 
 
 def of_project(found: Programs, roots: Sequence[Path]) -> Programs:
-    """The same, where what lies in the project is named by `{project}/…`, in whichever of `roots` that is.
+    """Return the programs, with those in the project named `{project}/…`; the project may be in any of `roots`.
 
-    A program is where the command calls it by its path, a library always.
+    A program is located by the path that the command uses, a library by its file.
     """
     return replace(found, all=tuple(_of_project(one, roots) for one in found.all))
 
@@ -75,10 +77,10 @@ def _of_project(one: Program, roots: Sequence[Path]) -> Program:
 
 
 class _Finding:
-    """The programs of one command, as they are found: each path once."""
+    """The search for the programs of one command; each path is visited once."""
 
     def __init__(self, root: Path, variables: Mapping[str, str], project: Path, scripts: AbstractSet[Path]) -> None:
-        """`scripts`: folders of scripts; Python imports from there before all else."""
+        """`scripts` are folders of scripts; Python searches them first when it imports."""
         self._scripts = scripts
         self._root = root
         self._project = project
@@ -90,7 +92,7 @@ class _Finding:
         self._notes: list[str] = []
 
     def set(self, name: str, value: str) -> None:
-        """What `env` sets for the programs after it."""
+        """Set a variable for the programs that follow `env` in a command."""
         self._variables[name] = value
 
     def found(self, more: Programs) -> Programs:
@@ -102,7 +104,7 @@ class _Finding:
         return Programs((*self._programs.values(), *installed, *libs, *files), (*dict.fromkeys(self._notes), *more.notes))
 
     def start(self, name: str, path: str, *, needed: bool = False) -> None:
-        """A program, and all that it needs; where it is `needed` itself, what that lacks is an error."""
+        """Add a program and everything that it needs. If it is `needed`, a missing library is an error."""
         if path in self._programs:
             return
         self._programs[path] = Program(name, path, self._digests.of(path))
@@ -128,7 +130,7 @@ class _Finding:
                 self._libraries[there] = Program(library, there, self._digests.of(there), Kind.LIBRARY)
 
     def _python(self, name: str, path: str, *, needed: bool) -> None:
-        """The interpreter that is meant, where it is another file than is called, and what it sees."""
+        """Add the interpreter behind a path, if that is another file, and the packages that it can import."""
         interpreter = pythons.ask(path, self._variables, self._root, self._project)
         real = os.path.realpath(interpreter.executable)
         if real not in self._programs:
@@ -152,7 +154,7 @@ class _Finding:
 
 
 def _interpreter(script: Path) -> list[str]:
-    """The words of a script's first line, `#!/usr/bin/env python3`; none of a program that is no script."""
+    """Return the words of a script's first line, such as `#!/usr/bin/env python3`; none if the file is not a script."""
     with script.open("rb") as file:
         line = file.readline(256)
     return os.fsdecode(line[2:]).split() if line.startswith(b"#!") else []
@@ -161,7 +163,7 @@ def _interpreter(script: Path) -> list[str]:
 def differing(
     before: Mapping[str, Mapping[str, Any]], now: Mapping[str, Program]
 ) -> Iterator[tuple[str, Mapping[str, Any] | None, Program | None]]:
-    """What is other now, by name: the row that was recorded, and what is there; None where there is none."""
+    """Yield the differences by name: the recorded row, and the program found now; None if there is none."""
     for name in sorted(before.keys() | now.keys()):
         was, program = before.get(name), now.get(name)
         if was is None or program is None or was["sha256"] != program.sha256:
@@ -169,9 +171,9 @@ def differing(
 
 
 def told(before: Iterable[Mapping[str, Any]], now: Programs, words: frozenset[str] = frozenset()) -> Iterator[str]:
-    """Yield what is other now than in the rows of `programs` that are recorded, a line each, and one for all libraries.
+    """Yield one line for each difference to the recorded rows of `programs`, and one line for all libraries.
 
-    What results are likely to depend on stands first: programs, then files, then packages, those that `words` name before.
+    The most likely causes come first: programs, then files, then packages. Packages that `words` name come before others.
     """
     rows = list(before)
     several = {name for names in ([row["name"] for row in rows], [one.name for one in now.all]) for name in _ambiguous(names)}
@@ -194,24 +196,24 @@ def told(before: Iterable[Mapping[str, Any]], now: Programs, words: frozenset[st
 
 
 def _ambiguous(names: Iterable[str]) -> set[str]:
-    """What several of them are called, wherever they lie."""
+    """Return the location-independent names that several programs share."""
     counted = Counter(called(name) for name in set(names))
     return {name for name, count in counted.items() if count > 1}
 
 
 def _said(one: Program | Mapping[str, Any]) -> str:
-    """What a program says of itself, and the beginning of its SHA-256."""
+    """Return the version that a program reports, and the beginning of its SHA-256."""
     version, digest = (one.version, one.sha256) if isinstance(one, Program) else (one["version"], one["sha256"])
     return short(digest) if not version or "\n" in version else f"{version} ({short(digest)})"
 
 
 def _installed(was: Mapping[str, Any] | None, now: Program | None) -> bool:
-    """Return whether it is all that a Python has installed, much of which no program may need."""
+    """Return True for the list of all distributions of a Python, many of which no program may need."""
     return (now.name if now else was["name"] if was else "").endswith(INSTALLED)
 
 
 def _versions(before: str | None, now: str | None, words: frozenset[str]) -> Iterator[str]:
-    """The distributions that are others in two lists."""
+    """Yield one line for each distribution that differs between two lists."""
     was, found = versions(before), versions(now)
     for name in by_likelihood(was.keys() | found.keys(), words):
         if was.get(name) != found.get(name):

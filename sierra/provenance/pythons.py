@@ -1,9 +1,9 @@
-"""What a Python interpreter sees: asked of the interpreter itself, as runs would start it, and read from what is installed.
+"""The packages that a Python interpreter can import, as reported by the interpreter and by the installed metadata.
 
-Distributions are told by name and version, as `importlib.metadata` would; the interpreter's own modules stand for
-themselves by its version. Where a name and a version say too little, content counts: of an editable install, and of any other
-folder on `sys.path`, the Python files; of what was installed from a folder, what its RECORD says of them; of what was
-installed from a repository, the commit.
+The interpreter is started like runs would start it. Distributions are identified by name and version, like in
+`importlib.metadata`; the interpreter's version identifies its own modules. In some cases a name and a version are not enough.
+For an editable install and any other folder on `sys.path`, the Python files are hashed. For a distribution that was installed
+from a folder, the entries in its RECORD are used; for one that was installed from a repository, the commit.
 """
 
 from __future__ import annotations
@@ -29,23 +29,23 @@ ASK = "import sys; print('\\n' + ascii([sys.executable, sys.prefix, sys.base_pre
 PATIENCE_S = 10.0
 CODE = (".py", ".so")
 OWN = "sierra_experiments"
-"""SIERRA's own distribution: no run is made from it, so that its code, where it is installed editable, does not count."""
+"""SIERRA's own distribution. Runs do not depend on it, so its code is ignored even if the install is editable."""
 
 
 @dataclass(frozen=True, slots=True)
 class Interpreter:
-    """Its executable, and the folders that it imports from: those with distributions, and others outside its own."""
+    """An interpreter's executable, and its import folders: those with distributions, and others outside its own."""
 
     executable: str
     installed: tuple[Path, ...]
     others: tuple[Path, ...] = ()
     project: tuple[Path, ...] = ()
-    """Folders of the project."""
+    """Import folders that belong to the project."""
 
 
 @dataclass(frozen=True, slots=True)
 class Distribution:
-    """One installed distribution, and the folder that says so."""
+    """One installed distribution, and the folder with its metadata."""
 
     name: str
     version: str
@@ -58,7 +58,7 @@ class Distribution:
 
 @dataclass(frozen=True, slots=True)
 class Content:
-    """What is identified by content: a distribution, or a folder on the path; where it comes from, and its digest."""
+    """A distribution or folder on the path that is identified by content; its origin and digest."""
 
     name: str
     origin: str
@@ -67,14 +67,15 @@ class Content:
 
 
 def is_python(path: str) -> bool:
-    """Whether a program is Python by its name."""
+    """Return True if a program's name is that of a Python interpreter."""
     return NAME.fullmatch(Path(path).name) is not None
 
 
 def ask(path: str, variables: Mapping[str, str], root: Path, project: Path) -> Interpreter:
-    """What an interpreter sees in runs, whose HOME is empty.
+    """Return the import folders that an interpreter has in runs, where HOME is empty.
 
-    Of one that does not answer, what lies beside it; a file of the project is not asked, since planning executes nothing of it.
+    If the interpreter does not answer, the folders beside it are used. An interpreter that is a file of the project is not
+    started, because planning executes nothing of the project.
     """
     if any(Path(path).resolve().is_relative_to(own.resolve()) for own in (root, project)):
         return Interpreter(path, tuple(_beside(Path(path))))
@@ -109,7 +110,7 @@ def _beside(interpreter: Path) -> list[Path]:
 
 
 def distributions(folders: Sequence[Path]) -> list[Distribution]:
-    """What is installed in these folders, by name; of two of a name, the first is seen."""
+    """Return the distributions in these folders, ordered by name; of several with the same name, Python imports the first."""
     found: dict[str, Distribution] = {}
     for folder in folders:
         for entry in sorted(entry.name for entry in os.scandir(folder)):
@@ -135,7 +136,10 @@ def _header(file: Path, name: str) -> str | None:
 
 
 def imported(interpreter: Interpreter, found: Sequence[Distribution], project: Path) -> Iterator[Path]:
-    """The folders in the project that an interpreter imports from, wherever a script lies: its path, editable installs."""
+    """Yield the folders in the project that an interpreter imports from, independent of the location of scripts.
+
+    They are on its path, or come from editable installs.
+    """
     yield from interpreter.project
     for direct in (_direct_url(one.info) for one in found):
         if direct is not None and direct.get("dir_info", {}).get("editable") and _is_in(folder := _folder_of(direct), project):
@@ -143,9 +147,9 @@ def imported(interpreter: Interpreter, found: Sequence[Distribution], project: P
 
 
 def check(name: str, folders: Iterable[Path], root: Path, project: Path, scripts: Container[Path]) -> None:
-    """Raise Missing where a folder in the project holds other code than the same in `root`: it would be executed.
+    """Raise Missing if a folder in the project has other code than the same folder in `root`: that code would be executed.
 
-    What lies beside a script in `root` is imported before that.
+    Code beside a script in `root` is exempt, because Python imports it before the code in the project.
     """
     for folder in folders:
         restored = root / folder.resolve().relative_to(project.resolve())
@@ -161,7 +165,10 @@ def check(name: str, folders: Iterable[Path], root: Path, project: Path, scripts
 def contents(
     interpreter: Interpreter, found: Sequence[Distribution], own: Sequence[Path], digests: HashCache
 ) -> Iterator[Content]:
-    """What counts by content. Files of the project itself, which lies in the folders `own`, are the source's matter."""
+    """Yield the distributions and folders that are identified by content.
+
+    The project's own files, in the folders `own`, are left out, because they belong to the source.
+    """
     told = set()
     for one in found:
         direct = _direct_url(one.info)
@@ -188,7 +195,7 @@ def _folder_of(direct: Mapping[str, Any]) -> Path:
 
 
 def _direct_url(info: Path) -> dict[str, Any] | None:
-    """Where a distribution was installed from, if not from an index (PEP 610)."""
+    """Return the origin of a distribution that was not installed from an index (PEP 610), or None."""
     try:
         direct = json.loads((info / "direct_url.json").read_bytes())
     except (OSError, ValueError, RecursionError):
@@ -197,7 +204,10 @@ def _direct_url(info: Path) -> dict[str, Any] | None:
 
 
 def _recorded(info: Path) -> list[str]:
-    """The lines of a distribution's RECORD on its own files: not on scripts and compiled ones, which name this machine."""
+    """Return the lines of a distribution's RECORD for its own files.
+
+    Scripts and compiled files are left out, because they contain paths of this machine.
+    """
     try:
         lines = (info / "RECORD").read_text("utf-8", "replace").splitlines()
     except OSError:
@@ -211,7 +221,7 @@ def _folder(folder: Path, own: Sequence[Path], digests: HashCache) -> str:
 
 
 def _code(folder: Path, own: Sequence[Path]) -> Iterator[Path]:
-    """The Python files in a folder, but not in environments and hidden folders inside it, nor in the project."""
+    """Yield the Python files in a folder, except those in nested environments, in hidden folders, and in the project."""
     left = {one.resolve() for one in own}
     for here, folders, files in os.walk(folder):
         if "pyvenv.cfg" in files or Path(here).resolve() in left:

@@ -1,9 +1,10 @@
-"""Files that a command, a variable or a template names, and that the source does not hold: they count like programs.
+"""Files outside the source that a command, a variable or a template names; they are fingerprinted like programs.
 
-What git ignores is such, and what lies outside the project, be it by a link. A command or a variable names a file or a
-folder by `{project}/…` (of a folder, all files count), and a file by its absolute path. A template names a file where an
-attribute or a text in it is the file's path: absolute, or as seen from the project's root, from the template's folder, or
-from a folder that it names as well (`meshdir`). What is named so and is a model or a configuration itself is read likewise.
+Such files are ignored by git, or lie outside the project, possibly through a link. A command or a variable names a file or a
+folder by `{project}/…` (for a folder, all its files are included), and a file by its absolute path. A template names a file if
+one of its attributes or texts is the file's path. The path may be absolute, or relative to the project's root, to the
+template's folder, or to a folder that the template also names (`meshdir`). A named file that is itself a model or a
+configuration is searched in the same way.
 """
 
 from __future__ import annotations
@@ -20,10 +21,10 @@ from sierra.provenance.program import NOTHING, Kind, Program, Programs
 
 LONGEST = 4096
 LARGEST = 10**9
-"""Bytes of a file that a template names, beyond which it is not hashed."""
+"""Maximum size in bytes of a file that a template names; larger files are not hashed."""
 READ = (".xml", ".urdf", ".sdf", ".xacro", ".mjcf", ".argos", ".world", ".launch", ".json", ".yaml", ".yml", ".toml")
 READABLE = 1 << 24
-"""Bytes of the template, or of such a file, in which names are looked for."""
+"""Maximum number of bytes of the template, or of such a file, that are searched for names."""
 LETTER = re.compile(r"[^\W\d_]")
 TAG = re.compile(r"""<[/?!]?[^\s<>"'/=]+""")
 """The beginning of a tag in XML, with its name."""
@@ -32,9 +33,10 @@ TAG = re.compile(r"""<[/?!]?[^\s<>"'/=]+""")
 def files(
     words: Iterable[str], root: Path, source: Container[bytes], texts: Programs = NOTHING, project: Path | None = None
 ) -> Programs:
-    """What the words of a command and the values of variables name, and what `texts` has found beside.
+    """Return the files that the words of a command and the values of variables name, and those in `texts`.
 
-    The code lies in `root`; what is outside of it (`{project}/../data`) is where the user has the `project`.
+    `texts` has the files that were already found in the template. The code lies in `root`. Paths outside it
+    (`{project}/../data`) are relative to the user's `project`.
     """
     digests = HashCache()
     found = {}
@@ -62,7 +64,10 @@ def _files(path: Path) -> Iterator[Path]:
 
 
 def data(template: Path, texts: Iterable[str], root: Path, source: Container[bytes], without: Iterable[str]) -> Programs:
-    """The files that a template and `texts`, what is put into it, name; but those in `without`, as seen from the root."""
+    """Return the files that a template names, and those that `texts`, its inserted texts, name.
+
+    The files in `without`, relative to the root, are left out.
+    """
     left = [root / path for path in without]
     digests = HashCache()
     found: dict[Path, Program] = {}
@@ -81,9 +86,10 @@ def data(template: Path, texts: Iterable[str], root: Path, source: Container[byt
 
 
 def uncounted(values: Iterable[str], template: Path, root: Path, source: Container[bytes], used: Programs) -> list[Path]:
-    """The files that values of a query name, and that are neither in the source nor among the files used.
+    """Return the files that values of a query name, and that are neither in the source nor among the used files.
 
-    They do not count: if they did, a batch with one value more would execute all that it has in common with another again.
+    They are not part of the fingerprint. Otherwise a batch with one more value would execute again all runs that it has in
+    common with another batch.
     """
     known = {one.path for one in used.all}
     found = dict.fromkeys(_existing(values, (root, template.parent)))
@@ -91,7 +97,7 @@ def uncounted(values: Iterable[str], template: Path, root: Path, source: Contain
 
 
 def beside(template: Path, texts: Iterable[str], root: Path) -> list[str]:
-    """Return the relative paths by which a template, and what is put into it, names files of the project."""
+    """Return the relative paths by which a template, or a text inserted into it, names files of the project."""
     words = list(_words("\n".join((_text(template), *texts))))
     folders = [folder for word in words if _is(Path.is_dir, folder := template.parent / word)]
     relative = [word for word in words if not word.startswith("/")]
@@ -99,7 +105,7 @@ def beside(template: Path, texts: Iterable[str], root: Path) -> list[str]:
 
 
 def again(names: Iterable[str], root: Path) -> Programs:
-    """The files that a record has by these names, where they are there: `{project}/…`, or where they were."""
+    """Return the recorded files with these names that exist now: below `{project}/…`, or at their old paths."""
     digests = HashCache()
     paths = (Path(name.replace("{project}", str(root), 1)) for name in names)
     found = [_file(path, root, digests) for path in paths if path.is_absolute() and path.is_file()]
@@ -108,7 +114,10 @@ def again(names: Iterable[str], root: Path) -> Programs:
 
 
 def _all_named(template: Path, texts: str, root: Path, without: Sequence[Path]) -> Iterator[Path]:
-    """All existing files that a template names, and that those name which it includes; of none of these files or folders."""
+    """Yield all existing files that a template names, directly or through files that it includes.
+
+    Files and folders in `without` are left out.
+    """
     pending, read = [(template, _text(template) + "\n" + texts)], {template}
     while pending:
         origin, text = pending.pop()
@@ -124,7 +133,7 @@ def _all_named(template: Path, texts: str, root: Path, without: Sequence[Path]) 
 
 
 def _text(path: Path) -> str:
-    """What a file holds, up to a bound: it may be hostile."""
+    """Return the beginning of a file's text; its length is bounded, because the file may be hostile."""
     try:
         with path.open("rb") as file:
             return file.read(READABLE).decode("utf-8", "replace")
@@ -133,7 +142,7 @@ def _text(path: Path) -> str:
 
 
 def _existing(words: Iterable[str], folders: Iterable[Path]) -> Iterator[Path]:
-    """The files that are called so in one of these folders. A file's name has a dot or a slash."""
+    """Yield the files with these names in one of the folders. A file name must contain a dot or a slash."""
     for word in words:
         for folder in folders if "." in word or "/" in word else ():
             path = Path(os.path.normpath(folder / word))
@@ -142,7 +151,7 @@ def _existing(words: Iterable[str], folders: Iterable[Path]) -> Iterator[Path]:
 
 
 def _is(kind: Callable[[Path], bool], path: Path) -> bool:
-    """Whether there is such a thing; names that are too long, or forbidden, are none."""
+    """Return True if the path exists with this kind; names that are too long or forbidden do not exist."""
     try:
         return kind(path)
     except (OSError, ValueError):
@@ -150,9 +159,9 @@ def _is(kind: Callable[[Path], bool], path: Path) -> bool:
 
 
 def _words(text: str) -> Iterator[str]:
-    """Yield what may be a path, each once: attributes, texts, and parts of them, if there is a letter in them.
+    """Yield each text that may be a path once: attributes, texts, and parts of them that contain a letter.
 
-    Tags are none: `</x>` does not name the file `/x`.
+    Tags are skipped: `</x>` does not name the file `/x`.
     """
     said = TAG.sub("<", re.sub(r"<!--.*?-->", "", text, flags=re.DOTALL))
     pieces = (html.unescape(piece).strip() for piece in dict.fromkeys(re.split(r"[\"'<>\n]", said)))

@@ -1,9 +1,10 @@
-"""What programs say their version is: each is asked once, and remembered for as long as all programs are the same.
+"""The versions that programs report; each is executed once, and its answer is cached while all programs are the same.
 
-To ask a program is to execute it, and nobody knows what one does that has never heard of `--version`. So only what is
-installed is asked without being told to: no script, and nothing inside the project, unless `[programs.versions]` names it.
-It gets ten seconds, two of computing, an empty folder, no input, small files, and the environment of runs; then it is
-ended, with all that it has started. The answer is recorded, and no part of any fingerprint: that is what is hashed for.
+Asking for a version means executing the program, and a program may not know `--version`. So by default only installed
+programs are asked. Scripts, and programs inside the project, are asked only if `[programs.versions]` names them. A program
+gets ten seconds, two seconds of computing, an empty folder, no input, small files, and the environment of runs. Then it is
+killed, with all processes that it has started. The answer is recorded, but it is not part of a fingerprint, because the file's
+hash serves that purpose.
 """
 
 from __future__ import annotations
@@ -30,18 +31,18 @@ from sierra.util.hashing import digest
 from sierra.worker import processes
 
 PATIENCE_S = 10.0
-"""As simulators may need where the machine is busy: that one says nothing is remembered like what it says."""
+"""Seconds that a program may take. Simulators may need so long on a busy machine, and a missing answer is cached too."""
 MOST_SAID = 1 << 16
 LONGEST = 200
 MOST = 1024
 LIMITS = {resource.RLIMIT_FSIZE: 1 << 20, resource.RLIMIT_CPU: 2, resource.RLIMIT_CORE: 0}
 COLOUR = re.compile(rb"\x1b\[[0-9;:]*m")
-"""Select Graphic Rendition, ECMA-48, 8.3.117; of the control sequences, it alone moves nothing."""
+"""Select Graphic Rendition (ECMA-48, 8.3.117), the only control sequence that does not move the cursor."""
 MARK = "SIERRA_VERSION_ASKED"
 
 
 def asked(programs: Programs, table: ProgramsTable, variables: Mapping[str, str], root: Path) -> Programs:
-    """The same programs, with what they say of themselves; `variables` are the runs' own, with PATH."""
+    """Return the programs with the versions that they report; `variables` are those of the runs, with PATH."""
     remembered = Cache(user_versions(), MOST)
     identity = programs.id
 
@@ -62,7 +63,7 @@ def asked(programs: Programs, table: ProgramsTable, variables: Mapping[str, str]
 
 
 def _words(program: Program, table: ProgramsTable, root: Path) -> tuple[str, ...]:
-    """The arguments for which a program says its version; none where it is not to be asked."""
+    """Return the arguments that make a program print its version; none if the program must not be executed."""
     if program.kind is not Kind.PROGRAM:
         return ()
     if program.called in table.versions:
@@ -81,7 +82,7 @@ def _is_script(path: Path) -> bool:
 
 
 def _say(argv: Sequence[str], variables: Mapping[str, str]) -> str | None:
-    """The first line that a program says, if it ends well and soon."""
+    """Return the first line that a program prints, if it succeeds in time."""
     mark = secrets.token_hex(16)
     with tempfile.TemporaryDirectory(prefix="sierra-", ignore_cleanup_errors=True) as folder:
         try:
@@ -111,7 +112,7 @@ def _limit(pid: int) -> None:
 
 
 def _hear(process: subprocess.Popen[bytes]) -> bytes:
-    """All that a program says; nothing where that is too much, takes too long, or ends badly."""
+    """Return all output of a program, or nothing if it is too long, takes too long, or the program fails."""
     if process.stdout is None:
         return b""
     said = b""
@@ -131,7 +132,7 @@ def _hear(process: subprocess.Popen[bytes]) -> bytes:
 
 
 def _end(process: subprocess.Popen[bytes], mark: str) -> None:
-    """Kill a program and what it has started, also what has left its process group (where /proc tells it)."""
+    """Kill a program and all processes that it has started, even those outside its process group (if /proc shows them)."""
     give_up = time.monotonic() + PATIENCE_S
     with contextlib.suppress(ProcessLookupError, PermissionError):
         os.killpg(process.pid, signal.SIGKILL)
@@ -146,7 +147,7 @@ def _end(process: subprocess.Popen[bytes], mark: str) -> None:
 
 
 def _first_line(said: bytes) -> str | None:
-    """Return the first line with something in it, if it is text; without colours, which some write to a pipe too."""
+    """Return the first line that is not empty, if it is text; without colour codes, which some programs write to a pipe too."""
     for line in COLOUR.sub(b"", said).splitlines():
         with contextlib.suppress(UnicodeDecodeError):
             text = line.decode().strip()

@@ -1,1 +1,1 @@
-"""Research queries: their grammar, and the ranges of values that they name."""
+"""Research queries: their grammar, and the ranges of values that they describe."""

@@ -1,21 +1,21 @@
-"""Criteria as people write them: `parse` reads one, `text` writes the one canonical text of it.
+"""The grammar of criteria: `parse` reads a criterion, `text` writes its canonical text.
 
     criterion = name ("=" (list | span) | "." dotted)
     list      = item {"," item}                        all numbers, or all names, each once
     span      = number ":" number ":" count            noise=0:1:5
     dotted    = "Log" whole                            population_size.Log8
-              | "Linear" whole [".C" count]            population_size.Linear100.C10; 10 where left out
+              | "Linear" whole [".C" count]            population_size.Linear100.C10; the default count is 10
               | step "." step ".C" count               max_speed.1.9.C5
               | step ".I" step ".C" count              population_constant_density.5p0.I16.C4
               | "C" count                              montecarlo.C20
 
-In lists and spans a number is written as usual (`-0.5`, `1e-3`). In a step `p` is the decimal point, since
-the dot parts the steps. Steps with a `p` are a span: `x.0p5.2p5.C5` is `x=0.5:2.5:5`. The name decides
-twice: `montecarlo` takes a count and nothing else does, and the steps of `population_variable_density` are
-densities. All else is the same for every name, whoever gives the name its meaning.
+In lists and spans, numbers have the usual form (`-0.5`, `1e-3`). In a step, `p` is the decimal point, because the dot separates
+the steps. Steps with a `p` are a span: `x.0p5.2p5.C5` is `x=0.5:2.5:5`. The name matters in two cases. `montecarlo` takes a
+count, and no other name does. The steps of `population_variable_density` are densities. Everything else is the same for all
+names, whether the project or a platform defines them.
 
-What looks almost like a number (`0p2` in a list, `1_000`, `007`, `nan`) is neither number nor name: it is an
-error, as everything is that could quietly have meant another range.
+A text that is almost a number (`0p2` in a list, `1_000`, `007`, `nan`) is neither a number nor a name. It is an error, like
+every text that could be mistaken for another range.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ from sierra.model import ConstantDensity, Criterion, Linear, Listed, Log, MonteC
 from sierra.query import ranges
 from sierra.store.schema import RESERVED
 
-"""Columns that the store has beside the axes; SQL takes no notice of case."""
+"""`RESERVED` has the names of the store's own columns, which axes must not use; SQL ignores case."""
 MONTE_CARLO = "montecarlo"
 VARIABLE_DENSITY = "population_variable_density"
 LINEAR_COUNT = 10
-"""How many values `.Linear100` has, where `.C` is left out."""
+"""Default number of values of `.Linear100`, without `.C`."""
 DIGITS = 40
-"""Characters that a number may have, so that none takes long to read."""
+"""Maximum number of characters of a number, so that parsing is always fast."""
 
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 _ITEM = re.compile(r"(?=[.-]*[A-Za-z0-9_])[A-Za-z0-9_.-]+")
@@ -59,7 +59,7 @@ _ONLY_COUNT = re.compile(_COUNT)
 
 
 def parse(text: str) -> Criterion:
-    """The criterion that a text asks for. Raises QueryError, in one line that says what would be right."""
+    """Return the criterion that a text describes. Raises QueryError with a one-line message that includes a correction."""
     try:
         return _criterion(text)
     except QueryError as error:
@@ -67,10 +67,10 @@ def parse(text: str) -> Criterion:
 
 
 def parse_all(texts: Iterable[str]) -> tuple[Criterion, ...]:
-    """The criteria of one query, in their order.
+    """Return the criteria of one query, in their order.
 
-    Raises QueryError for one that is not right, for none at all, for an axis asked for twice or named like a
-    column of the store, and for more than a million experiments.
+    Raises QueryError for an invalid criterion, for no criteria, for an axis that occurs twice or has the name of a column of
+    the store, and for more than a million experiments.
     """
     criteria = tuple(parse(text) for text in texts)
     if not criteria:
@@ -85,9 +85,9 @@ def parse_all(texts: Iterable[str]) -> tuple[Criterion, ...]:
 
 
 def text(criterion: Criterion) -> str:
-    """The canonical text, for which `parse(text(criterion)) == criterion`.
+    """Return the canonical text, for which `parse(text(criterion)) == criterion`.
 
-    Raises QueryError for a criterion made by hand that no text asks for.
+    Raises QueryError for a criterion created by hand that no text describes.
     """
     ranges.check(criterion.scale)
     written = criterion.name + _written(criterion.scale)
@@ -122,7 +122,7 @@ def _criterion(text: str) -> Criterion:
 
 
 def _split(text: str) -> tuple[str, str, str]:
-    """The name, the first `.` or `=`, and what follows it."""
+    """Return the name, the first `.` or `=`, and the text after it."""
     name = re.split(r"[.=]", text, maxsplit=1)[0]
     return name, text[len(name) : len(name) + 1], text[len(name) + 1 :]
 
@@ -150,7 +150,7 @@ def _steps(name: str, start: str, end: str, count: int) -> Scale:
 
 
 def _spelled(name: str, rest: str) -> Scale:
-    """What follows `=`: a list, or a span."""
+    """Parse the text after `=`: a list, or a span."""
     if ":" not in rest:
         return Listed(tuple(_item(word) for word in rest.split(",")))
     parts = rest.split(":")
@@ -189,7 +189,7 @@ def _step(word: str) -> Fraction:
 
 
 def _fraction(word: str) -> Fraction:
-    """The exact number, of so few digits and so small an exponent that it can't be a trap."""
+    """Return the exact number; its digits and exponent are limited, so that a hostile text cannot take long."""
     if len(word) > DIGITS:
         raise QueryError(f"a number of {len(word)} characters is too long; use at most {DIGITS}")
     if not _NUMBER.fullmatch(word) or _LEADING_ZERO.match(word):
@@ -198,7 +198,7 @@ def _fraction(word: str) -> Fraction:
 
 
 def _almost(word: str) -> str:
-    """What is wrong with a word that should be a number."""
+    """Return a message about a word that should be a number."""
     plain = word.lower().replace("p", ".", 1).replace("_", "")
     if len(word) > DIGITS or not _NUMBER.fullmatch(plain):
         return f"{_shown(word)} is not a number; use one as 5, -0.5 or 1e-3"
@@ -246,7 +246,7 @@ def _density(number: Fraction) -> str:
 
 
 def _dotted_mistaken(name: str, rest: str) -> str:
-    """Why `rest` is no dotted scale, and what it may have been meant as."""
+    """Return a message that `rest` is not a dotted scale, with a proposal."""
     if re.fullmatch(rf"{_STEP}\.{_STEP}", rest):
         return f"it does not say how many values from {rest.replace('.', ' to ')}; use {name}.1.9.C5"
     if re.fullmatch(r"[0-9.+-]+(\.C[0-9]+)?", rest):
@@ -280,13 +280,13 @@ def _forms(name: str) -> str:
 
 
 def _shown(what: object) -> str:
-    """As in the source of Python: one line, whatever it holds, and never a long one."""
+    """Return Python's `repr` of an object, on one line and shortened."""
     written = repr(what)
     return written if len(written) <= 80 else f"{written[:76]}…{written[-1]}"
 
 
 def setting(text: str) -> tuple[str, str]:
-    """XPATH=VALUE at the first `=` that is not within brackets or quotes. Raises UsageError."""
+    """Split XPATH=VALUE at the first `=` that is not within brackets or quotes. Raises UsageError."""
     depth, quote = 0, ""
     for place, character in enumerate(text):
         if quote:

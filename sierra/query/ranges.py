@@ -1,10 +1,10 @@
-"""The values that a scale spans: exact where they can be, never a silently different range.
+"""The values of scales: exact if possible, and never a range that silently differs from the text.
 
-A scale is *right* where its values are distinct, finite, at most a million, and just those that its text says,
-and whole numbers are within 64 bits (beside decimals: within 2**53, as far as a float has them all); `check`
-raises QueryError for any other, and names right ones that are near.
-Ends with decimals have at most 18 places, so that each has one plain text. No value is reached by adding
-up: the i-th is computed from the ends, in whole numbers, and rounded at most once.
+A scale is *valid* if its values are distinct, finite, at most a million, and exactly those that its text describes. Whole
+numbers must be within 64 bits (together with decimals: within 2**53, up to which a float represents all of them). `check`
+raises QueryError for any other scale, and names valid scales that are similar. Ends with decimals have at most 18 places, so
+that each has one plain text. Values are not computed by repeated addition: the i-th is computed from the ends, in whole
+numbers, and rounded at most once.
 """
 
 from __future__ import annotations
@@ -18,20 +18,20 @@ from sierra.errors import QueryError
 from sierra.model import ConstantDensity, Linear, Listed, Log, MonteCarlo, Scale, Span, Steps, Value, VariableDensity
 
 MOST = 1_000_000
-"""Values that one scale, and experiments that one query, may have."""
+"""Maximum number of values of one scale, and of experiments of one query."""
 LARGEST = 2**63 - 1
-"""The largest whole number, the store's BIGINT."""
+"""The largest whole number, which is that of the store's BIGINT."""
 EXACT = 2**53
-"""The largest whole number up to which a float, and so a column of decimals, has them all."""
+"""The limit up to which floats, and so a column of decimals, represent all whole numbers exactly."""
 PLACES = 18
-"""Decimals that an end or a density may have."""
+"""Maximum number of decimals of an end or a density."""
 
 
 def values(scale: Scale) -> tuple[Value, ...]:
-    """The values in their order: whole ones as int, others as the float nearest to the exact one.
+    """Return the values in their order: whole ones as int, others as the float nearest to the exact value.
 
-    Raises QueryError where the scale is not right, and for densities, which only a platform can turn into
-    values: see `densities` and `growths`.
+    Raises QueryError if the scale is invalid, and for densities, because only a platform can convert them to values: see
+    `densities` and `growths`.
     """
     check(scale)
     match scale:
@@ -54,7 +54,7 @@ def values(scale: Scale) -> tuple[Value, ...]:
 
 
 def count(scale: Scale) -> int:
-    """How many values a right scale has, without making them."""
+    """Return the number of values of a valid scale, without computing them."""
     match scale:
         case Log(end):
             return end.bit_length()
@@ -65,23 +65,23 @@ def count(scale: Scale) -> int:
 
 
 def densities(scale: VariableDensity) -> tuple[Fraction, ...]:
-    """The exact densities, in percent of robots per m². Raises QueryError where the scale is not right."""
+    """Return the exact densities, in percent of robots per m². Raises QueryError if the scale is invalid."""
     check(scale)
     gap = (scale.end - scale.start) / (scale.count - 1)
     return tuple(scale.start + gap * index for index in range(scale.count))
 
 
 def growths(scale: ConstantDensity) -> tuple[Fraction, ...]:
-    """By how many metres each arena's sides are longer than the scenario's: 0, increment, 2 · increment, …
+    """Return the growth of each arena's sides in metres relative to the scenario's: 0, increment, 2 · increment, …
 
-    Raises QueryError where the scale is not right.
+    Raises QueryError if the scale is invalid.
     """
     check(scale)
     return tuple(scale.increment * index for index in range(scale.count))
 
 
 def check(scale: Scale) -> None:
-    """Raises QueryError, with right scales that are near, where the scale is not right."""
+    """Raise QueryError if the scale is invalid; the message names valid scales that are similar."""
     match scale:
         case Log(end):
             _check_log(end)
@@ -108,14 +108,14 @@ def check(scale: Scale) -> None:
 
 
 def plain(number: Fraction | int) -> str:
-    """A decimal of at most 18 places, without exponent: 5, -0.25."""
+    """Return a decimal of at most 18 places, without exponent: 5, -0.25."""
     whole, rest = divmod(abs(int(number * 10**PLACES)), 10**PLACES)
     sign = "-" if number < 0 else ""
     return f"{sign}{whole}" + (f".{rest:0{PLACES}}".rstrip("0") if rest else "")
 
 
 def _spread(start: Fraction, end: Fraction, count: int) -> tuple[Value, ...]:
-    """Over the one denominator that all values share, so that each is one division of whole numbers."""
+    """Return evenly spaced values. All share one denominator, so each value needs one division of whole numbers."""
     shared = math.lcm(start.denominator, end.denominator) * (count - 1)
     first = int(start * shared)
     gap = int((end - start) * shared) // (count - 1)
@@ -171,7 +171,7 @@ def _check_span(start: Fraction, end: Fraction, count: int) -> None:
 
 
 def _apart(start: Fraction, end: Fraction, count: int) -> bool:
-    """Whether no two values become the same: up to a gap of one unit in the last place, neighbours may."""
+    """Return True if all values differ; neighbours with a gap of up to one unit in the last place may be equal."""
     gap = abs(end - start) / (count - 1)
     whole = start.denominator == gap.denominator == 1
     return whole or gap > math.ulp(float(max(abs(start), abs(end))))
@@ -205,7 +205,7 @@ def _check_listed(listed: tuple[Value, ...]) -> None:
 
 
 def _check_mixed(values: tuple[Value, ...]) -> None:
-    """Whole numbers among decimals are kept as floats, which must have them exactly."""
+    """Raise QueryError for large whole numbers among decimals: they become floats, which must represent them exactly."""
     large = [value for value in values if isinstance(value, int) and abs(value) > EXACT]
     if large and any(isinstance(value, float) for value in values):
         told = f"{large[0]} is beyond 2**53, where a decimal can't be told from its neighbours"
@@ -240,7 +240,7 @@ def _check_size(number: Fraction | int) -> None:
 
 
 def _divisors(number: int, near: int) -> list[int]:
-    """The divisors of `number` next to `near`, which is none: the one below, and the one above, up to twice as far."""
+    """Return the divisors of `number` next to `near`, which is not a divisor: one below, and one up to twice as large."""
     below = next((n for n in range(min(near, number), 0, -1) if number % n == 0), None)
     above = next((n for n in range(near, min(number, 2 * near) + 1) if number % n == 0), None)
     return sorted({n for n in (below, above) if n is not None})

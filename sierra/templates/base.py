@@ -1,8 +1,8 @@
-"""One template becomes each run's input: the Template contract, and the door to read one.
+"""The Template contract: one template becomes each run's input. Includes the functions to read one.
 
-Shipped: `xml`. Others come as entry points of the group `sierra.templates`, each naming a class that fulfils
-`Template`. A file is read in the format that its ending names (`.json` by an entry point `json`); any other
-ending, such as `.argos`, `.world` or `.launch`, is XML.
+The shipped format is `xml`. Others are entry points of the group `sierra.templates`; each names a class that implements
+`Template`. The ending of a file selects its format (`.json` selects an entry point `json`). Any other ending, such as
+`.argos`, `.world` or `.launch`, means XML.
 """
 
 from __future__ import annotations
@@ -18,64 +18,67 @@ from sierra.util import entry_points
 SHIPPED = {"xml": "sierra.templates.xml:XmlTemplate"}
 
 Renderer = Callable[[Mapping[str, Value]], bytes]
-"""Makes one run's input from the values of that run; gives the same bytes whatever it was called with before."""
+"""A function that makes one run's input from the values of that run; the result does not depend on earlier calls."""
 
 
 class Template(Protocol):
-    """A file that every run's input is made from. Never changes once it is made.
+    """A file from which every run's input is made. It is immutable.
 
-    Safe for hostile content: nothing outside `data` is read, and time and memory stay in proportion to it.
-    The same template, changes and values give the same bytes on every machine: a run's identity hashes them.
-    All messages are one line, and name the template.
+    It must be safe for hostile content: nothing outside `data` is read, and time and memory stay in proportion to it. The same
+    template, changes and values must give the same bytes on every machine, because a run's identity includes their hash. All
+    messages are one line and name the template.
     """
 
     sha256: str
-    """Of the file's bytes, as 64 hexadecimal digits."""
+    """The SHA-256 of the file's bytes, as 64 hexadecimal digits."""
 
     def __init__(self, data: bytes, name: str) -> None:
-        """From a file's bytes; `name` is what messages call it. Raises TemplateError where it is not this format."""
+        """Read a file's bytes; messages call it `name`. Raises TemplateError if it does not have this format."""
         ...
 
     def find(self, path: str) -> tuple[str, ...]:
-        """The text of each attribute, text or element that a path of this format (XPath 1.0 for XML) selects, in
-        document order; empty where it selects none. Raises TemplateError for what is no such path.
+        """Return the text of each attribute, text or element that a path of this format (XPath 1.0 for XML) selects.
 
-        It makes every template a `sierra.platforms.base.Reader`.
+        The order is that of the document; the result is empty if the path selects nothing. Raises TemplateError for an invalid
+        path. This method makes every template a `sierra.platforms.base.Reader`.
         """
         ...
 
     def attributes(self) -> tuple[tuple[str, str], ...]:
-        """A short path to each value that it alone selects, and the value; for proposing variables to people."""
+        """Return pairs of a short path that selects exactly one value, and that value.
+
+        They are proposed to users as variables.
+        """
         ...
 
     def changed(self, changes: Sequence[Change], values: Mapping[str, Value]) -> Document:
-        """A copy with the changes made in order, each seeing what those before it did.
+        """Return a copy with the changes made in order; each change sees the results of those before it.
 
-        `{expressions}` in `Set.value`, and in the attributes and texts of `Add.xml`, are filled with `values`.
-        Raises TemplateError where a change selects nothing, or not what it expects, or does not fit; ConfigError
-        for an expression. Either names `change.why`.
+        `{expressions}` in `Set.value`, and in the attributes and texts of `Add.xml`, are filled with `values`. Raises
+        TemplateError if a change selects nothing, selects another number than it expects, or does not fit. Raises ConfigError
+        for an expression. Both messages name `change.why`.
         """
         ...
 
 
 class Document(Protocol):
-    """A template with an experiment's changes made. Never changes once it is made."""
+    """A template after an experiment's changes. It is immutable."""
 
     def render(self) -> bytes:
-        """The document as a file's content."""
+        """Return the document as a file's content."""
         ...
 
     def per_run(self, changes: Sequence[Change]) -> Renderer:
-        """Makes runs' inputs, of which each has `changes` made to this document with the values of its run.
+        """Return a function that makes a run's input: it applies `changes` with the values of that run.
 
-        All paths are checked here, once, and raise here as in `Template.changed`; they must not depend on the
-        values that other per-run changes write. The renderer raises for values only.
+        All paths are checked here once, and raise the same errors as `Template.changed`. They must not depend on values that
+        other per-run changes write. The returned function raises errors only for values.
         """
         ...
 
 
 def read(path: Path) -> Template:
-    """The template in a file. Raises Missing where there is none to read, TemplateError where it is not one."""
+    """Return the template in a file. Raises Missing if the file cannot be read, TemplateError if it is not a template."""
     name = _one_line(str(path))
     try:
         if path.exists() and not path.is_file():
@@ -88,7 +91,7 @@ def read(path: Path) -> Template:
 
 
 def formats() -> tuple[str, ...]:
-    """All formats that a template can have here, the shipped ones first."""
+    """Return the names of all available template formats, the shipped ones first."""
     return entry_points.names("template", SHIPPED)
 
 

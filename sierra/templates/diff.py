@@ -1,16 +1,14 @@
-"""How two input files differ, in the terms of who wrote them: `//swarm/@count: 4 → 8`.
+"""The differences between two input files, as paths and values: `//swarm/@count: 4 → 8`.
 
-XML is compared as elements, attributes and texts; the order of attributes, white space around texts, comments and processing
-instructions make no difference. Children that have an `id` (or a `name`) of their own are the same wherever they stand; of
-others, those that are alike to the last attribute are the same, and the rest in between are taken by their tags, in their
-order. Where children that both have stand in another order, that is a difference too: simulators make things in the order
-in which they read them.
+XML is compared as elements, attributes and texts. The order of attributes, white space around texts, comments and processing
+instructions are ignored. Children that have an `id` (or a `name`) of their own are matched in any place. Of the others,
+children with equal content are matched first. The rest between them are matched by tag, in their order. If matched children
+have another order, that is a difference too, because simulators create things in the order in which they read them.
 
-A path selects one thing alone: in both files, where both have it. Paths of elements that are taken by their place are those
-of the earlier file, but for what was added.
+A path selects exactly one thing: in both files, if both have it. Paths of elements that are matched by place refer to the
+earlier file, except for added elements.
 
-(xmldiff, which would be the library for this, needs seconds for 50 kB in which much has changed, and tells moves that
-nobody made.)
+(The library xmldiff would fit, but it needs seconds for 50 kB with many changes, and reports moves that did not happen.)
 """
 
 from __future__ import annotations
@@ -29,27 +27,27 @@ from sierra.util.textdiff import patch
 
 Element = Any
 NAMES = ("id", "name")
-"""Attributes that tell an element from its siblings."""
+"""Attributes that distinguish an element from its siblings."""
 MATCHED = 4_000_000
-"""Children of one element times children of the other, beyond which they are taken in their order."""
+"""Limit for the product of the numbers of children of two elements; above it, children are matched in their order."""
 
 
 @dataclass(frozen=True, slots=True)
 class Spot:
-    """One place in which two input files differ."""
+    """One place where two input files differ."""
 
     path: str
     what: Literal["changed", "added", "removed", "order", "lines", "bytes", "writing"]
-    """`order`: of the children that both have; `writing`: the same elements, attributes and texts in other bytes."""
+    """`order`: another order of the children that both have; `writing`: the same content in other bytes."""
     was: str | None = None
-    """The value, or all of an element that was removed."""
+    """The value, or the whole element if it was removed."""
     now: str | None = None
     lines: tuple[str, ...] = ()
-    """A patch, where the files are no XML."""
+    """A patch, if the files are not XML."""
 
 
 def differing(name: str, before: bytes, after: bytes) -> tuple[Spot, ...]:
-    """Where two files of one name differ; empty only if they are the same bytes."""
+    """Return the places where two versions of a file differ; empty only if the bytes are equal."""
     if before == after:
         return ()
     try:
@@ -67,7 +65,7 @@ def _no_xml(name: str, before: bytes, after: bytes) -> Spot:
 
 
 class _Comparison:
-    """Two documents, and what is known of their elements."""
+    """Two documents, with indexes of their elements."""
 
     def __init__(self, before: Element, after: Element) -> None:
         self._roots = (before, after)
@@ -87,7 +85,7 @@ class _Comparison:
             yield from self._of(before, after)
 
     def _note(self, element: Element) -> int:
-        """A number that only elements have which are alike in all that counts."""
+        """Return a number that is equal for elements with equal content."""
         shape = (
             element.tag,
             frozenset(element.attrib.items()),
@@ -124,7 +122,7 @@ class _Comparison:
             yield Spot(path, "order")
 
     def _pairs(self, old: Sequence[Element], new: Sequence[Element]) -> dict[int, int]:
-        """Which children are the same, by their places."""
+        """Return the matching children as pairs of indices."""
         ours, theirs = _named(old), _named(new)
         pairs = {place: theirs[name] for name, place in ours.items() if name in theirs}
         taken = set(pairs.values())
@@ -138,7 +136,7 @@ class _Comparison:
         return pairs
 
     def _blocks(self, old: Sequence[Element], new: Sequence[Element]) -> Iterator[tuple[int, int, int, int, bool]]:
-        """Stretches of children that are alike, and those in between."""
+        """Yield blocks of equal children, and the blocks between them."""
         if len(old) * len(new) > MATCHED:
             yield 0, len(old), 0, len(new), False
             return
@@ -148,7 +146,7 @@ class _Comparison:
             yield begin, end, first, last, what == "equal"
 
     def _path(self, element: Element) -> str:
-        """A path to this element alone, as short as that allows."""
+        """Return a short path that selects only this element."""
         ways = [call for call in self._called(element) if self._is_alone(call)]
         if ways:
             return f"//{ways[0]}"
@@ -160,7 +158,7 @@ class _Comparison:
         return f"{self._path(parent)}/{self._steps[parent][element]}"
 
     def _steps_to(self, siblings: Sequence[Element]) -> Iterator[tuple[Element, str]]:
-        """What leads from an element to each of its children."""
+        """Yield each child with the step of a path that leads to it."""
         counted = Counter(call for child in siblings for call in self._called(child))
         place: Counter[str] = Counter()
         for child in siblings:
@@ -172,12 +170,12 @@ class _Comparison:
         return all(calls[call] <= 1 for calls in self._calls)
 
     def _called(self, element: Element) -> list[str]:
-        """What a step of a path may call an element: its tag, with its id, with its name."""
+        """Return the possible steps of a path to an element: its tag, with its id, with its name."""
         tag = self._name(element.tag)
         return [tag, *(f"{tag}[@{key}='{value}']" for key in NAMES if "'" not in (value := element.get(key, "'")))]
 
     def _name(self, clark: str) -> str:
-        """A name as a path writes it: what stands in the default namespace has the prefix `_`."""
+        """Return a name as written in a path; names in the default namespace have the prefix `_`."""
         name = etree.QName(clark)
         if not name.namespace:
             return str(name.localname)
@@ -194,7 +192,7 @@ def _children(element: Element) -> Iterator[Element]:
 
 
 def _text(element: Element) -> str:
-    """The texts right in an element, without the white space around them."""
+    """Return the texts directly inside an element, without the surrounding white space."""
     texts = (element.text, *(child.tail for child in element))
     return " ".join(" ".join(text.split()) for text in texts if text and text.strip())
 
@@ -204,7 +202,7 @@ def _whole(element: Element) -> str:
 
 
 def _named(children: Sequence[Element]) -> dict[tuple[str, str, str], int]:
-    """Children with an id or a name that no other of their tag has here; and those that alone have their tag."""
+    """Return the children that have a unique id or name among those of their tag, or a unique tag, with their indices."""
     tags = Counter(child.tag for child in children)
     names = [_name_of(child, tags) for child in children]
     counted = Counter(names)
@@ -218,7 +216,7 @@ def _name_of(child: Element, tags: Counter[str]) -> tuple[str, str, str] | None:
 
 
 def _by_tag(old: Sequence[Element], new: Sequence[Element], left: Sequence[int], right: Sequence[int]) -> dict[int, int]:
-    """Children of one tag (and name, where they have one), in their order."""
+    """Return pairs of children with the same tag (and name, if they have one), in their order."""
     waiting: dict[Any, list[int]] = {}
     for place in reversed(right):
         waiting.setdefault(_kind(new[place]), []).append(place)

@@ -1,13 +1,12 @@
-"""The small arithmetic that a change's value may hold: `{population_size * 2}`.
+"""Arithmetic expressions in the values of changes: `{population_size * 2}`.
 
-A text is literal but for `{expression}`; `{{` and `}}` are literal braces. An expression knows numbers, the
-names it is given, `+ - * / // % **`, parentheses, the functions in FUNCTIONS, and `pi` (unless a name is called
-that). It means what it means in Python, with two differences: a division of whole numbers that comes out whole
-is whole (`{8 / 2}` is `4`, `{7 / 2}` is `3.5`), and no value on the way may be infinite, not a number, complex,
-or a whole number of more than MAX_BITS bits. Whole numbers are written with all their digits, others as
-Python's `repr`. A name alone may also stand for a text: `{scenario}`.
+A text is literal except for `{expression}`; `{{` and `}}` are literal braces. An expression may contain numbers, the given
+names, `+ - * / // % **`, parentheses, the functions in FUNCTIONS, and `pi` (unless it is a given name). It has the same meaning
+as in Python, with two differences. A division of whole numbers with a whole result is whole (`{8 / 2}` is `4`, `{7 / 2}` is
+`3.5`). No intermediate value may be infinite, not a number, complex, or a whole number of more than MAX_BITS bits. Whole
+numbers are written with all their digits, others as Python's `repr`. A single name may also stand for a text: `{scenario}`.
 
-Nothing is handed to Python's `eval`: the syntax tree is walked, and what is not listed here is refused.
+Python's `eval` is not used: the syntax tree is walked, and everything that is not listed here is refused.
 """
 
 from __future__ import annotations
@@ -27,16 +26,16 @@ from sierra.errors import ConfigError
 from sierra.model import Value
 
 MAX_LENGTH = 200
-"""Characters of one expression: bounds how deeply it can nest."""
+"""Maximum number of characters of one expression; this limits its nesting depth."""
 MAX_BITS = 1024
-"""Bits of a whole number: about as large as a float can be."""
+"""Maximum number of bits of a whole number; this is about the size of the largest float."""
 _PLAIN = 1 << 62
 
 Number = int | float
 
 _PIECE = re.compile(r"\{\{|\}\}|\{([^{}]*)\}|[{}]")
 CHOSEN = ("controller", "scenario")
-"""Names that have a value only where somebody chooses one."""
+"""Names that have a value only if the user chooses one."""
 _CONSTANTS: Mapping[str, Number] = {"pi": math.pi}
 
 
@@ -47,9 +46,9 @@ class _Expression:
 
 
 def fill(text: str, values: Mapping[str, Value]) -> str:
-    """`text` with the value of each `{expression}` in its place.
+    """Return `text` with each `{expression}` replaced by its value.
 
-    Raises ConfigError, in one line, for what cannot be read, for unknown names, and for what has no finite value.
+    Raises ConfigError, in one line, for invalid expressions, unknown names, and expressions without a finite value.
     """
     if "{" not in text and "}" not in text:
         return text
@@ -57,14 +56,14 @@ def fill(text: str, values: Mapping[str, Value]) -> str:
 
 
 def names(text: str) -> frozenset[str]:
-    """The names that a text's expressions use, without functions and `pi`. Raises ConfigError as `fill` does."""
+    """Return the names in a text's expressions, without functions and `pi`. Raises ConfigError like `fill`."""
     trees = (piece.tree for piece in _parse(text) if not isinstance(piece, str))
     return frozenset(name for tree in trees for name in _names(tree)) - _CONSTANTS.keys()
 
 
 @lru_cache(maxsize=4096)
 def _parse(text: str) -> tuple[str | _Expression, ...]:
-    """The literal texts and the expressions of a text, in order."""
+    """Return the literal parts and the expressions of a text, in order."""
     pieces: list[str | _Expression] = []
     end = 0
     for match in _PIECE.finditer(text):
@@ -90,10 +89,10 @@ def _tree(source: str, shown: str) -> ast.expr:
         raise ConfigError(f"{shown!r} holds no expression; write {{{{ and }}}} for literal braces")
     if len(source) > MAX_LENGTH:
         raise ConfigError(f"{shown[:40] + '…'!r} is longer than {MAX_LENGTH} characters")
-    if source.isidentifier():  # so that a variable may be called `lambda`
+    if source.isidentifier():  # so that a variable may have the name `lambda`
         return ast.Name(source)
     try:
-        with warnings.catch_warnings(action="ignore"):  # of Python's own, on odd literals
+        with warnings.catch_warnings(action="ignore"):  # Python's own warnings about unusual literals
             tree = ast.parse(source, mode="eval").body
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         raise ConfigError(f"{shown!r} is not an expression; write one as {{n * 2}}, or {{{{ and }}}} for braces") from error
@@ -102,7 +101,7 @@ def _tree(source: str, shown: str) -> ast.expr:
 
 
 def _allow(node: ast.expr, shown: str) -> None:
-    """Refuse all but what this module's docstring lists."""
+    """Raise ConfigError for any syntax that this module's docstring does not list."""
     match node:
         case ast.Name():
             return
@@ -142,7 +141,7 @@ def _text(expression: _Expression, values: Mapping[str, Value]) -> str:
     known = values.get(tree.id) if isinstance(tree, ast.Name) else None
     if isinstance(known, str):
         return known
-    if type(known) is int and -_PLAIN < known < _PLAIN:  # a seed, mostly: it is what it is, and there may be 100,000
+    if type(known) is int and -_PLAIN < known < _PLAIN:  # usually a seed; this fast path matters for 100,000 runs
         return repr(known)
     try:
         return repr(_value(tree, values))
@@ -163,7 +162,7 @@ def _reason(error: ArithmeticError) -> str:
 
 
 def _value(node: ast.expr, values: Mapping[str, Value]) -> Number:
-    """What an allowed tree is worth. Raises LookupError for a name, ArithmeticError, ValueError, TypeError."""
+    """Return the value of an allowed tree. Raises LookupError for a name, ArithmeticError, ValueError, TypeError."""
     match node:
         case ast.Name():
             return _bounded(_named(node.id, values))
@@ -205,7 +204,7 @@ def _divide(left: Number, right: Number) -> Number:
 
 
 def _power(base: Number, exponent: Number) -> Any:
-    """Refuses what would be large before it is calculated."""
+    """Return a power; a result that would be too large is refused before it is calculated."""
     whole = isinstance(base, int) and isinstance(exponent, int)
     if whole and exponent * (int(abs(base)).bit_length() - 1) > MAX_BITS:
         raise OverflowError
@@ -213,7 +212,10 @@ def _power(base: Number, exponent: Number) -> Any:
 
 
 def _round(value: Number, digits: Number | None = None) -> Number:
-    """Python's: whole without digits. More digits than a float can have are refused: they would take for ever."""
+    """Return a rounded number, like Python's `round`: whole if `digits` is missing.
+
+    More digits than a float can have are refused, because rounding would take for ever.
+    """
     if digits is not None and (not isinstance(digits, int) or abs(digits) > 400):
         raise ValueError(f"cannot round to {digits!r} digits")
     return round(value, digits)
@@ -241,7 +243,7 @@ FUNCTIONS: Mapping[str, Callable[..., Number]] = {
     "sin": math.sin,
     "cos": math.cos,
 }
-"""What an expression may call; `log(x, base)` and `round(x, digits)` as in Python."""
+"""The functions of expressions; `log(x, base)` and `round(x, digits)` work as in Python."""
 
 _OPERATORS: Mapping[type[ast.operator], Callable[[Any, Any], Any]] = {
     ast.Add: operator.add,

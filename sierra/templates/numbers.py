@@ -1,8 +1,8 @@
-"""Numbers that mean the same in two spellings, as `0` and `0.0`.
+"""Comparison of numbers with different spellings, such as `0` and `0.0`.
 
-A value that equals what a template has already leaves the template's bytes as they are: otherwise `--set x=0.0` over a `0`
-would make other runs of the same experiment. Only what is surely a number counts. `007` may be a name, and `1.10` a
-version, which is not `1.1`; `-0` is not `0`.
+If a value equals the value in a template, the template's bytes stay unchanged. Otherwise `--set x=0.0` over a `0` would create
+new runs of the same experiment. Only texts that are certainly numbers are compared as numbers. `007` may be a name, and `1.10`
+may be a version that differs from `1.1`; `-0` differs from `0`.
 """
 
 from __future__ import annotations
@@ -11,10 +11,10 @@ import re
 from fractions import Fraction
 
 LONGEST = 60
-"""Characters of a text that may be a number."""
+"""Maximum number of characters of a text that may be a number."""
 _NUMBER = re.compile(r"[+-]?(?:(?:0|[1-9][0-9]*)(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]{1,3})?")
 _VERSION = re.compile(r"\.[0-9]*[1-9]0+(?:[eE]|\Z)")
-"""What ends with zeros after other decimals."""
+"""Decimals that end with zeros after other digits."""
 
 
 def same(one: str, other: str) -> bool:

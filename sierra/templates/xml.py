@@ -1,24 +1,23 @@
-"""XML templates: any document, changed by XPath 1.0, rendered as it was written.
+"""XML templates: any document, changed by XPath 1.0, rendered with its original formatting.
 
-**Paths** are XPath 1.0. Absolute ones begin at the document, relative ones at the root element. All matches are
-changed. Every prefix that is declared anywhere in the document can be used (its first declaration counts); the
-first default namespace has the prefix `_`, as in `//_:robot/@name`. What stands before and after the root
-element cannot be selected.
+**Paths** are XPath 1.0. Absolute paths begin at the document, relative paths at the root element. A change applies to all
+matches. Every prefix that is declared anywhere in the document can be used (its first declaration applies). The first default
+namespace has the prefix `_`, as in `//_:robot/@name`. Content before and after the root element cannot be selected.
 
-**Kept byte for byte**: all before the root element and after it (byte order mark, XML declaration, doctype,
-comments, final newline); within it comments, processing instructions, CDATA, white space between tags, order
-of attributes, prefixes; the encoding (what it lacks is written as `&#8364;`); CRLF line ends, where all are; a number
+**Kept byte for byte**: everything before and after the root element (byte order mark, XML declaration, doctype, comments,
+final newline). Within it: comments, processing instructions, CDATA, white space between tags, order of attributes, and
+prefixes. Also the encoding (missing characters are written as `&#8364;`), CRLF line ends if all lines have them, and a number
 that is set to itself in another spelling (see `sierra.templates.numbers`).
 
-**Not kept**, as the parser does not tell: quotes around attributes (always `"`), white space within tags
-(`<a />` and `<a></a>` become `<a/>`), references to characters (`&#233;` becomes `é`, `&quot;` in a text `"`),
-line ends where CR, LF and CRLF are mixed, CDATA that is set or stands beside a removed element. A doctype keeps
-the root's old name where the root is renamed.
+**Not kept**, because the parser does not report it: quotes around attributes (always `"`), white space within tags (`<a />`
+and `<a></a>` become `<a/>`), references to characters (`&#233;` becomes `é`, `&quot;` in a text becomes `"`), line ends if CR,
+LF and CRLF are mixed, and CDATA that is set or stands beside a removed element. A doctype keeps the root's old name if the
+root is renamed.
 
-**Hostile input**: nothing is loaded (no DTD, no external entity, no network, no XInclude), and a document that
-*declares* an entity is refused, so there is nothing to expand. A reference that an external DTD would explain
-stays as it is. libxml2's own limits (depth 256, 10 MB for one text) hold. A path that would be evaluated for
-longer than a limit is refused: see `sierra.templates.xpath_trial`.
+**Hostile input**: nothing is loaded (no DTD, no external entity, no network, no XInclude). A document that *declares* an entity
+is refused, so there is nothing to expand. A reference that an external DTD would define stays unchanged. libxml2's own limits
+(depth 256, 10 MB for one text) apply. A path whose evaluation would exceed a time limit is refused: see
+`sierra.templates.xpath_trial`.
 """
 
 from __future__ import annotations
@@ -60,7 +59,7 @@ class XmlTemplate:
         self._document = XmlDocument(copy.deepcopy(tree.getroot()), _frame(data, tree.docinfo.encoding, name))
 
     def find(self, path: str) -> tuple[str, ...]:
-        """The text of each match; of an element, what stands before its first child."""
+        """Return the text of each match; for an element, the text before its first child."""
         return tuple(str(node) if isinstance(node, str) else str(node.text or "") for node in self._document.select(path))
 
     def attributes(self) -> tuple[tuple[str, str], ...]:
@@ -71,7 +70,7 @@ class XmlTemplate:
 
 
 class XmlDocument:
-    """A root element, and the frame that it stands in; see `sierra.templates.base.Document`."""
+    """A root element, and the frame around it; see `sierra.templates.base.Document`."""
 
     def __init__(self, root: Element, frame: _Frame, namespaces: dict[str, str] | None = None) -> None:
         self._root = root
@@ -90,19 +89,19 @@ class XmlDocument:
         return lambda values: self.changed(changes, lambda text: fill(text, values)).render()
 
     def changed(self, changes: Iterable[Change], filled: Callable[[str], str]) -> XmlDocument:
-        """A copy with the changes made, each of their texts as `filled` gives it."""
+        """Return a copy with the changes made; `filled` converts each of their texts."""
         document = XmlDocument(copy.deepcopy(self._root), self._frame, self._namespaces)
         for change in changes:
             try:
                 document._make(change, filled)
-            except ValueError as error:  # what lxml says of names
+            except ValueError as error:  # lxml's error about names
                 raise self._frame.error(change, "cannot be changed", f": {_line(error)}") from error
             except ConfigError as error:
                 raise ConfigError(f"{_who(change)}{error}") from error
         return document
 
     def select(self, path: str, who: str = "") -> list[Any]:
-        """The nodes that a path selects. Raises TemplateError where it is not a path to nodes."""
+        """Return the nodes that a path selects. Raises TemplateError if it is not a path to nodes."""
         shown = _line(path)
         if not xpath_trial.ends(path, self._namespaces, self._root):
             raise TemplateError(
@@ -122,9 +121,9 @@ class XmlDocument:
         return found
 
     def attributes(self) -> Iterator[tuple[str, str]]:
-        """Paths by tag, or by tag and name or id where there are several of a tag, with the values they select.
+        """Yield paths with the values that they select: attributes, and texts of elements that have no children.
 
-        Attributes, and texts of elements that have no children.
+        A path names an element by its tag, or by tag and name or id if several elements have the tag.
         """
         counted = Counter(call for element in self._root.iter(etree.Element) for call in self._calls(element))
         for element in self._root.iter(etree.Element):
@@ -137,13 +136,13 @@ class XmlDocument:
                 yield place, element.text
 
     def _calls(self, element: Element) -> list[str]:
-        """What paths may call an element: its tag, with its name, with its id."""
+        """Return the possible names of an element in paths: its tag, with its name, with its id."""
         tag = f"//{self._qualified(element.tag)}"
         named = [f"{tag}[@{key}='{element.get(key)}']" for key in ("name", "id") if "'" not in element.get(key, "'")]
         return [tag, *named]
 
     def _alone(self, call: str) -> bool:
-        """Whether a call that is written once selects one: a namespace without prefix is called as any other."""
+        """Return True if a name that occurs once selects one element; `local-name()` may match other namespaces too."""
         return "local-name()" not in call or len(self._found(call)) == 1
 
     def _body(self) -> str:
@@ -151,7 +150,7 @@ class XmlDocument:
         return text
 
     def _gapped(self, changes: Sequence[Set]) -> Renderer:
-        """The document in pieces, with gaps for what differs between runs: a run only fills these."""
+        """Split the document at the values that differ between runs, so that each run only fills these gaps."""
         mark = "gap"
         while mark in self._body():
             mark += "_"
@@ -203,9 +202,9 @@ class XmlDocument:
             self._namespaces = declarations(self._root)
 
     def _matches(self, change: Change) -> list[Any]:
-        """All that a change selects: as many as it expects, at least one."""
+        """Return all matches of a change: at least one, and as many as the change expects."""
         found = self.select(change.path, _who(change))
-        if isinstance(change, Set) and not change.attribute:  # a text and the CDATA beside it are one
+        if isinstance(change, Set) and not change.attribute:  # a text and adjacent CDATA are one place
             found = list({_place(node) or node: node for node in found}.values())
         if not found:
             raise self._frame.error(change, "matches nothing", _line(self._nearest(change.path)))
@@ -225,7 +224,7 @@ class XmlDocument:
         return self._frame.error(change, f"selects {_kind(node)}", f"; this {verb} is for {wanted}")
 
     def _places(self, change: Set) -> list[_Place]:
-        """Where a `Set` writes."""
+        """Return the places where a `Set` writes."""
         if change.attribute is not None:
             attribute = change.attribute
             return [_Place(e, "attribute", self._clark(attribute, e, change)) for e in self._elements(change)]
@@ -248,7 +247,7 @@ class XmlDocument:
             _take_out(node)
 
     def _clark(self, name: str, element: Element, change: Change, namespace: str | None = None) -> str:
-        """`p:name` or `name` as `{uri}name`. Raises TemplateError for an unknown prefix."""
+        """Return `p:name` or `name` as `{uri}name`. Raises TemplateError for an unknown prefix."""
         if name.startswith("{"):
             return name
         prefix, colon, local = name.rpartition(":")
@@ -266,7 +265,7 @@ class XmlDocument:
         return f"{{{uri}}}{local}" if uri else local
 
     def _piece(self, change: Add, parent: Element, filled: Callable[[str], str]) -> Element:
-        """The new child, read as if it stood in `parent`."""
+        """Return the new child, parsed in the namespaces of `parent`."""
         declared = {**self._namespaces, **parent.nsmap}
         wrapper = etree.tostring(etree.Element("_", nsmap=declared), encoding="unicode").removesuffix("/>")
         xml = _legal(change.xml, change, self._frame)
@@ -287,7 +286,7 @@ class XmlDocument:
         return piece
 
     def _index(self, change: Add, parent: Element) -> int:
-        """Where among all children, comments included, the new one goes; `at` counts elements."""
+        """Return the index of the new child among all children, including comments; `at` counts elements only."""
         if change.at is None:
             return len(parent)
         indices = [index for index, child in enumerate(parent) if isinstance(child.tag, str)]
@@ -296,7 +295,7 @@ class XmlDocument:
         return indices[change.at] if change.at < len(indices) else len(parent)
 
     def _nearest(self, path: str) -> str:
-        """The most similar path that matches, found by mending one step after the other."""
+        """Return the most similar path that matches; it is found by correcting one step after the other."""
         good = ""
         for step in _steps(path):
             if self._found(good + step):
@@ -333,7 +332,7 @@ class XmlDocument:
         return self._mended_predicate(good, bare, predicates)
 
     def _mended_predicate(self, good: str, bare: str, predicates: str) -> str:
-        """`[@name='x']` with the most similar value that exists; other predicates are left out."""
+        """Return the step with `[@name='x']` changed to the most similar existing value; other predicates are left out."""
         match = _SIMPLE_PREDICATE.fullmatch(predicates)
         values = [str(value) for value in self._found(f"{good}{bare}/@{match[1]}")] if match else []
         close = _closest(match[2][1:-1], values) if match else None
@@ -343,7 +342,7 @@ class XmlDocument:
         return f"{bare}[@{match[1]}={quote}{close}{quote}]"
 
     def _inventory(self, good: str, step: str) -> str:
-        """What there is where a step finds nothing."""
+        """Return the names that exist in the place where a step matches nothing."""
         at = "@" if step.lstrip("/").startswith("@") else ""
         way = re.match("/{0,2}", step)[0]  # type: ignore[index]
         there = [at + name for name in self._names(good, way, at)]
@@ -353,12 +352,12 @@ class XmlDocument:
         return f"; {f'{good} has' if good else 'there are'} {', '.join(there[:8])}{more}"
 
     def _names(self, good: str, way: str, at: str) -> list[str]:
-        """The different names of what stands one step from a path, in document order."""
+        """Return the different names that are one step away from a path, in document order."""
         nodes = self._found(f"{good}{way}{at}*")
         return list(dict.fromkeys(self._qualified(node.attrname if at else node.tag) for node in nodes))
 
     def _qualified(self, clark: str) -> str:
-        """A name as a path writes it."""
+        """Return a name as written in a path."""
         name = etree.QName(clark)
         if not name.namespace:
             return str(name.localname)
@@ -367,12 +366,12 @@ class XmlDocument:
         return f"{prefix}:{name.localname}" if prefix else f"*[local-name()='{name.localname}']"
 
 
-# What stands around the root element
+# The content around the root element
 
 
 @dataclass(frozen=True, slots=True)
 class _Frame:
-    """What stands around the root element, and how text becomes bytes there."""
+    """The content around the root element, and the encoding of the document."""
 
     name: str
     before: bytes
@@ -384,11 +383,14 @@ class _Frame:
         return self.before + self.encoded(body) + self.after
 
     def encoded(self, body: str) -> bytes:
-        """XML as bytes. What the encoding lacks becomes a reference, so it must not stand in names or comments."""
+        """Return XML as bytes.
+
+        Characters that the encoding lacks become references, so they must not occur in names or comments.
+        """
         return (body.replace("\n", "\r\n") if self.crlf else body).encode(self.codec, "xmlcharrefreplace")
 
     def error(self, change: Change, what: str, more: str) -> TemplateError:
-        """A message on one line: who asks, for which path, what is wrong with it in this template."""
+        """Return an error with a one-line message: the source of the change, its path, and what is wrong in this template."""
         return TemplateError(f"{_who(change)}{_line(change.path)} {what} in {self.name}{more}")
 
     def lacks(self, text: str) -> bool:
@@ -413,17 +415,20 @@ _MARKUP = re.compile(
     | (?P<tag> <[^!?] (?: [^<>"'] | {_QUOTED} )*+ > )""",
     re.DOTALL | re.VERBOSE,
 )
-"""The markup of a document that is known to be well formed."""
+"""The markup of a document that is known to be well-formed."""
 _ENTITY = re.compile(rf"{_SKIPPED} | {_QUOTED} | <!ENTITY\s+(?P<name>(?:%\s+)?[^\s]+)", re.DOTALL | re.VERBOSE)
 
 
 def _frame(data: bytes, encoding: str | None, name: str) -> _Frame:
-    """Raises TemplateError where entities are declared, or text and bytes cannot be told apart."""
+    """Return the frame of a document.
+
+    Raises TemplateError if entities are declared, or if text and bytes do not convert without loss.
+    """
     mark, codec = next(((m, c) for m, c in _MARKS if data.startswith(m)), (b"", ""))
     codec = codec or next((c for start, c in _UNMARKED if data.startswith(start)), encoding or "utf-8")
     try:
         text = data.removeprefix(mark).decode(codec)
-        same = mark + text.encode(codec) == data and "\0" not in text  # as UTF-32 read as UTF-16 would have
+        same = mark + text.encode(codec) == data and "\0" not in text  # NUL characters appear when UTF-32 is read as UTF-16
     except (LookupError, UnicodeError):
         same = False
     if not same:
@@ -460,7 +465,7 @@ def _parser() -> Any:
 
 
 def parse(data: bytes, name: str) -> Any:
-    """A document as lxml has it; nothing but `data` is read. Raises TemplateError where it is not XML."""
+    """Return a parsed document; nothing but `data` is read. Raises TemplateError if it is not XML."""
     try:
         return etree.fromstring(data, _parser()).getroottree()
     except etree.XMLSyntaxError as error:
@@ -473,7 +478,7 @@ def _reason(error: Exception) -> str:
 
 
 def declarations(root: Element) -> dict[str, str]:
-    """What prefixes mean in paths: the first declaration of each."""
+    """Return the namespaces of prefixes in paths: the first declaration of each prefix."""
     found: dict[str, str] = {}
     for _, (prefix, uri) in etree.iterwalk(root, events=("start-ns",)):
         if uri and prefix != "xml":
@@ -486,14 +491,14 @@ def declarations(root: Element) -> dict[str, str]:
 
 @dataclass(frozen=True, slots=True)
 class _Place:
-    """Where a text stands: an attribute, what comes first in an element, or what follows one."""
+    """The place of a text: an attribute, the beginning of an element, or the text after an element."""
 
     element: Element
     kind: Literal["attribute", "text", "tail"]
     name: str = ""
 
     def read(self) -> str | None:
-        """Return the text; None for an attribute that is not there yet."""
+        """Return the text; None for an attribute that does not exist yet."""
         match self.kind:
             case "attribute":
                 found = self.element.get(self.name)
@@ -504,7 +509,7 @@ class _Place:
         return None if found is None else str(found)
 
     def update(self, text: str) -> None:
-        """Write a text, unless what is there spells the same number."""
+        """Write a text, unless the current text spells the same number."""
         was = self.read()
         if was is None or not same(was, text):
             self.write(text)
@@ -521,16 +526,16 @@ class _Place:
 
 @dataclass(frozen=True, slots=True)
 class _Gap:
-    """What a run fills in: by which change, whether within quotes, and what stood there."""
+    """A value that differs between runs: the index of its change, if it is within quotes, and the previous text."""
 
     change: int
     quoted: bool
     was: str | int | None
-    """A text, the number of an earlier gap, or nothing."""
+    """The previous text, the number of an earlier gap, or None."""
 
 
 def _place(node: Any) -> _Place | None:
-    """Where a selected node's text stands; None for comments and the like."""
+    """Return the place of a selected node's text; None for comments and processing instructions."""
     if not isinstance(node, str):
         return _Place(node, "text") if isinstance(node.tag, str) else None
     selected: Any = node
@@ -546,7 +551,7 @@ def _kind(node: Any) -> str:
 
 
 def _take_out(element: Element) -> None:
-    """Remove an element and the line it stood on; what follows it stays."""
+    """Remove an element and its line; the text after it stays."""
     parent, previous, after = element.getparent(), element.getprevious(), element.tail or ""
     before = (parent.text if previous is None else previous.tail) or ""
     kept = before + after
@@ -562,7 +567,7 @@ def _take_out(element: Element) -> None:
 
 
 def _insert(parent: Element, new: Element, index: int) -> None:
-    """Put a new child in, indented as its siblings are."""
+    """Insert a new child, with the indentation of its siblings."""
     inner = parent.text or ""
     if len(parent) and _indents(inner):
         last = parent[-1]
@@ -582,7 +587,7 @@ def _indents(text: str) -> bool:
 
 
 def _before(element: Element) -> str:
-    """The text before an element."""
+    """Return the text before an element."""
     if element.getparent() is None:
         return ""
     previous = element.getprevious()
@@ -590,7 +595,7 @@ def _before(element: Element) -> str:
 
 
 def _fill_all(piece: Element, filled: Callable[[str], str]) -> None:
-    """Fill all attributes and texts of an element, after it was parsed: a value can't become markup."""
+    """Fill all attributes and texts of an element after parsing, so that a value cannot become markup."""
     for node in piece.iter():
         if isinstance(node.tag, str):
             for name, value in node.attrib.items():
@@ -604,9 +609,9 @@ def _fill_all(piece: Element, filled: Callable[[str], str]) -> None:
 _IN_TEXT = str.maketrans({"&": "&amp;", "<": "&lt;", ">": "&gt;", "\r": "&#13;"})
 _IN_ATTRIBUTE = _IN_TEXT | str.maketrans({'"': "&quot;", "\n": "&#10;", "\t": "&#9;"})
 _ESCAPES = (_IN_TEXT, _IN_ATTRIBUTE)
-"""As libxml2 writes it: in a text, and (index True) in an attribute."""
+"""Escapes like those of libxml2: in a text (index False), and in an attribute (index True)."""
 _ILLEGAL = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
-"""XML 1.0, production 2."""
+"""Characters that XML 1.0 does not allow (production 2)."""
 
 
 def _legal(text: str, change: Change, frame: _Frame) -> str:
@@ -623,7 +628,7 @@ def _filled(change: Set, values: Mapping[str, Value], frame: _Frame) -> str:
 
 
 def _unfilled(text: str) -> str:
-    """A text as it stands, once it is known that it can be filled."""
+    """Return a text unchanged, after checking that it can be filled."""
     names(text)
     return text
 
@@ -632,13 +637,13 @@ def _unfilled(text: str) -> str:
 
 
 _ONE_NAME = re.compile(r"\{[A-Za-z_]\w*\}")
-"""`{controller}`; any other `{…}` in a tag is a namespace."""
+"""A tag such as `{controller}`; any other `{…}` in a tag is a namespace."""
 _SIMPLE_STEP = re.compile(r"(/{0,2})(@?)([^\s/@*.\[\]()|]+)((?:\[.*\])?)", re.DOTALL)
 _SIMPLE_PREDICATE = re.compile(r"""\[\s*@([\w:.-]+)\s*=\s*("[^"]*"|'[^']*')\s*\]""")
 
 
 def _steps(path: str) -> list[str]:
-    """`//swarm/@count` as `//swarm` and `/@count`."""
+    """Split a path into steps: `//swarm/@count` into `//swarm` and `/@count`."""
     steps, depth, quote = [""], 0, ""
     for character in path.strip():
         if quote or character in "\"'":
@@ -654,7 +659,7 @@ def _steps(path: str) -> list[str]:
 
 
 def _closest(name: str, known: list[str]) -> str | None:
-    """The most similar name; one that differs only in its prefix first."""
+    """Return the most similar name; a name that differs only in its prefix is preferred."""
     local = name.rpartition(":")[2]
     same = [other for other in known if other.rpartition(":")[2] == local]
     return next(iter(same or difflib.get_close_matches(name, known, 1)), None)
@@ -665,5 +670,5 @@ def _who(change: Change) -> str:
 
 
 def _line(text: object) -> str:
-    """On one line, whatever it holds."""
+    """Return a text on one line, with control characters escaped."""
     return "".join(c if c.isprintable() else c.encode("unicode_escape", "backslashreplace").decode() for c in str(text))

@@ -1,11 +1,11 @@
-"""XPath expressions that may take for ever are tried in a process of their own, which ends.
+"""Trial evaluation of XPath expressions that may take for ever, in a separate process with a time limit.
 
-libxml2 evaluates an expression without any limit, and nothing within a process can stop it: each step that starts from
-many nodes and goes to many more multiplies the work. So the work is estimated from the nodes of the document and the
-steps that may visit all of them. What is little is evaluated at once, as nearly every path is. What may be much is first
-evaluated by this file as a program, within a limit of computing time, so that a busy machine makes no difference.
+libxml2 evaluates an expression without any limit, and nothing within a process can stop it. Each step that starts from many
+nodes and visits many others multiplies the work. So the work is estimated from the number of nodes in the document, and from
+the steps that may visit all of them. Nearly all paths need little work and are evaluated at once. An expression that may need
+much work is first evaluated by this file as a program. The limit is computing time, so that a busy machine makes no difference.
 
-As a program it needs nothing but lxml: it reads one line of JSON (path, prefixes, limit in s), then the document.
+The program needs only lxml. It reads one line of JSON (path, prefixes, limit in seconds), and then the document.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ from typing import Any
 from lxml import etree
 
 LIMIT_S = 2
-"""Computing time that one expression may take."""
+"""Seconds of computing time that one expression may take."""
 PATIENCE_S = 600
 LITTLE = 10**8
-"""Steps from node to node that are done in less than a second."""
+"""Number of steps from node to node that take less than a second."""
 _LITERAL = re.compile(r"'[^']*'|\"[^\"]*\"")
 _WIDE = re.compile(
     r"""// | \.\. | :: | \|                       # all descendants; parents; other axes; a union of node sets
@@ -35,11 +35,11 @@ _WIDE = re.compile(
 )
 _PREDICATE = re.compile(r"\[[^\[\]]*\]")
 _ended: set[tuple[str, int]] = set()
-"""Expressions that have been tried, with the number of nodes."""
+"""Expressions that ended within the limit, with the number of nodes."""
 
 
 def ends(path: str, namespaces: Mapping[str, str], root: Any) -> bool:
-    """Return whether an expression is evaluated within the limit, for a document and all others of its size."""
+    """Return True if an expression ends within the limit, for this document and all others of its size."""
     exponent = _exponent(path)
     if exponent < 2:
         return True
@@ -53,7 +53,10 @@ def ends(path: str, namespaces: Mapping[str, str], root: Any) -> bool:
 
 
 def _exponent(path: str) -> int:
-    """Return the power of the number of nodes that the work grows with, at most: predicates are evaluated for each node."""
+    """Return an upper bound for the power of the number of nodes that the work grows with.
+
+    Predicates are evaluated for each node.
+    """
     every = outer = _LITERAL.sub("''", path)
     while (shorter := _PREDICATE.sub("", outer)) != outer:
         outer = shorter
@@ -78,12 +81,12 @@ def _tried(path: str, namespaces: Mapping[str, str], root: Any) -> bool:
 
 
 def _main() -> None:
-    """Evaluate what is on standard input; be killed by the kernel where that takes too long."""
+    """Evaluate the expression on standard input; the kernel kills the process if it takes too long."""
     path, namespaces, limit = json.loads(sys.stdin.buffer.readline())
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     resource.setrlimit(resource.RLIMIT_CPU, (limit, limit))
     root = etree.fromstring(sys.stdin.buffer.read(), etree.XMLParser(resolve_entities=False, no_network=True))
-    with contextlib.suppress(etree.XPathError, ValueError):  # that is found again, and told, where it is evaluated for real
+    with contextlib.suppress(etree.XPathError, ValueError):  # the same error is reported by the real evaluation
         etree.XPath(path, namespaces=namespaces, regexp=False)(root)
 
 

@@ -1,13 +1,13 @@
-"""The code that runs are made from, as one tree with one id.
+"""The source: the code that runs are made from, as one tree with one id.
 
-The id is that of the tree as git hashes it, written as an SWHID (`swh:1:dir:…`): in a git repository git makes
-it, of the files as they are now (changed and untracked ones too, ignored ones not); outside, the same hash is
-made here, so that a project has one id wherever it lies. The user's index, files, branches and stash are not
-touched (see `working`), and the tree is kept from being pruned by a ref, `refs/sierra/<tree>`.
+The id is git's hash of the tree, written as an SWHID (`swh:1:dir:…`). In a git repository, git computes it from the
+current files. Changed and untracked files are included, ignored files are not. Outside git, this package computes the same
+hash, so that a project has the same id in every location. The user's index, files, branches and stash are not changed (see
+`worktree`). The ref `refs/sierra/<tree>` protects the tree from being pruned.
 
-`[source] dirty` says what becomes of changes that are not committed: "record" counts them, "refuse" is an error, and with
-"ignore" the source is the commit's tree. Since a result must not be ascribed to code that did not make it, what executes is
-then a checkout of that tree too wherever the working tree is another: `Source.checkout`.
+`[source] dirty` decides about uncommitted changes. "record" includes them in the source, "refuse" raises an error, and with
+"ignore" the source is the commit's tree. A result must not be ascribed to code that did not produce it. Therefore, with
+"ignore", runs use a checkout of that tree if the working tree differs from it: `Source.checkout`.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ from sierra.util.hashing import digest
 
 SWHID = "swh:1:dir:"
 LARGE = 50_000_000
-"""Bytes, where `[source] large` does not say."""
+"""Size limit in bytes if `[source] large` is not set."""
 RECORDED = ("tree", "vcs", "commit", "branch", "dirty", "remote", "described", "folder", "submodules")
 
 
@@ -59,23 +59,23 @@ class Source:
     dirty: bool | None
     remote: str | None
     manifest: bytes
-    """A line for each file: mode, blob hash, path."""
+    """One line per file: mode, blob hash, path."""
     described: str | None = None
     folder: str | None = None
-    """The project's, from the root of the repository."""
+    """The project's folder, relative to the root of the repository."""
     submodules: str | None = None
-    """JSON: path and commit of each repository inside."""
+    """JSON object: the path and the commit of each nested repository."""
     checkout: bool = False
-    """Whether the working tree is another: what executes must be restored first."""
+    """True if the working tree differs from this source, so that runs need a checkout of it."""
     notes: tuple[str, ...] = ()
-    """What the user should know, a line each."""
+    """Messages for the user, one line each."""
 
     @property
     def id(self) -> str:
         return digest("source", {name: getattr(self, name) for name in RECORDED})
 
     def row(self, files: str) -> dict[str, Any]:
-        """Its record; `files` is the SHA-256 under which the manifest is kept."""
+        """Return the record of this source; `files` is the SHA-256 under which the manifest is stored."""
         return {"source": self.id, "files": files, **{name: getattr(self, name) for name in RECORDED}}
 
 
@@ -88,11 +88,11 @@ def capture(
     large: int = LARGE,
     memory: Path | None = None,
 ) -> Source:
-    """The code in the project `root`: all of it or what `paths` names, without some files and folders.
+    """Return the source of the project `root`: all files or those in `paths`, except those in `without`.
 
-    `dirty` is as in `[source]`; an untracked file may have `large` bytes. In the file `memory`, the hashes of files outside git
-    are remembered. Raises ConfigError for a path that is not there, a file that is too large, changes that are refused; Missing
-    where git is needed and cannot tell.
+    `dirty` has the meaning of `[source] dirty`. An untracked file may have up to `large` bytes. The file `memory` caches the
+    hashes of files outside git. Raises ConfigError for a path that does not exist, a file that is too large, or changes that
+    are refused. Raises Missing if git is needed and fails.
     """
     for path in paths:
         if not (root / path).exists():
@@ -108,20 +108,23 @@ def capture(
 
 
 def contents(source: Source, root: Path, known: Container[str]) -> Iterator[tuple[str, bytes]]:
-    """The files of a source outside git, each as git's hash, which is not `known`, and its content.
+    """Yield the hash and the content of each file of a source outside git; `known` lists hashes to skip.
 
-    Raises Missing for one that has changed meanwhile.
+    The hashes are git's blob hashes. Raises Missing for a file that has changed since it was hashed.
     """
     return plain_tree.contents(source.manifest, root, known)
 
 
 def ignored(root: Path, without: Iterable[str]) -> str:
-    """The first few things that git ignores in a project, and how many more; empty where there are none but caches of tools."""
+    """Return one line with the first paths that git ignores in a project, and how many more there are.
+
+    The line is empty if git ignores nothing but caches of tools.
+    """
     return shown(uncounted.ignored(root, without)) if _in_git(root) else ""
 
 
 def _in_git(root: Path) -> bool:
-    """Whether a repository holds the project; one that ignores the project's folder does not."""
+    """Return True if a repository contains the project and does not ignore the project's folder."""
     return in_repository(root) and not Git(root).ignores_it()
 
 

@@ -1,7 +1,9 @@
-"""The program git in one folder: never asks, runs no hook, touches no index but those it is given, says its errors in one line.
+"""The program git, executed in one folder.
 
-Of the variables that steer git, only those that stand for its configuration are kept: in a hook, or with GIT_DIR set, this
-would else be another repository than the one that the project lies in.
+It never prompts and runs no hooks. It changes no index except one that the caller passes. It reports errors in one line.
+
+Of the variables that control git, only those with its configuration (GIT_CONFIG_*) are kept. Inside a hook, or with GIT_DIR
+set, git would otherwise use another repository than the one that contains the project.
 """
 
 from __future__ import annotations
@@ -19,18 +21,18 @@ ALWAYS = (
     *("-c", "core.hooksPath=/dev/null"),  # updating a ref and writing an index run hooks
     *("-c", "core.fsmonitor=false"),  # which may be a program
     *("-c", "core.splitIndex=false"),
-    *("-c", "core.ignoreStat=false"),  # would take files for unchanged without looking
-    *("-c", "core.safecrlf=false"),  # would refuse files that git changes on their way in
+    *("-c", "core.ignoreStat=false"),  # would treat files as unchanged without checking them
+    *("-c", "core.safecrlf=false"),  # would refuse files whose line endings git converts
     *("-c", "gc.auto=0"),
     "--no-pager",
 )
 
 NETWORK = ("GIT_SSH", "GIT_SSH_COMMAND", "GIT_SSH_VARIANT", "GIT_ASKPASS", "GIT_SSL_CAINFO", "GIT_SSL_CAPATH", "GIT_SSL_CERT")
-"""Variables by which git reaches other machines."""
+"""Variables that control how git reaches other machines."""
 
 
 class Git:
-    """Git in one folder; what it prints, as bytes. Raises Missing for what git complains of."""
+    """Git in one folder; a call returns git's output as bytes. Raises Missing if git fails."""
 
     def __init__(self, root: Path) -> None:
         self.root = root
@@ -49,11 +51,11 @@ class Git:
         into: Path | None = None,
         network: bool = False,
     ) -> bytes:
-        """Run it. With `index`, it works on that file in the place of the user's; with `into`, the folder is the working tree.
+        """Run git and return its output.
 
-        With `network`, how the user has git reach others is heeded too.
-
-        Where it is `optional`, a failure is no error, but no output; so is the exit status `none`.
+        With `index`, git uses that file instead of the user's index. With `into`, that folder is the working tree. With
+        `network`, the user's settings for reaching other machines apply too. If `optional` is true, a failure is not an error
+        and returns no output. The same applies to the exit status `none`.
         """
         environment = _environment() | ({name: os.environ[name] for name in NETWORK if name in os.environ} if network else {})
         if index is not None:
@@ -78,7 +80,7 @@ class Git:
         return b"" if done.returncode else done.stdout
 
     def pipe(self, *arguments: str) -> subprocess.Popen[bytes]:
-        """Start it, to be written to; what it prints is thrown away."""
+        """Start git with an open standard input; its output is discarded."""
         return subprocess.Popen(
             [str(self._program), *ALWAYS, *arguments],
             cwd=self.root,
@@ -91,41 +93,41 @@ class Git:
 
     @cached_property
     def top(self) -> Path:
-        """The repository's working tree."""
+        """The top folder of the repository's working tree."""
         return self._path("rev-parse", "--show-toplevel")
 
     @cached_property
     def folder(self) -> Path:
-        """The repository's own folder; a linked worktree has its own."""
+        """The repository's git directory; a linked worktree has its own."""
         return self._path("rev-parse", "--absolute-git-dir")
 
     @cached_property
     def index(self) -> Path:
-        """The user's index."""
+        """The path of the user's index."""
         return self.root / self._path("rev-parse", "--git-path", "index")
 
     @cached_property
     def prefix(self) -> bytes:
-        """The project's folder as the repository sees it, with a slash at its end (or empty)."""
+        """The project's folder relative to the top of the repository, with a slash at its end; empty at the top."""
         return self("rev-parse", "--show-prefix").removesuffix(b"\n")
 
     def has(self, thing: str) -> bool:
-        """Whether the repository has a tree or a commit."""
+        """Return True if the repository has this tree or commit."""
         return bool(self("rev-parse", "--verify", "--quiet", f"{thing}^{{tree}}", optional=True))
 
     def head(self) -> str | None:
-        """The commit checked out."""
+        """Return the commit that is checked out, or None."""
         return self("rev-parse", "--verify", "--quiet", "HEAD^{commit}", optional=True).decode().strip() or None
 
     def ignores_it(self) -> bool:
-        """Whether the repository ignores this whole folder."""
+        """Return True if the repository ignores this whole folder."""
         return bool(self("check-ignore", ".", optional=True).strip())
 
     def _path(self, *arguments: str) -> Path:
         return Path(os.fsdecode(self(*arguments).removesuffix(b"\n")))
 
     def _complaint(self, command: str, said: str) -> str:
-        """What git complains of, in one line, with what would be right where git's first line does not say it."""
+        """Return git's error message in one line, with a remedy if git's first line does not name one."""
         lines = [line.strip() for line in said.splitlines() if line.strip()] or ["no reason given"]
         if "dubious ownership" in said:
             add = next((line for line in lines if line.startswith("git config")), "git config --global --add safe.directory …")
@@ -143,16 +145,19 @@ class Git:
 
 
 def in_repository(root: Path) -> bool:
-    """Whether a repository holds a folder."""
+    """Return True if a folder lies in a repository."""
     return any((folder / ".git").exists() for folder in (root, *root.parents))
 
 
 def _command(arguments: Sequence[str]) -> str:
-    """What git is asked to do, beyond its settings."""
+    """Return git's subcommand, without the settings before it."""
     return next(word for word, before in zip(arguments, ("", *arguments), strict=False) if "-c" not in (word, before))
 
 
 def _environment() -> dict[str, str]:
-    """The last of these is for `git fast-import`, which may else spend most of its time on giving memory back (glibc)."""
+    """Return the environment in which git runs.
+
+    MALLOC_TRIM_THRESHOLD_ is for `git fast-import`: without it, glibc may spend most of the time on returning memory.
+    """
     kept = {name: value for name, value in os.environ.items() if not name.startswith("GIT_") or name.startswith("GIT_CONFIG_")}
     return kept | {"GIT_OPTIONAL_LOCKS": "0", "GIT_TERMINAL_PROMPT": "0", "LC_ALL": "C", "MALLOC_TRIM_THRESHOLD_": "100000000"}

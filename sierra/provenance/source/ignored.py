@@ -1,4 +1,4 @@
-"""What git ignores in a project: it is no code, and is missing where only the code is."""
+"""Files that git ignores in a project: they are not part of the source, so a checkout of the source lacks them."""
 
 from __future__ import annotations
 
@@ -11,15 +11,16 @@ from sierra.provenance.source.paths import PathSelection
 from sierra.provenance.source.plain_tree import LEFT_OUT
 
 CACHES = LEFT_OUT | {".DS_Store", ".eggs", ".idea", ".ipynb_checkpoints", ".nox", ".tox", ".vscode"}
-"""Files and folders of tools, which no run needs."""
+"""Files and folders of tools; no run needs them."""
 SUFFIXES = (".egg-info", ".pyc")
 VENV = "pyvenv.cfg"
 
 
 def ignored(root: Path, without: Iterable[str]) -> list[bytes]:
-    """Files, and folders (with a slash) of which git ignores all; without some, caches and virtual environments.
+    """Return the ignored files, and the folders (with a slash at the end) that git ignores completely.
 
-    Nothing of a folder that is ignored as a whole is looked at. Raises Missing where git can't tell.
+    The paths in `without`, caches and virtual environments are left out. Folders that are ignored completely are not searched.
+    Raises Missing if git fails.
     """
     told = Git(root)("ls-files", "--others", "--ignored", "--exclude-standard", "--directory", "-z", "--", ".")
     never = PathSelection(without=without).never

@@ -1,8 +1,8 @@
-"""Files that git-lfs keeps: what git has of them is a pointer, and the data comes from elsewhere.
+"""Checks for files that git-lfs manages: git stores a pointer to such a file, and git-lfs fetches the data.
 
-Where git-lfs is not installed, or its data was not fetched, a checkout has the pointers in the place of the data. A run that
-reads them is not the run that it is taken for, and git cannot tell them apart; so it is an error.
-Pointers are described in git-lfs's docs/spec.md.
+If git-lfs is not installed, or its data was not fetched, a checkout contains the pointers instead of the data. A run that
+reads pointers is not the intended run, and git cannot see the difference. Therefore a remaining pointer is an error.
+Pointers are specified in git-lfs's docs/spec.md.
 """
 
 from __future__ import annotations
@@ -21,18 +21,18 @@ ATTRIBUTES = ".gitattributes"
 
 
 def check(git: Git, index: Path, files: Files) -> None:
-    """Raise Missing where a file that counts is a pointer still."""
+    """Raise Missing if a file of the source is still a pointer."""
     if _used(git, git.root, files):
         _refuse(git, [path for path in _kept(git, index) if path in files])
 
 
 def check_inside(git: Git) -> None:
-    """The same for all files of a repository inside."""
+    """Raise Missing if a file of a nested repository is still a pointer."""
     _refuse(git, _kept(git, None))
 
 
 def _kept(git: Git, index: Path | None) -> list[bytes]:
-    """The files that git-lfs keeps, by the attributes."""
+    """Return the paths that the attributes assign to git-lfs."""
     return git("ls-files", "-z", "--", ":(attr:filter=lfs)", index=index).split(b"\0")[:-1]
 
 
@@ -46,7 +46,7 @@ def _refuse(git: Git, kept: Sequence[bytes]) -> None:
 
 
 def check_restored(git: Git, target: Path, files: Files) -> None:
-    """The same for files that git wrote into `target`."""
+    """Raise Missing if a file that git wrote into `target` is still a pointer."""
     attributes = [target / os.fsdecode(path) for path in files if path.endswith(ATTRIBUTES.encode())]
     if any(b"filter=lfs" in _head(path, 1 << 20) for path in attributes):
         pointers = [path for path, what in files.items() if what[:3] == b"100" and _is_pointer(target / os.fsdecode(path))]
@@ -55,7 +55,10 @@ def check_restored(git: Git, target: Path, files: Files) -> None:
 
 
 def _used(git: Git, root: Path, files: Files) -> bool:
-    """Whether attributes of this repository speak of git-lfs: those in a folder of the files or above, or of its own."""
+    """Return True if an attributes file that applies to these files mentions git-lfs.
+
+    Such a file lies in a folder of the files, in a folder above them, or in the git directory (`info/attributes`).
+    """
     above = [folder / ATTRIBUTES for folder in (root, *root.parents) if folder.is_relative_to(git.top)]
     below = [root / os.fsdecode(path) for path in files if path.endswith(b".gitattributes")]
     return any(b"filter=lfs" in _head(path, 1 << 20) for path in (*above, *below, git.folder / "info" / "attributes"))

@@ -1,6 +1,7 @@
-"""The list of a source's files, as it is kept: for each a mode, git's hash and its path, ordered by path.
+"""The manifest: the stored list of a source's files, with mode, git's hash and path for each, ordered by path.
 
-One line is `<mode> <hash>\\t<path>`, ended by NUL, since a path may hold all else: what `git update-index --index-info` reads.
+Each line is `<mode> <hash>\\t<path>` and ends with NUL, because a path may contain any other byte. `git update-index
+--index-info` reads this format.
 """
 
 from __future__ import annotations
@@ -11,15 +12,15 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 LINK, REPOSITORY = "120000", "160000"
-"""The modes of a symbolic link, and of a repository inside a repository."""
+"""Git's modes for a symbolic link and for a repository inside a repository."""
 
 Files = Mapping[bytes, bytes]
-"""What the list says of each path: `<mode> <hash>`."""
+"""Entries of a manifest by path: `<mode> <hash>`."""
 
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """One file of a tree: git's mode and blob hash, and its path from the project's root."""
+    """One file of a tree: git's mode and blob hash, and the path from the project's root."""
 
     mode: str
     blob: str
@@ -27,7 +28,7 @@ class Entry:
 
 
 def listed(entries: Iterable[Entry]) -> bytes:
-    """The list of these files."""
+    """Return the manifest of these files."""
     return written({entry.path: b"%s %s" % (entry.mode.encode(), entry.blob.encode()) for entry in entries})
 
 
@@ -41,51 +42,51 @@ def read(manifest: bytes) -> dict[bytes, bytes]:
 
 
 def parts(what: bytes) -> tuple[str, str]:
-    """Mode and hash."""
+    """Return the mode and the hash."""
     mode, _, blob = what.decode("ascii", "replace").partition(" ")
     return mode, blob
 
 
 def repositories(files: Files) -> Iterator[tuple[bytes, str]]:
-    """The repositories among the files: path, and commit (or tree)."""
+    """Yield the nested repositories among the files: path, and commit (or tree)."""
     yield from [(path, parts(what)[1]) for path, what in files.items() if what[:6] == b"160000"]
 
 
 def paths(manifest: bytes) -> set[bytes]:
-    """The paths in a list."""
+    """Return the paths in a manifest."""
     return set(read(manifest))
 
 
 def blobs(manifest: bytes) -> set[str]:
-    """Git's hashes of the files in a list."""
+    """Return git's hashes of the files in a manifest."""
     return {parts(what)[1] for what in read(manifest).values()}
 
 
 def tree_of(manifest: bytes) -> str | None:
-    """The hash of the tree that a list of files gives; None where it cannot be told: by hashes that are no SHA-1."""
+    """Return the hash of the tree that a manifest describes, or None if its hashes are not SHA-1."""
     entries = [Entry(*parts(what), path) for path, what in read(manifest).items()]
     return tree_hash(entries) if all(re.fullmatch("[0-9a-f]{40}", entry.blob) for entry in entries) else None
 
 
 def changed(before: bytes, after: bytes) -> list[str]:
-    """The paths in which two lists differ."""
+    """Return the paths in which two manifests differ."""
     old, new = read(before), read(after)
     differing = {path for path in old.keys() | new.keys() if old.get(path) != new.get(path)}
     return [path.decode("utf-8", "replace") for path in sorted(differing)]
 
 
 def git_hash(kind: bytes, content: bytes, algorithm: str = "sha1") -> str:
-    """The hash that git gives to a file or a tree."""
+    """Return the hash that git gives to a file or a tree."""
     return hashlib.new(algorithm, b"%s %d\0%s" % (kind, len(content), content), usedforsecurity=False).hexdigest()
 
 
 def is_blob(content: bytes, blob: str) -> bool:
-    """Whether a file's content has that hash, in a repository of either kind."""
+    """Return True if git's hash of the content is `blob`, in a SHA-1 or a SHA-256 repository."""
     return git_hash(b"blob", content, "sha1" if len(blob) == 40 else "sha256") == blob
 
 
 def tree_hash(entries: Sequence[Entry]) -> str:
-    """The hash that git gives to a tree with these files."""
+    """Return the hash that git gives to a tree with these files."""
     below: dict[bytes, list[Entry]] = {}
     items: list[tuple[bytes, str, bytes, str]] = []
     for entry in entries:

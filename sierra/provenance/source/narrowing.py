@@ -1,7 +1,7 @@
-"""What of a project hardly is code, and the line for `[source] paths` that leaves it out.
+"""Files of a project that are probably not code, and the `[source] paths` line that excludes them.
 
-A change of any file of the source makes all runs new, and fails those that execute. Where all that changed has the name of
-notes, figures or results, somebody is told how to say that it is no code; nothing is left out without being told.
+A change to any file of the source makes all runs new, and fails the runs that are executing. If all changed files have the
+names of notes, figures or results, a message explains how to exclude them. Nothing is excluded automatically.
 """
 
 from __future__ import annotations
@@ -13,28 +13,28 @@ from collections.abc import Iterable
 FOLDERS = re.compile(
     r"(results?|outputs?|out|logs?|figures?|figs?|plots?|papers?|thesis|docs?|notes|slides|videos?|data|datasets?)", re.I
 )
-"""Folders that hardly hold code. Runs may read `data`, so that none is left out unless somebody says so."""
+"""Folders that are unlikely to contain code. Runs may read `data`, so only the user can exclude it."""
 FILES = re.compile(
     r"(readme|licen[cs]e|copying|change(s|log)|history|news|authors|contribut(ing|ors)|citation|notes?|todo)(\.(txt|cff|html?))?"
     r"|nohup\.out|.*\.(md|rst|adoc|org|tex|bib|pdf|png|jpe?g|gif|svg|eps|mp4|webm|docx?|odt|pptx?|odp|log|ipynb)",
     re.I,
 )
-"""Files that hardly are code."""
+"""Files that are unlikely to be code."""
 TOOLS = re.compile(r"\.(git.*|vscode|idea|editorconfig|pre-commit-config\.ya?ml)")
-"""What tools keep beside the code."""
+"""Files and folders that tools keep beside the code."""
 READ = re.compile(r"data|datasets?", re.I)
 MOST = 12
-"""Names that a proposal may have."""
+"""Maximum number of names in a proposal."""
 ONLY_SAID = "[source] paths says what is code"
 
 
 def is_hardly_code(name: str, *, is_folder: bool) -> bool:
-    """Return whether something in the project's folder has a name that code hardly has."""
+    """Return True if a file or folder of the project has a name that is unusual for code."""
     return (FOLDERS if is_folder else FILES).fullmatch(name) is not None
 
 
 def advice(changed: Iterable[bytes], source: Iterable[bytes]) -> str:
-    """Return what to write where these files of the source, or beside it, are no code; `source` is all of its files."""
+    """Return advice for the case that the changed files are not code; `source` contains all files of the source."""
     left_out = {_top(path) for path in changed}
     if not left_out or not all(is_hardly_code(name, is_folder=folder) for name, folder in left_out):
         return ONLY_SAID

@@ -1,4 +1,4 @@
-"""Where a commit stands: its description, and the repository's address."""
+"""The description of a commit, and the address of its repository."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from sierra.provenance.source.git import Git
 from sierra.provenance.source.remote import without_credentials
 
 DIGITS = 12
-"""Of a commit in a description; git would choose how many by the size of this clone."""
+"""Digits of a commit in a description; by default, git would choose their number by the size of the clone."""
 
 
 def describe(git: Git, commit: str | None, *, dirty: bool) -> str | None:
-    """As `git describe --always --dirty --tags` has it."""
+    """Return a description like that of `git describe --always --dirty --tags`."""
     if commit is None:
         return None
     said = git("describe", "--always", "--tags", f"--abbrev={DIGITS}", commit, optional=True)
@@ -20,7 +20,10 @@ def describe(git: Git, commit: str | None, *, dirty: bool) -> str | None:
 
 
 def remote(git: Git, branch: str | None) -> str | None:
-    """The address of the remote that the branch follows, of `origin`, or of the only one there is; without credentials."""
+    """Return the address of the default remote, without credentials.
+
+    The default remote is the one that the branch follows, else `origin`, else the only one. Returns None if there is none.
+    """
     settings = _settings(git)
     addresses = _addresses(settings)
     address = addresses.get(_followed(settings, branch) or "")
@@ -33,7 +36,7 @@ def remotes(git: Git) -> set[str]:
 
 
 def default_remote(git: Git) -> str | None:
-    """Return the name of the remote that the checked out branch follows, of `origin`, or of the only one there is."""
+    """Return the name of the remote that the current branch follows, else `origin`, else the only one."""
     branch = git("symbolic-ref", "--quiet", "--short", "HEAD", optional=True).decode("utf-8", "replace").strip()
     return _followed(_settings(git), branch)
 

@@ -1,4 +1,4 @@
-"""Which paths of a project count as its source: all, or those that are named; without those that never do."""
+"""The selection of paths that belong to a project's source: all or the named ones, minus the excluded ones."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from sierra.util.text import few
 
 
 class PathSelection:
-    """Says of a path, from the project's root, whether it counts."""
+    """A predicate on paths relative to the project's root: True for paths that belong to the source."""
 
     def __init__(self, only: Iterable[str] = (), without: Iterable[str] = ()) -> None:
         self.only = tuple(path for path in map(inside, only) if path != b".")
@@ -20,33 +20,33 @@ class PathSelection:
         self._kept = _below(self.only)
 
     def never(self, path: bytes) -> bool:
-        """Whether a file, or all of a folder, is left out."""
+        """Return True if a file, or a folder with all its content, is excluded."""
         return bool(self._without) and self._never.match(path) is not None
 
     def __call__(self, path: bytes) -> bool:
         return not self.never(path) and (not self.only or self._kept.match(path) is not None)
 
     def others(self, paths: Iterable[bytes]) -> list[bytes]:
-        """Those that do not count."""
+        """Return the paths that do not belong to the source."""
         never, kept = self._never.match, self._kept.match
         if self.only:
             return [path for path in paths if not kept(path) or (self._without and never(path))]
         return [path for path in paths if never(path)] if self._without else []
 
     def pathspecs(self) -> list[str]:
-        """What git is told to look at, relative to the project; a name may begin with a colon, or hold a star."""
+        """Return pathspecs for git, relative to the project; a name may begin with a colon or contain a star."""
         chosen = [f":(literal){os.fsdecode(path)}" for path in self.only] or ["."]
         patterns = ["\\" + re.sub(r"(?<!^)[\\*?\[]", r"\\\g<0>", os.fsdecode(path)) for path in self._without]
         return [*chosen, *(f":(exclude,glob){pattern}{below}" for pattern in patterns for below in ("", "/**"))]
 
 
 def inside(path: str) -> bytes:
-    """A path as it stands in a list of files."""
+    """Return a path in the form that a manifest uses."""
     return os.fsencode(os.path.normpath(path))
 
 
 def check_size(path: bytes, size: int, large: int, way_out: str) -> None:
-    """Raise ConfigError for a file that is too large to be kept without being asked."""
+    """Raise ConfigError for a file that is too large to be stored without the user's consent."""
     if size > large:
         raise ConfigError(
             f"{shown([path])} has {_bytes(size)}, more than the {_bytes(large)} of [source] large; "
@@ -55,7 +55,7 @@ def check_size(path: bytes, size: int, large: int, way_out: str) -> None:
 
 
 def shown(paths: Sequence[bytes], most: int = 3) -> str:
-    """The first paths, and how many more there are, in one line."""
+    """Return the first paths, and how many more there are, in one line."""
     names = (path.decode("utf-8", "replace") for path in paths)
     return few([name if name.isprintable() else ascii(name) for name in names], most)
 
@@ -69,5 +69,5 @@ def _bytes(size: float) -> str:
 
 
 def _below(paths: Sequence[bytes]) -> re.Pattern[bytes]:
-    """What matches a path that is one of these or lies below one."""
+    """Return a pattern that matches these paths and everything below them."""
     return re.compile(b"(?:%s)(?:/|\\Z)" % b"|".join(map(re.escape, paths)))

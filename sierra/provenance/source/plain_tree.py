@@ -1,9 +1,9 @@
-"""The files of a project outside git, hashed as git would hash them.
+"""The files of a project outside git, hashed like git would hash them.
 
-What a file's hash was is remembered in a file of the store's folder with its times, size and inode, as in git's index, so
-that only files with others are read again. A file that was written less than two seconds before it was read is not
-remembered: another writing within the same tick of the file system's clock would not show. That clock is asked, not this
-machine's: they may differ. 50,000 files take 1.5 s at first, 0.5 s after.
+A cache file in the store's folder keeps each file's hash with its times, size and inode, like git's index. Only files with
+other values are read again. A file that was written less than two seconds before it was read is not cached: a second write
+within the same tick of the file system's clock would not be visible. The clock of the file system is used, because this
+machine's clock may differ. 50,000 files take 1.5 s the first time and 0.5 s afterwards.
 """
 
 from __future__ import annotations
@@ -23,16 +23,19 @@ from sierra.util.hashing import sealed, unsealed
 LEFT_OUT = frozenset(
     (".git", ".hg", ".svn", "__pycache__", ".venv", "venv", "node_modules", ".mypy_cache", ".pytest_cache", ".ruff_cache")
 )
-"""Folders that are never code, in a project outside git."""
+"""Folders that never belong to the source of a project outside git."""
 SETTLED_NS = 2_000_000_000
 IGNORE_IT = "move it out of the project"
 
 Memory = Mapping[bytes, bytes]
-"""By path: times, size and inode, then mode and hash."""
+"""The cache by path: times, size and inode, then mode and hash."""
 
 
 def entries(root: Path, chosen: PathSelection, large: int, memory: Path | None = None) -> list[Entry]:
-    """All files that count. Raises ConfigError for one of more than `large` bytes, Missing for one that can't be read."""
+    """Return all files of the source.
+
+    Raises ConfigError for a file of more than `large` bytes, and Missing for a file that cannot be read.
+    """
     try:
         return _entries(root, chosen, large, memory)
     except OSError as error:
@@ -40,7 +43,10 @@ def entries(root: Path, chosen: PathSelection, large: int, memory: Path | None =
 
 
 def contents(manifest: bytes, root: Path, known: Container[str]) -> Iterator[tuple[str, bytes]]:
-    """The files of a list, each as git's hash, which is not `known`, and its content. Raises Missing for a changed one."""
+    """Yield git's hash and the content of each file in a manifest; `known` lists hashes to skip.
+
+    Raises Missing for a file that has changed since it was hashed.
+    """
     for path, what in read(manifest).items():
         mode, blob = parts(what)
         file = root / os.fsdecode(path)
@@ -72,7 +78,7 @@ def _entries(root: Path, chosen: PathSelection, large: int, memory: Path | None)
         if max(status.st_mtime_ns, status.st_ctime_ns) < settled:
             after[path] = b"%s %s %s" % (seen, mode.encode(), blob.encode())
     if memory is not None and after != before:
-        with contextlib.suppress(OSError):  # without it, the next time is slower
+        with contextlib.suppress(OSError):  # without the cache, the next call is slower
             write_whole(memory, sealed(b"".join([b"%s\t%s\0" % (what, path) for path, what in after.items()])))
     return found
 
@@ -106,7 +112,7 @@ def _remembered(memory: Path | None) -> Memory:
 
 
 def _now(memory: Path | None) -> int:
-    """The file system's time; long ago where that cannot be told, so that nothing is remembered."""
+    """Return the file system's time in nanoseconds; 0 if it is unknown, so that nothing is cached."""
     if memory is None:
         return 0
     probe = memory.with_name(f"{memory.name}.{os.getpid()}")

@@ -1,8 +1,9 @@
-"""Addresses of repositories without what opens them: passwords, tokens, queries.
+"""Addresses of repositories without credentials: passwords, tokens and query strings are removed.
 
-Git takes a URL (`https://user:password@host/path`), the short form of ssh (`user@host:path`), a path, or the name of a
-program (`ext::…`). Who writes it may have left a password in any place, also one that git itself would not understand; where
-it cannot be told apart from the address, rather too much is taken away. The name `git` is no secret.
+Git accepts a URL (`https://user:password@host/path`), the short form of ssh (`user@host:path`), a path, or the name of a
+program (`ext::…`). A user may have left a password in any part of it, even in a form that git itself would not understand.
+If a password cannot be separated from the address, too much is removed rather than too little. The user name `git` is not a
+secret.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ HOST = re.compile(r"(?:\[[0-9A-Fa-f:.%]*\]|[^\s:@/]*)(?::\d*)?(?=/|\Z)")
 
 
 def without_credentials(address: str) -> str:
-    """An address as it may be recorded."""
+    """Return an address in a form that can be recorded."""
     if url := URL.fullmatch(address):
         return url["scheme"] + _place(re.split(r"[?#;]", url["rest"], maxsplit=1)[0])
     if program := re.match(r"[\w.+-]+::", address):
@@ -25,7 +26,7 @@ def without_credentials(address: str) -> str:
 
 
 def _place(rest: str) -> str:
-    """Host and path of a URL, whatever stands before them."""
+    """Return the host and the path of a URL, without anything before them."""
     authority, slash, path = rest.partition("/")
     rest = authority.rpartition("@")[2] + slash + path
     while "@" in rest and (not HOST.match(rest) or re.search(r":[^/@]*@", rest)):
@@ -34,7 +35,10 @@ def _place(rest: str) -> str:
 
 
 def _short(address: str) -> str:
-    """`user@host:path`: the user goes, unless it is git; where there is a password, all up to the last @ of it."""
+    """Return `user@host:path` without the user, unless the user is `git`.
+
+    If there is a password, everything up to its last @ is removed.
+    """
     user, at, rest = address.partition("@")
     if not at or "/" in user:
         return address

@@ -1,9 +1,9 @@
-"""A recorded source, written into a folder again.
+"""Restoring a recorded source into a folder.
 
-In a git repository that has all of its files, git writes them (with the line endings and filters that it knows for them). It
-need not be the repository that recorded: a clone that has the commit has the files, and from these and the list of files git
-makes the tree again. What it lacks may be in the store, which keeps the files of projects outside git.
-A list of files may come from elsewhere: no path in it leaves the folder.
+If a git repository has all files of the source, git writes them, with its line endings and filters for them. Any clone that
+has the commit has the files, not only the repository where the source was recorded; from the files and the manifest, git
+builds the tree again. Files that git does not have may be in the store, which keeps the files of projects outside git.
+A manifest may come from an untrusted place, so no path in it may leave the folder.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ Content = Callable[[str], bytes | None]
 
 
 def restore(tree: str, manifest: bytes, root: Path, target: Path, content: Content, *, commit: str | None = None) -> None:
-    """Write the files of a recorded source into `target`, a folder that is made.
+    """Write the files of a recorded source into `target`, a folder that is created.
 
-    They come from the git repository that `root` lies in, where it has them, else from `content`, which gives a file
-    by git's hash of it. Raises Damaged where the list is that of another tree, Missing where neither has a file, with the
-    `commit` to fetch if that is said.
+    The files come from the git repository around `root` if it has all of them, otherwise from `content`, which returns a
+    file for git's hash of it. Raises Damaged if the manifest describes another tree. Raises Missing if neither has a file;
+    the message names the `commit` to fetch if it is given.
     """
     files = read(manifest)
     _check(files)
@@ -55,9 +55,9 @@ def restore(tree: str, manifest: bytes, root: Path, target: Path, content: Conte
 
 
 def is_there(root: Path, tree: str, manifest: bytes) -> bool:
-    """Return whether the git repository that `root` lies in has the files of a recorded source.
+    """Return True if the git repository around `root` has the files of a recorded source.
 
-    A submodule that is not checked out is taken to have them. Raises Damaged for a path that is none of git's.
+    A submodule that is not checked out is assumed to have them. Raises Damaged for a path that git does not allow.
     """
     files = read(manifest)
     _check(files)
@@ -68,12 +68,12 @@ def is_there(root: Path, tree: str, manifest: bytes) -> bool:
 
 
 def _is_inside(folder: Path, thing: str) -> bool:
-    """Return whether a repository in a source has a commit or a tree, as far as that can be told."""
+    """Return True if a nested repository has a commit or a tree, or is not checked out."""
     return not (folder / ".git").exists() or Git(folder).has(thing)
 
 
 def _check(files: Files) -> None:
-    """Raise Damaged for a path that is none of git's, or lies below a file or a link."""
+    """Raise Damaged for a path, mode or hash that git does not allow, or a path below a file or a link."""
     for path, what in files.items():
         steps = path.split(b"/")
         above = (b"/".join(steps[:end]) for end in range(1, len(steps)))
@@ -87,7 +87,7 @@ def _check(files: Files) -> None:
 
 
 def _healing(git: Git | None, commit: str | None) -> str:
-    """Say what brings a source that git lacks."""
+    """Return advice on how to get a source that git does not have."""
     if git is None:
         return f"clone the repository that has {f'commit {commit[:12]}' if commit else 'it'}, and replay there"
     if commit and not git.has(commit):
@@ -96,7 +96,7 @@ def _healing(git: Git | None, commit: str | None) -> str:
 
 
 def _lacking(git: Git | None, tree: str, files: Files) -> set[str]:
-    """The hashes of files that the repository does not have."""
+    """Return the hashes of files that the repository does not have."""
     blobs = {blob for mode, blob in map(parts, files.values()) if mode != REPOSITORY}
     if git is None:
         return blobs
@@ -116,7 +116,10 @@ def _write(file: Path, mode: str, content: bytes) -> None:
 
 
 def _checkout(git: Git, files: Files, target: Path, commit: str | None) -> None:
-    """Let git write files, and those of the repositories inside; for a part of a repository by the attributes of the whole."""
+    """Let git write the files, including those of nested repositories.
+
+    If the project is only a part of a repository, the attributes of the whole repository apply.
+    """
     prefix = git.prefix
     with tempfile.TemporaryDirectory(prefix=".sierra-", dir=target.parent) as scratch:
         index, into = Path(scratch, "index"), Path(scratch, "files")
@@ -147,7 +150,7 @@ def _checkout_inside(root: Path, path: bytes, thing: str, target: Path) -> None:
 
 
 def _attributes(git: Git, commit: str) -> bytes:
-    """The .gitattributes above the project, as lines of an index."""
+    """Return index lines for the .gitattributes files in folders above the project."""
     folders = git.prefix.split(b"/")[:-1]
     names = [b"/".join((*folders[:depth], lfs.ATTRIBUTES.encode())) for depth in range(len(folders))]
     if not names:

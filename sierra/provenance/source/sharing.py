@@ -1,6 +1,6 @@
-"""Recorded sources, shared with other clones: git keeps each under `refs/sierra/`, which no ordinary push or fetch takes along.
+"""Sharing recorded sources between clones: git keeps each under `refs/sierra/`, which a normal push or fetch does not transfer.
 
-Each repository shares its own, the project's and those of its submodules: what was changed in a submodule is kept there.
+Each repository shares its own sources: the project's repository and each submodule. Changes in a submodule are stored there.
 """
 
 from __future__ import annotations
@@ -25,24 +25,24 @@ Way = Literal["push", "fetch"]
 
 @dataclass(frozen=True, slots=True)
 class Shared:
-    """What one repository has shared."""
+    """The sources that one repository has shared."""
 
     repository: str
-    """Its path from the top of the project's repository, which is `.`."""
+    """The path from the top of the project's repository, which is `.`."""
     remote: str
-    """The name or the address of the remote, without what opens it."""
+    """The name or the address of the remote, without credentials."""
     sources: int
-    """How many were pushed, or are there after a fetch."""
+    """Number of sources that were pushed, or that exist after a fetch."""
     new: int
-    """Those of them that the other side did not have."""
+    """Number of these sources that the other side did not have."""
 
 
 def share(root: Path, way: Way, remote: str | None = None) -> list[Shared]:
-    """Push all recorded sources of a project to a remote, or fetch all that it has, in its submodules too.
+    """Push all recorded sources of a project to a remote, or fetch all that it has, including those of submodules.
 
-    `remote` is a name or an address; without one, that which the branch follows, `origin`, or the only one. A submodule takes
-    its own remote of that name, or its own default; one without any is left out, unless it has something to push. Raises
-    UsageError where there is no remote, Missing for what git cannot do.
+    `remote` is a name or an address. By default, it is the remote that the branch follows, else `origin`, else the only one. A
+    submodule uses its own remote of that name, or its own default. A submodule without a remote is skipped, unless it has
+    something to push. Raises UsageError if there is no remote, and Missing if git fails.
     """
     if not in_repository(root):
         raise UsageError(f"{root} is in no git repository; the sources of its runs are in the store itself")
@@ -55,7 +55,7 @@ def share(root: Path, way: Way, remote: str | None = None) -> list[Shared]:
 
 
 def _all(git: Git, path: str) -> Iterator[tuple[str, Git]]:
-    """Yield a repository and those in it that are checked out."""
+    """Yield a repository and the repositories in it that are checked out."""
     yield path, git
     lines = (line.partition(b"\t") for line in git("ls-files", "--stage", "-z").split(b"\0") if line)
     files = {name: what for what, _, name in lines}
@@ -66,7 +66,7 @@ def _all(git: Git, path: str) -> Iterator[tuple[str, Git]]:
 
 
 def _chosen(git: Git, remote: str | None, *, inside: bool) -> str | None:
-    """Return the remote that a repository takes."""
+    """Return the remote that a repository uses."""
     if remote is not None and (not inside or remote in origin.remotes(git)):
         return remote
     return origin.default_remote(git)

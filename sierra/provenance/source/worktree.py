@@ -1,21 +1,23 @@
-"""The working tree of a repository, written as a tree of git's: the files as they are now, tracked or not, but ignored ones.
+"""Snapshots of a repository's working tree as a git tree: the current files, tracked or untracked, but not ignored ones.
 
-Nothing of the user's is touched. Git works on an index of SIERRA's own, `<git dir>/sierra/<key>.index`, which begins as a copy
-of the user's. It stays, so that the next time git reads only files whose times or sizes are others. Each snapshot works on a
-copy of it that is renamed into its place at the end: two at once do not wait, and the last one wins. What git cannot read is
-thrown away: then it begins with the user's index again, or, where that is damaged too, with the commit's files.
+Nothing of the user's is changed. Git works on SIERRA's own index, `<git dir>/sierra/<key>.index`, which starts as a copy of
+the user's index. It is kept, so that the next time git reads only files whose times or sizes have changed. Each snapshot
+works on a copy of it, and renames the copy into its place at the end. Two snapshots at the same time do not wait for each
+other; the last one wins. If git cannot read the index, it is discarded and starts from the user's index again, or from the
+commit's files if the user's index is damaged too.
 
-*What is on the disk counts*, since that is what executes. The marks with which an index says that git should not look
-(assume-unchanged, skip-worktree) are taken away: a file that a sparse checkout leaves out is not in the tree, nor is a
-submodule that is not initialised, but neither makes it dirty. *Content is what git would commit*: clean filters and line
-endings are applied as the repository says, so that a clean checkout is the commit's tree on every machine. Hence a file that
-is still a pointer of git-lfs is an error: its data would count as the same.
+*The files on disk are recorded*, because they are what executes. An index can tell git not to check a file
+(assume-unchanged, skip-worktree); these marks are removed. A file that a sparse checkout leaves out is not in the tree, and
+neither is a submodule that is not initialised, but they do not make the tree dirty. *The content is what git would commit*:
+clean filters and line endings apply as the repository defines them, so that a clean checkout gives the commit's tree on every
+machine. Therefore a file that is still a pointer of git-lfs is an error: it would be recorded as if it were its data.
 
-One `git status` says all: what differs between commit, index and files, and what is untracked. Then git is told exactly which
-files to read. To write many small ones, git makes a file of each, which takes 3 to 8 s for 50,000; they go in one pack through
-`git fast-import` instead (0.6 s), and git finds all there when it reads them again for the index (0.3 s): 1.6 s in all, and
-0.3 s where nothing has changed. (On two cores: `make bench`. Git's own way to make a pack, core.bigFileThreshold, compares each
-file with all others. Its untracked cache would save 0.03 s more, and is not safe on all file systems.)
+One `git status` reports how commit, index and files differ, and which files are untracked. Then git gets the exact list of
+files to read. Git writes one object file per file, which takes 3 to 8 s for 50,000 small files. They are written to one pack
+through `git fast-import` instead (0.6 s). When git reads them again for the index, it finds them all there (0.3 s). The total
+is 1.6 s, or 0.3 s if nothing has changed. (On two cores: `make bench`. Git's own option for writing a pack,
+core.bigFileThreshold, compares each file with all others. Git's untracked cache would save another 0.03 s, but it is not safe
+on all file systems.)
 """
 
 from __future__ import annotations
@@ -39,7 +41,7 @@ from sierra.provenance.source.manifest import Files, repositories, written
 from sierra.provenance.source.paths import PathSelection, check_size
 
 MANY = 500
-"""New files from which on they are written as a pack."""
+"""Minimum number of new files that are written as a pack."""
 SMALL = 1 << 16
 ABANDONED_S = 3600
 IGNORE_IT = "list it in .gitignore"
@@ -47,38 +49,38 @@ IGNORE_IT = "list it in .gitignore"
 
 @dataclass(frozen=True, slots=True)
 class WorktreeState:
-    """A working tree, as it was at one time."""
+    """The state of a working tree at one time."""
 
     tree: str
     files: dict[bytes, bytes]
     commit: str | None
     branch: str | None
     changed: tuple[bytes, ...]
-    """What differs from the commit; empty where there is none."""
+    """Paths that differ from the commit; empty if there is no commit."""
     absent: tuple[bytes, ...]
-    """What the commit has, and a sparse checkout or a submodule that is not initialised has not."""
+    """Paths of the commit that are missing because of a sparse checkout or a submodule that is not initialised."""
     submodules: dict[str, str]
-    """Repositories inside, and inside these, by path: the commit that is checked out."""
+    """The commit that is checked out in each nested repository, at any depth, by path."""
 
 
 @dataclass(slots=True)
 class Status:
-    """What `git status` says of the files that count. `recorded`: of those that differ from the commit, what it has there."""
+    """The output of `git status` for files of the source; `recorded` has the commit's entries of the files that differ."""
 
     commit: str | None = None
     branch: str | None = None
     recorded: dict[bytes, bytes | None] = field(default_factory=dict)
     stale: list[bytes] = field(default_factory=list)
-    """Files of which the index has not the present state."""
+    """Files whose current state is not in the index."""
     inner: set[bytes] = field(default_factory=set)
-    """Repositories inside with changes of their own."""
+    """Nested repositories that have changes of their own."""
     conflicts: set[bytes] = field(default_factory=set)
 
 
 def take(git: Git, chosen: PathSelection, large: int) -> WorktreeState:
-    """Write the working tree of the project that git is asked in, and keep it from being pruned.
+    """Write the working tree of the project as a git tree, and protect it from being pruned.
 
-    Raises ConfigError for an untracked file of more than `large` bytes, Missing for what git cannot do.
+    Raises ConfigError for an untracked file of more than `large` bytes, and Missing if git fails.
     """
     root = git.root
     with _index(git, chosen) as index:
@@ -107,9 +109,9 @@ def take(git: Git, chosen: PathSelection, large: int) -> WorktreeState:
 
 
 def look(git: Git, chosen: PathSelection) -> WorktreeState:
-    """The tree of the commit that is checked out, and what differs from it. Nothing of the working tree is written.
+    """Return the tree of the commit that is checked out, and the paths that differ from it.
 
-    Raises ConfigError where there is no commit.
+    No file of the working tree is written to git. Raises ConfigError if there is no commit.
     """
     root = git.root
     with _index(git, chosen) as index:
@@ -128,20 +130,20 @@ def look(git: Git, chosen: PathSelection) -> WorktreeState:
 
 
 def write(git: Git, files: dict[bytes, bytes]) -> str:
-    """The tree of these files, whose contents the repository has."""
+    """Write the tree of these files, whose contents the repository has, and return its hash."""
     with _scratch(git) as path:
         git("update-index", "-z", "--index-info", index=path, given=written(files), at_top=True)
         return git("write-tree", "--missing-ok", index=path).decode().strip()
 
 
 def of_tree(git: Git, tree: str) -> dict[bytes, bytes]:
-    """The files of a tree or a commit, those below the project."""
+    """Return the files of a tree or a commit that lie below the project."""
     lines = (line.partition(b"\t") for line in git("ls-tree", "-r", "-z", tree).split(b"\0") if line)
     return {path: b"%s %s" % (what[:6], what.rpartition(b" ")[2]) for what, _, path in lines}
 
 
 class _Index:
-    """SIERRA's own index while it is worked on."""
+    """SIERRA's own index while a snapshot works on it."""
 
     def __init__(self, git: Git, chosen: PathSelection, path: Path, kept: Path) -> None:
         self.path = path
@@ -150,7 +152,7 @@ class _Index:
         self._kept = kept
 
     def status(self) -> Status:
-        """How commit, index and files differ; the index is the last one that git can read."""
+        """Return how commit, index and files differ, based on the most recent index that git can read."""
         if self.path.exists():
             return self._status()
         for begin in (self._as_kept, self._as_the_users):
@@ -163,7 +165,7 @@ class _Index:
         return self._status()
 
     def _as_kept(self) -> None:
-        shutil.copy2(self._kept, self.path)  # with its time, by which git knows which files it has to read again
+        shutil.copy2(self._kept, self.path)  # with its time: git uses it to decide which files to read again
 
     def _as_the_users(self) -> None:
         shutil.copy2(self._git.index, self.path)
@@ -189,7 +191,7 @@ class _Index:
         return _read_status(said.split(b"\0"), self._git.prefix, self._chosen)
 
     def update(self, status: Status, large: int) -> dict[bytes, bytes]:
-        """Read again what is stale; all files in the index."""
+        """Read the stale files into the index, and return all files in the index."""
         there, inner, gone = self._kinds(status.stale)
         self._refuse_large(there, large)
         self.remove(gone)
@@ -201,7 +203,7 @@ class _Index:
         return {path: what[:-2] for what, _, path in [line.partition(b"\t") for line in listing] if path}
 
     def _kinds(self, paths: Iterable[bytes]) -> tuple[dict[bytes, int], list[bytes], list[bytes]]:
-        """Files with their sizes, repositories, and what is neither or not there."""
+        """Return the files with their sizes, the nested repositories, and all paths that are missing or of another kind."""
         there: dict[bytes, int] = {}
         inner: list[bytes] = []
         gone: list[bytes] = []
@@ -215,7 +217,7 @@ class _Index:
         return there, inner, gone
 
     def _refuse_large(self, there: dict[bytes, int], large: int) -> None:
-        """Files that are not the user's own (see `tracked`) may not be large; those that are ignored by now are left out."""
+        """Raise ConfigError for a large file that the user does not track (see `tracked`); drop those that are ignored now."""
         huge = [path for path, size in there.items() if size > large and path not in self.tracked]
         for path in self.ignored(huge):
             del there[path]
@@ -225,14 +227,14 @@ class _Index:
 
     @cached_property
     def tracked(self) -> set[bytes]:
-        """The files of the user's index; of the commit, where that cannot be read."""
+        """The files of the user's index, or of the commit if the index cannot be read."""
         listing = self._git("ls-files", "-z", optional=True)
         if not listing and (commit := self._git.head()):
             return set(of_tree(self._git, commit))
         return set(listing.split(b"\0"))
 
     def ignored(self, files: Iterable[bytes]) -> list[bytes]:
-        """Those of these files that git ignores by now: untracked ones, that counted before."""
+        """Return the untracked files among these that git ignores now, although an earlier index contains them."""
         untracked = [path for path in files if path not in self.tracked]
         if not untracked:
             return []
@@ -274,7 +276,7 @@ class _Index:
 
 @contextlib.contextmanager
 def _index(git: Git, chosen: PathSelection) -> Iterator[_Index]:
-    """An index to work on, which is kept for the next time unless something fails."""
+    """Yield an index to work on; it is kept for the next time unless something fails."""
     key = sha256(b"\0".join((git.prefix, *chosen.only))).hexdigest()[:16]
     with _scratch(git) as path:
         kept = path.with_name(f"{key}.index")
@@ -285,7 +287,10 @@ def _index(git: Git, chosen: PathSelection) -> Iterator[_Index]:
 
 @contextlib.contextmanager
 def _scratch(git: Git) -> Iterator[Path]:
-    """A path for an index that is gone afterwards, beside those that are kept. What a killed process left is removed."""
+    """Yield a path for a temporary index beside the kept ones, and remove it afterwards.
+
+    Leftovers of killed processes are removed too.
+    """
     folder = git.folder / "sierra"
     try:
         folder.mkdir(exist_ok=True)
@@ -310,7 +315,7 @@ def _scratch(git: Git) -> Iterator[Path]:
 
 
 def _read_status(lines: Sequence[bytes], prefix: bytes, chosen: PathSelection) -> Status:
-    """`git status --porcelain=v2 --branch -z`, as its manual has it."""
+    """Parse the output of `git status --porcelain=v2 --branch -z`, as specified in its manual."""
     status = Status()
     for line in lines:
         kind = line[:2]
@@ -338,14 +343,14 @@ def _note(status: Status, kind: bytes, fields: Sequence[bytes], path: bytes) -> 
 
 
 def _differing(status: Status, files: dict[bytes, bytes]) -> set[bytes]:
-    """What is not as the commit has it."""
+    """Return the paths that differ from the commit."""
     recorded = {**dict.fromkeys(status.stale), **status.recorded}
     doubtful = status.inner | status.conflicts
     return {path for path, what in recorded.items() if files.get(path) != what or path in doubtful} if status.commit else set()
 
 
 def _absent(git: Git, status: Status, differing: set[bytes]) -> set[bytes]:
-    """What of it was only not checked out."""
+    """Return the paths among them that are only not checked out."""
     recorded = {path: what for path in differing if (what := status.recorded.get(path))}
     absent = set(_hollow(git.root, recorded))
     lost = {path for path in recorded if _lstat(git.root, path) is None}
@@ -356,7 +361,7 @@ def _absent(git: Git, status: Status, differing: set[bytes]) -> set[bytes]:
 
 
 def _hollow(root: Path, files: Files) -> list[bytes]:
-    """The submodules of which nothing is checked out."""
+    """Return the submodules that are not checked out."""
     return [path for path, _ in repositories(files) if not (root / os.fsdecode(path) / ".git").exists()]
 
 
@@ -369,7 +374,7 @@ def _submodules(root: Path, files: dict[bytes, bytes]) -> Iterator[tuple[str, st
 
 
 def _write_pack(git: Git, paths: Iterable[bytes]) -> None:
-    """Write small files to one pack, as they are: only a way to be quick, so that whatever goes wrong is of no consequence."""
+    """Write small files to one pack, unchanged. This only saves time, so errors are ignored."""
     with contextlib.suppress(OSError), git.pipe("-c", "core.compression=1", "fast-import", "--quiet", "--depth=0") as importer:
         assert importer.stdin is not None  # noqa: S101 - it is a pipe
         for path in paths:
