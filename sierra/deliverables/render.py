@@ -177,7 +177,7 @@ class _Gallery:
         self._seen: dict[str, stats.Coverage] = {}
         self._times: dict[str, str] = {}
         self.taken: list[str] = []
-        """One sentence for each output without a declared time: which column was chosen for its values, or that none was."""
+        """Notes on outputs whose time column is neither declared nor known by its name: the column that was chosen, or none."""
 
     def wanted(self, name: str | None) -> tuple[Mapping[str, Figure], list[str]]:
         """Return the figures to draw, by name, and notes about them."""

@@ -191,7 +191,7 @@ def _beginning(path: Path, count: int) -> bytes:
 
 
 def _segment(paths: StorePaths, found: Contents, segment: Segment, pool: ThreadPoolExecutor, *, counts: bool) -> None:
-    """Check one segment, and add its sound part to `found.sound` if `counts`, that is, if no other segment replaced it."""
+    """Check one segment, and add its sound part to `found.sound` if `counts`: if no other segment replaced it."""
     folder = paths.segments / segment.name
     listed, faults = _manifest(folder)
     findings = [Finding(Kind.DAMAGED, _shown(paths, folder / MANIFEST), fault) for fault in faults]

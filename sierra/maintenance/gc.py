@@ -47,7 +47,7 @@ class Collection:
     replaced: int
     """Segments that other segments replaced."""
     objects: int
-    """Recorded files that nothing refers to, plus those that `raw` counts."""
+    """Recorded files that nothing refers to, plus those in `raw`."""
     bytes: int
     """The total size of these objects in bytes."""
     merged: int
@@ -107,7 +107,7 @@ def plan(store: Store, *, damaged: bool = False, raw: bool = False) -> Collectio
 def collect(
     store: Store, *, damaged: bool = False, raw: bool = False, agree: Callable[[Collection], bool] = lambda collection: True
 ) -> Collection | None:
-    """Remove what nothing needs, if `agree` returns true for it; return None if `agree` returns false.
+    """Remove what nothing needs, if `agree` returns true for the preview; return None if it returns false.
 
     Raises Missing if the disk is full, SierraError if another session has just begun; nothing is lost in either case.
     """

@@ -49,7 +49,7 @@ def publish(
     If something was recorded meanwhile, prepare again, at most `ATTEMPTS` times. `prepare` writes the new segments and returns
     the names of the segments that it has read. `may` raises if other sessions must not be disturbed; no session can begin while
     it checks. `keep` names replaced segments that are put aside, not removed. Raises Missing if the file system has no locks,
-    so that exclusive access is impossible, and SierraError if the store changed before each publication.
+    so that exclusive access is impossible, and SierraError if the store changed in each attempt.
     """
     for attempt in range(ATTEMPTS):
         rewriting = Compaction(store, session.paths.root / f"new{attempt}", f"{session.id}.{attempt}")

@@ -5,7 +5,7 @@ would leave no room for the rest.
 
 An interval of two runs is an order of magnitude wider than one of ten. If runs end at different times, or fail, such
 intervals would set the range, and all lines would look flat. Then the range is that of all centers, and of the intervals of
-more than half the largest number of runs; wider intervals are cut off, and the small print reports it.
+more than half the largest number of runs. Parts of intervals beyond it are cut off, and the small print reports it.
 """
 
 from __future__ import annotations

@@ -324,7 +324,7 @@ def colour_bar(figure: Figure, plots: Sequence[Any], axis: Axis, entries: Sequen
 
 
 def thinned(count: int, most: int) -> list[int]:
-    """Return about `most` of `count` indices at most, at equal distances."""
+    """Return at most about `most` of `count` indices, at equal distances."""
     return list(range(0, count, -(-count // most)))
 
 

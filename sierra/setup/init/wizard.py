@@ -18,7 +18,7 @@ __all__ = ["Ask", "Guess", "Options", "Question", "copy_example", "find_out", "w
 
 
 def find_out(root: Path, said: Options, ask: Ask | None = None) -> Guess:
-    """Return a guess from the options, and for the rest from the folder; `ask`, if given, is called for what is not certain.
+    """Return a guess from the options, and for the rest from the folder. If `ask` is given, it asks about uncertain values.
 
     Raises UsageError for a wrong option, or if there is a `sierra.toml` already; Missing if the folder does not show a value
     and nobody can be asked.
