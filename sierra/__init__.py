@@ -1,4 +1,4 @@
-"""SIERRA: from a research query to evidence that a stranger can check.
+"""SIERRA: from a research question to results that anyone can verify.
 
 import sierra
 
@@ -20,9 +20,9 @@ if TYPE_CHECKING:
 
 
 def open(path: str | os.PathLike[str] = ".") -> Project:
-    """The project that `path` lies in, with its store; see `sierra.project.Project`.
+    """Return the project that contains `path`, with its store; see `sierra.project.Project`.
 
-    Raises sierra.errors.Missing where there is no `sierra.toml` in that folder or above it.
+    Raises sierra.errors.Missing if neither a `sierra.toml` nor a store is in that folder or above it.
     """
     from sierra.project import Project
 

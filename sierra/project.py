@@ -1,4 +1,4 @@
-"""SIERRA from Python: what the command line does, as functions that return values.
+"""The Python interface of SIERRA: the actions of the command line, as functions that return values.
 
 project = sierra.open(".")
 summary = project.run("population_size.Log8", runs=10)
@@ -44,16 +44,16 @@ if TYPE_CHECKING:
 
 
 class Project:
-    """One project: its `sierra.toml`, and the store beside it."""
+    """A project: its `sierra.toml`, and the store beside it."""
 
     def __init__(self, path: str | os.PathLike[str] = ".") -> None:
-        """Open the project that the folder `path` lies in, or only the store there. Raises Missing where there is neither."""
+        """Open the project that contains the folder `path`, or only the store there. Raises Missing if there is neither."""
         self._found = project_file.load_store(Path(path))
         self.paths = ProjectPaths(self._found.root)
 
     @cached_property
     def _loaded(self) -> project_file.LoadedProject:
-        """The project; where only a store is, its outputs are as they were last recorded."""
+        """Return the project; if only a store exists, its outputs are the ones that were recorded last."""
         if self._found.written:
             return self._found
         from sierra.execution import stored_plan
@@ -63,21 +63,21 @@ class Project:
 
     @property
     def root(self) -> Path:
-        """The project's folder, absolute."""
+        """The absolute path of the project's folder."""
         return self._found.root
 
     @property
     def config(self) -> project_file.Project:
-        """What `sierra.toml` says; where there is none, what follows from the store."""
+        """The content of `sierra.toml`; if there is none, what the store implies."""
         return self._loaded.config
 
     @property
     def store(self) -> Store:
-        """The project's store. Raises Missing where nothing has been run yet."""
+        """The project's store. Raises Missing if nothing has been run yet."""
         return Store(self.paths.store)
 
     def stored(self) -> Store | None:
-        """The project's store, if there is one yet."""
+        """Return the project's store; None if there is none yet."""
         return self.store if StorePaths(self.paths.store).format.exists() else None
 
     def plan(
@@ -90,11 +90,12 @@ class Project:
         engine: str | None = None,
         heed: Heed | None = None,
     ) -> Plan:
-        """What a query would execute: the batch with all ids. `sets` are pairs of XPath and value,
-        `engine` is what is to contain runs, instead of what the project says. `heed` hears how far planning has come: see
-        `sierra.design.experiments.Heed`.
+        """Return the plan of a query: the batch that it would execute, with all ids.
 
-        The beginning of a recorded batch's id instead of a query is that batch, with the code and the inputs of then.
+        `sets` are pairs of XPath and value. `engine` is the engine that isolates the runs; it overrides the project's. `heed`
+        receives the progress of planning: see `sierra.design.experiments.Heed`.
+
+        A prefix of a recorded batch's id instead of a query plans that batch with the recorded code and inputs.
         """
         from sierra.design.experiments import deaf
         from sierra.execution import plans, stored_plan
@@ -128,10 +129,11 @@ class Project:
         runner: str = "local",
         detach: bool = False,
     ) -> Summary:
-        """Answer a query: execute what is missing, record it, draw the figures.
+        """Run a query: execute its missing runs, record them, and draw the figures.
 
-        `jobs` is how many runs execute at a time (default: the user's setting, or usable cores). `watch` hears of the progress.
-        `runner` is where runs execute: `local`, or a cluster by its name; with `detach`, it is left to itself at once.
+        `jobs` is the number of runs that execute at the same time (default: the user's setting, or the number of usable cores).
+        `watch` receives the progress. `runner` is where runs execute: `local`, or the name of a cluster; with `detach`, this
+        function returns once the jobs are submitted.
         """
         plan = self.plan(*query, runs=runs, controller=controller, scenario=scenario, sets=sets, engine=engine)
         return self.execute(plan, jobs=jobs, fail_fast=fail_fast, figures=figures, watch=watch, runner=runner, detach=detach)
@@ -149,7 +151,7 @@ class Project:
         say: Callable[[str], None] | None = None,
         leave: Callable[[], bool] | None = None,
     ) -> Summary:
-        """Execute a plan. `say` gets what the user should know at once; see `sierra.execution.executor.RunOptions`."""
+        """Execute a plan. `say` receives messages for the user at once; see `sierra.execution.executor.RunOptions`."""
         from sierra import runners
         from sierra.execution import execute
         from sierra.execution.executor import RunOptions
@@ -175,24 +177,24 @@ class Project:
         return self._drawn(summary) if figures else summary
 
     def sql(self, text: str, *, within: str | None = None, **parameters: Any) -> pa.Table:
-        """The answer to one SQL statement as an Arrow table (`.to_pandas()` makes it a data frame).
+        """Return the result of one SQL statement as an Arrow table (`.to_pandas()` makes it a data frame).
 
-        `$name` in the statement takes its value from the keyword. With `within`, the beginning of a batch's id, members,
-        runs and outputs are those of that batch; else of all, whatever code they were made from. Where a column holds numbers
-        in some runs and texts in others, the texts of v are in v_text, and the schema's metadata say so, `sierra:note`.
-        Raises SqlError.
+        `$name` in the statement takes its value from the keyword. `within` is a prefix of a batch's id: then members, runs
+        and outputs are those of that batch. Otherwise they are those of all batches, whatever code made them. If a column v
+        holds numbers in some runs and texts in others, the texts are in v_text, and the schema's metadata `sierra:note`
+        reports it. Raises SqlError.
         """
         return self.store.sql(text, within=None if within is None else self.batch(within), **parameters)
 
     @property
     def batches(self) -> list[dict[str, Any]]:
-        """All batches, the last asked for last; see `sierra.execution.listing.batches`."""
+        """All batches, the most recently requested last; see `sierra.execution.listing.batches`."""
         from sierra.execution import listing
 
         return listing.batches(self.store)
 
     def show(self, prefix: str) -> dict[str, Any]:
-        """What is recorded of a batch, an experiment, a run or an execution, by a beginning of its id."""
+        """Return the record of a batch, an experiment, a run or an execution, by a prefix of its id."""
         from sierra.execution import listing
 
         return listing.show(self.store, prefix)
@@ -211,12 +213,12 @@ class Project:
         watch: Watch | None = None,
         say: Callable[[str], None] | None = None,
     ) -> Replay:
-        """Execute again, from the record alone, what an id names, and compare: see `sierra.replay.verdicts.Replay`.
+        """Replay what an id names from the record alone, and compare the results: see `sierra.replay.verdicts.Replay`.
 
-        `runs`: the first so many of each experiment. `tolerances`: by output and column (`*`: all), instead of what
-        `sierra.toml` declares. `keep`: leave the restored source and the folders of the runs. Without `record`,
-        nothing is written to the store, which may be read-only. `say` hears what is
-        other than it was recorded, before anything executes. Raises NotFound, and Missing for what is needed and gone.
+        `runs`: replay at most this number of runs of each experiment, the first ones. `tolerances`: by output and column (`*`:
+        all); they override those in `sierra.toml`. `keep`: do not remove the restored source and the folders of the runs.
+        Without `record`, nothing is written to the store, which may be read-only. `say` receives differences from the
+        recorded environment before anything executes. Raises NotFound, and Missing if something necessary no longer exists.
         """
         from sierra.replay import replay
 
@@ -225,20 +227,23 @@ class Project:
         return execute(self._loaded, self.store, prefix, options, watch or (lambda progress: None), say or (lambda text: None))
 
     def proposal(self, plan: Plan, runner: str, *, detach: bool = False) -> Estimate | None:
-        """What answering a plan would ask of a cluster: see `sierra.runners.cluster.estimate`. None where nothing would."""
+        """Return an estimate of the cluster resources that a plan needs: see `sierra.runners.cluster.estimate`.
+
+        Return None if the runner is not a cluster, or if no run must be submitted.
+        """
         from sierra.execution import estimate
 
         return estimate.proposal(plan, self.stored(), runner, detach=detach)
 
     def status(self, prefix: str | None = None, *, say: Callable[[str], None] = lambda text: None) -> list[Standing]:
-        """Return the state of cluster jobs, of all batches or of one. First, runs that have finished there are recorded."""
+        """Return the state of cluster jobs, of all batches or of one. Record the runs that have finished there first."""
         from sierra.execution import status
 
         store = self.stored()
         return status.standing(store, prefix, say) if store else []
 
     def left(self, summary: Summary) -> list[Standing]:
-        """What an asking has left to itself on clusters."""
+        """Return the state of the cluster jobs that the summary's session left running."""
         from sierra.execution import status
 
         found = (status.submitted(self.store.paths.session(session)) for session in summary.left)
@@ -266,15 +271,15 @@ class Project:
         return self._drawn(summary) if figures else summary
 
     def cancel(self, prefix: str, *, say: Callable[[str], None] = lambda text: None) -> list[Cancelled]:
-        """Cancel what is on a cluster of a batch; what had finished is kept. Raises NotFound where nothing is there."""
+        """Cancel a batch's jobs on a cluster, and keep finished runs. Raises NotFound if the batch has no jobs there."""
         from sierra.execution import takeover
 
         return takeover.cancel(self.store, prefix, say)
 
     def diff(self, before: str, after: str) -> Comparison:
-        """What differs between two batches, experiments, runs or executions, by beginnings of their ids.
+        """Return the differences between two batches, experiments, runs or executions, by prefixes of their ids.
 
-        What is likely to matter for results stands first: see `sierra.explain.diff.compare.Comparison`.
+        Differences that probably affect results come first: see `sierra.explain.diff.compare.Comparison`.
         Raises NotFound, UsageError.
         """
         from sierra.explain import diff
@@ -282,40 +287,43 @@ class Project:
         return diff.compare(self._loaded, self.store, before, after)
 
     def why(self, prefix: str) -> Why:
-        """Explain why runs were executed or not, which executions count, and what the query would execute now."""
+        """Explain why runs were executed or not, which executions are effective, and what the query would execute now."""
         from sierra.explain import why
 
         return why.why(self._loaded, self.store, prefix)
 
     def pin(self, name: str | None = None) -> Contents:
-        """Pin what an image's name stands for now (default: that of `[container] image`), in `sierra.lock`; what is in it.
+        """Pin the image that a name (default: `[container] image`) stands for now, in `sierra.lock`; return its content.
 
-        Raises Missing where there is none of that name, Damaged where it is not what it says to be; nothing is pinned then.
+        Raises Missing if there is no image of that name, Damaged if its content does not have its hash; nothing is pinned then.
         """
         from sierra.containers import images
 
         return images.take(self.root, Store.create(self.paths.store).paths, self._image(name))
 
     def build_image(self, name: str | None = None, *, network: bool = False) -> Image:
-        """Build an image from a folder of the project, its recipe, and return it. This does not pin it."""
+        """Build an image from a Containerfile folder of the project, and return it. This does not pin it."""
         from sierra.containers.images import build
 
         return build.build(self.root, self._image(name), network=network)
 
     def import_image(self, file: str | os.PathLike[str], name: str = "") -> Contents:
-        """Take an image's archive in, checked: into podman's storage, tagged `name`, where podman is; what is in it."""
+        """Import an image's archive after checking it, and return the image's content.
+
+        If podman is available, the image goes into podman's storage, with the tag `name`.
+        """
         from sierra.containers.images import transfer
 
         return transfer.take_in(self.root, Store.create(self.paths.store).paths, Path(file), name)
 
     def export_image(self, name: str | None, file: str | os.PathLike[str]) -> Image:
-        """Write an image, as it is pinned, to a file that loads elsewhere as the same image."""
+        """Write an image, as it is pinned, to a file. Loading that file elsewhere gives the same image."""
         from sierra.containers.images import transfer
 
         return transfer.export(self.root, self._image(name), Path(file))
 
     def image(self, name: str | None = None) -> Contents:
-        """What is in an image: as it is pinned, else as its name stands for it now."""
+        """Return the content of an image: of the pinned one, otherwise of the one that its name stands for now."""
         from sierra.containers import images
 
         name = self._image(name)
@@ -323,14 +331,17 @@ class Project:
         return images.examine(self.root, Store.create(self.paths.store).paths, image)
 
     def images(self) -> list[Known]:
-        """The images that the project knows, and where they are: see `sierra.containers.images.listing.Known`."""
+        """Return the images that the project knows, and where they are: see `sierra.containers.images.listing.Known`."""
         from sierra.containers.images import listing
 
         named = [self.config.container.image] if self.config.container else []
         return listing.listing(self.root, StorePaths(self.paths.store), named)
 
     def _image(self, name: str | None) -> str:
-        """Return an image's name as the project writes what was given, else the project's."""
+        """Return the given name of an image in the project's spelling; without one, the name of the project's image.
+
+        Raises UsageError if there is neither.
+        """
         from sierra.containers.images import resolve
 
         own = self.config.container.image if self.config.container else ""
@@ -339,47 +350,47 @@ class Project:
         return resolve.spelled(self.root, name, own) if name else own
 
     def push_sources(self, remote: str | None = None) -> list[Shared]:
-        """Push the recorded sources, of submodules too, to a remote of git's: see `sierra.provenance.source.sharing`."""
+        """Push the recorded sources, including submodules, to a git remote: see `sierra.provenance.source.sharing`."""
         from sierra.provenance import source
 
         return source.share(self.root, "push", remote)
 
     def fetch_sources(self, remote: str | None = None) -> list[Shared]:
-        """Fetch the sources that others have pushed, of submodules too: see `sierra.provenance.source.sharing`."""
+        """Fetch the sources that others have pushed, including submodules: see `sierra.provenance.source.sharing`."""
         from sierra.provenance import source
 
         return source.share(self.root, "fetch", remote)
 
     def fsck(self, *, tell: Callable[[str], None] = lambda text: None) -> Report:
-        """Check all that is recorded: see `sierra.maintenance.fsck.Report`. `tell` hears how far it has come."""
+        """Check all records and files: see `sierra.maintenance.fsck.Report`. `tell` receives the progress."""
         from sierra.maintenance import fsck
 
         return fsck.check(StorePaths(self.paths.store), self.root, tell).report
 
     def repair(self, *, dry_run: bool = False, tell: Callable[[str], None] = lambda text: None) -> Repair:
-        """Repair the store, and check it: see `sierra.maintenance.repair`. Nothing is deleted."""
+        """Repair the store and check it: see `sierra.maintenance.repair`. Nothing is deleted."""
         from sierra.maintenance import repair
 
         return repair.repair(StorePaths(self.paths.store), self.root, dry_run=dry_run, tell=tell)
 
     def removal(self, *prefixes: str) -> Removal:
-        """What `remove` would delete of what these ids name: batches, experiments, runs, executions. Raises NotFound."""
+        """Return what `remove` would delete for these ids of batches, experiments, runs or executions. Raises NotFound."""
         from sierra.maintenance import remove
 
         return remove.plan(self.store, prefixes)
 
     def remove(self, *prefixes: str, agree: Callable[[Removal], bool] = lambda removal: True) -> Removal | None:
-        """Remove what these ids name, if `agree` says so of what that deletes; None where it does not.
+        """Remove what these ids name, if `agree` returns true for the preview; return None if it returns false.
 
-        Runs that other batches have keep their executions. Raises NotFound, Missing where the disk is full, and SierraError
-        while one of the batches is executing; nothing has changed then.
+        Runs that other batches have keep their executions. Raises NotFound for an unknown id, Missing if the disk is full, and
+        SierraError while one of the batches is executing. If it raises, nothing changes.
         """
         from sierra.maintenance import remove
 
         return remove.remove(self.store, prefixes, agree)
 
     def collection(self, *, damaged: bool = False, raw: bool = False) -> Collection:
-        """What `collect` would remove: see `sierra.maintenance.gc.Collection`."""
+        """Return what `collect` would remove: see `sierra.maintenance.gc.Collection`."""
         from sierra.maintenance import gc
 
         return gc.plan(self.store, damaged=damaged, raw=raw)
@@ -391,19 +402,19 @@ class Project:
         raw: bool = False,
         agree: Callable[[Collection], bool] = lambda collection: True,
     ) -> Collection | None:
-        """Remove what nothing needs, and merge small segments, if `agree` says so of that; None where it does not.
+        """Remove what nothing needs and merge small segments, if `agree` returns true for the preview; otherwise return None.
 
-        `damaged`: also what a repair put aside; `raw`: also the bytes of files that became tables. Raises Missing where the
-        disk is full; nothing is lost then.
+        `damaged`: also remove segments that a repair put aside; `raw`: also remove the bytes of files that became tables.
+        Raises Missing if the disk is full; nothing is lost then.
         """
         from sierra.maintenance import gc
 
         return gc.collect(self.store, damaged=damaged, raw=raw, agree=agree)
 
     def files(self, prefix: str, *paths: str, to: str | os.PathLike[str] | None = None) -> Listing | list[Outcome]:
-        """The recorded files of what an id names; with `to`, written into that folder: what became of each.
+        """Return a list of the recorded files of what an id names; with `to`, write them there and return the outcomes.
 
-        `paths` are those of the listing, or globs; all files without any. Raises NotFound for one that matches nothing.
+        `paths` are paths in the listing, or globs; without any, all files. Raises NotFound for a path that matches nothing.
         """
         from sierra.store import export
 
@@ -411,11 +422,11 @@ class Project:
         return listed if to is None else list(export.extract(self.store, listed, Path(to)))
 
     def figures(self, prefix: str | None = None, name: str | None = None) -> list[Path]:
-        """Draw a batch's figures again (all, or the one called `name`); the files. Default: the batch last asked for."""
+        """Draw a batch's figures again (all, or the one called `name`); return the files. Default: the batch requested last."""
         return self.draw(prefix, name)[0]
 
     def draw(self, prefix: str | None = None, name: str | None = None) -> tuple[list[Path], list[str]]:
-        """As `figures`; and what could not be drawn, and why."""
+        """Draw as `figures` does; return the files, and what could not be drawn and why."""
         return self._deliver(self.batch(prefix), name)
 
     def statistics(
@@ -428,19 +439,20 @@ class Project:
         threshold: float | None = None,
         times: str | None = None,
     ) -> pa.Table:
-        """All statistics of a column over the runs of each experiment of a batch: n, mean, sd, interval, median, ….
+        """Return all statistics of a column over the runs of each experiment of a batch: n, mean, sd, interval, median, ….
 
-        Each run is reduced by `measure` (`final`, `mean`, or `time_to` a `threshold`) first; with `measure=None` there is
-        a row for each experiment and time instead: the runs' `own` times, or common ones (`carry`: last values carried
-        forward, `linear`: interpolated). `experiment` is its place in the batch; the values of the axes follow it. The
-        schema's metadata say what was done, `sierra:sql`, and what is not in the numbers, `sierra:note`.
+        First, `measure` reduces each run to one value (`final`, `mean`, or `time_to` a `threshold`). With `measure=None`,
+        there is a row for each experiment and time instead: the runs' `own` times, or common ones (`carry`: last values
+        carried forward, `linear`: interpolated). Column `experiment` is the experiment's place in the batch; the values of the
+        axes follow it. The schema's metadata hold the statement (`sierra:sql`) and notes on everything that is not in the
+        numbers (`sierra:note`).
         """
         from sierra.deliverables import render
 
         return render.statistics(self._loaded, self.store, self.batch(prefix), output, column, measure, threshold, times)
 
     def batch(self, prefix: str | None = None) -> str:
-        """The id of a batch, by a beginning of it; that of the batch last asked for without. Raises NotFound, Missing."""
+        """Return the id of a batch from a prefix; without one, that of the batch requested last. Raises NotFound, Missing."""
         if prefix is not None:
             found = self.store.resolve(prefix)
             if found.kind != "batch":
@@ -453,12 +465,12 @@ class Project:
         return batch
 
     def _probe(self, plan: Plan, store: Store, options: RunOptions) -> tuple[str, ...]:
-        from sierra.replay import determinism  # and with it all that a replay needs
+        from sierra.replay import determinism  # loads everything that a replay needs
 
         return determinism.probe(plan, store, options)
 
     def _drawn(self, summary: Summary) -> Summary:
-        """The same with figures, where there is something to draw."""
+        """Return the summary with figures, if there is something to draw."""
         if summary.interrupted or summary.left or summary.missing + summary.failed == summary.runs:
             return summary
         try:
@@ -474,7 +486,10 @@ class Project:
 
 
 def _slots(jobs: int | None) -> int:
-    """Runs at a time: as asked, as the user's settings say, or as many as there are usable cores."""
+    """Return the number of runs at a time: `jobs`, or the user's setting, or the number of usable cores.
+
+    Raises UsageError for less than 1.
+    """
     from sierra.provenance.environment import usable_cores
 
     slots = (user.load().jobs or usable_cores()) if jobs is None else jobs

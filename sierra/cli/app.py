@@ -1,4 +1,4 @@
-"""All commands, by name. Nothing heavy is imported before a command runs."""
+"""All commands, by name. Heavy libraries are imported only when a command runs."""
 
 from __future__ import annotations
 

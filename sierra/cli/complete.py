@@ -1,7 +1,7 @@
-"""What a shell can complete: ids of batches, names of variables and queries, tables.
+"""Shell completion of batches' ids, names of variables and queries, and tables.
 
-It answers within the time of a key press, so that it looks at names of files alone and never asks the store; and it says
-nothing where it cannot tell, as its words would land in the line that the user types.
+It must answer within the time of a key press, so it looks only at file names and never queries the store. On any error it
+prints nothing, because its output would appear in the line that the user types.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ if TYPE_CHECKING:
     from sierra.config.project_file import LoadedProject
 
 IGNORED = (Exception, SystemExit)
-"""Whatever goes wrong, nothing is completed."""
+"""Errors that are ignored: nothing is completed then."""
 
 
 def ids(incomplete: str) -> list[str]:
-    """Return the beginnings of batches' ids."""
+    """Return prefixes of batches' ids."""
     found: set[str] = set()
     with contextlib.suppress(*IGNORED):
         found = {segment.partition("-")[0][:10] for segment in _segments()}
@@ -27,7 +27,7 @@ def ids(incomplete: str) -> list[str]:
 
 
 def criteria(incomplete: str) -> list[str]:
-    """Return the names of queries, and those of variables with a dot."""
+    """Return the names of queries, and those of variables with a dot at the end."""
     found: list[str] = []
     with contextlib.suppress(*IGNORED):
         config = _project().config
@@ -60,7 +60,7 @@ def _folder() -> Path:
 
 
 def _segments() -> Iterator[str]:
-    """Yield the names of segments; of some that do not count any more, too."""
+    """Yield the names of segments, including replaced ones."""
     yield from (path.name for path in _folder().iterdir() if path.is_dir())
 
 

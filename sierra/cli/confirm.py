@@ -1,4 +1,4 @@
-"""Ask before something is removed."""
+"""Confirmation before something is removed."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from sierra.errors import UsageError
 
 
 def agreed(lines: list[str], yes: bool, quiet: bool, what: str) -> bool:
-    """Return whether to go on: by --yes, or by an answer on a terminal. Raises UsageError where there is neither."""
+    """Return whether to continue: true with --yes, else the answer on a terminal. Raises UsageError if there is neither."""
     if not yes and not (sys.stdin.isatty() and sys.stdout.isatty()):
         raise UsageError(f"{what}: {'; '.join(lines)}; there is no terminal to ask on, so say --yes")
     if not quiet:

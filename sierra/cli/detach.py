@@ -1,4 +1,4 @@
-"""What goes on on a cluster without this process: whether it is to, and how a user gets back to it."""
+"""Detaching from cluster jobs: the question to the user, and how to reattach."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 
 def asked() -> bool:
-    """Whether it is left to itself, by an answer on a terminal; where there is none, it is."""
+    """Return whether to detach instead of cancelling: the answer on a terminal, or true without a terminal."""
     if not (sys.stdin.isatty() and sys.stderr.isatty()):
         return True
     before = {number: signal.signal(number, signal.default_int_handler) for number in (signal.SIGINT, signal.SIGTERM)}
@@ -27,7 +27,10 @@ def asked() -> bool:
 
 
 def lines(left: Sequence[Any], batch: str) -> list[str]:
-    """What goes on, a line each (`left`: as `sierra.execution.status.Standing` has it), and how to get back to it."""
+    """Return a line for each session that continues on a cluster, and one with the commands to attach or cancel.
+
+    `left` has the form of `sierra.execution.status.Standing`.
+    """
     from sierra.util.hashing import short
     from sierra.util.text import counted
 
@@ -36,7 +39,7 @@ def lines(left: Sequence[Any], batch: str) -> list[str]:
 
 
 def named(jobs: Sequence[str]) -> str:
-    """Jobs by their ids."""
+    """Return jobs by their ids, in words."""
     from sierra.util.text import few
 
     match jobs:

@@ -1,4 +1,4 @@
-"""`sierra diff`: what differs between two recorded things, what is likely to matter first."""
+"""`sierra diff`: differences between two recorded things, the ones that probably matter first."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ if TYPE_CHECKING:
     from sierra.explain.diff.model import Difference
 
 LINES = 6
-"""Differences of one kind that are shown."""
+"""The largest number of differences of one kind that are shown."""
 DETAILS = 12
-"""Lines of a patch, or of what else is to be said of one difference, that are shown."""
+"""The largest number of lines that are shown of a patch, or of the details of one difference."""
 WIDTH = 160
-"""Characters of these."""
+"""The largest length of such a line in characters."""
 HEADS = ("diff --git ", "index ")
-"""Lines of a patch that say nothing to people."""
+"""The beginnings of lines of a patch that are of no use to people."""
 
 
 def diff(

@@ -1,4 +1,4 @@
-"""`sierra doctor`: what is installed, what is missing, and what to do about it."""
+"""`sierra doctor`: what is installed, what is missing, and the remedies."""
 
 from __future__ import annotations
 

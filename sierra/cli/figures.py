@@ -1,4 +1,4 @@
-"""`sierra figures`: draw again."""
+"""`sierra figures`: draw a batch's figures again."""
 
 from __future__ import annotations
 
@@ -42,6 +42,6 @@ def figures(
 
 
 def from_here(path: str | os.PathLike[str]) -> str:
-    """A path as short as it can be named from the working directory."""
+    """Return a path in its shortest form: relative to the working directory, or as it is."""
     whole = os.fspath(path)
     return min(os.path.relpath(whole), whole, key=len)

@@ -1,4 +1,4 @@
-"""`sierra files`: recorded files, listed or written out again."""
+"""`sierra files`: list recorded files, or write them out."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def files(
 
 
 def _print_one(opened: Project, listed: Listing) -> None:
-    """A file's content to standard output, once all of it is known to be what was recorded."""
+    """Write a file's content to standard output, after all of it has been checked against its record."""
     import shutil
     import tempfile
 
@@ -104,7 +104,7 @@ def _other(file: Recorded) -> str:
 
 
 def _doubt(opened: Project, folder: Path) -> None:
-    """Files in the project may count as its source, and would make all runs new."""
+    """Print a note if files in the project become part of its source, which would make all runs new."""
     from sierra.cli.output import note
 
     target = folder.resolve()
@@ -149,7 +149,7 @@ def _doubtful(runs: Iterable[Taken]) -> Iterable[str]:
 
 
 def _told(listed: Listing, outcomes: Sequence[Outcome], folder: Path, *, as_json: bool) -> None:
-    """What was written and what was not; exit code 1 if anything was not."""
+    """Print the files that were written, and the failures. Exit with code 1 if there are failures."""
     from sierra.cli.output import print_json, readable
 
     failures = [outcome for outcome in outcomes if outcome.failure]

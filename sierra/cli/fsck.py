@@ -81,7 +81,7 @@ def _print(report: Report) -> None:
 
 
 def _telling(*, quiet: bool) -> Callable[[str], None]:
-    """Return a function that writes to standard error how far the check has come, every 5 seconds."""
+    """Return a function that writes the progress of the check to standard error, at most every 5 seconds."""
     said = time.monotonic()
 
     def tell(text: str) -> None:

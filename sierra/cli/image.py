@@ -1,4 +1,4 @@
-"""`sierra image`: the images that runs execute in; built, pinned, looked at, and taken from machine to machine."""
+"""`sierra image`: images in which runs execute: build, pin, inspect, import and export them."""
 
 from __future__ import annotations
 
@@ -212,7 +212,7 @@ def _image(image: Image) -> dict[str, Any]:
 
 
 def _contents(found: Contents) -> dict[str, Any]:
-    """All about an image but the list of its files."""
+    """Return everything about an image except the list of its files."""
     row = {**_image(found.image), "squashfs": found.squashfs, "created": found.created, "size": found.size}
     more = {"labels": found.labels, "packages": found.packages, "recipe": found.recipe, "manifests": found.manifests}
     return {**row, **more, "files": len(found.files)}
@@ -224,7 +224,7 @@ def _program(found: Contents, word: str) -> dict[str, Any] | None:
 
 
 def _print_part(name: str, part: Any) -> None:
-    """A list, a table or a text of an image, in a few lines."""
+    """Print a list, a table or a text of an image in a few lines."""
     from sierra.cli.output import readable
 
     if not part:

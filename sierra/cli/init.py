@@ -1,4 +1,4 @@
-"""`sierra init`: a project of one's own, or the bundled example."""
+"""`sierra init`: make a new project, or copy the bundled example."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def init(
 
 
 def _ask(question: Question, check: Callable[[str], T]) -> T:
-    """The answer to a question, or to its number among the choices, asked again until it is right."""
+    """Return the answer to a question, given as text or as a choice's number; ask again until it passes the check."""
     from sierra.errors import SierraError
 
     text, before, last = question.text.rpartition("\n")

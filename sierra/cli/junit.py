@@ -1,4 +1,4 @@
-"""Verdicts as JUnit XML, which continuous integration shows: a case for each run, by its experiment."""
+"""Verdicts as JUnit XML for continuous integration: a test suite for each experiment, a test case for each run."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def write(answer: Replay, file: Path) -> None:
 
 
 def called(experiment: OfExperiment) -> str:
-    """An experiment by the values of its axes."""
+    """Return a name for an experiment: the values of its axes, or a prefix of its id."""
     return ", ".join(f"{name}={value}" for name, value in experiment.values.items()) or experiment.id[:10]
 
 

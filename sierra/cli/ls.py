@@ -38,7 +38,7 @@ def ls(
 
 
 def _where_any(name: str, texts: Sequence[str]) -> dict[str, Sequence[str]]:
-    """Return a column, where there is something in it."""
+    """Return a column as a dictionary; an empty dictionary if all its texts are empty."""
     return {name: texts} if any(texts) else {}
 
 

@@ -1,4 +1,4 @@
-"""The command line: each command parses, calls one function, prints."""
+"""The program `sierra`: runs a command, and turns errors into one line and an exit code."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from sierra.util import signals
 
 
 def main() -> NoReturn:
-    """The program `sierra`. Ends with the exit codes of `sierra.errors`; no traceback reaches a user."""
+    """Run the program `sierra`, and exit with the codes of `sierra.errors`; users never see a traceback."""
     signals.heed()
     with guarded():
         code = _ended()
@@ -21,7 +21,7 @@ def main() -> NoReturn:
 
 
 def _ended() -> object:
-    """Do what was asked; the exit code."""
+    """Execute the command; return the exit code."""
     code: object
     try:
         code = app(standalone_mode=False, prog_name="sierra")
@@ -38,7 +38,7 @@ def _ended() -> object:
 
 
 def _other(error: Exception) -> int:
-    """What typer raises of its own, and what nobody foresaw."""
+    """Report an error that typer raised by itself, or an unexpected one; return the exit code."""
     if hasattr(error, "format_message") and hasattr(error, "exit_code"):
         return _usage(error)
     if type(error).__name__ == "Abort":
@@ -50,7 +50,7 @@ def _other(error: Exception) -> int:
 
 
 def _usage(error: Any) -> int:
-    """What typer says of arguments, in one line; all help where no command was named."""
+    """Report typer's error about arguments in one line, or print the help if no command was given; return the exit code."""
     if type(error).__name__ == "NoArgsIsHelpError":
         error.show()
         return int(error.exit_code)
@@ -70,7 +70,7 @@ def _unforeseen(error: Exception) -> int:
 
 
 def _report(error: Exception) -> str:
-    """Write what is known of a fault to a file; its path. Raises OSError."""
+    """Write the traceback of an unexpected error to a file; return its path. Raises OSError."""
     import tempfile
     import traceback
 

@@ -1,7 +1,7 @@
-"""How answers are printed: tables for people, JSON for programs.
+"""Output of commands: tables for people, JSON for programs.
 
-What is printed may come from a stranger's record: names, values, paths, the ends of logs, the words of a scheduler. `Safe` is
-the one place where it loses what steers a terminal. JSON has escapes of its own for the same, and files keep every byte.
+The output may contain texts from a stranger's record: names, values, paths, the ends of logs, a scheduler's messages. `Safe` is
+the one place that escapes the characters that control a terminal. JSON has its own escapes for them, and files keep every byte.
 """
 
 from __future__ import annotations
@@ -19,16 +19,20 @@ from decimal import Decimal
 from typing import Any, TextIO
 
 STEERING = re.compile("[\0-\x08\x0b-\x1f\x7f-\x9f\u061c\u200b\u200e\u200f\u2028-\u202e\u2060-\u2069\ufeff\ud800-\udfff]")
-"""Control characters but tab and line feed, what turns the direction of text or cannot be seen, and bytes that are no UTF-8."""
+"""Characters that are escaped.
+
+They are control characters except tab and line feed, characters that change the text's direction or are invisible, and bytes
+that are not UTF-8.
+"""
 
 
 def safe(text: str) -> str:
-    """Return a text with an escape in the place of each character that steers a terminal, or hides."""
+    """Return a text in which escapes replace characters that control a terminal or are invisible."""
     return STEERING.sub(lambda found: found[0].encode("unicode_escape").decode(), text)
 
 
 class Safe:
-    """A stream to a person, who sees what would steer the terminal; `raw` is the stream itself."""
+    """A stream to a person, with escapes for characters that control the terminal; `raw` is the original stream."""
 
     def __init__(self, raw: TextIO) -> None:
         self.raw = raw
@@ -47,7 +51,7 @@ class Safe:
 
 @contextlib.contextmanager
 def guarded() -> Iterator[None]:
-    """Make all that is printed meanwhile safe."""
+    """Make all output inside the context safe."""
     before = sys.stdout, sys.stderr
     sys.stdout, sys.stderr = (Safe(stream) for stream in before)
     try:
@@ -57,22 +61,22 @@ def guarded() -> Iterator[None]:
 
 
 def raw(stream: Any) -> Any:
-    """Return the stream behind a safe one, for what draws on the terminal itself."""
+    """Return the stream behind a safe one, for code that draws on the terminal itself."""
     return stream.raw if isinstance(stream, Safe) else stream
 
 
 def print_json(value: Any) -> None:
-    """One JSON value, as `as_json` writes it."""
+    """Print one JSON value, as `as_json` writes it."""
     print(as_json(value))
 
 
 def as_json(value: Any) -> str:
-    """JSON that every reader takes: times as ISO 8601, null for numbers that are none."""
+    """Return JSON that every reader accepts: times as ISO 8601, null for infinite floats and NaN."""
     return json.dumps(_finite(value), indent=2, default=_plain, allow_nan=False)
 
 
 def table(columns: Sequence[str], rows: Iterable[Sequence[Any]], *, right: Iterable[str] = ()) -> None:
-    """A table without lines, as wide as its content; long texts are not cut when nobody watches."""
+    """Print a table without lines, as wide as its content; long texts are not cut."""
     columns = [cell(column) for column in columns]
     texts = [[cell(value) for value in row] for row in rows]
     widths = [max([len(column), *(len(row[place]) for row in texts)]) for place, column in enumerate(columns)]
@@ -86,7 +90,7 @@ def table(columns: Sequence[str], rows: Iterable[Sequence[Any]], *, right: Itera
 
 
 def cell(value: Any) -> str:
-    """A value in a table: numbers short, times to the second, one line."""
+    """Return a value as text for a table: short numbers, times to the second, one line."""
     match value:
         case None:
             return ""
@@ -101,7 +105,7 @@ def cell(value: Any) -> str:
 
 
 def short_id(value: Any) -> Any:
-    """Return the beginning of an id, by which commands know it; anything else as it is."""
+    """Return the prefix of an id that commands accept; return any other value unchanged."""
     from sierra.util.hashing import short
 
     is_id = isinstance(value, str) and len(value) == 64 and not value.strip("0123456789abcdef")
@@ -109,7 +113,7 @@ def short_id(value: Any) -> Any:
 
 
 def fitting(columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> int:
-    """Return how many columns of a table the terminal has room for, at least 1; all where there is no terminal."""
+    """Return the number of columns of a table that fit the terminal, at least 1; all columns without a terminal."""
     if not sys.stdout.isatty():
         return len(columns)
     room = shutil.get_terminal_size().columns
@@ -121,12 +125,12 @@ def fitting(columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> int:
 
 
 def readable(text: str) -> str:
-    """A text from outside in one line: what moves a terminal's cursor, or cannot be seen, as an escape."""
+    """Return a text from outside as one line, with escapes for characters that move the cursor or are invisible."""
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
 def fields(record: Mapping[str, Any], indent: str = "") -> None:
-    """Names and values, a line each; on a terminal, as many lines as a long value needs."""
+    """Print names and values, a line each; on a terminal, long values are wrapped."""
     width = max((len(name) for name in record), default=0)
     for name, value in record.items():
         label = f"{indent}{name.ljust(width)}  "
@@ -134,7 +138,10 @@ def fields(record: Mapping[str, Any], indent: str = "") -> None:
 
 
 def _lines(text: str, beside: int) -> list[str]:
-    """Return a text as the lines that a terminal has room for, if there is one; words stay whole, to be copied."""
+    """Return a text as lines that fit the terminal, or as one line without a terminal.
+
+    Words stay whole, so that users can copy them.
+    """
     if not sys.stdout.isatty():
         return [text]
     room = max(shutil.get_terminal_size().columns - beside, 20)
@@ -142,12 +149,15 @@ def _lines(text: str, beside: int) -> list[str]:
 
 
 def note(message: str) -> None:
-    """Something that a user should know, and no answer."""
+    """Print a note to standard error: information for the user that is not part of the result."""
     print(f"note: {message}", file=sys.stderr)
 
 
 def _finite(value: Any) -> Any:
-    """Without the floats that JSON has not, and with exact decimals (which sums of whole numbers are) as numbers."""
+    """Return a value in which null replaces floats that JSON does not have, and numbers replace exact decimals.
+
+    Sums of whole numbers are exact decimals.
+    """
     match value:
         case float():
             return value if math.isfinite(value) else None
@@ -170,7 +180,7 @@ def _plain(value: Any) -> Any:
 
 
 def size(count: int) -> str:
-    """Return a number of bytes as people read it: 1.5 MB."""
+    """Return a number of bytes in a readable unit: 1.5 MB."""
     amount, unit = float(count), "bytes"
     for larger in ("kB", "MB", "GB", "TB"):
         if amount < 1000:

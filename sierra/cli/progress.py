@@ -1,4 +1,4 @@
-"""How far an asking has come, while it is answered: a bar on a terminal, a line now and then elsewhere."""
+"""Progress of a session: a bar on a terminal, a line now and then elsewhere."""
 
 from __future__ import annotations
 
@@ -17,27 +17,27 @@ from sierra.execution.executor import Progress
 from sierra.util.text import counted
 
 FIRST_S, LAST_S = 10.0, 300.0
-"""Between two lines, which get rarer: a log of days is to be short."""
+"""Seconds between two lines. The interval grows, so that the log of days stays short."""
 MANY = 200_000
-"""Runs beyond which a user is asked whether they are meant."""
+"""The number of runs above which the user must confirm."""
 SHARE = 0.2
-"""Of the time since the beginning that passes until the next line."""
+"""The time until the next line, as a share of the time since the beginning."""
 
 
 class Display:
-    """What progress is told to, and who asks the user meanwhile; shows nothing."""
+    """A receiver of progress that also asks the user questions; this base class shows nothing."""
 
     def show(self, progress: Progress) -> None:
-        """Hear how far it has come."""
+        """Receive progress."""
 
     def leave(self) -> bool:
-        """Whether what goes on on a cluster is left to itself, now that the user wants to end: see `sierra.cli.detach`."""
+        """Return whether cluster jobs continue when the user interrupts: see `sierra.cli.detach`."""
         return detach.asked()
 
 
 @contextlib.contextmanager
 def watching(*, quiet: bool) -> Iterator[Display]:
-    """What to tell progress to; it is shown on standard error."""
+    """Yield a receiver of progress, which shows it on standard error unless `quiet`."""
     if quiet:
         yield Display()
     elif sys.stderr.isatty():
@@ -48,10 +48,10 @@ def watching(*, quiet: bool) -> Iterator[Display]:
 
 
 def planning(*, agreed: bool, quiet: bool) -> Callable[[int, int, int], None]:
-    """Return what hears how far planning has come: it says so now and then on standard error, unless it is `quiet`.
+    """Return a receiver of the progress of planning, which prints it now and then to standard error unless `quiet`.
 
-    It asks before many runs are planned, unless that is `agreed`. Raises UsageError where there is no terminal to ask on,
-    typer.Exit where the user does not want to go on.
+    It asks the user to confirm a large number of runs, unless `agreed`. It raises UsageError without a terminal to ask on,
+    typer.Exit if the user declines.
     """
     said = time.monotonic()
     sure = agreed
@@ -70,7 +70,7 @@ def planning(*, agreed: bool, quiet: bool) -> Callable[[int, int, int], None]:
 
 
 def _ask(experiments: int, runs: int) -> None:
-    """Ask whether so many runs are meant."""
+    """Ask the user to confirm so many runs."""
     told = f"{counted(experiments, 'experiment')} are {runs} runs"
     if not (sys.stdin.isatty() and sys.stderr.isatty()):
         raise UsageError(f"{told}, which take long to plan; say --yes if that is meant")
@@ -96,7 +96,7 @@ class _Lines(Display):
 
 
 class _Bar(Display):
-    """One line that is drawn again and again."""
+    """A line that is drawn again and again."""
 
     def __init__(self) -> None:
         from rich.console import Console
@@ -134,7 +134,7 @@ class _Bar(Display):
 
 
 def text(progress: Progress, seconds: float) -> str:
-    """Progress in words: how many are done, failed, running; how fast; how much longer."""
+    """Return progress in words: numbers of done, failed and running runs, speed, and remaining time."""
     done = progress.reused + progress.done
     parts = [f"{done}/{progress.total} runs"]
     if progress.failed:

@@ -1,4 +1,4 @@
-"""How images, isolation, programs and environments are printed for people: at a glance; --json has all of it."""
+"""Short printed forms of images, isolation, programs and environments; --json has everything."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ LONGEST = 100
 
 
 def print_programs(rows: Sequence[Mapping[str, Any]]) -> None:
-    """Programs, distributions and files, a line each; libraries together."""
+    """Print programs, distributions and files, a line each, and libraries together."""
     from sierra.cli.output import readable, table
 
     loaded = [row for row in rows if row["kind"] == "library"]
@@ -34,7 +34,7 @@ def _version(row: Mapping[str, Any]) -> str:
 
 
 def print_image(image: Mapping[str, Any], reach: Sequence[str]) -> None:
-    """What runs executed in, and what they reach beyond it."""
+    """Print the image in which runs executed, and the host resources that they could access."""
     from sierra.cli.output import fields, readable
 
     print("\nimage:")
@@ -66,7 +66,7 @@ MODES = {"run": "one for each run", "worker": "one for all runs of a slot, which
 
 
 def print_isolation(isolation: Mapping[str, Any]) -> None:
-    """How executions were contained; what was asked for and not had stands out."""
+    """Print the isolation of executions, with emphasis on requested features that were not available."""
     from sierra.cli.output import fields, readable
 
     count = isolation.get("executions")
@@ -99,7 +99,7 @@ def _limits(limits: Mapping[str, float]) -> str:
 
 
 def print_environment(around: Mapping[str, Any]) -> None:
-    """A line for each fact that there is."""
+    """Print a line for each known fact of an environment."""
     from sierra.cli.output import fields
 
     print("\nenvironment:")

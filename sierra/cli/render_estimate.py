@@ -1,4 +1,4 @@
-"""How it is told what a cluster would be asked for."""
+"""The printed form of an estimate of cluster resources."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ if TYPE_CHECKING:
 
 
 def show(proposal: Estimate, *, explain: bool, script: bool) -> None:
-    """Print a proposal; with `explain` why it is what it is, with `script` what would be submitted."""
+    """Print an estimate; with `explain` also the reasons for its settings, with `script` also the submission script."""
     from sierra.cli.output import table
 
     for line in _lines(proposal):

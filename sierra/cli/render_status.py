@@ -1,4 +1,4 @@
-"""How it is told what is on clusters now, and how it stands there."""
+"""The printed form of the state of cluster jobs."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ if TYPE_CHECKING:
 
 COLUMNS = ("batch", "query", "session", "on", "jobs", "runs", "done", "failed", "state", "followed by", "since")
 LONGEST = 40
-"""Letters of a query in a list of many."""
+"""The largest length of a query in a list."""
 SESSION = 8
-"""Digits of a session's id that are shown: its jobs are called by these too."""
+"""The number of digits of a session's id that are shown; its jobs have them in their names, too."""
 
 
 def show(found: Sequence[Standing]) -> None:
-    """Print a line for each, and below what needs more words."""
+    """Print a line for each session on a cluster, and explanations below."""
     from sierra.cli.output import readable, table
     from sierra.util.hashing import short
 
@@ -29,7 +29,7 @@ def show(found: Sequence[Standing]) -> None:
 
 
 def lines(found: Sequence[Standing]) -> list[str]:
-    """What is on clusters of a batch, a line each."""
+    """Return a line for each session of a batch on clusters."""
     from sierra.cli.detach import named
     from sierra.cli.output import readable
 
@@ -43,7 +43,7 @@ def lines(found: Sequence[Standing]) -> list[str]:
 
 
 def state(one: Standing) -> str:
-    """How its elements stand, in a few words."""
+    """Return the state of a session's array job in a few words."""
     from sierra.cli.output import readable
 
     if one.ended:

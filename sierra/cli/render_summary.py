@@ -1,4 +1,4 @@
-"""How it is told what came of an asking: of `sierra run`, and of what was followed on a cluster."""
+"""The printed form of a session's summary, for `sierra run` and `sierra attach`."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ COUNTED = ("runs", "good", "failed")
 
 
 def tell(project: Project, summary: Summary, more: Mapping[str, Any] | None, *, detached: bool = False) -> None:
-    """Print a summary, as JSON with `more` where that is something; ends with the exit code that it deserves."""
+    """Print a summary, as JSON together with `more` if that is not None; then exit with the code for this result."""
     from sierra.cli.output import note, print_json
 
     left = project.left(summary)

@@ -1,4 +1,4 @@
-"""`sierra replay`: the same numbers, or where they part."""
+"""`sierra replay`: execute recorded runs again and compare the results."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ def replay(
 
 
 def tolerances(texts: Iterable[str]) -> dict[str, dict[str, Tolerance]]:
-    """By output and column, from `[OUTPUT.]COLUMN=KIND:X[,KIND:X]`. Raises UsageError."""
+    """Return tolerances by output and column, from `[OUTPUT.]COLUMN=KIND:X[,KIND:X]`. Raises UsageError."""
     from sierra.config import project_file
 
     found: dict[str, dict[str, Tolerance]] = {}
@@ -202,7 +202,7 @@ def _values(experiment: OfExperiment) -> str:
 
 
 def _alike(answer: Replay) -> dict[tuple[Verdict, str | None], list[tuple[Compared, Agreement]]]:
-    """The outputs that are not identical, by verdict and path, the worst verdict first."""
+    """Return the outputs that are not identical, by verdict and path, the worst verdict first."""
     from sierra.replay.compare import Verdict
 
     order = list(Verdict)
@@ -215,7 +215,7 @@ def _alike(answer: Replay) -> dict[tuple[Verdict, str | None], list[tuple[Compar
 
 
 def _print_outputs(verdict: Verdict, path: str | None, found: Sequence[tuple[Compared, Agreement]]) -> None:
-    """Some runs for all of which one output has the same verdict; of what is fine, one will do."""
+    """Print some runs in which one output has the same verdict; one run is enough if the verdict is fine."""
     from sierra.cli.output import readable
     from sierra.util.hashing import short
 
@@ -230,7 +230,7 @@ def _print_outputs(verdict: Verdict, path: str | None, found: Sequence[tuple[Com
 
 
 def _grown(agreement: Agreement) -> str:
-    """How a difference grows, from where there is one."""
+    """Return a description of the growth of a difference, from where it begins."""
     from itertools import dropwhile
 
     from sierra.cli.output import cell

@@ -1,4 +1,4 @@
-"""`sierra run`: answer a research query."""
+"""`sierra run`: run a query's experiments and reuse finished runs."""
 
 from __future__ import annotations
 
@@ -129,7 +129,7 @@ def run(
 
 
 def _preview(project: Project, plan: Plan, *, explain: bool, as_json: bool) -> dict[str, Any]:
-    """What would execute, and (with `explain`) why."""
+    """Print the runs that would execute, and with `explain` the reasons."""
     from sierra.cli import render_status
     from sierra.cli.output import table
     from sierra.execution import status
@@ -187,7 +187,10 @@ def _preview(project: Project, plan: Plan, *, explain: bool, as_json: bool) -> d
 
 
 def _check_log(plan: Plan) -> None:
-    """Say now that what is told meanwhile changes the code, and not of each run once it has ended. Raises UsageError."""
+    """Raise UsageError if standard error is redirected into the project's code.
+
+    Such a log would change the code during the batch, and each run would fail when it ends.
+    """
     from sierra.errors import UsageError
 
     log = plan.seen.named(STDERR)
@@ -199,7 +202,7 @@ def _check_log(plan: Plan) -> None:
 
 
 def _again(project: Project, plan: Plan) -> dict[str, Any]:
-    """Say, before hours are spent, why runs execute again although the same was asked before."""
+    """Print and return the reasons why runs execute again although the same query was run before."""
     from sierra.cli.output import note
     from sierra.explain.changes import why_again
 

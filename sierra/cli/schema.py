@@ -1,4 +1,4 @@
-"""`sierra schema`: what `sierra.toml` may hold, and what the store's tables mean."""
+"""`sierra schema`: the keys of `sierra.toml`, and the meaning of the store's tables."""
 
 from __future__ import annotations
 

@@ -11,9 +11,9 @@ from sierra.cli import complete
 
 SHOWN_REASONS = 10
 MORE = 4
-"""Columns that are named where the terminal has no room for them."""
+"""The largest number of columns that are named if the terminal has no room for them."""
 AT_MOST = {"attempts": 20, "nondeterminism": 10, "verdicts": 20}
-"""Rows of tables that may be as long as a batch."""
+"""The largest number of shown rows, for tables that may be as long as a batch."""
 
 
 def show(
@@ -56,7 +56,7 @@ def show(
 
 
 def _contained(shown: dict[str, Any]) -> tuple[dict[str, Any] | None, list[str], list[dict[str, Any]]]:
-    """The image, what runs reach beyond it, and how they were contained, taken out of a batch or an execution."""
+    """Remove and return the image, the host access and the isolation of a batch or an execution."""
     if shown["kind"] == "batch":
         recipe, isolations = shown["recipe"], shown.pop("isolations")
         del recipe["image"]
@@ -68,7 +68,7 @@ def _contained(shown: dict[str, Any]) -> tuple[dict[str, Any] | None, list[str],
 
 
 def _print_failures(failures: Sequence[Mapping[str, Any]]) -> None:
-    """Why runs failed, a line for each reason."""
+    """Print the reasons why runs failed, a line each."""
     from sierra.cli.output import cell, readable
 
     if failures:
@@ -84,7 +84,7 @@ def _print_failures(failures: Sequence[Mapping[str, Any]]) -> None:
 
 
 def _print(shown: dict[str, Any]) -> None:
-    """Plain values first, then tables and logs."""
+    """Print plain values first, then tables and logs."""
     from sierra.cli.output import fields, fitting, short_id, table
     from sierra.util.text import few
 

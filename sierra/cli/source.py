@@ -1,4 +1,4 @@
-"""`sierra source`: the recorded code, shared with other clones."""
+"""`sierra source`: share the recorded code with other clones."""
 
 from __future__ import annotations
 

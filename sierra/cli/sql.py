@@ -1,4 +1,4 @@
-"""`sierra sql`: ask the store."""
+"""`sierra sql`: query the store with SQL."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ SHOWN_ROWS = 200
 
 
 class Format(StrEnum):
-    """How the answer is written."""
+    """The format of a result."""
 
     table = "table"
     csv = "csv"
@@ -76,7 +76,10 @@ def sql(
 
 
 def _ask(store: Store, text: str, within: str | None) -> pa.Table:
-    """The answer to a statement, which Ctrl-C stops: DuckDB itself does not heed it, so that a thread of its own waits."""
+    """Return the result of a statement; Ctrl-C stops the statement.
+
+    DuckDB does not react to Ctrl-C while it executes, so another thread executes the statement.
+    """
     from concurrent.futures import ThreadPoolExecutor, wait
 
     with store.snapshot(within) as snapshot, ThreadPoolExecutor(1) as asking:
@@ -91,7 +94,7 @@ def _ask(store: Store, text: str, within: str | None) -> pa.Table:
 
 
 def write(answer: pa.Table, format: Format, output: Path | None) -> None:
-    """An answer in a format, to a file or to standard output; what must be known of it, to standard error."""
+    """Write a result in a format to a file or to standard output, and its notes to standard error."""
     from sierra.cli.output import note
     from sierra.store.store import NOTE
 
@@ -118,7 +121,7 @@ def _rows(answer: pa.Table) -> list[dict[str, Any]]:
 
 
 def _table(answer: pa.Table, *, brief: bool = False) -> bytes:
-    """Return a table; a `brief` one has the beginnings of ids, for a terminal."""
+    """Return a text table; with `brief`, ids are shortened for a terminal."""
     import contextlib
     import io
 

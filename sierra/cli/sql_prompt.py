@@ -25,9 +25,9 @@ QUOTED = re.compile(r"""'(?:[^']|'')*'|"(?:[^"]|"")*"|--[^\n]*|/\*.*?\*/""", re.
 
 
 def prompt(answer: Callable[[str], None]) -> None:
-    """Read statements from standard input and let `answer` answer each. A wrong one ends this elsewhere than on a terminal.
+    """Read statements from standard input and pass each one to `answer`. Without a terminal, the first error ends the prompt.
 
-    On a terminal, Ctrl-C ends a line, or the answering of a statement; elsewhere it ends this too.
+    On a terminal, Ctrl-C discards the current line or stops the current statement; without one, it ends the prompt.
     """
     interactive = sys.stdin.isatty() and sys.stdout.isatty()
     with _history() if interactive else contextlib.nullcontext():
@@ -57,7 +57,7 @@ def _answer(answer: Callable[[str], None], text: str) -> None:
 
 
 def _statements(interactive: bool) -> Iterator[str]:
-    """Statements, and commands like `.tables`, until the user leaves."""
+    """Yield statements, and commands like `.tables`, until the user leaves."""
     lines: list[str] = []
     while True:
         try:
@@ -87,14 +87,14 @@ def _statements(interactive: bool) -> Iterator[str]:
 
 
 def is_complete(text: str) -> bool:
-    """Whether a statement is ended by a semicolon that is in no quotes and no comment."""
+    """Return whether the text ends with a semicolon outside quotes and comments."""
     bare = QUOTED.sub(" ", text)
     return bare.rstrip().endswith(";") and not any(mark in bare for mark in ("'", '"', "/*"))
 
 
 @contextlib.contextmanager
 def _history() -> Iterator[None]:
-    """Lines typed earlier, where there is readline; and SIGTERM ends the prompt, which Ctrl-C does not."""
+    """Provide earlier lines, if readline is available. Inside this context, SIGTERM ends the prompt, which Ctrl-C does not."""
     before = signal.signal(signal.SIGTERM, lambda *_: sys.exit(130))
     try:
         import readline

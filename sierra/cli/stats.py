@@ -14,7 +14,7 @@ from sierra.errors import UsageError
 
 
 class Measure(StrEnum):
-    """What a run is reduced to."""
+    """The measure that reduces a run to one value."""
 
     final = "final"
     mean = "mean"
@@ -22,7 +22,7 @@ class Measure(StrEnum):
 
 
 class Times(StrEnum):
-    """At which times there is a row."""
+    """The times of the rows."""
 
     own = "own"
     carry = "carry"

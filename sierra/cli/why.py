@@ -1,4 +1,4 @@
-"""`sierra why`: why runs were executed, or not."""
+"""`sierra why`: explain why runs were executed or not."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Deliverables: what is made from the store for people to look at."""
+"""Deliverables: figures for people, made from the store."""

@@ -1,7 +1,7 @@
-"""From the store to figures: what is asked for in `sierra.toml`, or else one of each kind that fits.
+"""Render figures from the store: the figures that `sierra.toml` declares, or else the default figures that fit.
 
 Figures are drawn from aggregates that SQL computes; the project adds labels and units. A figure that cannot be
-drawn (no such column in this batch, nothing finite in it) is said, and does not keep the others from being drawn.
+drawn (no such column in this batch, no finite value in it) is reported, and the others are still drawn.
 """
 
 from __future__ import annotations
@@ -31,20 +31,20 @@ from sierra.util.hashing import sha256, short
 from sierra.version import __version__
 
 TIMES = ("clock", "time", "tick", "t", "step", "iteration", "generation", "seconds")
-"""Names under which a first column is taken for the time axis, where the project does not say."""
+"""Names of a first column that make it the time axis, if the project declares no time column."""
 MEASURES = ("final", "mean", "time_to")
 ONE_FILE = "[outputs.{}] file may name one of them"
 AT_MOST = 16
-"""Default figures of one batch; further columns are said, and drawn when they are asked for."""
+"""The largest number of default figures of one batch; others are reported, and drawn on request."""
 
 
 def figures(
     project: LoadedProject, store: Store, batch: str, name: str | None = None, *, again: bool = True
 ) -> tuple[list[Path], list[str]]:
-    """Draw a batch's figures, or the one of that name: the files, and what could not be drawn and why.
+    """Draw a batch's figures, or the one called `name`; return the files, and what could not be drawn and why.
 
-    Without `again`, what was drawn from the same data in the same way is left as it is. Raises NotFound for a name
-    that no figure has, SierraError where the one asked for cannot be drawn.
+    Without `again`, figures that were drawn from the same data in the same way are left as they are. Raises NotFound if no
+    figure has that name, SierraError if that figure cannot be drawn.
     """
     with Frame(store, batch) as frame:
         gallery = _Gallery(project, frame)
@@ -75,11 +75,11 @@ def statistics(
     threshold: float | None = None,
     times: str | None = None,
 ) -> Any:
-    """All statistics of one column, as `sierra.project.Project.statistics` says, with the values of the axes.
+    """Return all statistics of one column, as `sierra.project.Project.statistics` does, with the values of the axes.
 
-    Column `experiment`, one for each axis, and those of `analysis`; where an axis is called like one of these, that one
-    gets a `_` behind its name, as outputs' columns do in SQL. The schema's metadata hold the statement (`sierra:sql`)
-    and what a reader must know (`sierra:note`). Raises NotFound, UsageError.
+    The columns are `experiment`, one for each axis, and those of the statistics. If an axis has the name of another column,
+    that column gets a `_` after its name, as outputs' columns do in SQL. The schema's metadata hold the statement
+    (`sierra:sql`) and notes for the reader (`sierra:note`). Raises NotFound, UsageError.
     """
     _check_reduction(measure, threshold, times)
     with Frame(store, batch) as frame:
@@ -109,7 +109,7 @@ def _check_reduction(measure: str | None, threshold: float | None, times: str | 
 
 
 def _with_axes(table: Any, frame: Frame) -> Any:
-    """Statistics with the values of the axes after `experiment`."""
+    """Return the statistics with the values of the axes after `experiment`."""
     import pyarrow as pa
 
     axes, cells = frame.axes(), frame.cells()
@@ -122,7 +122,10 @@ def _with_axes(table: Any, frame: Frame) -> Any:
 
 
 class _Drawer:
-    """Draws; without `again` a figure whose data and look are as they were, and whose files are there, is left alone."""
+    """The writer of figures' files.
+
+    Without `again`, it skips figures whose files exist and whose data and look are unchanged.
+    """
 
     def __init__(self, memory: Path, *, again: bool) -> None:
         self._memory = memory
@@ -134,7 +137,7 @@ class _Drawer:
         self._before = dict(self._drawn)
 
     def draw(self, drawing: Drawing) -> tuple[Path, ...]:
-        """The figure's files, drawn now or before."""
+        """Return the figure's files, drawn now or before."""
         files = tuple(self._memory.parent / f"{drawing.name}.{ending}" for ending in drawing.formats)
         now = fingerprint(drawing)
         if not self._memory.exists():
@@ -147,13 +150,13 @@ class _Drawer:
         return files
 
     def note(self) -> None:
-        """Remember what was drawn."""
+        """Save the fingerprints of the figures that were drawn."""
         if self._drawn != self._before:
             write_whole(self._memory, json.dumps(self._drawn, indent=0, sort_keys=True).encode())
 
 
 def fingerprint(drawing: Drawing) -> str:
-    """The hash of all that a figure's bytes depend on: what it shows, and the programs that draw it."""
+    """Return the hash of everything that a figure's bytes depend on: its content, and the programs that draw it."""
     tables = {name: table for name, table in drawing.tables.items() if table is not None}
     numbers = [repr(table.to_pydict()) for table in (*tables.values(), *([] if drawing.runs is None else [drawing.runs]))]
     shown = [drawing.figure.model_dump_json(), drawing.axes, dict(drawing.cells), list(tables), numbers]
@@ -162,7 +165,7 @@ def fingerprint(drawing: Drawing) -> str:
 
 
 class _Gallery:
-    """All that the figures of one batch have in common."""
+    """The data that the figures of one batch share."""
 
     def __init__(self, project: LoadedProject, frame: Frame) -> None:
         self._config = project.config
@@ -174,10 +177,10 @@ class _Gallery:
         self._seen: dict[str, stats.Coverage] = {}
         self._times: dict[str, str] = {}
         self.taken: list[str] = []
-        """Which columns were taken for times by how they behave alone, and where none was, a sentence each."""
+        """Notes on outputs whose time column is neither declared nor known by its name: the column that was chosen, or none."""
 
     def wanted(self, name: str | None) -> tuple[Mapping[str, Figure], list[str]]:
-        """The figures to draw, by name, and what is to be said about them."""
+        """Return the figures to draw, by name, and notes about them."""
         declared = self._config.figures
         found, notes = (dict(declared), []) if declared else self._default()
         if name is not None:
@@ -192,7 +195,7 @@ class _Gallery:
         return found, notes
 
     def _default(self) -> tuple[dict[str, Figure], list[str]]:
-        """A figure of each kind that fits, for each output; and which outputs have none, and why."""
+        """Return the default figures that fit each output; and notes on outputs and columns without one, and why."""
         found: dict[str, Figure] = {}
         notes = [] if self._outputs else ["no run wrote a table, so there is no figure; look at: sierra sql 'FROM artifacts'"]
         for output in self._outputs.values():
@@ -209,7 +212,7 @@ class _Gallery:
         return found, notes
 
     def column(self, figure: Figure) -> tuple[Column, stats.Coverage, bool]:
-        """Return the one column that a figure names, as statistics see it, and whether it holds whole numbers alone."""
+        """Return the one column that a figure names, its coverage, and whether it holds only whole numbers or truth values."""
         output = self._output(figure)
         (column,) = figure.columns
         self._check(output, figure.columns)
@@ -224,7 +227,7 @@ class _Gallery:
                 raise NotFound(f"output {output.name!r} has no numeric column {column!r}; it has {', '.join(output.columns)}")
 
     def drawing(self, name: str, figure: Figure) -> Drawing:
-        """What a figure shows, computed."""
+        """Return the computed content of a figure."""
         output = self._output(figure)
         time = self.time(output)
         columns = figure.columns or tuple(column for column in output.columns if column != time)[:1]
@@ -249,7 +252,10 @@ class _Gallery:
         )
 
     def time(self, output: OutputTable) -> str:
-        """Return the time column: the declared one, the first if it is called like one, or one that behaves so; else none."""
+        """Return the name of the time column; "" if there is none.
+
+        It is the declared column; else the first, if its name is in `TIMES`; else one that increases alike in all runs.
+        """
         if output.name not in self._times:
             self._times[output.name] = self._time(output)
         return self._times[output.name]
@@ -307,11 +313,11 @@ class _Gallery:
 
 
 def _file_name(name: str, taken: Mapping[str, Figure]) -> str:
-    """A figure's name as its files can be called anywhere; another one where it is taken."""
+    """Return a file name for a figure that is valid on all systems and not taken."""
     plain = re.sub(r"[^\w.-]+", "_", name).strip("_.") or "figure"
     return next(free for free in (plain, *(f"{plain}_{n}" for n in range(2, len(taken) + 3))) if free not in taken)
 
 
 def replace_columns(figure: Figure, columns: tuple[str, ...]) -> Figure:
-    """The same figure, with its columns said."""
+    """Return the figure with `columns` as its columns."""
     return figure if figure.columns == columns else figure.model_copy(update={"columns": columns})

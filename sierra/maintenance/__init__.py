@@ -1,1 +1,1 @@
-"""Keeping the store sound: checking all that is in it, repairing, tidying up, and removing what is not wanted any more."""
+"""Maintenance of the store: checking, repairing, collecting garbage and removing records."""

@@ -1,7 +1,7 @@
-"""Every byte of a store against what vouches for it, and every Parquet file against the tables it should hold.
+"""Check every byte of a store against its recorded hash, and every Parquet file against the table that it should hold.
 
-A segment's name vouches for its MANIFEST, and that for each of its files. What a file holds is looked at only where its
-bytes are those that were written; even then it may come from somebody else, so memory is bounded whatever it says.
+A segment's name holds the hash of its MANIFEST, and MANIFEST holds the hash of each file. A file's content is read only if its
+bytes have the right hash. Even then the file may be somebody else's, so memory use is bounded whatever the file contains.
 """
 
 from __future__ import annotations
@@ -41,39 +41,39 @@ from sierra.util.hashing import sha256, unsealed
 
 NAME = re.compile(r"[0-9a-f]{12}-([0-9a-f]{16})")
 ASIDE = re.compile(rf"{NAME.pattern}(\.\d+)?")
-"""What a segment is called that a repair has put aside."""
+"""The pattern of the name of a segment that a repair has put aside."""
 LINE = re.compile(r"([0-9a-f]{64})  ([^/\0]+)")
 UNFINISHED = re.compile(r"\.(format|\.?gitignore|CACHEDIR\.TAG|MANIFEST|id)\.\d+")
 CHUNK = 1 << 20
 THREADS = 4
 EXPANDED = 256 << 20
-"""Bytes that a piece of an object file may come to in memory."""
+"""The largest size in memory of a piece of an object file, in bytes."""
 FIXED = {"format": FORMAT, ".gitignore": "*\n", "CACHEDIR.TAG": CACHEDIR}
-ALSO = {"format": READABLE}
-"""All that such a file may say."""
 """Files that are the same in every store."""
+ALSO = {"format": READABLE}
+"""All accepted contents of a file in `FIXED`, if there are several."""
 DERIVED = frozenset(("files", "numbers"))
-"""Files that are made again where they are not there."""
+"""Files that are derived from others, and made again if they are missing."""
 FOLDERS = frozenset(("segments", "work", "damaged", "kept", "images"))
 
 
 @dataclass(slots=True)
 class Contents:
-    """What was read: segments as far as they are sound, and what is wrong with the others."""
+    """The result of reading a store: the sound parts of segments, and the problems of the others."""
 
     findings: list[Finding] = field(default_factory=list)
     sound: list[Segment] = field(default_factory=list)
-    """Segments that count, each with its sound Parquet files alone."""
+    """Current segments, each with its sound Parquet files only."""
     broken: dict[str, set[str]] = field(default_factory=dict)
-    """By segment: the names of its files that are lost."""
+    """By segment: the names of its lost files."""
     left: list[str] = field(default_factory=list)
-    """Segments that do not count any more."""
+    """Segments that other segments replaced."""
     files: int = 0
     bytes: int = 0
 
 
 def read(paths: StorePaths, tell: Callable[[int], None] = lambda done: None) -> Contents:
-    """Read and hash all files of a store. `tell` hears how many bytes are done."""
+    """Read and hash all files of a store. `tell` receives the number of bytes that are done."""
     found = Contents()
     found.findings += _top(paths)
     present = {segment.name: segment for segment in on_disk(paths.segments)}
@@ -102,7 +102,7 @@ def _shown(paths: StorePaths, path: Path) -> str:
     return text.encode("utf-8", "backslashreplace").decode()
 
 
-# ---------------------------------------------------------------- what is not in a segment
+# files outside segments
 
 
 def _top(paths: StorePaths) -> Iterator[Finding]:
@@ -146,12 +146,12 @@ def _top(paths: StorePaths) -> Iterator[Finding]:
 
 
 def has_segments(paths: StorePaths) -> bool:
-    """Return whether anything is recorded, as far as names tell."""
+    """Return whether anything is recorded, judging by names only."""
     return any(NAME.fullmatch(entry.name) for entry in _entries(paths.segments))
 
 
 def put_aside(paths: StorePaths) -> list[Path]:
-    """Return the segments among what a repair has put aside: no more of it is ever removed."""
+    """Return the segments in `damaged/`, where a repair put them. Nothing else in that folder is ever removed."""
     found = [Path(entry.path) for entry in _entries(paths.damaged) if entry.is_dir(follow_symlinks=False)]
     return [path for path in found if ASIDE.fullmatch(path.name)]
 
@@ -187,11 +187,11 @@ def _beginning(path: Path, count: int) -> bytes:
         return file.read(count)
 
 
-# ---------------------------------------------------------------- segments
+# segments
 
 
 def _segment(paths: StorePaths, found: Contents, segment: Segment, pool: ThreadPoolExecutor, *, counts: bool) -> None:
-    """Look at one segment; a sound part of it counts, if it counts at all."""
+    """Check one segment, and add its sound part to `found.sound` if `counts`: if no other segment replaced it."""
     folder = paths.segments / segment.name
     listed, faults = _manifest(folder)
     findings = [Finding(Kind.DAMAGED, _shown(paths, folder / MANIFEST), fault) for fault in faults]
@@ -228,7 +228,7 @@ def _segment(paths: StorePaths, found: Contents, segment: Segment, pool: ThreadP
 
 
 def _manifest(folder: Path) -> tuple[dict[str, str], list[str]]:
-    """What MANIFEST lists, as far as that can be told: SHA-256 by name; and what is wrong with it."""
+    """Return the entries of MANIFEST that can be read (SHA-256 by name), and its problems."""
     path = folder / MANIFEST
     try:
         if not _is_plain(path):
@@ -247,7 +247,7 @@ def _manifest(folder: Path) -> tuple[dict[str, str], list[str]]:
 
 
 def _hashed(path: Path) -> tuple[str, int]:
-    """SHA-256 and size of a plain file; instead of the first, what is wrong with it."""
+    """Return the SHA-256 and the size in bytes of a plain file; for any other or an unreadable file, the problem and 0."""
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
     except OSError as error:
@@ -274,16 +274,16 @@ def _differs(found: tuple[str, int] | None, digest: str) -> tuple[Kind, str]:
     return Kind.DAMAGED, "has other bytes than were written" if whole else found[0]
 
 
-# ---------------------------------------------------------------- what Parquet files hold
+# content of Parquet files
 
 
 def table_of(name: str) -> str | None:
-    """The recorded table whose rows a file of a segment has; None for an output's."""
+    """Return the recorded table whose rows a file of a segment holds; None for a file of an output."""
     return None if name.startswith(OUTPUT) else name
 
 
 def parquet_fault(path: Path, name: str) -> str | None:
-    """Why a file cannot be the one of that name."""
+    """Return why a file cannot be the one of that name; None if it can."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
@@ -309,15 +309,15 @@ class Objects:
     """The objects of a store, hashed."""
 
     whole: set[str] = field(default_factory=set)
-    """SHA-256 of those that are there, byte for byte."""
+    """SHA-256 of the objects that are present and have the right content."""
     faults: list[tuple[str, str]] = field(default_factory=list)
-    """Path of a file, and what is wrong in it."""
+    """Paths of files, each with a problem in it."""
     blobs: dict[str, str] = field(default_factory=dict)
-    """Git's hash, by SHA-256, of those that were asked for."""
+    """Git's hash, by SHA-256, of the requested objects."""
 
 
 def read_objects(segments: list[Segment], wanted: set[str], tell: Callable[[], None] = lambda: None) -> Objects:
-    """Hash all objects over their parts; of `wanted` ones also as git does."""
+    """Hash all objects over their parts; hash the objects in `wanted` as git blobs too."""
     found = Objects()
     for segment in segments:
         path = segment.files.get("objects")
@@ -369,7 +369,10 @@ def _finish(one: _Object | None, path: str, found: Objects) -> None:
 
 
 def _parts(path: str) -> Iterator[tuple[str, int, int, memoryview]]:
-    """The rows of an object file, a bounded number of bytes at a time. Raises ValueError for one that nobody wrote so."""
+    """Yield the rows of an object file, reading a bounded number of bytes at a time.
+
+    Raises ValueError for a file that SIERRA cannot have written.
+    """
     import pyarrow.parquet as pq
 
     with pq.ParquetFile(path, pre_buffer=False) as file:

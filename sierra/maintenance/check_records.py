@@ -1,8 +1,8 @@
-"""Whether records say what their ids say, and whether all that they refer to is there.
+"""Check that each record has the id that follows from its content, and that everything it refers to is present.
 
-Each id follows from the record itself (see DESIGN: identity is content), so a record that was forged or written wrongly is
-found even where the bytes of its file are those that were written. What has no id of its own (when an execution ended, on
-which host) is vouched for by the segment alone.
+Each id follows from the record itself (see DESIGN: identity is content). So a forged or wrongly written record is found even if
+its file has the bytes that were written. For facts without an id of their own (when an execution ended, on which host), only
+the hash of the segment protects them.
 """
 
 from __future__ import annotations
@@ -56,28 +56,28 @@ class Records:
         self.snapshot.run("SET preserve_insertion_order = true")
         self.snapshot.register("kept", pa.table({"sha256": pa.array(sorted(objects.whole), pa.string())}))
         for name in (*(name for name in RECORDED if name != "objects"), "judged", "judged_artifacts"):
-            with contextlib.suppress(SierraError):  # what asks of it finds that it can't be read
+            with contextlib.suppress(SierraError):  # the checks that need it report that it cannot be read
                 self.snapshot.views.make((name,))
 
     def each(self, statement: str, **parameters: Any) -> Iterator[tuple[Any, ...]]:
         return self.snapshot.each(statement, parameters)
 
     def raw(self, name: str) -> str:
-        """All rows of a table as they stand in the files, with the file's name."""
+        """Return a SQL relation of all rows of a table as the files hold them, with the file's name."""
         if name in self.files:
             return records_of(name, self.files[name], filename=True)
         columns = ", ".join(f'NULL::{c.type} AS "{c.name}"' for c in RECORDED[name].columns)
         return f"(SELECT {columns}, '' AS filename WHERE false)"
 
     def rows(self, name: str) -> Rows:
-        """The different records of a table, each with one file that has it."""
+        """Yield the distinct records of a table, each with one file that has it."""
         columns = [column.name for column in RECORDED[name].columns]
         listed = ", ".join(f'"{column}"' for column in columns)
         for row in self.each(f"SELECT {listed}, min(filename) FROM {self.raw(name)} GROUP BY ALL"):
             yield dict(zip((*columns, "filename"), row, strict=True))
 
     def shown(self, path: str) -> str:
-        """A file's path in the store."""
+        """Return a file's path relative to the store."""
         return str(Path(path).relative_to(self.paths.root)) if path else ""
 
     def wrong(self, row: Mapping[str, Any], what: str, affected: Affected = NOTHING) -> Finding:
@@ -88,25 +88,25 @@ Check = Callable[[Records], Iterator[Finding]]
 
 
 def check(records: Records, root: Path) -> Iterator[Finding]:
-    """All that is wrong with the records; `root` is the project's, in whose git the sources are."""
+    """Yield all problems of the records; `root` is the project's folder, whose git repository holds the sources."""
     for one in CHECKS:
         yield from _tried(one.__name__.strip("_"), one(records))
     yield from _tried("sources", _gone(records, root))
 
 
 def _tried(what: str, found: Iterator[Finding]) -> Iterator[Finding]:
-    """What a check finds, and that it could not go on, where records cannot even be read."""
+    """Yield the findings of a check; if it fails because records cannot be read, yield a finding about that."""
     try:
         yield from found
     except (SierraError, ValueError, TypeError, KeyError, MemoryError, RecursionError) as error:
         yield Finding(Kind.INCONSISTENT, what, f"cannot be checked: {first_line(error) or error!r}")
 
 
-# ---------------------------------------------------------------- ids
+# ids
 
 
 def _id(what: Callable[[], str]) -> str | None:
-    """An id that follows from a record; None where the record cannot even be read."""
+    """Return an id that follows from a record; None if the record cannot be read."""
     try:
         return what()
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
@@ -145,7 +145,7 @@ def _readings(records: Records) -> Iterator[Finding]:
 
 
 def _judgements(records: Records) -> Iterator[Finding]:
-    """The ids of judgements, and that each is of the run whose execution it judges."""
+    """Check the ids of judgements, and that each judgement has the run of the execution that it judges."""
     rows = f"SELECT judgement, execution, reading, session, filename FROM {records.raw('judgements')}"
     for judgement, execution, reading, session, filename in list(records.each(rows)):
         if _id(lambda: judgement_id(execution, reading, session)) != judgement:  # noqa: B023
@@ -163,7 +163,7 @@ def _isolations(records: Records) -> Iterator[Finding]:
 
 
 def _own(records: Records, table: str, key: str, identity: Callable[[Mapping[str, Any]], str]) -> Iterator[Finding]:
-    """Records whose id does not follow from their columns."""
+    """Yield the records whose id does not follow from their columns."""
     for row in records.rows(table):
         if _id(lambda row=row: identity(row)) != row[key]:  # type: ignore[misc]
             yield records.wrong(
@@ -186,7 +186,7 @@ def _using(records: Records, row: Mapping[str, Any], key: str) -> Affected:
 
 
 def _programs(records: Records) -> Iterator[Finding]:
-    """The programs of one fingerprint stand one after the other, as often as they were recorded."""
+    """Check the ids of program lists. The programs of one fingerprint are adjacent, repeated as often as they were recorded."""
     for path in records.files.get("programs", ()):
         statement = f"SELECT programs, name, sha256 FROM {read_parquet([path])}"
         for identity, rows in groupby(records.each(statement), itemgetter(0)):
@@ -213,7 +213,10 @@ def _runs(records: Records) -> Iterator[Finding]:
 
 
 def _batches(records: Records) -> Iterator[Finding]:
-    """The ids of experiments and batches. Values are read file by file: a column may hold numbers here, and texts there."""
+    """Check the ids of experiments and batches.
+
+    Values are read file by file, because a column may hold numbers in one file and texts in another.
+    """
     axes = {batch: names or [] for batch, names in records.each(f"SELECT DISTINCT batch, axes FROM {records.raw('batches')}")}
     found: dict[str, dict[int, str]] = {}
     for path in records.files.get("experiments", ()):
@@ -243,7 +246,7 @@ MEMBERS = "SELECT run FROM members WHERE batch = $b AND ordinal = $o GROUP BY ru
 def _is_experiment(records: Records, row: Mapping[str, Any], axes: Sequence[str]) -> bool:
     values = {axis: row.get(axis) for axis in axes}
     if any(isinstance(value, float) and abs(value) >= 2**53 for value in values.values()):
-        return True  # among fractions, so great a whole number is not kept exactly
+        return True  # a column of fractions cannot hold so large a whole number exactly
     runs = [found[0] for found in records.each(MEMBERS, b=row["batch"], o=row["ordinal"])]
     shown = {name: exact(value) for name, value in values.items() if value is not None}
     return bool(_id(lambda: merkle("experiment", runs, {"values": shown})) == row["experiment"])
@@ -274,7 +277,7 @@ LEFT JOIN (SELECT execution, sha256, path FROM judged_artifacts WHERE kind <> 'l
 def _results(records: Records) -> Iterator[Finding]:
     bad = []
     for execution, result, members in records.each(RESULTS.format(executions=records.raw("executions"))):
-        odd = any("\\" in member for member in members or ())  # a name that is no UTF-8 was sorted by its bytes
+        odd = any("\\" in member for member in members or ())  # a name that is not UTF-8 was sorted by its bytes
         preimage = {"sierra": "result", "format": 1, "members": members or []}
         if not odd and sha256(canonical_plain(preimage)) != result:
             bad.append(execution)
@@ -283,11 +286,11 @@ def _results(records: Records) -> Iterator[Finding]:
         yield Finding(Kind.INCONSISTENT, "executions", what, of(records.snapshot, bad))
 
 
-# ---------------------------------------------------------------- references
+# references
 
 
 def _unless_broken(records: Records, executions: Iterable[str]) -> list[str]:
-    """Without those of segments of which a file is known to be lost: that has been told."""
+    """Return the executions, except those in segments with a lost file: these have been reported."""
     named = set(executions)
     for segment in records.contents.sound:
         if segment.name in records.contents.broken:
@@ -370,7 +373,7 @@ ORDER BY ALL
 
 
 def _tables(records: Records) -> Iterator[Finding]:
-    """Rows of outputs: as many of each file of an execution as were read of it, and as were counted in it; no others."""
+    """Check the rows of outputs: each file of an execution has as many rows as were read and counted. Report extra rows."""
     records.snapshot.register("written", _written(records))
     bad: dict[str, list[tuple[str, str]]] = {}
     for execution, output, path, expected, found in records.each(TABLES):
@@ -383,7 +386,7 @@ def _tables(records: Records) -> Iterator[Finding]:
 
 
 def _written(records: Records) -> pa.Table:
-    """Return how many rows each file of each execution has in the store, counted without DuckDB."""
+    """Return the number of rows of each file of each execution in the store, counted without DuckDB."""
     rows = [
         (execution, output.lower(), file or "", count)
         for segment in records.contents.sound
@@ -398,7 +401,7 @@ WRITTEN = pa.schema([("execution", pa.string()), ("output", pa.string()), ("file
 
 
 def _manifests(records: Records) -> Iterator[Finding]:
-    """The files of sources: the list is there, gives the tree, and, outside git, each of them is there."""
+    """Check the files of sources: their list is present and gives the tree; outside git, each file is present."""
     wanted = dict(records.each("SELECT blob, sha256 FROM blobs"))
     for blob, found in wanted.items():
         if found not in records.objects.whole:
@@ -420,7 +423,7 @@ def _manifests(records: Records) -> Iterator[Finding]:
 
 
 def _images(records: Records) -> Iterator[Finding]:
-    """The images of recipes, and the lists of what is in them."""
+    """Check that the images of run specifications are recorded, and that the lists of their files are present."""
     for identity, files in records.each(IMAGES):
         if files is None:
             what = f"the image {identity} is not recorded"
@@ -464,7 +467,7 @@ HEALS = "sierra source fetch brings what sierra source push has shared"
 
 
 def _gone(records: Records, root: Path) -> Iterator[Finding]:
-    """Sources that git does not have any more."""
+    """Yield the sources that git no longer has."""
     for tree, files in list(records.each("SELECT tree, any_value(files) FROM sources WHERE vcs = 'git' GROUP BY tree")):
         try:
             there = source.is_there(root, tree, _object(records, files))

@@ -1,4 +1,4 @@
-"""What a check of the store can find, and what of the record it concerns."""
+"""Problems that a check of the store can find, and the records that they affect."""
 
 from __future__ import annotations
 
@@ -15,28 +15,28 @@ from sierra.util.text import counted, spans
 
 
 class Kind(StrEnum):
-    """What is wrong, the worst first; from `DEAD` on nothing is: it is only told."""
+    """The kinds of findings, the worst first; those from `DEAD` on are not faults and are only reported."""
 
     DAMAGED = "damaged"
     """A file has other bytes than were written, or cannot be read."""
     ABSENT = "absent"
-    """A file is not there."""
+    """A file is missing."""
     INCONSISTENT = "inconsistent"
-    """A record does not have the id that follows from what it says, or contradicts another."""
+    """A record's id does not follow from its content, or the record contradicts another."""
     LOST = "lost"
-    """A record refers to what is not in the store."""
+    """A record refers to something that is not in the store."""
     STRAY = "stray"
-    """Something is there that does not belong to a store."""
+    """The store contains something that does not belong to a store."""
     GONE = "gone"
     """A recorded source is no longer in git: nothing here is damaged, but its runs cannot be replayed here."""
     DEAD = "dead"
-    """An asking that died; `sierra run` or `sierra gc` finishes it."""
+    """A session died; `sierra run` or `sierra gc` finishes it."""
     LEFT = "left over"
-    """Nobody needs it; `sierra gc` removes it."""
+    """Nothing needs it any more; `sierra gc` removes it."""
     FOREIGN = "foreign"
     """SIERRA did not make it, and leaves it alone."""
     UNKNOWN = "unknown"
-    """What was around executions is not recorded: their asking was killed before its end."""
+    """The environment of executions is not recorded: their session was killed before its end."""
 
     @property
     def fine(self) -> bool:
@@ -49,7 +49,7 @@ class Kind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Affected:
-    """The part of the record that a finding concerns."""
+    """The part of the record that a finding affects."""
 
     batches: tuple[str, ...] = ()
     experiments: tuple[str, ...] = ()
@@ -64,7 +64,7 @@ NOTHING = Affected()
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One thing that is found: where (a path in the store, or the table that says so), and what."""
+    """One problem: its place (a path in the store, or the table that shows it), and its description."""
 
     kind: Kind
     path: str
@@ -77,7 +77,7 @@ class Finding:
 
 
 SHOWN = 3
-"""Batches, and experiments of each, that are named in a line."""
+"""The largest number of batches, and of experiments of each batch, that a line names."""
 PLACES = """
 SELECT DISTINCT m.batch, x.experiment, m.ordinal, m.number, m.run
 FROM members m LEFT JOIN experiments x USING (batch, ordinal) JOIN concerned c ON c.run = m.run
@@ -86,7 +86,7 @@ ORDER BY m.batch, m.ordinal, m.number
 
 
 def of(snapshot: Snapshot, executions: Iterable[str] = (), runs: Iterable[str] = (), batches: Iterable[str] = ()) -> Affected:
-    """What is concerned where these executions, runs and batches are."""
+    """Return the runs, experiments and batches that these executions, runs and batches belong to, and a text about them."""
     ended = sorted(set(executions))
     snapshot.views.make(("members", "experiments", "batches", "judged", "judged_artifacts"))
     snapshot.register("named", pa.table({"execution": pa.array(ended, pa.string())}))
@@ -131,7 +131,7 @@ def _experiments(snapshot: Snapshot, batch: str, places: Sequence[tuple[str, str
 
 
 def _values(snapshot: Snapshot, batch: str) -> dict[int, str]:
-    """What each experiment of a batch is called: the values of its axes."""
+    """Return a label for each experiment of a batch, by ordinal: the values of its axes."""
     own = ("experiment", "batch", "ordinal")
     return {
         place: ", ".join(f"{n}={v}" for n, v in row.items() if n not in own and v is not None) or "its experiment"
@@ -140,7 +140,7 @@ def _values(snapshot: Snapshot, batch: str) -> dict[int, str]:
 
 
 def _ranges(numbers: Sequence[int]) -> str:
-    """Numbers of runs: `runs 3–9, 12`."""
+    """Format run numbers as ranges: `runs 3–9, 12`."""
     found = spans(sorted(set(numbers)))
     told = ", ".join(str(a) if a == b else f"{a}–{b}" for a, b in found[:5]) + (", …" if len(found) > 5 else "")
     return f"run{'s' if len(set(numbers)) > 1 else ''} {told}"

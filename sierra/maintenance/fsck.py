@@ -1,4 +1,4 @@
-"""`fsck`: hash all that is in a store, check what it says, and name what is wrong and what that concerns."""
+"""`fsck`: hash every file of a store, check its records, and report each problem and the results that it affects."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Tell = Callable[[str], None]
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """What a check found, the worst first, and how much it looked at."""
+    """The result of a check: findings, the worst first, and the number of things that were checked."""
 
     findings: tuple[Finding, ...]
     segments: int
@@ -42,7 +42,7 @@ class Report:
 
 @dataclass(frozen=True, slots=True)
 class Checked:
-    """A report, and what a repair needs to know."""
+    """A report, and the values that a repair needs."""
 
     report: Report
     contents: Contents
@@ -50,7 +50,7 @@ class Checked:
 
 
 def check(paths: StorePaths, root: Path, tell: Tell = lambda text: None) -> Checked:
-    """Check a store; `root` is its project. Raises Missing where there is none, or a folder of somebody else's."""
+    """Check a store; `root` is its project. Raises Missing if there is no store, or if SIERRA did not make the folder."""
     if not paths.root.is_dir():
         raise Missing(f"no store in {paths.root}: nothing has been run here yet (sierra run makes one)")
     if not check_files.has_segments(paths):
@@ -76,7 +76,7 @@ def check(paths: StorePaths, root: Path, tell: Tell = lambda text: None) -> Chec
 
 
 def _blobs(paths: StorePaths, found: Contents) -> set[str]:
-    """The objects that are files of sources outside git."""
+    """Return the SHA-256 of objects that are files of sources outside git."""
     files = [segment.files["blobs"] for segment in found.sound if "blobs" in segment.files]
     try:
         with Snapshot(paths.root, found.sound) as snapshot:
@@ -93,7 +93,7 @@ def _count(read: Records) -> int:
 
 
 def _contents(read: Records) -> Iterator[Finding]:
-    """What is wrong with files, each with what it concerns."""
+    """Yield the problems of files, each with the records that it affects."""
     damaged = {segment.name: segment for segment in read.contents.sound}
     for finding in read.contents.findings:
         parts = Path(finding.path).parts
@@ -108,7 +108,7 @@ def _contents(read: Records) -> Iterator[Finding]:
 
 
 def _affected(read: Records, name: str, file: str) -> Affected:
-    """What a segment holds, as far as its sound files, and the batch that it is called by, say."""
+    """Return what a segment affects, as far as its sound files show; otherwise name the batch in the segment's name."""
     [segment] = [segment for segment in read.contents.sound if segment.name == name]
     try:
         batches = [row[0] for row in read.each("SELECT batch FROM batches WHERE starts_with(batch, $p)", p=segment.batch)]
@@ -123,7 +123,10 @@ def _affected(read: Records, name: str, file: str) -> Affected:
 
 
 def _sessions(paths: StorePaths) -> Iterator[Finding]:
-    """Askings that died. Where the store cannot be written, nobody works in it, and nobody can tell."""
+    """Yield a finding for each session that died.
+
+    Yield nothing if the store is not writable: nobody can work in such a store, and sessions cannot be locked.
+    """
     if not all(os.access(path, os.W_OK) for path in (paths.root, paths.work) if path.exists()):
         return
     try:
@@ -140,7 +143,7 @@ def _sessions(paths: StorePaths) -> Iterator[Finding]:
 
 
 def _strange(paths: StorePaths) -> Iterator[Finding]:
-    """What lies among the sessions and is none; nothing of it is ever removed."""
+    """Yield a finding for each entry beside the sessions that SIERRA did not make; none of them is ever removed."""
     for path in marks.strange(paths):
         name = path.relative_to(paths.root)
         yield Finding(Kind.FOREIGN, str(name), "does not bear SIERRA's mark, and is left alone; move it away if it is yours")

@@ -1,13 +1,14 @@
-"""`gc`: removing what nothing needs, and merging many small segments of a batch into one.
+"""`gc`: remove what nothing needs, and merge small segments of a batch into one.
 
-What nothing needs: folders of askings that died (what had finished there is recorded first), unfinished files, segments that
-were replaced, recorded files that no record refers to. Git's `refs/sierra/` are left alone: other projects and stores may
-share the repository, and no store knows of them all. Segments that a repair put aside go only where that is asked for.
+It removes folders of sessions that died (their finished executions are recorded first), unfinished files, replaced segments,
+and recorded files that no record refers to. It leaves git's `refs/sierra/` alone: other projects and stores may share the
+repository, and no store knows all of them. It removes segments that a repair put aside only on request.
 
-Only where that is asked for, the bytes of files that became tables go too; their rows stay. Bytes that are also those of an
-input, of a file that became no table, or of a source stay: each is needed as that.
+On request only, it also removes the bytes of files that became tables; their rows stay. Bytes stay if they are also the bytes
+of an input, of a file that did not become a table, or of a source.
 
-Merging changes no row, and their order in an execution neither. Of what is in several merged segments, one copy stays.
+Merging changes no row, and it keeps the order of rows in an execution. If several merged segments hold the same record, one
+copy stays.
 """
 
 from __future__ import annotations
@@ -29,38 +30,38 @@ from sierra.store.store import Snapshot, Store
 from sierra.worker import worker
 
 MANY = 4
-"""Small segments of one batch that are merged; fewer are left as they are."""
+"""The smallest number of small segments of one batch that are merged."""
 SMALL = 64 << 20
 LARGE = 256 << 20
-"""Bytes that merged segments have at most."""
+"""The largest size of merged segments, in bytes."""
 
 
 @dataclass(frozen=True, slots=True)
 class Collection:
-    """What is removed, or would be."""
+    """The things that are removed, or would be removed."""
 
     sessions: int
-    """Askings that died."""
+    """Sessions that died."""
     unfinished: int
     """Files that were never finished."""
     replaced: int
-    """Segments that do not count any more."""
+    """Segments that other segments replaced."""
     objects: int
-    """Recorded files that nothing refers to, and those of `raw`."""
+    """Recorded files that nothing refers to, plus those in `raw`."""
     bytes: int
-    """Their sizes."""
+    """The total size of these objects in bytes."""
     merged: int
     """Segments that are merged."""
     into: int
-    """What they are merged to."""
+    """Segments that result from merging."""
     damaged: int
-    """Segments that a repair put aside; they go only where that is asked for."""
+    """Segments that a repair put aside; they are removed only on request."""
     raw: int = 0
-    """Files that became tables, of which the bytes go; only where that is asked for."""
+    """Files that became tables and whose bytes are removed; only on request."""
     recovered: int = 0
-    """Executions that had finished in askings that died, and are recorded now."""
+    """Executions that finished in sessions that died, and that are recorded now."""
     left: int = 0
-    """Segments that somebody was still reading, and that the next gc removes."""
+    """Segments that another process was still reading; the next gc removes them."""
 
     @property
     def nothing(self) -> bool:
@@ -81,7 +82,7 @@ class _Plan:
 
 
 def plan(store: Store, *, damaged: bool = False, raw: bool = False) -> Collection:
-    """What `collect` would do."""
+    """Return what `collect` would remove and merge."""
     paths = store.paths
     made = _plan(store, raw=raw)
     with sessions.exclusively(paths) as locks:
@@ -106,9 +107,9 @@ def plan(store: Store, *, damaged: bool = False, raw: bool = False) -> Collectio
 def collect(
     store: Store, *, damaged: bool = False, raw: bool = False, agree: Callable[[Collection], bool] = lambda collection: True
 ) -> Collection | None:
-    """Remove what nothing needs, if `agree` says so of what that is; None where it does not.
+    """Remove what nothing needs, if `agree` returns true for the preview; return None if it returns false.
 
-    Raises Missing where the disk is full, SierraError where another is just beginning: nothing is lost then.
+    Raises Missing if the disk is full, SierraError if another session has just begun; nothing is lost in either case.
     """
     first = plan(store, damaged=damaged, raw=raw)
     if not first.nothing and not agree(first):
@@ -140,7 +141,7 @@ def collect(
 
 
 def _unfinished(paths: StorePaths) -> Iterator[Path]:
-    """Files that were written beside their targets, and images that were being read, by processes that are gone."""
+    """Yield temporary files, and images that were still being read, of processes that no longer exist."""
     own = (path for path in paths.root.iterdir() if UNFINISHED.fullmatch(path.name))
     for path in (*own, *unfinished(paths)):
         if worker.birth(int(path.name.rpartition(".")[2])) is None:
@@ -180,7 +181,7 @@ def _has(snapshot: Snapshot, table: str) -> bool:
 
 
 def _unneeded(snapshot: Snapshot, *, raw: bool) -> dict[str, int]:
-    """Return the size of each object that no record refers to; with `raw`, none but as that of a table."""
+    """Return the size in bytes of each object that no record refers to; with `raw`, artifacts of kind `table` are ignored."""
     referred = REFERRED.format(which=RAW if raw else "")
     files = [segment.files["objects"] for segment in snapshot.segments if "objects" in segment.files]
     statement = f"SELECT sha256, max(size) FROM {read_parquet(files)} o ANTI JOIN ({referred}) r USING (sha256) GROUP BY sha256"
@@ -188,7 +189,7 @@ def _unneeded(snapshot: Snapshot, *, raw: bool) -> dict[str, int]:
 
 
 def _tables(snapshot: Snapshot, unneeded: Iterable[str]) -> int:
-    """Count the objects among these that are bytes of tables."""
+    """Return the number of these objects that are the bytes of tables."""
     import pyarrow as pa
 
     snapshot.register("unneeded", pa.table({"sha256": pa.array(sorted(unneeded), pa.string())}))
@@ -201,7 +202,7 @@ def _size(segment: Segment) -> int:
 
 
 def _parts(group: Group) -> Iterator[Group]:
-    """A group in parts that are not too large."""
+    """Yield parts of a group, each at most `LARGE` bytes unless one segment alone is larger."""
     held: list[Segment] = []
     size = 0
     for segment in group.segments:
@@ -221,7 +222,7 @@ RAW_LOST = (
 
 
 def text(collection: Collection) -> list[str]:
-    """What is removed, in lines."""
+    """Return lines that list what is removed."""
     told = (
         (collection.sessions, "askings that died (what had finished in them is recorded first)"),
         (collection.unfinished, "unfinished files"),

@@ -1,11 +1,13 @@
-"""`rm`: removing batches, experiments, runs and executions, and nothing else.
+"""`rm`: remove batches, experiments, runs and executions, and nothing else.
 
-A batch goes with all that says so: its experiments, members, askings, replays. Its runs' executions go with it, unless another
-batch has the run. An experiment, a run or an execution is part of what batches *are*, so only what was executed of it goes, and
-the batch asks for it again; of an experiment, runs that other experiments have keep their executions. A run or an execution
-that is named itself goes, whoever has it; which batches these are is said first.
+A batch is removed with all its records: experiments, members, sessions, replays. The executions of its runs are removed too,
+unless another batch has the run. Experiments and runs are part of a batch's identity. So removing one of them removes only its
+executions, and the next run of the batch's query executes it again; an experiment's runs that other experiments also have keep
+their executions. A run or an execution that is named directly is removed even if other batches have it; the preview names these
+batches.
 
-What was recorded around them (recipes, sources, environments, programs, rules, files) goes where nothing else refers to it.
+Records around executions (run specifications, sources, environments, programs, rules, files) are removed if nothing else
+refers to them.
 """
 
 from __future__ import annotations
@@ -32,24 +34,24 @@ SHOWN = 5
 
 @dataclass(frozen=True, slots=True)
 class Removal:
-    """What removing would delete, and what stays though it was asked for."""
+    """The things that a removal deletes, and the named things that stay."""
 
     batches: tuple[Mapping[str, Any], ...]
-    """Whole ones: batch, query, experiments, runs."""
+    """Batches that are removed as a whole: columns batch, query, experiments, runs."""
     runs: int
-    """Runs that have no execution then, or one less."""
+    """Runs that lose at least one execution."""
     executions: int
     replays: int
     bytes: int
-    """What these executions wrote, in files and tables."""
+    """The total size in bytes of the files and tables that these executions wrote."""
     losing: tuple[str, ...]
-    """Batches that stay, and lose executions."""
+    """Batches that stay but lose executions."""
     shared: int
-    """Runs that stay as they are, because others have them."""
+    """Runs that keep their executions because other experiments or batches have them."""
     sharing: tuple[str, ...]
-    """The batches that have them."""
+    """The batches that have these runs."""
     left: int = 0
-    """Old files (segments) that somebody was still reading, and that `sierra gc` removes."""
+    """Old segments that another process was still reading, and that `sierra gc` removes."""
 
     @property
     def nothing(self) -> bool:
@@ -62,19 +64,20 @@ class _Plan:
     drop: dict[str, dict[str, AbstractSet[str]]] = field(default_factory=dict)
     touched: list[Segment] = field(default_factory=list)
     concerned: set[str] = field(default_factory=set)
-    """Batches that must not be executing meanwhile."""
+    """Batches that must not be executing during the removal."""
     seen: set[str] = field(default_factory=set)
 
 
 def plan(store: Store, prefixes: Sequence[str]) -> Removal:
-    """What `remove` would do. Raises NotFound."""
+    """Return what `remove` would delete. Raises NotFound for an unknown id, or if no id is given."""
     return _plan(store, _resolve(store, prefixes)).removal
 
 
 def remove(store: Store, prefixes: Sequence[str], agree: Callable[[Removal], bool] = lambda removal: True) -> Removal | None:
-    """Remove what these ids name, if `agree` says so of what that would delete; None where it does not.
+    """Remove what these ids name, if `agree` returns true for the preview; return None if it returns false.
 
-    Raises NotFound, Missing where the disk is full, SierraError while one of the batches is executing; then nothing changes.
+    Raises NotFound for an unknown id, Missing if the disk is full, SierraError while one of the batches is executing or if the
+    preview is out of date. If it raises, nothing changes.
     """
     recover.finish_dead(store)
     named = _resolve(store, prefixes)
@@ -183,7 +186,7 @@ AROUND = {
     "images": ("image", "SELECT image FROM gone_images"),
     "isolations": ("isolation", "SELECT isolation FROM gone EXCEPT SELECT isolation FROM staying"),
 }
-"""By table, its key, and the ids that nothing refers to any more."""
+"""By table: its key column, and a query for the ids that nothing refers to any more."""
 OBJECTS = """
 (SELECT sha256 FROM judged_artifacts WHERE execution IN (SELECT execution FROM gone)
  UNION SELECT unnest([input] || others) FROM gone_members UNION SELECT files FROM gone_sources
@@ -255,7 +258,7 @@ def _drop(snapshot: Snapshot, store: Store, named: Mapping[str, AbstractSet[str]
 
 
 def _blobs(snapshot: Snapshot, store: Store) -> set[str]:
-    """Files of sources outside git that no other source has."""
+    """Return the git hashes of the files that only removed sources outside git have."""
     gone = _column(snapshot, "SELECT files FROM gone_sources WHERE vcs = 'none'")
     if not gone:
         return set()
@@ -269,7 +272,7 @@ def _column(snapshot: Snapshot, statement: str) -> set[str]:
 
 
 def text(removal: Removal) -> list[str]:
-    """What would be deleted, and what stays, in lines."""
+    """Return lines that list what would be deleted, and what stays."""
     lines = [
         f"batch {short(one['batch'])} ({one['query']}): {one['experiments']} experiments, {one['runs']} runs"
         for one in removal.batches

@@ -1,15 +1,15 @@
-"""`fsck --repair`: making again what follows from other things, and putting the rest of a damaged segment aside.
+"""`fsck --repair`: rebuild what can be derived, and move damaged segments aside after saving their sound records.
 
-Nothing is deleted. What is the same in every store is written again; a MANIFEST is made again where it then is the one that the
-segment's name vouches for; what does not belong to a store is moved to `damaged/`. Of a damaged segment the sound files are
-written to a new one, and the old one is moved to `damaged/`, whole. What stays of it must be complete, by one rule:
+Nothing is deleted. Files that are the same in every store are written again. A MANIFEST is rebuilt if the result has the hash
+in the segment's name. Files that do not belong to a store are moved to `damaged/`. The sound files of a damaged segment are
+written to a new segment, and the whole old segment is moved to `damaged/`. Saved records must be complete, by one rule:
 
-- an execution stays if its record, all its artifacts, files, logs and rows are there and give its result; else it goes, and
-  `sierra run` executes it again;
-- a batch stays if its id follows from its experiments and runs, and all their inputs and its source are there; else what says
-  that there is such a batch goes, its executions stay, and asking for it again finds them.
+- An execution stays if its record, and all its artifacts, files, logs and rows, are present and give its result. Otherwise it
+  is dropped, and `sierra run` executes it again.
+- A batch stays if its id follows from its experiments and runs, and if all their inputs and its source are present. Otherwise
+  the records of the batch are dropped, its executions stay, and the next run of its query reuses them.
 
-The same holds for what was forged, or written wrongly, in segments whose bytes are sound.
+The same rule holds for records that were forged or written wrongly in segments whose bytes are sound.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from sierra.util.hashing import sha256, short
 
 @dataclass(frozen=True, slots=True)
 class Repair:
-    """What was done, or would be, in lines; and what a check says then."""
+    """The actions of a repair, done or planned, in lines; and the report of a check afterwards."""
 
     done: tuple[str, ...]
     report: Report
@@ -46,7 +46,7 @@ class Repair:
 
 @dataclass(slots=True)
 class _Loss:
-    """What cannot be kept."""
+    """The records that cannot be kept, and the segments that hold them."""
 
     executions: set[str] = field(default_factory=set)
     batches: set[str] = field(default_factory=set)
@@ -65,7 +65,7 @@ class _Loss:
 
 
 def repair(paths: StorePaths, root: Path, *, dry_run: bool = False, tell: Tell = lambda text: None) -> Repair:
-    """Repair a store. Raises Missing where the disk is full, SierraError where others are at work; nothing is lost then."""
+    """Repair a store. Raises Missing if the disk is full, SierraError if others are at work; nothing is lost in either case."""
     _ours(paths)
     checked = fsck.check(paths, root, tell)
     done = [*_fixed(paths, checked, dry_run), *_manifests(paths, checked, dry_run), *_strays(paths, checked, dry_run)]
@@ -76,7 +76,7 @@ def repair(paths: StorePaths, root: Path, *, dry_run: bool = False, tell: Tell =
 
 
 def _ours(paths: StorePaths) -> None:
-    """Raise Damaged for a store that says to be of another format: what is sound there would seem damaged here."""
+    """Raise Damaged if the store declares another format: its sound data would seem damaged here."""
     with contextlib.suppress(OSError):
         found = paths.format.read_bytes().decode("utf-8", "replace")
         if re.fullmatch(r"sierra store \d+\n", found) and found not in READABLE:
@@ -85,7 +85,7 @@ def _ours(paths: StorePaths) -> None:
 
 
 def _fixed(paths: StorePaths, checked: Checked, dry_run: bool) -> Iterator[str]:
-    """Files that are the same in every store."""
+    """Write or remove files with known or derived content; yield a line for each."""
     wrong = {finding.path for finding in checked.report.findings} & FIXED.keys()
     for name in sorted(wrong):
         if not dry_run:
@@ -138,7 +138,7 @@ def _salvage(paths: StorePaths, root: Path, checked: Checked, dry_run: bool, tel
 
 def _write(paths: StorePaths, root: Path, first: _Loss, tell: Tell) -> None:
     with sessions.exclusively(paths):
-        pass  # makes the folder for work, where it is gone
+        pass  # create the folder for work if it is missing
     with changing(paths) as session:
         loss = first
 
@@ -159,7 +159,7 @@ def _write(paths: StorePaths, root: Path, first: _Loss, tell: Tell) -> None:
 
 
 def _loss(paths: StorePaths, checked: Checked) -> _Loss:
-    """What is not complete, in damaged segments and anywhere else, and the segments that have some of it."""
+    """Return the incomplete records of all segments, and the segments that are damaged or hold such records."""
     contents = checked.contents
     loss = _Loss()
     broken, contents.broken = contents.broken, {}
@@ -182,6 +182,6 @@ def _loss(paths: StorePaths, checked: Checked) -> _Loss:
 
 
 def _judgements_of(read: Records, executions: AbstractSet[str]) -> set[str]:
-    """The judgements that go with their executions."""
+    """Return the ids of these executions' judgements."""
     rows = read.each("SELECT judgement FROM judgements WHERE list_contains($e, execution)", e=sorted(executions))
     return {row[0] for row in rows}

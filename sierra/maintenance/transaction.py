@@ -1,4 +1,4 @@
-"""Changing what is recorded, which only `gc`, `rm` and a repair do: alone, prepared beside the store, done at one moment."""
+"""Exclusive changes to recorded data by `gc`, `rm` and repair: prepared beside the store, published at one moment."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ ATTEMPTS = 5
 
 @contextlib.contextmanager
 def changing(store: StorePaths) -> Iterator[Session]:
-    """A session of one's own to write in; what a killed one leaves, the next asking or `gc` removes."""
+    """Yield a new session to write in. If its process is killed, the next session or `gc` removes what it leaves."""
     session = Session(store)
     try:
         yield session
@@ -33,7 +33,7 @@ def changing(store: StorePaths) -> Iterator[Session]:
 
 
 def names(store: StorePaths) -> set[str]:
-    """The segments that count now."""
+    """Return the names of the current segments, without replaced ones."""
     return {segment.name for segment in listed(store.segments)}
 
 
@@ -44,11 +44,12 @@ def publish(
     may: Callable[[], None] = lambda: None,
     keep: AbstractSet[str] = frozenset(),
 ) -> int:
-    """Prepare and publish, again where something was recorded meanwhile; how many old segments are still to be removed.
+    """Prepare and publish a change; return the number of old segments that still must be removed.
 
-    `prepare` writes, and gives the segments that it has seen. `may` raises where others are at work that must not be disturbed;
-    nobody can begin while it looks. `keep` are replaced segments that are put aside, not removed. Raises Missing
-    where the file system has no locks, so that nobody can be alone.
+    If something was recorded meanwhile, prepare again, at most `ATTEMPTS` times. `prepare` writes the new segments and returns
+    the names of the segments that it has read. `may` raises if other sessions must not be disturbed; no session can begin while
+    it checks. `keep` names replaced segments that are put aside, not removed. Raises Missing if the file system has no locks,
+    so that exclusive access is impossible, and SierraError if the store changed in each attempt.
     """
     for attempt in range(ATTEMPTS):
         rewriting = Compaction(store, session.paths.root / f"new{attempt}", f"{session.id}.{attempt}")
@@ -78,16 +79,17 @@ def aside(store: StorePaths, path: Path) -> None:
 
 
 def left(store: StorePaths) -> int:
-    """How many segments do not count, and are still there."""
+    """Return the number of replaced segments that still exist."""
     from sierra.store.compaction import out_of_use
 
     return len(out_of_use(store))
 
 
 def undisturbed(store: StorePaths, session: Session, batches: AbstractSet[str]) -> None:
-    """Raises where a living session is of one of these batches, or may be: it has not said yet.
+    """Raise SierraError if a living session executes one of these batches, or if its batch stays unknown.
 
-    To be called within `sessions.exclusively`. One that has only just begun says so before long.
+    Call this within `sessions.exclusively`. A session that has just begun has not recorded its batch yet, so wait for that up
+    to `PATIENCE_S` seconds in total.
     """
     give_up = time.monotonic() + PATIENCE_S
     for paths in sessions.alive(store):

@@ -1,1 +1,1 @@
-"""Setting up: new projects, examples, the check of this machine, schemas for editors."""
+"""Setup: new projects, examples, the check of this machine, schemas for editors."""

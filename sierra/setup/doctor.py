@@ -1,4 +1,4 @@
-"""What SIERRA needs and can use on this machine and in this project, and what to do where it is not there."""
+"""Checks of what SIERRA needs and can use on this machine and in this project, with a remedy for what is missing."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from sierra.store.layout import StorePaths, user_settings
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """One thing that was looked at. `missing` is needed, `absent` is optional."""
+    """The result of one check. State `missing` means needed but not found, `absent` means optional and not found."""
 
     name: str
     state: Literal["ok", "absent", "missing"]
@@ -33,7 +33,7 @@ LIBRARIES = ("duckdb", "pyarrow", "lxml", "pydantic", "matplotlib", "typer", "ri
 
 
 def all_checks() -> list[Check]:
-    """Everything, the machine first."""
+    """Return the results of all checks, those of the machine first."""
     return [check for part in (_machine, _settings, _libraries, _programs, _engines, _project) for check in part()]
 
 
@@ -81,7 +81,7 @@ def _programs() -> Iterator[Check]:
 
 
 def _engines() -> Iterator[Check]:
-    """What can contain runs here, as it showed when something was started with it. None is needed but by who asks for it."""
+    """Yield the state of each engine, found by starting something with it. An engine is needed only by projects that use it."""
     from sierra.containers import engines
     from sierra.containers.images import podman_storage
 
@@ -102,7 +102,7 @@ def _engines() -> Iterator[Check]:
 
 
 def _said(able: Capabilities) -> Iterator[str]:
-    """What holds in an engine's containers, and what does not."""
+    """Yield the properties and limitations of an engine's containers."""
     yield f"{'rootless' if able.rootless else 'as root'}, outputs are {able.user}'s"
     ignored = {"cpus", "pids"} - able.enforced
     yield f"enforces {', '.join(sorted(able.enforced)) or 'no limits'}"

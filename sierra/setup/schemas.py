@@ -1,8 +1,8 @@
-"""The published contracts: what `sierra.toml` may hold, and the store's tables as SQL.
+"""The published contracts: the keys of `sierra.toml`, and the store's tables as SQL.
 
-All are generated from the code; `make schemas` writes them to `schemas/`, and a test compares them. What `sierra.toml`
-may hold is said twice: as JSON Schema, for editors, and, from the same schema, as commented TOML, for people: a sentence
-for each key, and an example of it. All examples together are one valid `sierra.toml`.
+All are generated from the code; `make schemas` writes them to `schemas/`, and a test compares them. The keys of `sierra.toml`
+are published twice. One form is JSON Schema, for editors. The other is made from that schema: commented TOML for people, with
+a sentence and an example for each key. All examples together are one valid `sierra.toml`.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ A line that begins with # and no blank is an example: take the # away to use it.
 with its type in brackets, what it is where it is absent, and whether it must be there. An XPath is XPath 1.0."""
 
 BARE = re.compile(r"[A-Za-z0-9_-]+")
-"""A key of TOML that needs no quotes."""
+"""The pattern of a TOML key that needs no quotes."""
 EXAMPLES = r"""
 template = "template.xml"
 command = "python3 sim.py {input}"
@@ -203,11 +203,11 @@ walls = "//arena/box[starts-with(@id, 'wall')]"
 population = "//distribute/entity[2]/@quantity"
 label = "loop_controller"
 """
-"""A `sierra.toml` with all keys, which the commented TOML shows; a key that it lacks is shown with its default."""
+"""A `sierra.toml` with all keys, for the commented TOML; a key that it lacks is shown with its default."""
 
 
 def json_schema() -> Mapping[str, Any]:
-    """The JSON Schema of `sierra.toml` (draft 2020-12), with the options of the shipped platforms."""
+    """Return the JSON Schema of `sierra.toml` (draft 2020-12), with the options of the shipped platforms."""
     schema = Project.model_json_schema(by_alias=True)
     platforms = schema["properties"]["platforms"]
     platforms["properties"] = {}
@@ -220,34 +220,34 @@ def json_schema() -> Mapping[str, Any]:
 
 
 def toml_schema() -> str:
-    """The JSON Schema of `sierra.toml`, as text."""
+    """Return the JSON Schema of `sierra.toml` as text."""
     return json.dumps(json_schema(), indent=2, ensure_ascii=False) + "\n"
 
 
 def toml() -> str:
-    """All that `sierra.toml` may hold, as TOML that is commented out: `# sentence`, then `#key = value`."""
+    """Return all keys of `sierra.toml` as TOML that is commented out: `# sentence`, then `#key = value`."""
     return "\n".join([*_prose(INTRODUCTION), "", *_Reference(json_schema()).lines()]) + "\n"
 
 
 def tables() -> Mapping[str, Table]:
-    """The store's own tables, by name."""
+    """Return the store's own tables, by name."""
     return {**RECORDED, **DERIVED}
 
 
 def generated() -> Mapping[str, str]:
-    """The files of `schemas/`, by name."""
+    """Return the content of the files of `schemas/`, by name."""
     return {TOML: toml_schema(), STORE: sql()}
 
 
 def write(folder: Path) -> None:
-    """Write all of them."""
+    """Write the files of `schemas/` to `folder`."""
     folder.mkdir(parents=True, exist_ok=True)
     for name, text in generated().items():
         (folder / name).write_text(text)
 
 
 class _Reference:
-    """The commented TOML of a JSON Schema. What a key means is said where it stands first."""
+    """The commented TOML of a JSON Schema. The first occurrence of a key carries its explanation."""
 
     def __init__(self, schema: Mapping[str, Any]) -> None:
         self._schema = schema
@@ -257,7 +257,7 @@ class _Reference:
         yield from self._table((), self._schema, [tomllib.loads(EXAMPLES)])
 
     def _table(self, path: tuple[str, ...], model: Mapping[str, Any], examples: list[dict[str, Any]]) -> Iterator[str]:
-        """What the first example of a table holds; the first table of its kind shows what none of them has, too."""
+        """Yield the lines of a table's first example; the first table of its kind also shows the keys that no example has."""
         known: Mapping[str, Any] = model.get("properties", {})
         values = examples[0] | self._lacking(model, examples)
         names = [*(name for name in known if name in values), *(name for name in values if name not in known)]
@@ -278,7 +278,7 @@ class _Reference:
         return {name: _placeholder(self._plain(inner)) for name, inner in known if name not in shown}
 
     def _sentence(self, model: Mapping[str, Any], name: str) -> Iterator[str]:
-        """What a key means, its type, and what holds without it."""
+        """Yield the meaning of a key, its type, and its default."""
         schema = model.get("properties", {}).get(name)
         if schema is None or not self._first(f"{model.get('title')}.{name}"):
             return
@@ -290,7 +290,7 @@ class _Reference:
         yield from _prose(f"{schema.get('description', '')} ({'; '.join(facts)})")
 
     def _below(self, path: tuple[str, ...], schema: Mapping[str, Any], value: Any) -> Iterator[str]:
-        """A table, a list of tables or a mapping of names to tables, with its headers."""
+        """Yield the lines, with headers, of a table, a list of tables or a mapping of names to tables."""
         model, place = self._plain(schema), ".".join(path)
         named = self._plain(_of_any(model))
         if isinstance(value, list):
@@ -314,7 +314,7 @@ class _Reference:
         return first
 
     def _plain(self, schema: Mapping[str, Any]) -> Mapping[str, Any]:
-        """The table that a schema stands for, where it is one, or has one beside a short form; else itself."""
+        """Return the table that a schema refers to, alone or beside a short form; else the schema itself."""
         for option in (schema, *schema.get("anyOf", ())):
             if reference := option.get("$ref"):
                 found: Mapping[str, Any] = self._schema["$defs"][reference.rpartition("/")[2]]
@@ -338,19 +338,19 @@ class _Reference:
 
 
 def _has_header(path: tuple[str, ...], value: Any) -> bool:
-    """Whether a value has a header of its own; tables within tables are written in one line."""
+    """Return whether a value has a header of its own; tables within tables are written in one line."""
     tables = isinstance(value, dict) or (isinstance(value, list) and value != [] and isinstance(value[0], dict))
     return tables and path in ((), ("platforms",))
 
 
 def _of_any(schema: Mapping[str, Any]) -> Mapping[str, Any]:
-    """The schema of the values of a mapping, whose names are free."""
+    """Return the schema of the values of a mapping with arbitrary names."""
     free = schema.get("additionalProperties")
     return next(iter(schema.get("patternProperties", {}).values()), free if isinstance(free, dict) else {})
 
 
 def _placeholder(schema: Mapping[str, Any]) -> Any:
-    """A value for a key without an example: its default, or one of its type."""
+    """Return a value for a key without an example: its default, or one of its type."""
     if schema.get("default") is not None:
         return schema["default"]
     options = [schema, *schema.get("anyOf", ())]
@@ -374,7 +374,7 @@ def _prose(text: str) -> list[str]:
 
 
 def _written(value: Any) -> str:
-    """A value as TOML."""
+    """Return a value as TOML."""
     match value:
         case str() if '"' in value and "'" not in value:
             return f"'{value}'"

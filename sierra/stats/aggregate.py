@@ -1,17 +1,17 @@
-"""Statistics in SQL: each column of an output, for each experiment, over its runs.
+"""Statistics in SQL: for each column of an output and each experiment, over its runs.
 
 Each statistic is one file in `statistics/`: an expression over `x`, the sorted finite values, and over the statistics
-before it; what it calls `_…` is a step that nobody sees. Each measure, what a run is reduced to, is one file in `measures/`.
-A statement is put together from them:
+before it; names that begin with `_` are intermediate steps and not in the result. Each measure reduces a run to one value and
+is one file in `measures/`. A statement is put together from them:
 
     observations    one value per run (a measure), or per run and time
     grouped         the values of all runs of an experiment (`by_experiment`), or at one time (`by_time`), as the list x
-    (… SELECT *, n) SELECT *, mean) …    one statistic after the other, each of which may use those before it
+    (… SELECT *, n) SELECT *, mean) …    one statistic after the other; each may use those before it
 
-No value is averaged silently: what is missing (NULL or NaN) or infinite is left out and counted, and so is a run that
+No value is averaged silently: missing (NULL or NaN) and infinite values are left out and counted, and so are runs that
 never reached a threshold. One run has a mean but no interval.
 
-The statements run on a `Frame`, which knows one relation, made by the store from one column of one output of one batch:
+The statements run on a `Frame`, which has one relation. The store makes it from one column of one output of one batch:
 
     samples(experiment INTEGER, run VARCHAR, number INTEGER, t DOUBLE, value DOUBLE)
 """
@@ -34,9 +34,9 @@ from sierra.stats import student_t
 HERE = Path(__file__).parent
 LEVEL = 0.95
 GRID = 500
-"""The most points of a common time axis, where the runs' own times differ."""
+"""The largest number of points of a common time axis, used if the runs' own times differ."""
 TIMES = ("own", "carry", "linear")
-"""Where statistics over time are computed: at the runs' own times, or at common ones, in one of two ways."""
+"""The times at which statistics are computed: the runs' own times, or common ones by one of two methods."""
 
 STATISTICS: Mapping[str, tuple[str, ...]] = {
     "n": (),
@@ -55,47 +55,47 @@ STATISTICS: Mapping[str, tuple[str, ...]] = {
     "iqm_half": ("iqm_reach",),
     "iqm_interval": ("iqm_half", "rate"),
 }
-"""The statistics, and which others each one's formula uses."""
+"""The statistics, and the others that each formula uses."""
 
 CENTERS: Mapping[str, tuple[str, str]] = {
     "mean": ("mean", "interval"),
     "median": ("median", "quartiles"),
     "iqm": ("iqm", "iqm_interval"),
 }
-"""The centers of a figure: its statistic, and the one that says how far it spreads."""
+"""The centers of a figure: by name, the statistic of the center and the statistic of its spread."""
 
 
 class Frame(Protocol):
-    """Where statements run: it knows the relation `samples`."""
+    """A connection that executes statements and has the relation `samples`."""
 
     def sql(self, text: str, /, **params: Any) -> Any:
-        """The rows of a statement as a pyarrow.Table; `$name` in it stands for the parameter of that name."""
+        """Return the rows of a statement as a pyarrow.Table; `$name` in it stands for the parameter of that name."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class Coverage:
-    """What there is to compute with: the same for all columns of an output."""
+    """The amount of data for statistics; it is the same for all columns of an output."""
 
     runs: Mapping[int, int]
-    """The number of runs that wrote anything, by experiment."""
+    """The number of runs that wrote at least one row, by experiment."""
     rows: int
-    """Of all runs."""
+    """The number of rows of all runs."""
     most: int
-    """The most rows of one run."""
+    """The largest number of rows of one run."""
     first: float
     last: float
     untimed: int
-    """Rows whose time is not a finite number; they are left out."""
+    """The number of rows whose time is not a finite number; they are left out."""
 
 
 @dataclass(frozen=True, slots=True)
 class Computed:
-    """What a figure shows, computed.
+    """The computed content of a figure.
 
     `tables` holds, by column of the output, a pyarrow.Table with a row per experiment (and per time `t`): `experiment`,
-    `missing`, `infinite`, for measures `never`, and the statistics under the names in their files. `runs` is the
-    values that the runs were reduced to (`experiment`, `run`, `value`, finite only), where a figure shows them.
+    `missing`, `infinite`, for measures `never`, and the statistics under the names in their files. `runs` holds the
+    values that the runs were reduced to (`experiment`, `run`, `value`, finite only), if the figure shows them.
     """
 
     tables: Mapping[str, Any]
@@ -105,7 +105,10 @@ class Computed:
 
 
 def coverage(frame: Frame) -> Coverage:
-    """What `samples` holds. Raises SierraError if nothing, UsageError if runs have several rows at one time."""
+    """Return the amount of data in `samples`.
+
+    Raises SierraError if it is empty, UsageError if a run has several rows at the same time.
+    """
     rows = frame.sql(_file("coverage")).to_pylist()
     if not rows or all(row["first"] is None for row in rows):
         raise SierraError("no run has written any row of this output yet; there is nothing to compute")
@@ -134,11 +137,11 @@ def compute(
     known: Coverage | None = None,
     whole: Container[str] = (),
 ) -> Computed:
-    """Compute what `figure` shows of the columns in `frames` (column's name → its samples).
+    """Compute the content of `figure` from the columns in `frames` (column's name → its samples).
 
-    `planned` is how many runs each experiment should have, so that absent ones are said; `known` spares the time to
-    look at the same output again; `whole` has the columns of whole numbers and truth values. Raises SierraError where
-    there is nothing to show, UsageError where the figure does not fit the batch.
+    `planned` is the number of runs that each experiment should have, to report absent runs. `known` is the coverage of the
+    same output, if it was computed before. `whole` has the columns of whole numbers and truth values. Raises SierraError
+    if there is nothing to show, UsageError if the figure does not fit the batch.
     """
     _check(figure, axes, frames)
     seen = known or coverage(next(iter(frames.values())))
@@ -163,7 +166,7 @@ def compute(
 
 
 def default_figures(table: str, columns: Iterable[str], axes: Sequence[Axis], *, series: bool) -> dict[str, Figure]:
-    """The figures of an output for which none is asked: by name, two for each numeric column.
+    """Return the default figures of an output by name, one or two for each numeric column.
 
     `series`: whether runs write more than one row, so that there is something to show over time.
     """
@@ -177,7 +180,7 @@ def default_figures(table: str, columns: Iterable[str], axes: Sequence[Axis], *,
 
 
 def needed(figure: Figure) -> tuple[str, ...]:
-    """The statistics that a figure of this kind shows, each after those that its formula uses."""
+    """Return the statistics that a figure of this kind shows, each after those that its formula uses."""
     match figure.kind:
         case "box" | "violin":
             wanted = ["median", "whiskers"]
@@ -189,7 +192,10 @@ def needed(figure: Figure) -> tuple[str, ...]:
 
 
 def over_time(figure: Figure, axes: Sequence[Axis], seen: Coverage) -> bool:
-    """Whether a figure has time as its axis; a stacked one has, if there is time and few enough experiments."""
+    """Return whether a figure's x axis is time.
+
+    A stacked figure's is, if runs have several rows, and there are at most nine experiments or no axes.
+    """
     if figure.kind == "stacked":
         return seen.most > 1 and (len(seen.runs) <= 9 or not axes)
     return figure.kind == "timeseries"
@@ -206,7 +212,7 @@ def by_experiment(
 ) -> tuple[Any, str]:
     """Return statistics over the runs of each experiment, each run reduced by `measure`; and the statement.
 
-    `whole`: the column holds nothing but whole numbers or truth values, which are a rate where all are 0 or 1.
+    `whole`: the column holds only whole numbers or truth values; if all are 0 or 1, they are a rate.
     """
     text = statement(_file(f"measures/{measure}"), "by_experiment", _ordered(statistics))
     return _run(frame, text, seen, rates=measure != "time_to", whole=whole, threshold=threshold)
@@ -221,10 +227,11 @@ def by_time(frame: Frame, statistics: Iterable[str], seen: Coverage, *, whole: b
 def at_times(
     frame: Frame, times: str | None, statistics: Iterable[str], seen: Coverage, *, whole: bool = False
 ) -> tuple[Any, str, list[str]]:
-    """As `by_time`, at the runs' `own` times or at common ones (`carry`, `linear`); the statement; what to say of it.
+    """Return statistics at the runs' `own` times or at common ones (`carry`, `linear`); the statement; notes about the times.
 
-    None is `own` where most runs share their times, else `carry`. Common times lie at equal distances, as many as the
-    longest run has rows, but for those that are a run's own but for rounding: these are taken as they are.
+    The result is that of `by_time`. With None as `times`, the times are `own` if most runs share them, else `carry`. Common
+    times are equally spaced, as many as the longest run has rows, at most `GRID`. If a common time differs from a run's own
+    time by rounding only, the run's time replaces it. Raises UsageError for unknown `times`.
     """
     if times not in (*TIMES, None):
         raise UsageError(f"unknown times {times!r}; known are {', '.join(TIMES)}")
@@ -249,13 +256,13 @@ def resampled(
     linear: bool = False,
     whole: bool = False,
 ) -> tuple[Any, str]:
-    """As `by_time`, at the times of `grid`, which need not be times of any run; and the statement."""
+    """Return the result of `by_time` at the times of `grid`, which need not be times of any run; and the statement."""
     text = statement(_file("resample"), "by_time", _ordered(statistics))
     return _run(frame, text, seen, whole=whole and not linear, grid=list(grid), linear=linear)
 
 
 def reduced(frame: Frame, measure: str, threshold: float | None = None) -> Any:
-    """The finite values that the runs are reduced to: `experiment`, `run`, `value`."""
+    """Return the finite values that the runs are reduced to: `experiment`, `run`, `value`."""
     text = (
         f"WITH observations AS (\n{_file(f'measures/{measure}')})\n"
         "SELECT experiment, run, value FROM observations WHERE isfinite(value) ORDER BY experiment, value, run"
@@ -264,7 +271,7 @@ def reduced(frame: Frame, measure: str, threshold: float | None = None) -> Any:
 
 
 def statement(observations: str, grouping: str, statistics: Iterable[str]) -> str:
-    """A whole statement: the statistics of what `observations` selects, grouped `by_time` or `by_experiment`."""
+    """Return a complete statement: the statistics of the rows of `observations`, grouped `by_time` or `by_experiment`."""
     keys = "experiment, t" if grouping == "by_time" else "experiment"
     texts = [_file(f"statistics/{name}") for name in statistics]
     steps = ["x", *re.findall(r" AS (_\w+)", _code("".join((_file(grouping), *texts))))]
@@ -277,7 +284,10 @@ def statement(observations: str, grouping: str, statistics: Iterable[str]) -> st
 
 
 def _common(frame: Frame, seen: Coverage) -> list[float]:
-    """The times of a common axis. A time that rounding puts just before a run's own would show what was one row before."""
+    """Return the times of a common axis, in ascending order.
+
+    If rounding put a time just before a run's own time, it would show the value of the previous row.
+    """
     import numpy as np
 
     points = max(2, min(seen.most, GRID))
@@ -301,7 +311,7 @@ def _used(text: str, **params: Any) -> dict[str, Any]:
 
 
 def _documented(text: str, most: int, **params: Any) -> str:
-    """The statement, after comments that say what its parameters stand for."""
+    """Return the statement after comments that explain its parameters."""
     said = {"t": f"quantiles of Student's t, p = {(1 + LEVEL) / 2}, for 1 … {max(1, most - 1)} degrees of freedom"}
     for name, value in params.items():
         said[name] = f"{len(value)} times from {value[0]} to {value[-1]}" if isinstance(value, list) else str(value)
@@ -310,12 +320,12 @@ def _documented(text: str, most: int, **params: Any) -> str:
 
 @cache
 def _t(most: int) -> list[float]:
-    """The quantiles for samples of up to `most` values; never empty, so that it has a type in SQL."""
+    """Return the quantiles for samples of up to `most` values; never empty, so that the list has a type in SQL."""
     return student_t.quantiles((1 + LEVEL) / 2, max(1, most - 1))
 
 
 def _ordered(wanted: Iterable[str]) -> tuple[str, ...]:
-    """The wanted statistics and those that their formulas use, in the order of `STATISTICS`; n always."""
+    """Return the wanted statistics and those that their formulas use, in the order of `STATISTICS`; `n` always."""
     found = {"n"}
     queue = list(wanted)
     while queue:
@@ -344,7 +354,7 @@ def _check(figure: Figure, axes: Sequence[Axis], frames: Mapping[str, Frame]) ->
 
 
 def _note(figure: Figure, tables: Iterable[Any], seen: Coverage, planned: Mapping[int, int] | None) -> list[str]:
-    """What a reader must know: what is shown, n, and everything that is not in the numbers."""
+    """Return notes for the reader: what is shown, n, and everything that is not in the numbers."""
     tables = list(tables)
     counts = [table.column("n").to_numpy() for table in tables]
     low, high = int(min(n.min() for n in counts)), int(max(n.max() for n in counts))
@@ -361,7 +371,7 @@ def left_out(
     threshold: float | None = None,
     marked: str = "",
 ) -> list[str]:
-    """Everything that is not in the numbers: runs, values, rows. `marked` is how a figure shows late runs."""
+    """Return notes on everything that is not in the numbers: runs, values, rows. `marked`: how a figure marks late runs."""
     tables, notes = list(tables), []
     wanted = sum((planned or {}).values())
     absent = sum(max(0, count - seen.runs.get(experiment, 0)) for experiment, count in (planned or {}).items())
@@ -379,7 +389,7 @@ def left_out(
 
 
 def _nothing(figure: Figure, tables: Mapping[str, Any], seen: Coverage) -> str:
-    """Why there is nothing to draw."""
+    """Return an error message that explains why there is nothing to draw."""
     columns, runs = ", ".join(tables), _count(sum(seen.runs.values()), "run")
     never = sum(_total(table, "never") for table in tables.values() if "never" in table.column_names)
     if not never:
@@ -395,7 +405,7 @@ def is_rate(table: Any) -> bool:
 
 
 def _shown(figure: Figure, *, several: bool, rate: bool) -> str:
-    """What the marks of a figure stand for."""
+    """Return a description of a figure's marks."""
     center = figure.center.replace("iqm", "interquartile mean")
     spread = "quartiles" if figure.center == "median" else "Wilson's 95 % CI of a rate" if rate else "95 % CI"
     match figure.kind:
@@ -410,7 +420,7 @@ def _shown(figure: Figure, *, several: bool, rate: bool) -> str:
 
 
 def _marked(figure: Figure, table: Any) -> str:
-    """How a figure marks the experiments of which some, or all, runs never reached the threshold."""
+    """Return how a figure marks the experiments of which some runs, or all, never reached the threshold."""
     if "never" not in table.column_names:
         return ""
     late = table.column("never").to_numpy() > 0

@@ -1,19 +1,20 @@
-"""Two one-sided tests: whether paired values are the same but for a margin.
+"""Two one-sided tests (TOST): test whether the means of paired values are equivalent within a margin.
 
-The runs of an experiment are executed a second time, with the same seeds; dᵢ is what run i gives now, less what it gave. With
-their mean d̄ over n runs, its standard error s/√n and t = Student's t quantile for 1 − α and n − 1 degrees of freedom,
+The runs of an experiment are executed a second time, with the same seeds; dᵢ is the new value of run i minus its recorded
+value. With their mean d̄ over n runs, its standard error s/√n and t = Student's t quantile for 1 − α and n − 1 degrees of
+freedom,
 
     the means are equivalent  ⇔  −Δ < d̄ − t·s/√n  and  d̄ + t·s/√n < Δ
 
-(Schuirmann 1987, J. Pharmacokinet. Biopharm. 15: 657-680). Not to be so shown is no proof of a difference, so the power is
-computed too: the probability to show it where there is no difference, if the s that was found is the true one. With
-δ = Δ·√n/s and w the ratio of a sample's s to the true one, so that (n − 1)·w² is distributed as χ² with n − 1 degrees of
-freedom, it is exactly
+(Schuirmann 1987, J. Pharmacokinet. Biopharm. 15: 657-680). If the test does not show equivalence, that does not prove a
+difference. So the power is computed too: the probability to show equivalence if there is no difference and the true standard
+deviation is the observed s. With δ = Δ·√n/s and w the ratio of a sample's s to the true one, so that (n − 1)·w² is
+distributed as χ² with n − 1 degrees of freedom, it is exactly
 
     power = ∫ (2·Φ(δ − t·w) − 1) dF(w)   over 0 < w < δ/t
 
-the difference of two values of Owen's Q (Owen 1965, Biometrika 52: 437-446; Phillips 1990, J. Pharmacokinet. Biopharm. 18:
-137-144), with Φ the normal distribution and F that of w. It is integrated over the w that ever occur.
+which is the difference of two values of Owen's Q (Owen 1965, Biometrika 52: 437-446; Phillips 1990, J. Pharmacokinet.
+Biopharm. 18: 137-144), with Φ the normal distribution and F that of w. The integral runs over the w that ever occur.
 """
 
 from __future__ import annotations
@@ -27,29 +28,29 @@ from math import isfinite
 from sierra.stats import student_t
 
 NEVER = 1e-15
-"""The probability at each end of a distribution that is left out of an integral."""
+"""The probability at each end of a distribution that an integral leaves out."""
 
 
 @dataclass(frozen=True, slots=True)
 class Tested:
-    """What came of the test; all but `n`, `p`, `power` and `alpha` in the values' unit."""
+    """The result of the test; all values but `n`, `p`, `power` and `alpha` have the unit of the tested values."""
 
     n: int
     difference: float
     """The mean of the differences."""
     low: float
-    """The interval of confidence 1 − 2α around it."""
+    """The lower end of the interval of confidence 1 − 2α around it; `high` is the upper end."""
     high: float
     margin: float
     alpha: float
     p: float
-    """The greater of the two p values."""
+    """The larger of the two p values."""
     power: float
     equivalent: bool
 
 
 def test(differences: Sequence[float], margin: float, alpha: float) -> Tested:
-    """Test n differences of pairs, all finite; two at least. Raises ValueError for fewer, or a margin that is not above 0."""
+    """Test n differences of pairs. Raises ValueError for fewer than two, one that is not finite, or a margin not above 0."""
     n = len(differences)
     if n < 2 or not margin > 0 or not all(map(isfinite, differences)):
         raise ValueError(f"{n} pairs and a margin of {margin}: two pairs, all finite, and a margin above 0 are needed")
@@ -64,7 +65,7 @@ def test(differences: Sequence[float], margin: float, alpha: float) -> Tested:
 
 
 def mean_of(values: Sequence[float]) -> float:
-    """Return the mean of finite values, of which the sum may be too large for a number."""
+    """Return the mean of finite values, even if their sum is too large for a float."""
     try:
         return statistics.fmean(values)
     except OverflowError:
@@ -72,7 +73,7 @@ def mean_of(values: Sequence[float]) -> float:
 
 
 def power(delta: float, t: float, df: int) -> float:
-    """Return the probability that two one-sided tests show equivalence where there is no difference.
+    """Return the probability that two one-sided tests show equivalence if there is no difference.
 
     `delta` is the margin in standard errors, `t` the quantile of the test, `df` its degrees of freedom.
     """
@@ -92,7 +93,7 @@ def power(delta: float, t: float, df: int) -> float:
 
 
 def _error(differences: Sequence[float]) -> float:
-    """Return the standard error of the mean; infinite where it is too large for a number."""
+    """Return the standard error of the mean; infinity if it is too large for a float."""
     try:
         return statistics.stdev(differences) / math.sqrt(len(differences))
     except OverflowError:

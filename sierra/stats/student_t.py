@@ -27,7 +27,7 @@ _PRECISE = 1e-16
 
 @lru_cache(maxsize=1 << 16)
 def quantile(p: float, df: float) -> float:
-    """The t that a Student-t variable with `df` degrees of freedom stays below with probability `p`.
+    """Return the t that a Student-t variable with `df` degrees of freedom stays below with probability `p`.
 
     Raises ValueError unless 0 < p < 1 and df ≥ 1.
     """
@@ -41,19 +41,19 @@ def quantile(p: float, df: float) -> float:
 
 
 def quantiles(p: float, count: int) -> list[float]:
-    """The quantiles for 1, 2, … `count` degrees of freedom."""
+    """Return the quantiles for 1, 2, … `count` degrees of freedom."""
     return [quantile(p, df) for df in range(1, count + 1)]
 
 
 def tail(t: float, df: float) -> float:
-    """The probability that a Student-t variable with `df` degrees of freedom is greater than `t`."""
+    """Return the probability that a Student-t variable with `df` degrees of freedom is greater than `t`."""
     if t == 0 or math.isinf(t):
         return 0.5 if t == 0 else float(t < 0)
     return _tail(t, df) if t > 0 else 1 - _tail(-t, df)
 
 
 def _upper(q: float, df: float) -> float:
-    """The t > 0 above which lies the probability `q` < ½."""
+    """Return the t > 0 whose upper tail has the probability `q` < ½."""
     z = -NormalDist().inv_cdf(q)
     t = _expansion(z, df)
     if df >= 1000 and z <= 4:
@@ -68,7 +68,7 @@ def _upper(q: float, df: float) -> float:
 
 
 def _expansion(z: float, df: float) -> float:
-    """The quantile from the normal quantile `z`: Abramowitz and Stegun, 26.7.5."""
+    """Return the quantile from the normal quantile `z`: Abramowitz and Stegun, 26.7.5."""
     y = z * z
     g1 = (y + 1) / 4
     g2 = ((5 * y + 16) * y + 3) / 96
@@ -82,7 +82,7 @@ def _density(t: float, df: float) -> float:
 
 
 def _tail(t: float, df: float) -> float:
-    """The probability above t > 0."""
+    """Return the probability above t > 0."""
     a, x, y = df / 2, df / (df + t * t), t * t / (df + t * t)
     # x^a · y^½ / B(a, ½)
     front = math.exp(-a * math.log1p(t * t / df)) * math.sqrt(y) * _gamma_ratio(a) / math.sqrt(math.pi)
@@ -92,7 +92,7 @@ def _tail(t: float, df: float) -> float:
 
 
 def _gamma_ratio(x: float) -> float:
-    """Γ(x + ½) / Γ(x): by recurrence up to x ≥ 24, and from there by its series in 1/x (Tricomi and Erdélyi 1951)."""
+    """Return Γ(x + ½) / Γ(x): by recurrence up to x ≥ 24, and from there by its series in 1/x (Tricomi and Erdélyi 1951)."""
     factor = 1.0
     while x < 24:
         factor *= x / (x + 0.5)
@@ -103,7 +103,7 @@ def _gamma_ratio(x: float) -> float:
 
 
 def _fraction(a: float, b: float, x: float) -> float:
-    """The continued fraction of the incomplete beta function I_x(a, b)."""
+    """Return the continued fraction of the incomplete beta function I_x(a, b)."""
     c, d = 1.0, 1 / _off_zero(1 - (a + b) * x / (a + 1))
     value = d
     for m in range(1, 100_000):

@@ -1,11 +1,11 @@
-"""What the y axis cannot hold, and is said in the small print.
+"""Limits of the y axis, and notes on values outside them for the small print.
 
-On a logarithmic axis, that is what is not above 0. On any axis, it may be intervals of few runs, which would leave no room
-for the rest.
+On a logarithmic axis, values that are not above 0 are left out. On any axis, intervals of few runs may be cut off if they
+would leave no room for the rest.
 
-An interval of two runs is an order of magnitude wider than one of ten. Where runs end at different times, or failed, such
-intervals would set the range, so that all lines look flat. Then the range is that of all centers, and of the intervals of
-more than half as many runs as the most have; what reaches beyond is cut off, and the small print says so.
+An interval of two runs is an order of magnitude wider than one of ten. If runs end at different times, or fail, such
+intervals would set the range, and all lines would look flat. Then the range is that of all centers, and of the intervals of
+more than half the largest number of runs. Parts of intervals beyond it are cut off, and the small print reports it.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ if TYPE_CHECKING:
     from sierra.deliverables.figures.base import Drawing
 
 CENTERS = {"mean": ("mean", "low", "high"), "median": ("median", "q1", "q3"), "iqm": ("iqm", "iqm_low", "iqm_high")}
-"""What a figure draws of its table: the center, and from where to where it spreads."""
+"""The columns of its table that a figure draws: the center, and the ends of the interval."""
 WIDER = 1.5
-"""How much wider the range of all intervals must be before any is cut off."""
+"""The factor by which the range of all intervals must be wider before any is cut off."""
 MARGIN = 0.05
 
 
@@ -37,7 +37,7 @@ class Cut:
 
 
 def cut(drawing: Drawing) -> Cut | None:
-    """The range of the y axis, or None where all that is drawn has room."""
+    """Return the range of the y axis, or None if everything fits."""
     if drawing.figure.kind not in ("timeseries", "summary"):
         return None
     (table,) = drawing.tables.values()
@@ -57,20 +57,20 @@ def cut(drawing: Drawing) -> Cut | None:
 
 
 def said(drawing: Drawing) -> Drawing:
-    """The same drawing, whose small print says what its y axis does not hold, if anything."""
+    """Return the drawing with notes in its small print on everything that its y axis cannot show."""
     found = cut(drawing)
     few = f"some intervals of n ≤ {found.most} are cut off" if found else ""
     return replace(drawing, note="; ".join(filter(None, (drawing.note, _not_above_0(drawing), few))))
 
 
 def apply(plot: Any, drawing: Drawing) -> None:
-    """Give the y axis this range."""
+    """Set the y axis to this range."""
     if found := cut(drawing):
         plot.set_ylim(found.low, found.high)
 
 
 def _not_above_0(drawing: Drawing) -> str:
-    """What a logarithmic axis has no place for."""
+    """Return a note on the values and intervals that a logarithmic axis cannot show; "" if there are none."""
     if not drawing.figure.log_y or drawing.figure.kind == "stacked":
         return ""
     (table,) = drawing.tables.values()

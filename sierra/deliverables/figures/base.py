@@ -1,13 +1,13 @@
 """Figures for a two-column paper, drawn from aggregates: the same data give the same bytes.
 
-A `Drawing` is all that a figure shows; `draw` writes it as PNG, PDF and SVG. No file holds a date, and each holds the
-batch's id and the SQL that its numbers come from:
+A `Drawing` is the complete content of a figure; `draw` writes it as PNG, PDF and SVG. No file holds a date, and each holds the
+batch's id and the SQL that computed its numbers:
 
     PNG     text chunks `sierra:batch`, `sierra:sql`
     PDF     Keywords (the batch), Subject (the SQL)
     SVG     dc:identifier (the batch), dc:source (the SQL)
 
-matplotlib is loaded by the first `draw`, through its object interface; the user's own settings of it count for nothing.
+The first `draw` loads matplotlib. Figures use its object interface and ignore the user's settings of it.
 """
 
 from __future__ import annotations
@@ -26,19 +26,19 @@ from sierra.util.fs import write_whole
 Format = Literal["png", "pdf", "svg"]
 
 LARGEST = 1e300
-"""Numbers from which on the distances that axes need are no numbers any more."""
+"""The largest number that can be drawn: above it, the distances that axes need overflow."""
 
 
 @dataclass(frozen=True, slots=True)
 class Drawing:
-    """All that one figure shows.
+    """The complete content of one figure.
 
     `tables` and `runs` are pyarrow tables as `sierra.stats.aggregate.compute` makes them. `units` are those of columns and,
     under the name of the time column, of time.
     """
 
     name: str
-    """The files' name, without ending."""
+    """The files' name, without extension."""
     figure: Figure
     axes: tuple[Axis, ...]
     cells: Mapping[int, Mapping[str, Value]]
@@ -46,7 +46,7 @@ class Drawing:
     tables: Mapping[str, Any]
     runs: Any = None
     note: str = ""
-    """What a reader must know, in small print: n, the kind of interval, what is missing."""
+    """Notes for the reader, in small print: n, the kind of interval, missing values."""
     sql: str = ""
     batch: str = ""
     time: str = "time"
@@ -55,9 +55,9 @@ class Drawing:
 
 
 def draw(drawing: Drawing, folder: Path) -> tuple[Path, ...]:
-    """Writes `<name>.png`, `.pdf` and `.svg` into `folder`; each appears whole or not at all.
+    """Write `<name>.png`, `.pdf` and `.svg` into `folder`; each file appears complete or not at all. Return the paths.
 
-    Raises SierraError where there is nothing to draw, UsageError where the data do not suit the kind of figure.
+    Raises SierraError if there is nothing to draw, UsageError if the data do not suit the kind of figure.
     """
     if drawing.name.startswith(".") or not drawing.name or Path(drawing.name).name != drawing.name:
         raise UsageError(f"{drawing.name!r} cannot be the name of a figure's files")
@@ -84,7 +84,7 @@ def _check_size(drawing: Drawing) -> None:
 
 
 def rendered(drawing: Drawing) -> list[tuple[Format, bytes]]:
-    """The content of the files, by format."""
+    """Return the content of the files, by format."""
     from sierra.deliverables.figures import axis_limits, heatmap, style, summary, timeseries
 
     painters = {
@@ -121,5 +121,5 @@ def _metadata(ending: Format, drawing: Drawing) -> dict[str, str | None]:
 
 
 def _plain(text: str) -> str:
-    """Without the characters that XML, and so SVG, cannot hold."""
+    """Return the text with blanks for characters that XML, and so SVG, cannot hold."""
     return "".join(c if c.isprintable() or c == "\n" else " " for c in text)

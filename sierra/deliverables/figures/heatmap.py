@@ -1,4 +1,4 @@
-"""Figures over two independent variables: a map of colours, with its numbers where they fit."""
+"""Figures over two independent variables: a map of colours, with its numbers if they fit."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ if TYPE_CHECKING:
     from sierra.deliverables.figures.base import Drawing
 
 LEGIBLE = 8
-"""Up to how many columns the numbers fit into the cells."""
+"""The largest number of columns whose cells have room for numbers."""
 
 
 def heatmap(drawing: Drawing) -> Figure:
-    """The center of a measure for each pair of values; what has no value is hatched."""
+    """Draw the center of a measure for each pair of values; pairs without a value are hatched."""
     (table,) = drawing.tables.values()
     across, up = drawing.axes
     cells = np.full((len(up.values), len(across.values)), np.nan)

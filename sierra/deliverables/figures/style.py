@@ -1,7 +1,7 @@
-"""How figures look: one column of a paper wide, 8 pt, colours that colour-blind readers tell apart, text as it is.
+"""The look of figures: as wide as one column of a paper, 8 pt, colours for colour-blind readers, literal text.
 
-No text is read as TeX, so `$` and `_` are themselves. The legend stands above the data, never on them; where there are
-more than eight lines to tell apart, a colour bar stands in for it.
+No text is read as TeX, so `$` and `_` are printed as they are. The legend is above the data, never on them; a colour bar
+replaces it for more than `FEW` numbers or more than `NAMES` names.
 """
 
 from __future__ import annotations
@@ -33,20 +33,20 @@ COLUMN = 3.5
 PAGE = 7.16
 HEIGHT = 2.4
 GAP = 0.05
-"""Inches around what stands above and below the plots."""
+"""The space around texts and legends above and below the plots, in inches."""
 LETTER = 0.06
-"""Inches that a letter of a legend takes."""
+"""The width of a letter of a legend, in inches."""
 FEW = 8
-"""Up to here, each line has an entry in a legend."""
+"""The largest number of lines with an entry each in a legend."""
 INK = "#333333"
 FAINT = "#777777"
 NAMED = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000", "#8C8C8C")
 """Okabe and Ito's palette without its yellow, which is too light for lines on white."""
 MARKERS = "osD^vPX*"
 DASHES: tuple[Any, ...] = ("-", "--", ":", "-.", (0, (5, 1, 1, 1, 1, 1)), (0, (8, 2)), (0, (1, 3)), (0, (3, 1, 1, 1)))
-"""Styles of lines, so that no line is told from another by its colour alone."""
+"""Line styles, so that lines differ in more than colour."""
 NAMES = 24
-"""Up to here, each name has an entry in a legend; more are a scale of colours."""
+"""The largest number of names with an entry each in a legend; more names become a scale of colours."""
 
 SETTINGS: dict[str, Any] = {
     "font.family": "DejaVu Sans",
@@ -98,24 +98,24 @@ SETTINGS: dict[str, Any] = {
 
 @contextmanager
 def applied() -> Iterator[None]:
-    """matplotlib's own defaults and these, whatever the user's settings are; put back afterwards."""
+    """Apply matplotlib's defaults and these settings, whatever the user's settings are; restore them afterwards."""
     with mpl.rc_context(), warnings.catch_warnings():
         settings: Any = mpl.rcParams
         settings.update(_defaults())
-        # A character that the font has not is drawn as a box; that is no reason to have no figure.
+        # A character that the font lacks is drawn as a box; the figure is still drawn.
         warnings.filterwarnings("ignore", message="Glyph .* missing from")
         yield
 
 
 def blank(width: float = COLUMN, height: float = HEIGHT) -> Figure:
-    """A figure without anything on it, in inches."""
+    """Return an empty figure; its size is in inches."""
     figure = Figure(figsize=(width, height))
     FigureCanvasAgg(figure)
     return figure
 
 
 def panels(count: int) -> tuple[Figure, list[Any]]:
-    """A figure of `count` panels that share their axes, row by row."""
+    """Return a figure of `count` panels that share their axes, and the panels row by row."""
     if count == 1:
         figure = blank()
         return figure, [figure.add_subplot()]
@@ -131,7 +131,7 @@ def panels(count: int) -> tuple[Figure, list[Any]]:
 
 
 def outer_labels(plots: Sequence[Any], xlabel: str, ylabel: str) -> None:
-    """Labels where a row or a column of panels ends, once each."""
+    """Label the outer panels of each row and column, once each."""
     last: dict[int, Any] = {}
     for plot in plots:
         place = plot.get_subplotspec()
@@ -143,7 +143,7 @@ def outer_labels(plots: Sequence[Any], xlabel: str, ylabel: str) -> None:
 
 
 def _letters(plot: Any, most: int, *, down: bool = False) -> int:
-    """Return how long a label may be beside one of several panels."""
+    """Return the largest length of a label, in letters, beside one of several panels."""
     grid = plot.get_gridspec()
     if grid.ncols * grid.nrows == 1:
         return most
@@ -159,7 +159,7 @@ def title(plot: Any, text: str) -> None:
 
 
 def settle(figure: Figure, drawing: Drawing) -> None:
-    """Title, legend and small print around the plots; then the layout, computed once for all formats."""
+    """Place title, legend and small print around the plots; then compute the layout once for all formats."""
     width = figure.get_figwidth()
     small: dict[str, Any] = {"fontsize": 6, "color": FAINT}
     above: list[Any] = [*figure.legends]
@@ -176,24 +176,24 @@ def settle(figure: Figure, drawing: Drawing) -> None:
     for item in below:
         item.set_y(GAP / 2 / height)
     bottom = sum(room[item] for item in below) / height
-    # An engine that belonged to the figure would lay it out again, and draw it twice, for each format.
+    # An engine that belongs to the figure would compute the layout again, and draw twice, for each format.
     rect = (0, bottom, 1, top - bottom)
     ConstrainedLayoutEngine(w_pad=0.03, h_pad=0.03, hspace=0.02, wspace=0.02, rect=rect).execute(figure)
 
 
 def _hang(figure: Figure, item: Any, top: float) -> None:
-    """Puts the upper edge of a legend or a text at a height of the figure."""
+    """Move the upper edge of a legend or a text to a height of the figure."""
     if isinstance(item, Legend):
         item.set_bbox_to_anchor((0.5, top), figure.transFigure)
     else:
         item.set_y(top)
 
 
-# What is written
+# Texts
 
 
 def label(name: str, unit: str = "", *, given: str = "") -> str:
-    """A label with its unit in brackets: what was given, or the name with blanks for underscores."""
+    """Return a label with its unit in brackets: the given text, or the name with blanks for underscores."""
     text = given or name.replace("_", " ")
     return f"{text} [{unit}]" if unit else text
 
@@ -203,14 +203,14 @@ def axis_label(axis: Axis) -> str:
 
 
 def point(drawing: Drawing, axes: Sequence[Axis], ordinal: int) -> str:
-    """Where an experiment lies on some axes, as the title of a panel."""
+    """Return the title of a panel: an experiment's values on some axes."""
     names = (f"{axis.label or axis.name.replace('_', ' ')} = {named(drawing.cells[ordinal][axis.name], 16)}" for axis in axes)
     units = (f" {axis.unit}" if axis.unit else "" for axis in axes)
     return shortened(", ".join(name + unit for name, unit in zip(names, units, strict=True)), 90)
 
 
 def value_label(drawing: Drawing) -> str:
-    """What the values are that a figure of one column shows."""
+    """Return the label of the values in a figure of one column."""
     column = next(iter(drawing.tables))
     if drawing.figure.ylabel:
         return drawing.figure.ylabel
@@ -229,24 +229,24 @@ def time_label(drawing: Drawing) -> str:
 
 
 def number(value: float, digits: int = 6) -> str:
-    """A number as short as so many digits allow."""
+    """Return a number with at most this many significant digits."""
     return f"{value:.{digits}g}".replace("e+0", "e").replace("e+", "e").replace("e-0", "e-").replace("-", "−")
 
 
 def named(value: Value, limit: int = 28) -> str:
-    """A value of an axis, as a tick or an entry in a legend."""
+    """Return a value of an axis, as a tick or an entry in a legend."""
     return shortened(value, limit) if isinstance(value, str) else number(value)
 
 
 def shortened(text: str, limit: int) -> str:
-    """One line of at most `limit` characters; what is in the middle goes."""
+    """Return the text as one line of at most `limit` characters; the middle is left out."""
     line = " ".join("".join(c if c.isprintable() else " " for c in text).split())
     half = (limit - 1) // 2
     return line if len(line) <= limit else f"{line[:half]}…{line[-half:]}"
 
 
 def wrapped(text: str, width: float, size: float) -> str:
-    """In at most four lines that fit a figure of `width` inches in letters of `size` points."""
+    """Return the text in at most four lines that fit a figure of `width` inches in letters of `size` points."""
     line = shortened(text, 400)
     return "\n".join(textwrap.wrap(line, max(20, int(width * 72 / (0.56 * size))), max_lines=4, placeholder=" …"))
 
@@ -255,7 +255,7 @@ def wrapped(text: str, width: float, size: float) -> str:
 
 
 def colours(axis: Axis) -> list[Any]:
-    """A colour for each value: along a scale for numbers, which have an order, apart from each other for names."""
+    """Return a colour for each value: along a scale for numbers, which have an order; clearly different ones for names."""
     count = len(axis.values)
     if count <= FEW and not axis.numeric:
         return list(NAMED[:count])
@@ -266,7 +266,7 @@ def colours(axis: Axis) -> list[Any]:
 
 
 def looks(axis: Axis) -> list[dict[str, Any]]:
-    """Return what a line looks like for each value: no two have the same colour and style, as far as each has an entry."""
+    """Return the look of a line for each value; if each has an entry in the legend, no two have the same colour and style."""
     count = len(axis.values)
     if count == 1:
         return [{"color": NAMED[0]}]
@@ -278,12 +278,12 @@ def looks(axis: Axis) -> list[dict[str, Any]]:
 
 
 def sequential() -> LinearSegmentedColormap:
-    """viridis without its yellow end, which is too light on white."""
+    """Return viridis without its yellow end, which is too light on white."""
     return LinearSegmentedColormap.from_list("sierra", mpl.colormaps["viridis"](np.linspace(0, 0.85, 128)))
 
 
 def legend(figure: Figure, plots: Sequence[Any], axis: Axis, entries: Sequence[str], looks: Sequence[dict[str, Any]]) -> None:
-    """Says which line is which: above the data where they are few, else by a colour bar."""
+    """Identify the lines: by a legend above the data if there are few, else by a colour bar."""
     if len(entries) <= 1:
         return
     if len(entries) > (FEW if axis.numeric else NAMES):
@@ -293,7 +293,7 @@ def legend(figure: Figure, plots: Sequence[Any], axis: Axis, entries: Sequence[s
 
 
 def place_legend(figure: Figure, handles: Sequence[Any], entries: Sequence[str], title: str = "") -> None:
-    """A legend in as few rows as fit, with its title before the first entry where that fits too."""
+    """Add a legend in as few rows as possible, with its title before the first entry if there is room."""
     room = figure.get_figwidth() * 0.98
     wide = max(len(entry) for entry in entries) * LETTER + 0.38
     columns = max(1, min(len(entries), int(room / wide)))
@@ -306,7 +306,7 @@ def place_legend(figure: Figure, handles: Sequence[Any], entries: Sequence[str],
 
 
 def colour_bar(figure: Figure, plots: Sequence[Any], axis: Axis, entries: Sequence[str]) -> None:
-    """The values of an axis as a scale of colours."""
+    """Show the values of an axis as a scale of colours."""
     if axis.numeric:
         source = ScalarMappable(_norm(axis), sequential())
         values: list[float] = [float(value) for value in axis.values]
@@ -324,7 +324,7 @@ def colour_bar(figure: Figure, plots: Sequence[Any], axis: Axis, entries: Sequen
 
 
 def thinned(count: int, most: int) -> list[int]:
-    """At most about `most` of `count` indices, at equal distances."""
+    """Return at most about `most` of `count` indices, at equal distances."""
     return list(range(0, count, -(-count // most)))
 
 
@@ -332,7 +332,7 @@ def thinned(count: int, most: int) -> list[int]:
 
 
 def geometric(values: Sequence[Value]) -> bool:
-    """Whether numbers grow by a constant factor, as those of a Log scale do."""
+    """Return whether numbers grow by a constant factor, as those of a Log scale do."""
     if len(values) < 3 or any(isinstance(v, str) or v <= 0 for v in values):
         return False
     numbers = np.array(values, dtype=float)
@@ -341,7 +341,7 @@ def geometric(values: Sequence[Value]) -> bool:
 
 
 def scale_values(plot: Any, axis: Axis, *, log: bool, margin: float = 0.04) -> None:
-    """The x axis of an independent variable: numbers where they lie, names side by side."""
+    """Set up the x axis of an independent variable: numbers at their positions, names side by side."""
     if not axis.numeric:
         side_by_side(plot, axis)
         return
@@ -365,7 +365,7 @@ def scale_values(plot: Any, axis: Axis, *, log: bool, margin: float = 0.04) -> N
 
 
 def side_by_side(plot: Any, axis: Axis, *, most: int = 20) -> None:
-    """One place for each value, at 0, 1, 2, …; long names are turned."""
+    """Give each value one place, at 0, 1, 2, …; rotate long names."""
     names = [named(value, 22) for value in axis.values]
     shown = thinned(len(names), most)
     plot.set_xlim(-0.6, len(names) - 0.4)
@@ -383,7 +383,7 @@ def side_by_side(plot: Any, axis: Axis, *, most: int = 20) -> None:
 
 
 def scale_y(plot: Any, drawing: Drawing, lowest: float, highest: float) -> None:
-    """A logarithmic y axis where one is asked for; what is not above 0 has no place on it."""
+    """Make the y axis logarithmic if the figure declares it. Raises UsageError if no value is above 0."""
     if not drawing.figure.log_y:
         return
     if not highest > 0:
@@ -393,7 +393,7 @@ def scale_y(plot: Any, drawing: Drawing, lowest: float, highest: float) -> None:
 
 
 def log_ticks(plot: Any, lowest: float, highest: float) -> None:
-    """Ticks of a logarithmic y axis: powers of 10, where there are enough of them."""
+    """Set the ticks of a logarithmic y axis: powers of 10 if the range is wide enough, else ordinary ones."""
     wide = lowest <= 0 or highest / lowest >= 10
     plot.yaxis.set_major_locator(LogLocator(numticks=8) if wide else AutoLocator())
     plot.yaxis.set_major_formatter(FuncFormatter(lambda value, _: _power(value)))
@@ -401,7 +401,7 @@ def log_ticks(plot: Any, lowest: float, highest: float) -> None:
 
 
 def scale_time(plot: Any, drawing: Drawing, earliest: float) -> None:
-    """A logarithmic time axis where one is asked for."""
+    """Make the time axis logarithmic if the figure declares it."""
     if drawing.figure.log_x:
         plot.set_xscale("log", nonpositive="mask" if earliest > 0 else "clip")
         plot.xaxis.set_major_formatter(FuncFormatter(lambda value, _: _power(value)))
@@ -409,7 +409,7 @@ def scale_time(plot: Any, drawing: Drawing, earliest: float) -> None:
 
 
 def drawable(values: Any, drawing: Drawing) -> Any:
-    """Values as floats; NaN where there is none, or none that the scale has a place for."""
+    """Return the values as floats; NaN if a value is missing, or if the scale cannot show it."""
     numbers = np.asarray(values, dtype=float)
     bad = ~np.isfinite(numbers)
     if drawing.figure.log_y:
@@ -418,12 +418,12 @@ def drawable(values: Any, drawing: Drawing) -> Any:
 
 
 def column(table: Any, name: str) -> Any:
-    """A column of a pyarrow table as numpy floats; NULL becomes NaN."""
+    """Return a column of a pyarrow table as numpy floats; NULL becomes NaN."""
     return table.column(name).to_numpy().astype(float, copy=False)
 
 
 _kept: dict[str, Any] = {}
-"""The settings of all figures, put together once."""
+"""The cached settings of all figures."""
 
 
 def _defaults() -> dict[str, Any]:

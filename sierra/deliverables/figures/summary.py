@@ -21,19 +21,19 @@ if TYPE_CHECKING:
 
 GOLDEN = 0.6180339887498949
 APART = 1.6
-"""Points between the intervals of two groups at the same number; less where there are many groups."""
+"""The distance in points between the intervals of two groups at the same number; smaller for many groups."""
 WIDEST = 40
-"""Points over which the intervals at one number are spread."""
+"""The width in points over which the intervals at one number are spread."""
 CAP = 4
-"""Points that a mark or the end of an interval reaches to each side, at most."""
+"""The largest extent in points of a mark, or of an interval's end, to each side."""
 WIDTH = 0.7 * 72 * style.COLUMN
-"""How wide a plot is, about, in points."""
+"""The approximate width of a plot in points."""
 DENSE = 5
-"""From how many runs on a density says more than the runs themselves."""
+"""The smallest number of runs for which a density is drawn."""
 
 
 def summary(drawing: Drawing) -> Figure:
-    """A measure over the first axis, with intervals; a line for each combination of the others."""
+    """Draw a measure over the first axis, with intervals, and a line for each combination of the others."""
     (table,) = drawing.tables.values()
     figure = style.blank()
     plot = figure.add_subplot()
@@ -61,12 +61,12 @@ def summary(drawing: Drawing) -> Figure:
 
 
 def box(drawing: Drawing) -> Figure:
-    """Median, quartiles and whiskers for each experiment, and the runs beyond the whiskers."""
+    """Draw median, quartiles and whiskers for each experiment, and the runs beyond the whiskers."""
     return _side_by_side(drawing, _box)
 
 
 def violin(drawing: Drawing) -> Figure:
-    """The density of the runs for each experiment, each run a dot; median and quartiles."""
+    """Draw the density of the runs for each experiment, with a dot for each run, the median and the quartiles."""
     return _side_by_side(drawing, _violin)
 
 
@@ -161,7 +161,7 @@ def _interval(plot: Any, x: Any, center: Any, low: Any, high: Any, look: dict[st
 
 
 def _never(plot: Any, x: Any, colour: Any) -> list[Any]:
-    """Triangles at the upper edge, for experiments of which no run reached the threshold."""
+    """Draw triangles at the upper edge for experiments in which no run reached the threshold."""
     marks = {"marker": "^", "markersize": 4, "markerfacecolor": "white", "linestyle": "none", "color": colour}
     if not len(x):
         return []
@@ -177,13 +177,13 @@ def _places(drawing: Drawing, first: Axis, ordinals: list[int], place: int, coun
 
 
 def _shifts(first: Axis, count: int) -> list[float]:
-    """How many points each group is moved aside: to both sides of a number, but never below 0."""
+    """Return the shift of each group in points: to both sides of a number, but never below 0."""
     apart = min(APART, WIDEST / count)
     return [(place - (0 if 0 in first.values else (count - 1) / 2)) * apart for place in range(count)]
 
 
 def _shift(made: list[Any], points: float) -> None:
-    """Moves what is drawn aside by so many points, so that the intervals of several groups at one number are all seen."""
+    """Shift artists aside by this many points, so that the intervals of several groups at one number are all visible."""
     for artist in made:
         artist.set_transform(artist.get_transform() + ScaledTranslation(points / 72, 0, artist.figure.dpi_scale_trans))
 
@@ -193,7 +193,7 @@ def _dodge(place: int, count: int) -> float:
 
 
 def _groups(drawing: Drawing) -> Axis:
-    """The axes after the first as one: what is told apart by colour."""
+    """Return the axes after the first as one axis, whose values differ by colour."""
     if len(drawing.axes) == 2:
         return drawing.axes[1]
     label = ", ".join(style.axis_label(axis) for axis in drawing.axes[1:])

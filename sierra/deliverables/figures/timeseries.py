@@ -18,12 +18,12 @@ if TYPE_CHECKING:
     from sierra.deliverables.figures.base import Drawing
 
 TICKS = 2000
-"""More times than this cannot be told apart on paper: every k-th is drawn, and the last."""
+"""The largest number of times that paper can show; of more, every k-th and the last are drawn."""
 PANELS = 36
 
 
 def timeseries(drawing: Drawing) -> Figure:
-    """A line and its band for each value of the first axis; a panel for each value of the others."""
+    """Draw a line and its band for each value of the first axis, and a panel for each combination of the others."""
     (table,) = drawing.tables.values()
     first, rest = first_axis(drawing), others(drawing)
     slices = by_experiment(table)
@@ -51,7 +51,7 @@ def timeseries(drawing: Drawing) -> Figure:
 
 
 def stacked(drawing: Drawing) -> Figure:
-    """The columns on top of each other: over time in a panel for each experiment, or over the first axis."""
+    """Draw the columns on top of each other: over time in a panel for each experiment, or over the first axis."""
     center = CENTERS[drawing.figure.center][0]
     if any(np.nanmin(style.column(table, center)) < 0 for table in drawing.tables.values()):
         raise UsageError("stacked areas need values of at least 0; draw lines instead")
@@ -65,34 +65,34 @@ def stacked(drawing: Drawing) -> Figure:
 
 
 def by_experiment(table: Any) -> dict[int, slice]:
-    """Where the rows of each experiment are in a table that is sorted by experiment."""
+    """Return the slice of each experiment's rows in a table that is sorted by experiment."""
     ordinals, starts = np.unique(table.column("experiment").to_numpy(), return_index=True)
     stops = [*starts[1:], table.num_rows]
     return {int(o): slice(int(a), int(b)) for o, a, b in zip(ordinals, starts, stops, strict=True)}
 
 
 def first_axis(drawing: Drawing) -> Axis:
-    """The independent variable, or, in a batch without any, one that says nothing."""
+    """Return the first independent variable; for a batch without any, an axis without a name."""
     return drawing.axes[0] if drawing.axes else Axis("", ("",))
 
 
 def value_of(drawing: Drawing, ordinal: int) -> Value:
-    """The value of the first axis in an experiment."""
+    """Return the value of the first axis in an experiment."""
     return drawing.cells[ordinal][drawing.axes[0].name] if drawing.axes else ""
 
 
 def rest_of(drawing: Drawing, ordinal: int) -> tuple[Value, ...]:
-    """The values of the other axes in an experiment."""
+    """Return the values of the other axes in an experiment."""
     return tuple(drawing.cells[ordinal][axis.name] for axis in drawing.axes[1:])
 
 
 def others(drawing: Drawing) -> list[tuple[Value, ...]]:
-    """All combinations of the other axes' values, in the order of the experiments."""
+    """Return all combinations of the other axes' values, in the order of the experiments."""
     return list(dict.fromkeys(rest_of(drawing, ordinal) for ordinal in sorted(drawing.cells))) or [()]
 
 
 def with_n(entries: list[str], counts: list[int]) -> list[str]:
-    """Entries of a legend, with n where it is not the same for all."""
+    """Return the entries of a legend, with n if it is not the same for all."""
     if len(set(counts)) <= 1:
         return entries
     return [f"{entry} (n = {count})" for entry, count in zip(entries, counts, strict=True)]
@@ -105,7 +105,7 @@ def _panel_count(drawing: Drawing, combinations: list[Any]) -> int:
 
 
 def _others_of(drawing: Drawing, values: tuple[Value, ...]) -> str:
-    """The title of the panel for one combination of the other axes' values."""
+    """Return the title of the panel for one combination of the other axes' values."""
     ordinal = next(o for o in drawing.cells if rest_of(drawing, o) == values)
     return style.point(drawing, drawing.axes[1:], ordinal)
 

@@ -1,1 +1,1 @@
-"""`sierra init`: write a first sierra.toml from what a folder holds."""
+"""`sierra init`: write a first sierra.toml from the content of a folder."""

@@ -1,4 +1,4 @@
-"""Each thing to say goes one way: what an option gives, what is answered, and what was found pass the same check."""
+"""Answers of `sierra init`: values from options, from the user and from the folder pass the same checks."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from sierra.errors import Missing
 T = TypeVar("T")
 
 NONE = "-"
-"""The answer that refuses what was found."""
+"""The answer that rejects the value that was found."""
 SHOWN = 12
-"""How many of a kind are shown at most."""
+"""The largest number of suggestions of a kind that are shown."""
 
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """What is said beforehand; None, or empty, is what has to be found out."""
+    """The values that options give; None, or empty, means that the value must be found out."""
 
     template: str | None = None
     command: str | None = None
@@ -29,7 +29,7 @@ class Options:
 
 @dataclass(frozen=True, slots=True)
 class Question:
-    """What to ask. Enter takes `default`; without one, `missing` is what is wrong where nobody can be asked."""
+    """A question to the user. Enter takes `default`; without a default, `missing` is the error if nobody can be asked."""
 
     text: str
     choices: tuple[str, ...] = ()
@@ -38,13 +38,13 @@ class Question:
 
 
 class Ask(Protocol):
-    """Asks somebody until the answer passes the check; says what is wrong with others."""
+    """A function that asks the user until the answer passes the check; it reports what is wrong with other answers."""
 
     def __call__(self, question: Question, check: Callable[[str], T]) -> T: ...
 
 
 def settled(given: str | None, question: Question, ask: Ask | None, check: Callable[[str], T]) -> T:
-    """What is given, or answered, or found, checked. Raises Missing where there is none."""
+    """Return the checked value: the given one, or the answer, or the one found. Raises Missing if there is none."""
     if given is None and ask is not None:
         return ask(question, check)
     settling = question.default if given is None else given

@@ -1,7 +1,8 @@
-"""The command: what starts the simulator, wherever it is started from.
+"""The command that starts the simulator, from any folder.
 
-Runs start in a folder of their own. `sierra.execution.commands` finds a word of the command that is a file of the project;
-here, what it leaves as it is gets `{project}/`: absolute paths into the project, its folders, `--option=file`.
+Runs start in a folder of their own. `sierra.execution.commands` resolves words of the command that are files of the project.
+This module adds `{project}/` to words that it leaves unchanged: absolute paths into the project, the project's folders,
+`--option=file`.
 """
 
 from __future__ import annotations
@@ -28,14 +29,17 @@ SHELL = re.compile(r"[0-9]?[<>]|&&|\|\|?$|;$|&$")
 
 
 def platform(template: str, command: str | None) -> tuple[str, Platform]:
-    """What drives the simulator, and its name; the command is None where the platform has its own."""
+    """Return the platform's name and the platform; `command` is None if the platform has its own."""
     name = "argos" if template.endswith(".argos") else "command"
     table = {"template": template, "platform": name} | ({"command": command} if command is not None else {})
     return name, platforms.find(name, project_file.parse(table, "sierra init"))
 
 
 def choose(root: Path, template: str, given: str | None, ask: Ask | None) -> str | None:
-    """The command, if the platform needs one. Raises UsageError for what can never be right, Missing for what is not there."""
+    """Return the command, if the platform needs one.
+
+    Raises UsageError for a command that can never work, Missing if none is found and nobody can be asked.
+    """
     if template.endswith(".argos") and given is None:
         return None
     found = folder.simulators(root)
@@ -54,7 +58,7 @@ def choose(root: Path, template: str, given: str | None, ask: Ask | None) -> str
 
 
 def module_path(command: str | None, root: Path) -> str | None:
-    """Where `python3 -m module` finds a module of the project."""
+    """Return the folder in which `python3 -m module` finds a module of the project; None if there is none."""
     module = re.match(r"\S*python\S* (?:.* )?-m ([^\s.]+)", command or "")
     places = {"{project}": root, "{project}/src": root / "src"}
     parts = (module[1], f"{module[1]}.py") if module else ()
@@ -62,7 +66,7 @@ def module_path(command: str | None, root: Path) -> str | None:
 
 
 def doubts(platform: Platform, root: Path) -> Iterator[str]:
-    """What is allowed, and yet hardly meant."""
+    """Yield warnings about a command that is allowed but probably wrong."""
     root = root.resolve()
     argv = commands.command(platform, root)
     program = commands.fill(argv, root)[0]
@@ -95,7 +99,7 @@ def _check(root: Path, template: str, text: str) -> str:
 
 
 def _placed(word: str, root: Path) -> str:
-    """A word that names what lies in the project, so that it is found from where runs start."""
+    """Return the word, with `{project}/` if it names a file or folder of the project that runs would not find otherwise."""
     option, equals, name = word.rpartition("=")
     path = root / name
     found_by_jobs = not equals and path.is_file() and not name.startswith("/")
@@ -106,5 +110,5 @@ def _placed(word: str, root: Path) -> str:
 
 
 def _joined(words: Iterable[str]) -> str:
-    """A line that splits into these words, with quotes only where they are needed."""
+    """Return a line that splits into these words, quoted only if necessary."""
     return " ".join(word if re.fullmatch(r"[\w@%+=:,./{}-]+", word) else shlex.quote(word) for word in words)

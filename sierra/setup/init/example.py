@@ -1,4 +1,4 @@
-"""The bundled examples, copied to where somebody can change them."""
+"""The bundled examples, and copying them to a folder where the user can change them."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from sierra.errors import UsageError
 
 
 def copy_example(name: str, folder: Path) -> list[str]:
-    """Copy a bundled example; the files' names. Raises UsageError where there is none, or the folder is not empty."""
+    """Copy a bundled example; return the files' names. Raises UsageError for an unknown name or a folder that is not empty."""
     examples = resources.files("sierra.setup") / "examples"
     known = sorted(entry.name for entry in examples.iterdir() if entry.is_dir() and not entry.name.startswith("_"))
     if name not in known:

@@ -1,4 +1,4 @@
-"""The query to ask first: one whose values lie around the one that the template has."""
+"""The suggested first query: its values lie around the template's value."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from sierra.templates.base import Template
 
 POPULATION = "population_size"
 FEW = 16
-"""What doubling from 1 comes near to soon enough."""
+"""The largest value that doubling from 1 reaches soon enough."""
 
 
 def first_query(platform: Platform, template: Template, variables: Mapping[str, str]) -> str | None:
-    """The platform's population, or else the first variable; None where there is neither."""
+    """Return a query over the platform's population, or else over the first variable; None if there is neither."""
     criterion = grammar.parse(f"{POPULATION}.Log8")
-    with contextlib.suppress(SierraError):  # a template that the platform finds no population in
+    with contextlib.suppress(SierraError):  # the platform finds no population in the template
         if POPULATION not in variables and platform.criterion(criterion, template):
             return grammar.text(criterion)
     return next((_around(name, template.find(path)[0].strip()) for name, path in variables.items()), None)
@@ -38,7 +38,7 @@ def _around(name: str, value: str) -> str:
 
 
 def _word(name: str, value: str) -> str:
-    """A criterion of a word's own value, as an example; VALUE where no query can name it."""
+    """Return a criterion with the word's own value, as an example; with VALUE if a query cannot contain that value."""
     if value.lower() in ("true", "false"):
         return f"{name}=true,false" if value.islower() else f"{name}=True,False"
     try:

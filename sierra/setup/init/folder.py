@@ -1,4 +1,4 @@
-"""What a folder shows: whether a project may begin there, its template, and what could be its simulator."""
+"""The content of a folder: whether a project can begin there, its template, and possible simulators."""
 
 from __future__ import annotations
 
@@ -23,13 +23,16 @@ OTHERS = re.compile(r"(package|pom|build)\.xml|(setup|conftest|test_.*|.*_test)\
 """Files that are neither template nor simulator."""
 PLACES = ("build", "bin", "target/release", "src", "scripts")
 MAGIC = (b"#!", b"\x7fELF", b"\xcf\xfa\xed\xfe", b"\xca\xfe\xba\xbe")
-"""How programs begin: scripts, and those of Linux and macOS. Where all files have the right to be executed, it tells them."""
+"""The first bytes of programs: scripts, and executables of Linux and macOS.
+
+They identify programs where all files have the permission to be executed.
+"""
 STARTED = (b"__main__", b"sys.argv", b"argparse")
-"""What a file of Python names that does something when it is started, unlike a module that others import."""
+"""Words in a Python file that show that it is a program, not only a module that others import."""
 
 
 def check(root: Path) -> None:
-    """Raises UsageError where there is a project already, Missing where none can be made."""
+    """Raise UsageError if there is a project already, Missing if none can be made."""
     path, pyproject = root / CONFIG, root / PYPROJECT
     if os.path.lexists(path):
         raise UsageError(f"{path} is there already, and is never written over; change it with an editor, or remove it first")
@@ -48,7 +51,7 @@ def doubts(root: Path) -> Iterator[str]:
 
 
 def template(root: Path, given: str | None, ask: Ask | None) -> tuple[str, Template]:
-    """The template's path from the folder, and its content. Raises Missing, TemplateError."""
+    """Return the template's path relative to the folder, and its content. Raises Missing, TemplateError."""
     below = [name for name in listed(root) if not is_hardly_code(name, is_folder=True)]
     found = _files(root, [""], TEMPLATES) or _files(root, below, TEMPLATES)
     default = found[0] if len(found) == 1 else "template.xml" if "template.xml" in found else None
@@ -59,7 +62,7 @@ def template(root: Path, given: str | None, ask: Ask | None) -> tuple[str, Templ
 
 
 def simulators(root: Path) -> dict[str, list[str]]:
-    """What could be the simulator, with the words that start it: here, or, where nothing is, in folders of usual names."""
+    """Return possible simulators, each with the words that start it: in the folder, or else in folders with usual names."""
     here, below = ([(name, _words(root / name, name)) for name in _files(root, places)] for places in ([""], PLACES))
     return {name: words for name, words in here if words} or {name: words for name, words in below if words}
 
@@ -69,26 +72,26 @@ def is_started(file: Path) -> bool:
 
 
 def listed(folder: Path) -> list[str]:
-    """The names here that may be part of a project: none that is hidden, or that TOML could not hold on a line."""
+    """Return the names that may be part of a project: not hidden, and possible on one line of TOML."""
     names = sorted(entry.name for entry in folder.iterdir())
     return [name for name in names if not name.startswith(".") and name.isprintable() and name not in LEFT_OUT]
 
 
 def _files(root: Path, places: Iterable[str], endings: str | tuple[str, ...] = "") -> list[str]:
-    """The files in these folders, as paths from `root`."""
+    """Return the files in these folders, as paths relative to `root`."""
     folders = [root / place for place in places if (root / place).is_dir()]
     named = [folder / name for folder in folders for name in listed(folder) if name.endswith(endings)]
     return [str(file.relative_to(root)) for file in named if file.is_file() and not OTHERS.fullmatch(file.name)]
 
 
 def _check_template(root: Path, text: str) -> tuple[str, Template]:
-    """`text` is a path from the folder; or one from here, as the shell completes it."""
+    """Read the template at `text`: a path relative to the folder, or to the working directory, as a shell completes it."""
     path = root / text if (root / text).exists() or not Path(text).is_file() else Path(text)
     return os.path.relpath(path, root), templates.read(path)
 
 
 def _words(file: Path, name: str) -> list[str]:
-    """What starts a file; none where it is neither script nor program."""
+    """Return the words that start a file; an empty list if it is neither a script nor a program."""
     if file.suffix != ".py" and os.access(file, os.X_OK) and _beginning(file, 4).startswith(MAGIC):
         return [f"./{name}"]
     return [INTERPRETERS[file.suffix], name] if file.suffix in INTERPRETERS else []

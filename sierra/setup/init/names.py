@@ -1,4 +1,4 @@
-"""What people call the numbers of a template, and which of them counts robots."""
+"""Names for the numbers of a template, and the number that is the count of robots."""
 
 from __future__ import annotations
 
@@ -23,17 +23,20 @@ SELDOM = frozenset(["id", "name", "version", "port", "threads"])
 
 
 def numbers(template: Template) -> dict[str, str]:
-    """The paths that select one number, with the number."""
+    """Return the paths that select one number, with the number."""
     return {path: value.strip() for path, value in template.attributes() if NUMBER.fullmatch(value.strip())}
 
 
 def seeds(numbers: Iterable[str]) -> tuple[str, ...]:
-    """The paths of what is called a seed."""
+    """Return the paths of numbers that are called a seed."""
     return tuple(path for path in numbers if any(word.endswith("seed") for word in _words(_called(path)[0])))
 
 
 def named(numbers: Mapping[str, str], known: Collection[str]) -> dict[str, str]:
-    """What could be varied, by name: first what counts robots, called population_size, unless `known` has its own for that."""
+    """Return possible variables by name.
+
+    The number of robots comes first, as population_size, unless `known` already has a criterion for it.
+    """
     robots = None if known else _counting(numbers)
     found = {"population_size": robots} if robots else {}
     for path in numbers:
@@ -46,7 +49,7 @@ def named(numbers: Mapping[str, str], known: Collection[str]) -> dict[str, str]:
 
 
 def mistaken(name: str, known: Iterable[str]) -> str | None:
-    """Why queries or the store cannot have a name, and what would be right."""
+    """Return why queries or the store cannot have a name, and what would be right; None if they can."""
     if not NAME.fullmatch(name):
         return "that is not a name of letters, digits and _; write it as in my_name"
     if name in GROUPED:
@@ -61,7 +64,7 @@ def mistaken(name: str, known: Iterable[str]) -> str | None:
 
 
 def _counting(numbers: Mapping[str, str]) -> str | None:
-    """The path that most likely selects how many robots there are."""
+    """Return the path that most likely selects the number of robots; None if no path does."""
     counts = [
         (path, set(_words(short)), set(_words(element)))
         for path, value in numbers.items()
@@ -73,7 +76,7 @@ def _counting(numbers: Mapping[str, str]) -> str | None:
 
 
 def _called(path: str) -> tuple[str, str]:
-    """What people call what a path selects, and the element: `//param[@name='speed']/@value` is speed."""
+    """Return a name for what a path selects, and its element: for `//param[@name='speed']/@value`, the name is speed."""
     element, _, attribute = path.rpartition("/@") if "/@" in path else (path, "", "")
     named = re.search(r"\[(?:@\w+|local-name\(\))='(.+)'\]$", element)
     label = named[1] if named else re.split("[/:]", element)[-1]
@@ -82,5 +85,5 @@ def _called(path: str) -> tuple[str, str]:
 
 
 def _words(name: str) -> list[str]:
-    """`numRobots` and `num_robots` are num, robots."""
+    """Return the words of a name: `numRobots` and `num_robots` are num, robots."""
     return [word.lower() for word in re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])", name)]

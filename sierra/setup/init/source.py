@@ -1,8 +1,9 @@
-"""The source: which files here are the code that runs are made from.
+"""The source: the files of the folder that are the code of runs.
 
-All files of a project count: rather too much than stale. What is written is therefore a comment that names the files and
-folders found, without those whose names say that they are something else (results, figures, notes); it counts once
-somebody takes the `#` away, chooses it when asked (which happens only where there is such a folder), or says `--source`.
+By default all files of a project are source: unnecessary new runs are better than stale results. So `sierra init` writes
+only a comment that names the files and folders found, without those whose names suggest something else (results, figures,
+notes). The list takes effect if the user removes the `#`, chooses it when asked (only if there is such a folder), or gives
+`--source`.
 """
 
 from __future__ import annotations
@@ -20,18 +21,18 @@ from sierra.setup.init.answers import Ask, Question, settled
 from sierra.store.layout import CONFIG
 
 ALL = "."
-"""The answer that all of the folder is source."""
+"""The answer that the whole folder is source."""
 
 
 def found(root: Path, template: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """What is here beside the template, and what of it hardly is code."""
+    """Return the names beside the template that may be code, and those that probably are not."""
     names = [name for name in folder.listed(root) if name not in (template, CONFIG)]
     left_out = tuple(name for name in names if is_hardly_code(name, is_folder=(root / name).is_dir()))
     return tuple(name for name in names if name not in left_out), left_out
 
 
 def choose(root: Path, template: str, given: Sequence[str], ask: Ask | None) -> tuple[str, ...]:
-    """The paths that count; none is all of the folder. Raises UsageError for what is not in it."""
+    """Return the paths of the source; none means the whole folder. Raises UsageError for a path that is not in it."""
     proposed, left_out = found(root, template)
     if not given and not (proposed and any((root / name).is_dir() for name in left_out)):
         return ()
@@ -45,7 +46,7 @@ def choose(root: Path, template: str, given: Sequence[str], ask: Ask | None) -> 
 
 
 def _check(root: Path, text: str) -> tuple[str, ...]:
-    """`text` is words, as a shell splits them."""
+    """Return the paths in `text`, which is split as a shell does. Raises UsageError for a path that is not in the folder."""
     try:
         paths = [os.path.normpath(path) for path in shlex.split(text)]
     except ValueError as error:

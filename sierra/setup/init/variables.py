@@ -1,4 +1,4 @@
-"""Where the seed and the variables go: paths into the template, each tried before it is taken."""
+"""Paths into the template for the seed and the variables; each is tested before it is accepted."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from sierra.templates.base import Template
 
 
 def choose_seed(template: Template, found: Sequence[str], given: str | None, ask: Ask | None) -> str | None:
-    """The path of what gets each run's seed; None where there is to be none. Raises TemplateError."""
+    """Return the path that gets each run's seed; None if there is none. Raises TemplateError."""
     question = Question(
         f"seed: an XPath of what gets each run's seed ({NONE} for none)", tuple(found), found[0] if found else ""
     )
@@ -28,9 +28,9 @@ def choose(
     given: Sequence[str],
     ask: Ask | None,
 ) -> dict[str, str]:
-    """The variables by name: those given; or the likely ones and what is answered, of which `named` is a choice.
+    """Return the variables by name: the given ones; otherwise the likely ones, changed by the user's answers.
 
-    `per_run` is what each run sets after all variables. Raises UsageError, TemplateError.
+    `named` are suggestions. `per_run` is what each run sets after all variables. Raises UsageError, TemplateError.
     """
     chosen = {} if given else dict(likely)
     for text in given:
@@ -51,7 +51,10 @@ def choose(
 
 
 def doubts(seed: str | None, seeds: Sequence[str], *, elsewhere: bool) -> Iterator[str]:
-    """`seeds` are the paths of all that is called so; `elsewhere` is whether runs have their seeds without a path too."""
+    """Yield warnings about seeds.
+
+    `seeds` are the paths of all numbers that are called a seed. `elsewhere`: whether runs also get their seeds without a path.
+    """
     if seed is None and not elsewhere:
         yield 'all runs of an experiment are the same until the seed goes somewhere: seed = "XPATH", or {seed} in the command'
     others = [path for path in seeds if path != seed]
@@ -67,7 +70,7 @@ def _check_seed(template: Template, text: str) -> str | None:
 
 
 def _check(template: Template, per_run: Sequence[Change], known: Iterable[str], text: str) -> tuple[str, str]:
-    """Name and path of NAME=XPATH."""
+    """Return name and path from NAME=XPATH. Raises UsageError."""
     name, equals, path = (part.strip() for part in text.partition("="))
     if not equals or not name or not path or name[0] in "/@":
         raise UsageError(f'{text!r}: write a variable as NAME=XPATH, as in "population_size=//swarm/@count"')
@@ -81,7 +84,7 @@ def _check(template: Template, per_run: Sequence[Change], known: Iterable[str], 
 
 
 def _one_more(template: Template, per_run: Sequence[Change], chosen: dict[str, str], text: str) -> dict[str, str] | None:
-    """The variables after one answer; None where it is empty. A path has the name that was given last."""
+    """Return the variables after one answer; None if it is empty. If a path is named twice, the last name stays."""
     if not text:
         return None
     if text.startswith(NONE):

@@ -1,6 +1,6 @@
-"""The first minute: copying the example, and a first `sierra.toml` from what a folder shows.
+"""The steps of `sierra init`: copying an example, or writing a first `sierra.toml` from the content of a folder.
 
-`find_out` makes a `Guess` of what is said, found and answered; `write` writes it.
+`find_out` makes a `Guess` from options, the folder and answers; `write` writes it.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ __all__ = ["Ask", "Guess", "Options", "Question", "copy_example", "find_out", "w
 
 
 def find_out(root: Path, said: Options, ask: Ask | None = None) -> Guess:
-    """What is said, and for the rest what the folder shows; what is doubtful is asked, where there is somebody to `ask`.
+    """Return a guess from the options, and for the rest from the folder. If `ask` is given, it asks about uncertain values.
 
-    Raises UsageError for what is said wrongly, and where there is a `sierra.toml` already; Missing where nobody can be
-    asked what the folder does not show.
+    Raises UsageError for a wrong option, or if there is a `sierra.toml` already; Missing if the folder does not show a value
+    and nobody can be asked.
     """
     folder.check(root)
     template, content = folder.template(root, said.template, ask)

@@ -1,4 +1,4 @@
-"""The text of a first `sierra.toml`: what counts, and as comments what could."""
+"""The text of a first `sierra.toml`: chosen values, and alternatives as comments."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ SOURCE = (
     "# new, and fails those that execute. Unless this names it:"
 )
 quoted = partial(dumps, ensure_ascii=False)
-"""As TOML writes texts and lists of them."""
+"""Format texts and lists of them as TOML does."""
 
 
 @dataclass(frozen=True, slots=True)
 class Guess:
-    """What a first `sierra.toml` will say, and what it mentions in comments."""
+    """The content of a first `sierra.toml`, and of its comments."""
 
     template: str
     platform: str
@@ -39,13 +39,13 @@ class Guess:
     other_variables: Mapping[str, str]
     source: tuple[str, ...]
     next: str | None
-    """The query to ask first."""
+    """The suggested first query."""
     notes: tuple[str, ...]
-    """What is doubtful."""
+    """Warnings about values that may be wrong."""
 
 
 def write(root: Path, guess: Guess) -> Path:
-    """Write `sierra.toml`, never over one that is there; its path. Raises UsageError for what TOML cannot hold."""
+    """Write `sierra.toml` and return its path; never overwrite one. Raises UsageError for names that TOML cannot hold."""
     path = root / CONFIG
     text = "\n".join(_lines(root, guess)) + "\n"
     try:
@@ -53,7 +53,7 @@ def write(root: Path, guess: Guess) -> Path:
         project_file.parse(tomllib.loads(text), str(path))
     except (UnicodeEncodeError, tomllib.TOMLDecodeError) as error:
         raise UsageError(f"{path} cannot be written: {error}; rename what has a name that is no text") from error
-    folder.check(root)  # answers may have taken a while
+    folder.check(root)  # a file may have appeared while the user answered
     return write_whole(path, data)
 
 
