@@ -220,7 +220,7 @@ class Variable(Table):
 
 
 class Seed(Table):
-    """Where the seed goes and where it comes from. The short form is the XPath alone."""
+    """The place and the origin of the seed. The short form is the XPath alone."""
 
     set: str | None = Field(None, description="XPath of what gets the seed")
     base: int = Field(0, ge=0, description="the number that all seeds derive from")
@@ -234,7 +234,7 @@ class Group(Table):
 
 
 class Tolerance(Table):
-    """How far a number may be from the recorded one in a replay; it need keep to one of these alone."""
+    """The maximum distance of a number from the recorded one in a replay; one of these limits must hold."""
 
     abs: float = Field(0.0, ge=0, allow_inf_nan=False, description="the difference itself, in the column's unit")
     rel: float = Field(0.0, ge=0, allow_inf_nan=False, description="the difference divided by the recorded number's size")
@@ -284,7 +284,7 @@ class Output(Table):
 
 
 class Success(Table):
-    """How a run shows that it succeeded, beyond exit status 0 and its required outputs."""
+    """The evidence that a run succeeded, in addition to its exit status and its required outputs."""
 
     marker: Inside = Field("", description="a file in the output folder (or `stdout`, `stderr`) that must be there")
     contains: str = Field("", description="a text that the marker file must contain")
@@ -292,7 +292,7 @@ class Success(Table):
 
 
 class LimitsTable(Table):
-    """What one execution may use; where a limit is absent, there is none."""
+    """Limits of one execution; a missing limit means no limit."""
 
     wall: Seconds | None = Field(None, description="seconds from its start to its end")
     cpu: Seconds | None = Field(None, description="seconds of CPU time of all its processes")
@@ -302,7 +302,7 @@ class LimitsTable(Table):
 
 
 class Environment(Table):
-    """The variables that a run sees beside SIERRA's own, and those that are recorded of what is around it."""
+    """The variables that a run sees in addition to SIERRA's own, and the variables that are recorded."""
 
     set: Mapping[VariableName, Text] = Field(default_factory=dict, description="given to every run; part of its identity")
     pass_: tuple[str, ...] = Field(
@@ -314,7 +314,7 @@ class Environment(Table):
 
 
 class Container(Table):
-    """The image that runs execute in, and what they reach beyond it; by default nothing, neither network nor devices."""
+    """The image in which runs execute, and their access to the host; by default they reach neither network nor devices."""
 
     image: str = Field(
         min_length=1, description="a tag, an archive, a SIF or squashfs file, or the folder of a recipe; see `sierra image pin`"
@@ -340,7 +340,7 @@ class Container(Table):
 
 
 class ClusterTable(Table):
-    """A cluster: what each element of an array job asks for, and how a batch is dealt out to elements."""
+    """A cluster: the resources of each array task, and the sharding of a batch into tasks."""
 
     scheduler: str | None = Field(
         None, description="`slurm`, `pbs`, or one that is installed; where absent, the one that the table is called after"
@@ -387,7 +387,7 @@ def _submittable(tables: Mapping[str, ClusterTable]) -> Mapping[str, ClusterTabl
 
 
 class Source(Table):
-    """What of the project counts as the code that a run was made from."""
+    """The part of the project that is the source of a run."""
 
     paths: tuple[str, ...] = Field((), description="files and folders; the whole project where absent")
     dirty: Literal["record", "refuse", "ignore"] = Field(
@@ -398,7 +398,7 @@ class Source(Table):
 
 
 class StoreTable(Table):
-    """How the store is kept."""
+    """The settings of the store."""
 
     raw: bool = Field(
         True,
@@ -424,13 +424,13 @@ class StoreTable(Table):
 
 
 class Determinism(Table):
-    """Whether runs with the same seed give the same bytes."""
+    """The check that runs with the same seed give the same bytes."""
 
     probe: bool = Field(False, description="execute one run twice before a batch, and say whether it came out the same")
 
 
 class Equivalence(Table):
-    """A metric by which runs that are not deterministic are compared in a replay: over the runs of a whole experiment."""
+    """A metric that compares nondeterministic runs in a replay, over the runs of a whole experiment."""
 
     table: str = Field(description="the output")
     column: str = Field(description="the column of it")
@@ -459,7 +459,7 @@ Argv = Annotated[tuple[str, ...], BeforeValidator(_as_words, json_schema_input_t
 
 
 class ProgramsTable(Table):
-    """How the programs that a command names are asked for their versions, which are recorded."""
+    """The arguments that make programs in a command print their versions, which are recorded."""
 
     version: Argv = Field(("--version",), description="what an installed program is asked with; empty: none is asked")
     versions: Mapping[str, Argv] = Field(

@@ -13,7 +13,7 @@ from sierra.platforms.base import Reader
 
 
 class CommandOptions(Table):
-    """`[platforms.command]`: there is nothing to say."""
+    """`[platforms.command]`: it has no options."""
 
 
 class Command:
