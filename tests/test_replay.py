@@ -300,6 +300,17 @@ def test_a_metric_of_what_is_not_there_judges_nothing(make: Make) -> None:
     assert said["notes"][0].startswith("[equivalence]: output 'swarm'")
 
 
+def test_a_metric_that_the_replay_has_no_value_of_is_reported(make: Make, tmp_path: Path) -> None:
+    renamed = f"tick,{{'other' if __import__('os').path.exists({str(tmp_path / 'flag')!r}) else 'coverage'}}"
+    simulator = STOCHASTIC.replace('"tick,coverage"', f'f"{renamed}"')
+    root = make(simulator, f"{DECLARED}{METRIC}margin = 0.5\n")
+    batch = ask(root)
+    (tmp_path / "flag").touch()
+    code, said = replay(root, batch)
+    assert (code, said["verdict"]) == (1, "different")
+    assert any("[equivalence]" in note and "the replay has no value of it" in note for note in said["notes"])
+
+
 def test_verdicts_are_also_written_as_junit(make: Make, tmp_path: Path) -> None:
     root = make(NOISY)
     batch = ask(root)

@@ -184,8 +184,12 @@ def replay(
         if interrupted:
             return Replay(session.id, record.found, (), notes, interrupted=True, of=record.named, kept=kept)
         compared = _compare(record, store, made, failed, declared)
+        before = len(record.notes)
         experiments = tuple(_experiments(project, store, record, list(compared), was, declared))
-        answer = Replay(session.id, record.found, experiments, notes, interrupted=False, of=record.named, kept=kept)
+        late = record.notes[before:]
+        for text in late:
+            say(text)
+        answer = Replay(session.id, record.found, experiments, (*notes, *late), interrupted=False, of=record.named, kept=kept)
         _keep(answer, store, session, record, now, around, began, options, contained)
         return answer
     finally:
@@ -432,7 +436,7 @@ def _experiments(
         try:
             now = equivalence.values(store, record.of.batch, executions, project.config.equivalence, declared)
         except NotFound as error:
-            record.notes.append(f"[equivalence]: {error}; what was executed again has no value of it")
+            record.notes.append(f"[equivalence]: {error}; the replay has no value of it")
             now = {name: {} for name in project.config.equivalence}
     for place, runs in by_place.items():
         found: tuple[Metric, ...] = ()
