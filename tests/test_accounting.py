@@ -15,7 +15,7 @@ import sierra
 from sierra.config.project_file import ClusterTable
 from sierra.errors import ConfigError, Full, Missing
 from sierra.runners.cluster import runner
-from sierra.runners.schedulers import slurm
+from sierra.runners.schedulers import slurm as scheduler
 from sierra.runners.schedulers.base import Limit, Request
 from sierra.runners.schedulers.slurm_limits import Allowed, Partitions, allowed
 from tests.clusters import Slurm
@@ -207,14 +207,14 @@ def test_a_site_that_allows_one_job_at_a_time_has_nodes_tried_out_first(
 ) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))  # nobody knows of these nodes yet
     monkeypatch.setattr(runner, "FULL_S", 0.5)
-    submit = slurm.Slurm.submit
+    submit = scheduler.Slurm.submit
 
-    def one_at_a_time(self: slurm.Slurm, request: Request) -> str:
+    def one_at_a_time(self: scheduler.Slurm, request: Request) -> str:
         if slurm.command("squeue", "-h", "-t", "PENDING,RUNNING") or len(request.elements) > 1:
             raise Full("SLURM: QOSMaxSubmitJobPerUserLimit")
         return submit(self, request)
 
-    monkeypatch.setattr(slurm.Slurm, "submit", one_at_a_time)
+    monkeypatch.setattr(scheduler.Slurm, "submit", one_at_a_time)
     project = simulate()
     done = sierra.open(project.folder).run("size=1", runs=2, runner="slurm", figures=False)
     assert (done.executed, done.missing) == (2, 0)

@@ -301,8 +301,8 @@ def test_a_metric_of_what_is_not_there_judges_nothing(make: Make) -> None:
 
 
 def test_a_metric_that_the_replay_has_no_value_of_is_reported(make: Make, tmp_path: Path) -> None:
-    renamed = f"tick,{{'other' if __import__('os').path.exists({str(tmp_path / 'flag')!r}) else 'coverage'}}"
-    simulator = STOCHASTIC.replace('"tick,coverage"', f'f"{renamed}"')
+    twice = f"list(range(5)) * (1 + __import__('os').path.exists({str(tmp_path / 'flag')!r}))"
+    simulator = STOCHASTIC.replace("range(5)", twice)
     root = make(simulator, f"{DECLARED}{METRIC}margin = 0.5\n")
     batch = ask(root)
     (tmp_path / "flag").touch()
