@@ -61,6 +61,8 @@ class Here:
     """What each element may take, in seconds, by job."""
     word: ClassVar[str] = "ENDED"
     """How it says that elements ended."""
+    tells: ClassVar[dict[str, bool]] = {"CANCELLED": True}
+    """Whether an element was cancelled, by the word for its end; of other words it does not know that."""
     cancelled: ClassVar[Callable[[], None] | None] = None
     """What is done instead of ending what is cancelled."""
 
@@ -108,7 +110,7 @@ class Here:
 
     def look(self, name: str) -> tuple[Task, ...] | None:
         found = [(job, element, *Here.state(job, process)) for called, job, element, process in Here.tasks if called == name]
-        return tuple(Task(*one, cancelled=one[-1] == "CANCELLED") for one in found)
+        return tuple(Task(*one, cancelled=Here.tells.get(one[-1])) for one in found)
 
     @staticmethod
     def state(job: str, process: subprocess.Popen[bytes]) -> tuple[State, str]:
@@ -468,6 +470,24 @@ def test_a_program_that_changes_under_way_has_made_no_result(clustered: Callable
 
 
 # replays
+
+
+@pytest.mark.parametrize(("tells", "ended"), [({"FAILED": False}, False), ({}, True)])
+def test_what_the_scheduler_knows_nobody_cancelled_is_submitted_again(
+    clustered: Callable[..., Clustered], monkeypatch: pytest.MonkeyPatch, tells: dict[str, bool], ended: bool
+) -> None:
+    """SLURM says FAILED of an element that a requeue has asked to end, if that ended late."""
+    monkeypatch.setattr(Here, "word", "FAILED")
+    monkeypatch.setattr(Here, "tells", tells)
+    made = clustered(WAITS)
+    made.project.run(*QUERY, runs=1, runner="here", detach=True, figures=False)
+    made.simulated.until_executed(1)
+    [process] = [process for name, _, _, process in Here.tasks if not name.startswith("probe-")]
+    process.terminate()
+    process.wait()
+    made.gate.touch()
+    summary = made.project.attach(made.session().name, figures=False)
+    assert (summary.interrupted, summary.missing > 0) == (ended, ended)
 
 
 def test_a_replay_that_is_cancelled_from_elsewhere_is_no_verdict(clustered: Callable[..., Clustered]) -> None:

@@ -202,6 +202,12 @@ def test_what_is_seen_of_a_task(line: str, state: State, reason: str) -> None:
     assert (task.job, task.element, task.state, task.reason) == ("7", 3, state, reason)
 
 
+@pytest.mark.parametrize(("word", "cancelled"), [("CANCELLED", True), ("FAILED", False), ("TIMEOUT", False), ("RUNNING", None)])
+def test_slurm_tells_what_was_cancelled(word: str, cancelled: bool | None) -> None:
+    [task] = tasks(f"7|3|{word}|n1|None\n")
+    assert task.cancelled is cancelled
+
+
 def test_what_has_no_index_is_no_element() -> None:
     assert [task.element for task in tasks("7|N/A|PENDING||None\n8|0-5,7|PENDING||None\n9|3|RUNNING|n1|None\n")] == [
         None,

@@ -63,7 +63,7 @@ class Share:
     """The reason for its end, in the scheduler's words."""
     queued: bool = False
     """True if it waited for a node when the scheduler last knew it."""
-    cancelled: bool = False
+    cancelled: bool | None = None
     """`cancelled`: the scheduler says that somebody has cancelled it. `ours`: this process has cancelled it."""
     ours: bool = False
     node: str = ""

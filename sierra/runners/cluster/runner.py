@@ -459,8 +459,8 @@ class Cluster:
         time was over, or if it never began and the scheduler forgets ended jobs at once.
         """
         share = self._shares[index]
-        if share.ours or share.cancelled:
-            return not share.ours
+        if share.ours or share.cancelled is not None:
+            return bool(share.cancelled) and not share.ours
         told = share.trouble or submission.last_line(self._session, str(index))
         if told:
             return bool(ASKED.search(told)) and not (self._overdue(index, told) or MISHAP.search(share.word))
@@ -519,7 +519,7 @@ class Cluster:
             share = self._shares[index]
             share.tries, share.progress, share.gone = share.tries + 1, share.done, 0
             share.trouble = share.word = ""
-            share.cancelled = share.ours = share.queued = False
+            share.cancelled, share.ours, share.queued = None, False, False
         try:
             self._hand_over(indices, why)
         except SierraError as error:

@@ -49,8 +49,10 @@ class Task:
     reason: str = ""
     """The scheduler's own words for why it waits or how it ended (NODE_FAIL, TIMEOUT, OUT_OF_MEMORY)."""
     node: str = ""
-    cancelled: bool = False
-    """True if it ended because somebody cancelled it, and not because of a limit, a lost node or preemption."""
+    cancelled: bool | None = None
+    """True if it ended because somebody cancelled it, False if it certainly ended for another reason. None if it has not
+    ended, or if the scheduler cannot tell.
+    """
 
 
 @dataclass(frozen=True, slots=True)

@@ -131,7 +131,7 @@ def tasks(records: Sequence[Record]) -> Iterator[Task]:
             whole = wholes.get(known.job, {}) if known.place is not None else {}
             state, reason = _state(record, whole)
             node = record.get("exec_host", "").partition("/")[0]
-            cancelled = state is State.ENDED and _is_deleted(record)
+            cancelled = (state is State.ENDED and _is_deleted(record)) or None  # an exit status does not rule it out
             yield Task(known.job, element(record), state, reason, node, cancelled)
 
 

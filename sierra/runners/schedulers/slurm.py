@@ -218,7 +218,8 @@ def tasks(told: str) -> tuple[Task, ...]:
 def _task(job: str, element: str, word: str, node: str, reason: str) -> Task:
     state = _state(word, reason)
     shown = word if state == State.ENDED else "" if reason == "None" else reason
-    return Task(job, int(element) if element.isdigit() else None, state, shown, node, cancelled=word == "CANCELLED")
+    cancelled = word == "CANCELLED" if state == State.ENDED else None
+    return Task(job, int(element) if element.isdigit() else None, state, shown, node, cancelled)
 
 
 def _state(word: str, reason: str) -> State:
