@@ -21,7 +21,7 @@ LOCKED = --no-compile --only-binary :all: --require-hashes --requirement require
 
 .DEFAULT_GOAL = help
 .DELETE_ON_ERROR:
-.PHONY: help install demo test slow soak check format bench schemas docs lock system dist clean
+.PHONY: help install demo test slow nightly soak check format bench schemas docs lock system dist clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## /\1	/p' Makefile | expand -t 10
@@ -45,10 +45,14 @@ demo: install ## copy the example to ./demo, unless it is there, and run a query
 	cd demo && ../$(BIN)/sierra run population_size.Log8 --runs 10
 
 test: install ## all tests but the slow ones; more at once with WORKERS=8
-	$(BIN)/python -m pytest --numprocesses $(WORKERS) --dist worksteal -m "not slow"
+	$(BIN)/python -m pytest --numprocesses $(WORKERS) --dist worksteal -m "not slow and not nightly"
 
 slow: install ## the tests that take long
-	$(BIN)/python -m pytest --numprocesses $(WORKERS) --dist worksteal -m slow
+	$(BIN)/python -m pytest --numprocesses $(WORKERS) --dist worksteal -m "slow and not nightly"
+
+nightly: install ## the tests that take too long for each change, and ten minutes of soak
+	$(BIN)/python -m pytest --numprocesses $(WORKERS) --dist worksteal -m nightly
+	$(BIN)/python -m tests.soak --minutes $(MINUTES)
 
 soak: install ## random faults for MINUTES=10, from SEED on (STEPS=1 ONLY=… take one again); see tests/soak
 	$(BIN)/python -m tests.soak --minutes $(MINUTES) $(if $(SEED),--seed $(SEED)) $(if $(STEPS),--steps $(STEPS)) \

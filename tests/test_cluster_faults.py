@@ -22,7 +22,7 @@ from tests.batches import WAITING, Gated, at_rest, ended, is_whole, packed, rows
 from tests.clusters import Slurm
 from tests.waiting import until
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.nightly
 
 ASK = ("population_size.Log8", "--on", "slurm", "--no-figures")
 HUNGRY = """\

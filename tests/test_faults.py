@@ -57,7 +57,7 @@ def kill(pid: int | None) -> None:
             os.kill(pid, signal.SIGKILL)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_run_that_stops_itself_is_told_of_and_goes_on_when_it_is_continued(simulate: Simulate) -> None:
     project = simulate(f"kill -STOP $$; {PRINTS}")
     asking = project.start("run", "size=1", "-j", "1", "--runs", "1", "--no-figures")
@@ -79,7 +79,7 @@ def strike(victim: str, project: Any, sierra: subprocess.Popen[str]) -> None:
         project.kill_all()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("repetition", range(16))
 def test_asking_again_after_a_kill_at_any_moment_finishes_the_batch(simulate: Simulate, repetition: int) -> None:
     chance = random.Random(repetition)
@@ -118,7 +118,7 @@ def test_a_joiner_records_what_a_killed_session_had_finished(simulate: Simulate)
     assert {run: n for run, n in project.executed().items() if n > 1 and run in finished} == {}
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupted_asking_keeps_what_had_finished(simulate: Simulate, number: int) -> None:
     project = simulate(held(12))
@@ -166,7 +166,7 @@ def test_interrupting_twice_does_not_wait_for_the_grace_time(simulate: Simulate)
     assert project.sql("SELECT count(*) AS n FROM executions") == [{"n": 0}]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("repetition", range(4))
 def test_signals_at_any_moment_tear_nothing_apart(simulate: Simulate, repetition: int) -> None:
     chance = random.Random(repetition)

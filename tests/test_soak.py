@@ -12,6 +12,7 @@ import pytest
 from tests.soak import steps
 from tests.soak.faults import Action
 from tests.soak.steps import Place, Wanted, undisturbed
+from tests.tiers import at_night
 
 pytestmark = pytest.mark.slow
 
@@ -78,7 +79,7 @@ def place(tmp_path: Path) -> Place:
     return Place(tmp_path, Random(1), " two  blanks ")
 
 
-@pytest.mark.parametrize("point", KILLED)
+@pytest.mark.parametrize("point", [*KILLED[::3], *at_night(set(KILLED) - set(KILLED[::3]))])
 def test_a_kill_at_any_point_of_a_run_loses_nothing(place: Place, wanted: Wanted, point: str) -> None:
     assert "not reached" not in steps.fault_at_a_point(place, wanted, point, "kill")
 
@@ -94,7 +95,7 @@ def test_a_kill_while_the_store_is_rewritten_loses_nothing(place: Place, wanted:
     assert "not reached" not in done
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *at_night((1, 2))])
 @pytest.mark.parametrize(
     "step", [steps.flipped_bit, steps.fuzzed_calls, steps.fuzzed_settings, steps.full_disk, steps.many_at_once]
 )
