@@ -108,7 +108,11 @@ def _around() -> Sequence[str]:
 def _ask() -> Found:
     program = next((name for name in NAMES if shutil.which(name)), None)
     if program is None:
-        return Found(Capabilities("apptainer", trouble="neither apptainer nor singularity-ce is installed; see the README"))
+        return Found(
+            Capabilities(
+                "apptainer", trouble="neither apptainer nor singularity-ce is installed; see docs/how-to/containers.md"
+            )
+        )
     version = capabilities.run((program, "--version")).stdout.strip().replace(" version ", " ")
     name, _, number = version.partition(" ")
     found = tuple(int(part) for part in re.findall(r"\d+", number)[:2])
