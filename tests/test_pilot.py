@@ -216,10 +216,10 @@ def test_what_is_cancelled_while_runs_go_first_goes_no_further(waiting: Simulate
     waiting.until_executed(1, process)
     [batch] = {row["batch"] for row in json.loads(waiting.quick("status", "--json").stdout)}
     assert waiting.quick("cancel", batch[:10]).returncode == 0
-    opened(waiting)
     assert waiting.end_of(process).returncode == 130
     assert waiting.executed().total() == 1
     assert waiting.work() == []
+    opened(waiting)
     until(lambda: set(slurm.states().values()) <= {"CANCELLED", "COMPLETED", "FAILED"}, "nothing runs")
     assert waiting.quick(*ASKED).returncode == 0
     assert waiting.sql("SELECT count(DISTINCT run) AS n FROM executions WHERE status = 'ok'") == [{"n": RUNS}]

@@ -522,6 +522,19 @@ def test_a_closed_pipe_ends_what_runs_though_the_queue_is_full(start: Callable[.
     assert marked(mark) == []
 
 
+def test_a_run_that_gets_the_workers_sigterm_first_is_interrupted(start: Callable[..., Worker], mark: str) -> None:
+    worker = start()
+    worker.send(*(shell("exec sleep 60", name=str(n)) for n in range(3)))
+    worker.until_started()
+    [begun] = worker.events("start")
+    os.kill(begun["pid"], signal.SIGTERM)
+    worker.process.terminate()
+    assert worker.wait() == 1
+    assert [end["stopped"] for end in worker.events("end")] == ["interrupted"]
+    assert len(worker.events("start")) == 1
+    assert marked(mark) == []
+
+
 def test_a_pipe_closed_after_the_last_job_ends_what_runs(start: Callable[..., Worker], mark: str) -> None:
     worker = start()
     worker.send(shell("exec sleep 60"), {"end": True})

@@ -96,6 +96,7 @@ START_S = 60.0  # for an engine to start a container
 GIVE_UP_S = 5.0  # to read the outputs of ended runs after the worker was told to stop
 STALLED_S = 5.0  # with only stopped processes, until a run is reported as stalled
 SAMPLE_S = 0.05
+SPREAD_S = 0.5  # for a signal to reach all processes that it was sent to
 ALLOTTED = "\1"
 ROCR = "ROCR_VISIBLE_DEVICES"
 BELOW_ROCR = ("CUDA_VISIBLE_DEVICES", "HIP_VISIBLE_DEVICES", "GPU_DEVICE_ORDINAL")  # for AMD, indices into ROCR's list
@@ -580,6 +581,8 @@ class Worker:
         status, usage = await_end(running)
         wall = time.monotonic() - started
         process.returncode = status
+        if running.stopped is None and os.WIFSIGNALED(status) and os.WTERMSIG(status) == signal.SIGTERM:
+            self.await_signal()
         with self.lock:
             del self.running[running.pid]
         running.clean(status)
@@ -610,6 +613,12 @@ class Worker:
                 **left,
             )
         )
+
+    def await_signal(self) -> None:
+        """Give a SIGTERM that has ended a run time to reach this process too: a scheduler sends it to one after the other."""
+        deadline = time.monotonic() + SPREAD_S
+        while not self.stopping and time.monotonic() < deadline:
+            time.sleep(SAMPLE_S)
 
     def tell_stalled(self, running: Running) -> None:
         """Report that all processes of a run are stopped."""
