@@ -6,12 +6,12 @@ CREATE TABLE batches (
     "axes" VARCHAR[],  -- names of the independent variables, in order
     "controller" VARCHAR,  -- the controller, where one was named
     "scenario" VARCHAR,  -- the scenario, where one was named
-    "sets" VARCHAR[],  -- what was set for all runs beside, each as XPATH=VALUE
+    "overrides" VARCHAR[],  -- what was set for all runs beside, each as XPATH=VALUE
     "platform" VARCHAR,  -- how the simulator is driven
     "experiments" BIGINT,  -- experiments in it [1]
     "runs" BIGINT,  -- runs in it, all experiments together [1]
     "base_seed" BIGINT,  -- the number that all seeds derive from
-    "recipe" VARCHAR,  -- what all its runs have in common
+    "spec" VARCHAR,  -- what all its runs have in common
     "template" VARCHAR,  -- the template's path in the project
     "template_sha256" VARCHAR,  -- SHA-256 of the template file
     "lamport" BIGINT  -- its place in the logical order, as in sessions
@@ -25,30 +25,30 @@ CREATE TABLE experiments (
 );
 
 -- Which run belongs to which experiment of which batch; a run may belong to many.
-CREATE TABLE members (
+CREATE TABLE batch_runs (
     "batch" VARCHAR,  -- the batch
     "ordinal" BIGINT,  -- the experiment's place in the batch, from 0
     "number" BIGINT,  -- the run's number in the experiment, from 0
     "run" VARCHAR,  -- the run
     "seed" BIGINT,  -- its seed
     "input" VARCHAR,  -- SHA-256 of its first input file; the file itself is in objects
-    "others" VARCHAR[],  -- SHA-256 of its further input files, named as in recipes.files
-    "recipe" VARCHAR  -- what it has in common with the other runs of the batch
+    "other_inputs" VARCHAR[],  -- SHA-256 of its further input files, named as in specs.files
+    "spec" VARCHAR  -- what it has in common with the other runs of the batch
 );
 
--- What runs have in common: with an input and a seed, a recipe makes a run.
-CREATE TABLE recipes (
-    "recipe" VARCHAR,  -- the recipe's id
+-- What runs have in common: with an input and a seed, a spec makes a run.
+CREATE TABLE specs (
+    "spec" VARCHAR,  -- the spec's id
     "platform" VARCHAR,  -- how the simulator is driven
     "command" VARCHAR[],  -- program and arguments, before paths of a machine are filled in
     "variables" VARCHAR,  -- declared environment variables, as JSON
     "source" VARCHAR,  -- the tree of the code (an SWHID); NULL where no source counts
     "image" VARCHAR,  -- content identity of the container image; NULL without one
-    "reach" VARCHAR[],  -- what runs reach beyond it: network, gpu, each device and each mount
+    "host_access" VARCHAR[],  -- what runs reach beyond it: network, gpu, each device and each mount
     "files" VARCHAR[]  -- names of the input files that each run gets
 );
 
--- One time that a run was executed: when, where, by what, and how it ended. Where it was judged anew by other rules, status, reason and reading are those of the last judgement; judged has all.
+-- One time that a run was executed: when, where, by what, and how it ended. Where it was judged anew by other rules, status, reason and ingest_rules are those of the last judgement; judged has all.
 CREATE TABLE executions (
     "execution" VARCHAR,  -- the execution's id
     "run" VARCHAR,  -- the run
@@ -60,17 +60,17 @@ CREATE TABLE executions (
     "reason" VARCHAR,  -- why it is not ok, in a line
     "exit_code" BIGINT,  -- the program's exit status; NULL where a signal ended it
     "signal" BIGINT,  -- the signal that ended it
-    "wall" DOUBLE,  -- from start to end [s]
-    "user" DOUBLE,  -- CPU time in user mode, of all its processes that ended; in a container, what was seen of it [s]
-    "system" DOUBLE,  -- CPU time in the kernel, likewise [s]
-    "max_rss" BIGINT,  -- greatest resident size of its greatest process (the worker's own size at least); in a container, as seen [bytes]
+    "wall_s" DOUBLE,  -- from start to end [s]
+    "user_s" DOUBLE,  -- CPU time in user mode, of all its processes that ended; in a container, as measured [s]
+    "system_s" DOUBLE,  -- CPU time in the kernel, likewise [s]
+    "max_rss_bytes" BIGINT,  -- greatest resident size of its greatest process (the worker's own size at least); in a container, as seen [bytes]
     "host" VARCHAR,  -- host name
     "slot" BIGINT,  -- the slot of the worker that executed it
     "result" VARCHAR,  -- Merkle hash of its outputs' names and digests
-    "log" VARCHAR,  -- the end of its standard error, or of its standard output where that is empty
+    "log_tail" VARCHAR,  -- the end of its standard error, or of its standard output where that is empty
     "environment" VARCHAR,  -- what was around it
     "programs" VARCHAR,  -- fingerprint of the programs outside source and image
-    "reading" VARCHAR,  -- hash of what the project declares of outputs and success
+    "ingest_rules" VARCHAR,  -- hash of what the project declares of outputs and success
     "purpose" VARCHAR,  -- run, or what else it was executed for; only those of run count in statistics
     "isolation" VARCHAR,  -- how it was contained; NULL where it was not
     "attempt" VARCHAR,  -- on a cluster, the attempt at an element in which it was executed; NULL elsewhere
@@ -88,20 +88,20 @@ CREATE TABLE attempts (
     "node" VARCHAR,  -- host name of the node
     "started" TIMESTAMP WITH TIME ZONE,  -- when it began
     "ended" TIMESTAMP WITH TIME ZONE,  -- when it had last recorded something
-    "clock" DOUBLE,  -- how far the node's clock was ahead of the shared file system's; all times are by the latter, if over 2 s [s]
+    "clock_offset_s" DOUBLE,  -- how far the node's clock was ahead of the shared file system's; all times are by the latter, if over 2 s [s]
     "cpus" BIGINT,  -- cores that it had [1]
     "memory" BIGINT,  -- memory that it had; NULL where that was not said [bytes]
     "gpus" VARCHAR,  -- graphics processors that it had, as the scheduler calls them
     "allocation" VARCHAR,  -- what else the scheduler said of it on the node, as JSON
     "runs" BIGINT,  -- runs that it has executed to their end [1]
-    "cut" BIGINT,  -- runs that it began, and did not end [1]
+    "interrupted_runs" BIGINT,  -- runs that it began, and did not end [1]
     "state" VARCHAR,  -- finished, or cut off
-    "trouble" VARCHAR,  -- why it could not go on, as it said, or else the scheduler
+    "error" VARCHAR,  -- why it could not go on, as it said, or else the scheduler
     "environment" VARCHAR  -- what was around it
 );
 
 -- Runs that were executed once more than was asked, because two attempts at one element lived at a time.
-CREATE TABLE copies (
+CREATE TABLE duplicates (
     "execution" VARCHAR,  -- the execution of the run that is recorded: that which was seen first
     "run" VARCHAR,  -- the run
     "attempt" VARCHAR,  -- the attempt that executed the copy
@@ -121,7 +121,7 @@ CREATE TABLE isolations (
     "network" VARCHAR,  -- none, host, or not isolated where none was asked for and can't be had
     "devices" VARCHAR[],  -- devices of the host that runs could use; gpu for NVIDIA's
     "mounts" VARCHAR,  -- files and folders of the host that runs could read, as JSON: path inside, path outside
-    "limits_asked" VARCHAR,  -- limits that the engine was to enforce, as JSON: memory in bytes, cpus, pids
+    "limits_requested" VARCHAR,  -- limits that the engine was to enforce, as JSON: memory in bytes, cpus, pids
     "limits_enforced" VARCHAR,  -- those that it does enforce here; others are ignored, but for memory: the worker watches over it
     "argv" VARCHAR[]  -- the command that starts a container, but for what is a run's own
 );
@@ -133,17 +133,17 @@ CREATE TABLE judgements (
     "run" VARCHAR,  -- its run
     "session" VARCHAR,  -- the asking that judged it anew
     "batch" VARCHAR,  -- the batch that it was judged for
-    "judged" TIMESTAMP WITH TIME ZONE,  -- when
+    "judged_at" TIMESTAMP WITH TIME ZONE,  -- when
     "status" VARCHAR,  -- as in executions
     "reason" VARCHAR,  -- why it is not ok, in a line
-    "reading" VARCHAR,  -- hash of the rules: what the project declares of outputs and success
+    "ingest_rules" VARCHAR,  -- hash of the rules: what the project declares of outputs and success
     "lamport" BIGINT  -- its place in the logical order, as in sessions
 );
 
 -- What was found out about an execution after it was recorded; it is not ok from then on.
 CREATE TABLE findings (
     "execution" VARCHAR,  -- the execution, or the judgement of it that is not ok
-    "found" TIMESTAMP WITH TIME ZONE,  -- when
+    "found_at" TIMESTAMP WITH TIME ZONE,  -- when
     "status" VARCHAR,  -- what it is now
     "reason" VARCHAR,  -- why, in a line
     "lamport" BIGINT  -- its place in the logical order, as in sessions
@@ -159,8 +159,8 @@ CREATE TABLE artifacts (
     "size" BIGINT,  -- its size [bytes]
     "sha256" VARCHAR,  -- SHA-256 of its bytes; of a log over 1 MiB, of what is kept of it, its beginning and end
     "rows" BIGINT,  -- rows it gave its table [1]
-    "form" VARCHAR,  -- what its table looks like, as JSON: its file, what each column holds, whether its last line is whole
-    "counted" BIGINT  -- rows that the file itself has, by a count that does not depend on how it was read [1]
+    "table_layout" VARCHAR,  -- what its table looks like, as JSON: its file, what each column holds, whether its last line is whole
+    "counted_rows" BIGINT  -- rows that the file itself has, by a count that does not depend on how it was read [1]
 );
 
 -- One asking of one query by one process, once it has ended.
@@ -174,7 +174,7 @@ CREATE TABLE sessions (
     "engine" VARCHAR,  -- what contained them
     "slots" BIGINT,  -- runs at a time; on a cluster, cores of all elements together, and NULL where it submitted none [1]
     "executed" BIGINT,  -- runs executed [1]
-    "again" BIGINT,  -- of these, runs that had been executed before [1]
+    "reexecuted" BIGINT,  -- of these, runs that had been executed before [1]
     "reused" BIGINT,  -- runs whose recorded execution was good [1]
     "failed" BIGINT,  -- runs of the batch without a good execution, of those executed [1]
     "missing" BIGINT,  -- runs of the batch that were not executed [1]
@@ -183,8 +183,8 @@ CREATE TABLE sessions (
     "environment" VARCHAR,  -- what was around it
     "source" VARCHAR,  -- the source's full state
     "programs" VARCHAR,  -- fingerprint of the programs that its runs are, or would have been, executed with
-    "reading" VARCHAR,  -- hash of what the project declares of outputs and success, as in executions
-    "rules" VARCHAR,  -- hash of the same and of what may differ between siblings
+    "ingest_rules" VARCHAR,  -- hash of what the project declares of outputs and success, as in executions
+    "batch_rules" VARCHAR,  -- hash of the same and of what may differ between siblings
     "lamport" BIGINT  -- its place in the logical order: the greater, the later, whatever clocks said; negative in old records, which come first, by time
 );
 
@@ -214,14 +214,14 @@ CREATE TABLE verdicts (
     "execution" VARCHAR,  -- the execution that was compared with it; NULL where there is none
     "path" VARCHAR,  -- the output's path; NULL where it is about the whole run
     "verdict" VARCHAR,  -- identical, equal, within tolerance, different or failed
-    "why" VARCHAR,  -- in a line; empty where they are identical
+    "reason" VARCHAR,  -- in a line; empty where they are identical
     "row" BIGINT,  -- the first row (or line) in which they differ, from 0
     "column" VARCHAR,  -- the column of that
-    "was" VARCHAR,  -- the recorded value there
-    "found" VARCHAR,  -- the value found there
-    "abs" DOUBLE,  -- the greatest distance in that column, in its unit
-    "rel" DOUBLE,  -- the greatest distance relative to the recorded number [1]
-    "ulp" DOUBLE  -- the greatest distance in units in the last place [1]
+    "recorded_value" VARCHAR,  -- the recorded value there
+    "replayed_value" VARCHAR,  -- the value found there
+    "max_abs" DOUBLE,  -- the greatest distance in that column, in its unit
+    "max_rel" DOUBLE,  -- the greatest distance relative to the recorded number [1]
+    "max_ulp" DOUBLE  -- the greatest distance in units in the last place [1]
 );
 
 -- Metrics that a replay compared over all runs of experiments that are not deterministic: two one-sided tests.
@@ -232,8 +232,8 @@ CREATE TABLE equivalences (
     "output" VARCHAR,  -- the output
     "column" VARCHAR,  -- the column of it
     "measure" VARCHAR,  -- what each run was reduced to
-    "was" DOUBLE,  -- the recorded mean, in the column's unit
-    "found" DOUBLE,  -- the mean found
+    "recorded_mean" DOUBLE,  -- the recorded mean, in the column's unit
+    "replayed_mean" DOUBLE,  -- the mean found
     "n" BIGINT,  -- pairs of runs [1]
     "difference" DOUBLE,  -- the mean of the differences, run by run
     "low" DOUBLE,  -- the interval of confidence 1 - 2 alpha around it
@@ -243,7 +243,7 @@ CREATE TABLE equivalences (
     "p" DOUBLE,  -- the greater p value of the two tests [1]
     "power" DOUBLE,  -- the probability to find equivalent what is the same [1]
     "equivalent" BOOLEAN,  -- whether the interval lies within the margins
-    "why" VARCHAR  -- in a line
+    "reason" VARCHAR  -- in a line
 );
 
 -- What was around executions, recorded once.
@@ -293,8 +293,8 @@ CREATE TABLE blobs (
 );
 
 -- What projects declared of outputs and success, so that another execution can be judged by the same rules.
-CREATE TABLE readings (
-    "reading" VARCHAR,  -- as in executions
+CREATE TABLE ingest_rules (
+    "ingest_rules" VARCHAR,  -- as in executions
     "declared" VARCHAR  -- the tables outputs and success of sierra.toml, as JSON
 );
 
@@ -323,7 +323,7 @@ CREATE TABLE images (
     "labels" VARCHAR,  -- its labels, as JSON
     "variables" VARCHAR,  -- what it sets for its programs, as JSON
     "packages" VARCHAR,  -- what is installed, as JSON: by dpkg, apk and python, a list of name==version each
-    "recipe" VARCHAR,  -- what is known of how it was made: a definition file, or a history
+    "spec" VARCHAR,  -- what is known of how it was made: a definition file, or a history
     "files" VARCHAR,  -- SHA-256 of the list of its files in objects: a JSON object a line, with path, type, size, sha256
     "size" BIGINT  -- size of its files [bytes]
 );
@@ -342,27 +342,27 @@ CREATE TABLE runs (
     "seed" BIGINT,  -- its seed
     "number" BIGINT,  -- its number in its experiment, from 0 (the least, where it belongs to several)
     "input" VARCHAR,  -- SHA-256 of its first input file; the file itself is in objects
-    "recipe" VARCHAR,  -- what it has in common with other runs
+    "spec" VARCHAR,  -- what it has in common with other runs
     "status" VARCHAR,  -- ok where an execution counts; else that of the last (stale if ok), missing if there is none
     "execution" VARCHAR,  -- the execution that counts for the batch last asked for
     "executions" BIGINT  -- how many times it was executed [1]
 );
 
 -- The execution that counts for a run in a batch: the last good one with the programs and by the rules of the batch's last asking. Statistics, figures and outputs see no other.
-CREATE TABLE counting (
+CREATE TABLE effective (
     "batch" VARCHAR,  -- the batch
     "ordinal" BIGINT,  -- the experiment's place in the batch, from 0
     "run" VARCHAR,  -- the run
     "execution" VARCHAR,  -- the execution
     "judgement" VARCHAR,  -- the judgement of it that counts, as in judged
-    "asked" TIMESTAMP WITH TIME ZONE,  -- when the batch was last asked for
+    "submitted" TIMESTAMP WITH TIME ZONE,  -- when the batch was last asked for
     "lamport" BIGINT  -- the place of that in the logical order, as in sessions
 );
 
 -- Every judgement of every execution: the first, made when it was recorded, and those that were made anew.
-CREATE TABLE judged (
+CREATE TABLE all_judgements (
     "judgement" VARCHAR,  -- the judgement; the first has the id of its execution
-    "judged" TIMESTAMP WITH TIME ZONE,  -- when
+    "judged_at" TIMESTAMP WITH TIME ZONE,  -- when
     "place" BIGINT,  -- its place in the logical order; that of the first judgement is the execution's
     "execution" VARCHAR,  -- the execution's id
     "run" VARCHAR,  -- the run
@@ -374,17 +374,17 @@ CREATE TABLE judged (
     "reason" VARCHAR,  -- why it is not ok, in a line; by this judgement
     "exit_code" BIGINT,  -- the program's exit status; NULL where a signal ended it
     "signal" BIGINT,  -- the signal that ended it
-    "wall" DOUBLE,  -- from start to end [s]
-    "user" DOUBLE,  -- CPU time in user mode, of all its processes that ended; in a container, what was seen of it [s]
-    "system" DOUBLE,  -- CPU time in the kernel, likewise [s]
-    "max_rss" BIGINT,  -- greatest resident size of its greatest process (the worker's own size at least); in a container, as seen [bytes]
+    "wall_s" DOUBLE,  -- from start to end [s]
+    "user_s" DOUBLE,  -- CPU time in user mode, of all its processes that ended; in a container, as measured [s]
+    "system_s" DOUBLE,  -- CPU time in the kernel, likewise [s]
+    "max_rss_bytes" BIGINT,  -- greatest resident size of its greatest process (the worker's own size at least); in a container, as seen [bytes]
     "host" VARCHAR,  -- host name
     "slot" BIGINT,  -- the slot of the worker that executed it
     "result" VARCHAR,  -- Merkle hash of its outputs' names and digests
-    "log" VARCHAR,  -- the end of its standard error, or of its standard output where that is empty
+    "log_tail" VARCHAR,  -- the end of its standard error, or of its standard output where that is empty
     "environment" VARCHAR,  -- what was around it
     "programs" VARCHAR,  -- fingerprint of the programs outside source and image
-    "reading" VARCHAR,  -- hash of what the project declares of outputs and success; by this judgement
+    "ingest_rules" VARCHAR,  -- hash of what the project declares of outputs and success; by this judgement
     "purpose" VARCHAR,  -- run, or what else it was executed for; only those of run count in statistics
     "isolation" VARCHAR,  -- how it was contained; NULL where it was not
     "attempt" VARCHAR,  -- on a cluster, the attempt at an element in which it was executed; NULL elsewhere
@@ -392,7 +392,7 @@ CREATE TABLE judged (
 );
 
 -- The rows of artifacts by each judgement; artifacts has those of the last one alone.
-CREATE TABLE judged_artifacts (
+CREATE TABLE all_artifacts (
     "execution" VARCHAR,  -- the judgement
     "run" VARCHAR,  -- the run
     "path" VARCHAR,  -- path in the output folder; for logs, stdout or stderr
@@ -401,8 +401,8 @@ CREATE TABLE judged_artifacts (
     "size" BIGINT,  -- its size [bytes]
     "sha256" VARCHAR,  -- SHA-256 of its bytes; of a log over 1 MiB, of what is kept of it, its beginning and end
     "rows" BIGINT,  -- rows it gave its table [1]
-    "form" VARCHAR,  -- what its table looks like, as JSON: its file, what each column holds, whether its last line is whole
-    "counted" BIGINT  -- rows that the file itself has, by a count that does not depend on how it was read [1]
+    "table_layout" VARCHAR,  -- what its table looks like, as JSON: its file, what each column holds, whether its last line is whole
+    "counted_rows" BIGINT  -- rows that the file itself has, by a count that does not depend on how it was read [1]
 );
 
 -- Runs of which several good executions with the same programs, replays included, left other bytes.

@@ -218,7 +218,7 @@ class Design:
 
 
 @dataclass(frozen=True, slots=True)
-class Recipe:
+class RunSpec:
     """The run specification that all runs of a batch share. An input and a seed complete it to a run."""
 
     platform: str
@@ -229,7 +229,7 @@ class Recipe:
     """The id of the source's tree (`swh:1:dir:…`), or None if the source is not part of the identity."""
     image: str | None = None
     """The content identity of the container image; None without an image."""
-    reach: tuple[str, ...] = ()
+    host_access: tuple[str, ...] = ()
     """The host access of runs beyond the image and their own folder, sorted: `network`, `device /dev/dri`, `mount /data`."""
 
     def preimage(self) -> dict[str, Any]:
@@ -238,7 +238,7 @@ class Recipe:
             "command": list(self.command),
             "environment": dict(self.environment),
             "source": self.source,
-            "image": {"id": self.image, "reach": list(self.reach)} if self.image else None,
+            "image": {"id": self.image, "reach": list(self.host_access)} if self.image else None,
         }
 
 
@@ -297,8 +297,8 @@ class Batch:
     id: str
     axes: tuple[Axis, ...]
     experiments: tuple[Experiment, ...]
-    recipe: Recipe
-    recipe_id: str
+    spec: RunSpec
+    spec_id: str
 
     runs: tuple[Run, ...] = field(init=False)
 

@@ -246,7 +246,7 @@ class Project:
         """Return the state of the cluster jobs that the summary's session left running."""
         from sierra.execution import status
 
-        found = (status.submitted(self.store.paths.session(session)) for session in summary.left)
+        found = (status.submitted(self.store.paths.session(session)) for session in summary.detached)
         return [one for one in found if one is not None]
 
     def attach(
@@ -471,12 +471,12 @@ class Project:
 
     def _drawn(self, summary: Summary) -> Summary:
         """Return the summary with figures, if there is something to draw."""
-        if summary.interrupted or summary.left or summary.missing + summary.failed == summary.runs:
+        if summary.interrupted or summary.detached or summary.missing + summary.failed == summary.runs:
             return summary
         try:
             drawn, notes = self._deliver(summary.batch, again=False)
         except Missing as error:
-            return replace(summary, undrawn=str(error))
+            return replace(summary, figure_error=str(error))
         return replace(summary, figures=tuple(map(str, drawn)), notes=(*summary.notes, *notes))
 
     def _deliver(self, batch: str, name: str | None = None, *, again: bool = True) -> tuple[list[Path], list[str]]:

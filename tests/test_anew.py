@@ -88,7 +88,7 @@ def test_outputs_that_are_declared_for_the_first_time_execute_nothing(tmp_path: 
     project.ask()
     project.declare('[outputs.positions]\nfile = "swarm.csv"\ntime = "tick"\nunits = { coverage = "m" }\n')
     answer = project.ask()
-    assert (answer["executed"], answer["reused"], answer["judged"], answer["failed"]) == (0, RUNS, RUNS, 0)
+    assert (answer["executed"], answer["reused"], answer["reevaluated"], answer["failed"]) == (0, RUNS, RUNS, 0)
     assert project.executed == RUNS
     assert project.value("SELECT count(*) FROM positions") == RUNS * 5
     assert project.value("SELECT count(*) FROM executions") == RUNS
@@ -102,10 +102,10 @@ def test_outputs_that_are_declared_for_the_first_time_execute_nothing(tmp_path: 
 
 def test_a_delimiter_reads_the_same_bytes_again(project: Counted) -> None:
     project.declare(WIDE + 'delimiter = ","\n')
-    assert project.ask()["judged"] == RUNS
+    assert project.ask()["reevaluated"] == RUNS
     assert "a;b" in [row["column_name"] for row in project.rows("DESCRIBE wide")]
     project.declare(WIDE + 'delimiter = ";"\n')
-    assert project.ask()["judged"] == RUNS
+    assert project.ask()["reevaluated"] == RUNS
     columns = [row["column_name"] for row in project.rows("DESCRIBE wide")]
     assert "a;b" not in columns
     assert {"a", "b"} <= set(columns)
@@ -116,7 +116,7 @@ def test_a_delimiter_reads_the_same_bytes_again(project: Counted) -> None:
 
 def test_columns_of_a_file_without_a_header_are_read_from_the_same_bytes(project: Counted) -> None:
     project.declare(WIDE + 'header = false\ncolumns = ["x", "y"]\ndelimiter = ";"\n')
-    assert project.ask()["judged"] == RUNS
+    assert project.ask()["reevaluated"] == RUNS
     assert project.value("SELECT count(*) FROM wide WHERE x = 'a' AND y = 'b'") == RUNS
     assert project.executed == RUNS
 
@@ -128,7 +128,7 @@ def test_going_back_to_earlier_rules_judges_nothing(project: Counted) -> None:
     assert project.rows("SELECT * FROM wide ORDER BY ALL") != before
     project.declare(WIDE)
     answer = project.ask()
-    assert (answer["executed"], answer["judged"], answer["reused"]) == (0, 0, RUNS)
+    assert (answer["executed"], answer["reevaluated"], answer["reused"]) == (0, 0, RUNS)
     assert project.rows("SELECT * FROM wide ORDER BY ALL") == before
     assert project.executed == RUNS
     project.is_sound()
@@ -139,7 +139,7 @@ def test_what_fails_by_the_new_rules_is_reported_and_executed_only_when_asked_ag
     short = project.value("SELECT count(*) FROM (SELECT run FROM wide GROUP BY run HAVING count(*) = 3)")
     assert 0 < short < RUNS
     answer = project.ask(1)
-    assert (answer["executed"], answer["failed"], answer["judged"]) == (0, short, RUNS)
+    assert (answer["executed"], answer["failed"], answer["reevaluated"]) == (0, short, RUNS)
     assert "min_rows asks for 4" in answer["failures"][0]["reason"]
     assert project.executed == RUNS
     assert project.value("SELECT count(DISTINCT run) FROM wide") == RUNS - short
@@ -159,7 +159,7 @@ def test_what_failed_by_other_rules_is_good_by_the_new_ones(tmp_path: Path) -> N
         + '[outputs.missing]\nfile = "missing.csv"\nrequired = false\n[outputs.wide]\nfile = "wide.csv"\nformat = "file"\n'
     )
     answer = project.ask()
-    assert (answer["executed"], answer["judged"], answer["reused"]) == (0, RUNS, RUNS)
+    assert (answer["executed"], answer["reevaluated"], answer["reused"]) == (0, RUNS, RUNS)
     assert project.executed == RUNS
     assert project.value("SELECT count(*) FROM swarm") == RUNS * 5
     project.is_sound()
@@ -170,7 +170,7 @@ def test_what_failed_by_rules_that_judged_anew_is_judged_anew_once_more(project:
     assert project.ask(1)["failed"] == RUNS
     project.declare(WIDE + "min_rows = 1\n")
     answer = project.ask()
-    assert (answer["executed"], answer["failed"], answer["judged"]) == (0, 0, RUNS)
+    assert (answer["executed"], answer["failed"], answer["reevaluated"]) == (0, 0, RUNS)
     assert project.executed == RUNS
     project.is_sound()
 
@@ -183,14 +183,14 @@ def test_a_failure_that_rules_do_not_explain_is_executed_again(tmp_path: Path) -
     assert f"{RUNS} runs: failed: exit status 3" in project.said("run", *ASK, "--dry-run", "--explain")
     assert project.ask(1)["executed"] == RUNS  # by these rules they fail too
     project.declare(SWARM + "[outputs.wide]\nfile = 'wide.csv'\nformat = 'file'\n[success]\nexit_status = [0, 3]\n")
-    assert project.ask()["judged"] == RUNS
+    assert project.ask()["reevaluated"] == RUNS
     assert project.executed == 2 * RUNS
 
 
 def test_a_marker_in_the_log_is_looked_for_in_what_is_recorded(project: Counted) -> None:
     project.declare(WIDE + '[success]\nmarker = "stdout"\ncontains = "done 1"\n')
     answer = project.ask(1)
-    assert (answer["executed"], answer["failed"], answer["judged"]) == (0, RUNS // 2, RUNS)
+    assert (answer["executed"], answer["failed"], answer["reevaluated"]) == (0, RUNS // 2, RUNS)
     assert project.executed == RUNS
 
 
@@ -209,7 +209,7 @@ def test_what_may_differ_between_siblings_executes_nothing(tmp_path: Path) -> No
     assert 0 < odd < RUNS
     project.declare(WIDE)
     answer = project.ask()
-    assert (answer["executed"], answer["judged"], answer["failed"]) == (0, odd, 0)
+    assert (answer["executed"], answer["reevaluated"], answer["failed"]) == (0, odd, 0)
     project.declare(WIDE.replace("ragged", "strict"))
     answer = project.ask(1)
     assert (answer["executed"], answer["failed"]) == (0, odd)
@@ -246,19 +246,19 @@ def test_rules_that_read_tables_as_before_need_no_bytes(tmp_path: Path) -> None:
     project.ask()
     rows = {name: project.rows(f"SELECT * EXCLUDE (row) FROM {name} ORDER BY run, row") for name in ("swarm", "wide")}
     project.declare(SWARM + 'units = { coverage = "m" }\n' + WIDE)
-    assert project.ask()["judged"] == RUNS, "what is declared for the first time is read as it was"
+    assert project.ask()["reevaluated"] == RUNS, "what is declared for the first time is read as it was"
     project.declare(WIDE + "min_rows = 4\n")
     assert f"0 of {RUNS} runs would execute, {RUNS} would be judged anew" in project.said("run", *ASK, "--dry-run")
     short = project.value("SELECT count(*) FROM (SELECT run FROM wide GROUP BY run HAVING count(*) = 3)")
     answer = project.ask(1)
-    assert (answer["executed"], answer["judged"], answer["failed"]) == (0, RUNS, short)
+    assert (answer["executed"], answer["reevaluated"], answer["failed"]) == (0, RUNS, short)
     project.declare(WIDE + "required = false\n[success]\nexit_status = [0, 3]\n")
     answer = project.ask()
-    assert (answer["executed"], answer["judged"], answer["failed"]) == (0, RUNS, 0)
+    assert (answer["executed"], answer["reevaluated"], answer["failed"]) == (0, RUNS, 0)
     assert project.executed == RUNS
     for name, found in rows.items():
         assert project.rows(f"SELECT * EXCLUDE (row) FROM {name} ORDER BY run, row") == found
-    artifacts = "SELECT * EXCLUDE (execution) FROM judged_artifacts WHERE kind = 'table' GROUP BY ALL HAVING count(*) < 4"
+    artifacts = "SELECT * EXCLUDE (execution) FROM all_artifacts WHERE kind = 'table' GROUP BY ALL HAVING count(*) < 4"
     assert project.rows(artifacts) == []
     project.is_sound()
 
@@ -277,7 +277,7 @@ def test_bytes_that_are_dropped_are_said_to_be_and_runs_execute_where_they_are_n
     assert "files that became tables: their bytes, not their rows" in told
     assert "may execute their runs again" in told
     assert quick(project.root, "gc", "--yes").returncode == 0
-    kept = "SELECT count(*) FROM judged_artifacts a JOIN objects USING (sha256) WHERE a.kind = 'table'"
+    kept = "SELECT count(*) FROM all_artifacts a JOIN objects USING (sha256) WHERE a.kind = 'table'"
     assert project.value(kept) == 2 * RUNS
     assert quick(project.root, "gc", "--raw", "--yes").returncode == 0
     assert project.value(kept) == 0
@@ -295,7 +295,7 @@ def test_bytes_that_are_dropped_are_said_to_be_and_runs_execute_where_they_are_n
 
 def test_bytes_of_a_table_that_are_needed_as_those_of_a_file_are_not_dropped(project: Counted) -> None:
     project.declare('[outputs.swarm]\nfile = "swarm.csv"\nformat = "file"\n' + WIDE)
-    assert project.ask()["judged"] == RUNS
+    assert project.ask()["reevaluated"] == RUNS
     assert quick(project.root, "gc", "--raw", "--yes").returncode == 0
     kept = "SELECT count(*) FROM artifacts a JOIN objects USING (sha256) WHERE a.path = {!r}"
     assert project.value(kept.format("swarm.csv")) == RUNS
@@ -312,7 +312,7 @@ def test_two_sessions_that_judge_at_once_leave_each_row_once(project: Counted) -
         process.communicate()
     assert project.executed == RUNS
     assert project.value("SELECT count(*) FROM swarm") == RUNS * 5
-    assert project.value("SELECT count(DISTINCT run) FROM counting") == RUNS
+    assert project.value("SELECT count(DISTINCT run) FROM effective") == RUNS
     project.is_sound()
 
 
@@ -360,7 +360,7 @@ def test_removing_an_execution_removes_its_judgements(project: Counted) -> None:
     project.is_sound()
     assert project.ask()["executed"] == 1
     assert quick(project.root, "rm", project.value("SELECT batch FROM batches"), "--yes").returncode == 0
-    for table in ("judgements", "executions", "judged_artifacts", "readings", "objects"):
+    for table in ("judgements", "executions", "all_artifacts", "ingest_rules", "objects"):
         assert project.value(f"SELECT count(*) FROM {table}") == 0
     project.is_sound()
 
@@ -372,7 +372,7 @@ def test_merging_segments_changes_no_row(project: Counted) -> None:
     tables = {
         "swarm": "SELECT * EXCLUDE (row) FROM swarm ORDER BY run, row",
         "wide": "SELECT * EXCLUDE (row) FROM wide ORDER BY run, row",
-        "judged": "SELECT * FROM judged ORDER BY ALL",
+        "judged": "SELECT * FROM all_judgements ORDER BY ALL",
     }
     rows = {name: project.rows(text) for name, text in tables.items()}
     assert quick(project.root, "gc", "--yes").returncode == 0

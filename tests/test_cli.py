@@ -242,8 +242,8 @@ def test_batches_of_one_query_are_told_apart(tmp_path: Path) -> None:
     assert quick(folder, "run", "noise=1", "--no-figures").returncode == 0
     listed = json.loads(quick(folder, "ls", "--json").stdout)
     assert [row["controller"] for row in listed] == [None, "a", "a", "a", "a", "a"]
-    assert [row["sets"] for row in listed] == [[], [], ["//swarm/@count=2"], [], [], []]
-    assert [row["unlike"] for row in listed] == [[], [], [], ["runs"], ["runs", "template"], ["settings"]]
+    assert [row["overrides"] for row in listed] == [[], [], ["//swarm/@count=2"], [], [], []]
+    assert [row["changed"] for row in listed] == [[], [], [], ["runs"], ["runs", "template"], ["settings"]]
     header, *rows = quick(folder, "ls").stdout.splitlines()
     assert header.split("  ")[0] == "batch"
     assert "other than before" in header
@@ -447,9 +447,9 @@ def test_on_a_terminal_ids_are_short_and_tables_no_wider_than_it(
     table = said.partition("\nsessions:\n")[2].partition("\n\n")[0].splitlines()
     assert max(map(len, table)) <= 80
     assert "in --json)" in table[-1]
-    recipe = said.partition("\nrecipe:\n")[2].partition("\n\n")[0].splitlines()
-    assert max(len(line) for line in recipe if len(line.split()) > 2) <= 80
-    assert any(line.startswith(" " * 13 + '"') for line in recipe), "a long value goes on below its beginning"
+    spec = said.partition("\nrecipe:\n")[2].partition("\n\n")[0].splitlines()
+    assert max(len(line) for line in spec if len(line.split()) > 2) <= 80
+    assert any(line.startswith(" " * 13 + '"') for line in spec), "a long value goes on below its beginning"
 
 
 # many runs

@@ -46,9 +46,9 @@ def test_a_batch_on_slurm_is_what_it_is_here(tmp_path: Path, slurm: Slurm) -> No
 
 def completed(slurm: Slurm, project: Project) -> None:
     """SLURM says of every task of a project that it has ended well, and so do attempts."""
-    attempts = rows(project, "SELECT job, state, trouble FROM attempts")
+    attempts = rows(project, "SELECT job, state, error FROM attempts")
     jobs = {row["job"].partition("_")[0] for row in attempts}
-    assert {(row["state"], row["trouble"]) for row in attempts} == {("finished", None)}
+    assert {(row["state"], row["error"]) for row in attempts} == {("finished", None)}
     assert {state for job in jobs for state in slurm.states(job).values()} == {"COMPLETED"}
 
 
@@ -74,7 +74,7 @@ def test_attempts_say_where_and_with_what_runs_were_executed(tmp_path: Path, slu
     for row in found:
         assert row["scheduler"].startswith("slurm ")
         assert row["node"] in slurm.names
-        assert (row["cpus"], row["state"], row["cut"], row["trouble"]) == (2, "finished", 0, None)
+        assert (row["cpus"], row["state"], row["interrupted_runs"], row["error"]) == (2, "finished", 0, None)
     joined = "executions e JOIN attempts a USING (attempt) JOIN environments v ON v.environment = e.environment"
     same = f"SELECT count(*) AS n FROM {joined} WHERE v.host = a.node AND e.host = a.node"
     assert rows(sierra.open(root), same) == [{"n": 8}]
@@ -259,7 +259,7 @@ def test_two_copies_of_an_element_are_one_result_and_a_comparison(gated: Gated) 
     gated.open()
     told = ended(asking)
     is_whole(gated.project)
-    [copies] = rows(gated.project, "SELECT count(*) AS n, bool_and(same) AS same FROM copies")
+    [copies] = rows(gated.project, "SELECT count(*) AS n, bool_and(same) AS same FROM duplicates")
     assert copies["n"] > 0
     assert copies["same"]
     assert "executed twice" in told
@@ -334,7 +334,7 @@ def test_an_element_that_is_requeued_goes_on_where_it_was(gated: Gated) -> None:
     gated.open()
     ended(asking)
     is_whole(gated.project)
-    assert rows(gated.project, "SELECT element, cut FROM attempts WHERE state = 'cut off'") == [{"element": 0, "cut": 1}]
+    assert rows(gated.project, "SELECT element, interrupted_runs FROM attempts WHERE state = 'cut off'") == [{"element": 0, "interrupted_runs": 1}]
 
 
 @pytest.mark.slow

@@ -44,7 +44,7 @@ class Waiting:
         """Submit, and leave it; what was left."""
         done = self.project.quick("run", *(words or QUERY), "--on", "slurm", "--detach", "--json")
         assert done.returncode == 0, done.stderr
-        [left] = json.loads(done.stdout)["left"]
+        [left] = json.loads(done.stdout)["detached"]
         found: dict[str, Any] = left
         return found
 

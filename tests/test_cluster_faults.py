@@ -250,8 +250,8 @@ def test_times_of_a_node_whose_clock_is_wrong_are_right(
     is_whole(gated.project)
     [found] = rows(gated.project, "SELECT epoch(min(started)) AS first, epoch(max(ended)) AS last FROM executions")
     assert before - 1 < found["first"] <= found["last"] < after + 1
-    for row in rows(gated.project, "SELECT clock, epoch(started) AS started, epoch(ended) AS ended FROM attempts"):
-        assert row["clock"] == pytest.approx(3600, abs=2)
+    for row in rows(gated.project, "SELECT clock_offset_s, epoch(started) AS started, epoch(ended) AS ended FROM attempts"):
+        assert row["clock_offset_s"] == pytest.approx(3600, abs=2)
         assert before - 1 < row["started"] <= row["ended"] < after + 1
 
 
@@ -288,9 +288,9 @@ def test_an_element_that_nobody_follows_goes_on_after_its_time_limit(gate: Calla
     until(lambda: "COMPLETED" in gated.slurm.states().values(), "SLURM knows that")
     assert projects.quick(gated.root, "status").returncode == 0
     is_whole(gated.project)
-    assert rows(gated.project, "SELECT state, trouble FROM attempts ORDER BY started") == [
-        {"state": "cut off", "trouble": "its time was nearly over: it asked to be begun anew"},
-        {"state": "finished", "trouble": None},
+    assert rows(gated.project, "SELECT state, error FROM attempts ORDER BY started") == [
+        {"state": "cut off", "error": "its time was nearly over: it asked to be begun anew"},
+        {"state": "finished", "error": None},
     ]
 
 
@@ -311,7 +311,7 @@ def test_what_is_preempted_goes_on_where_it_was(gate: Callable[..., Gated], star
     ended(asking)
     is_whole(gated.project)
     assert len(gated.begun()) == 8 + 3
-    assert rows(gated.project, "SELECT count(*) AS n FROM attempts WHERE state = 'cut off' AND cut = 1") == [{"n": 3}]
+    assert rows(gated.project, "SELECT count(*) AS n FROM attempts WHERE state = 'cut off' AND interrupted_runs = 1") == [{"n": 3}]
     assert "elements were cut off 3 times, with 3 of its runs in flight, which were begun again" in why(gated)
     at_rest(gated.slurm, gated.project)
 

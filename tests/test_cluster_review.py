@@ -440,14 +440,14 @@ def test_a_copy_is_recorded_once_however_often_it_is_read(clustered: Callable[..
     [first] = set(made.simulated.executed())
     made.gate.with_name(f"gate.{first}").touch()
     made.simulated.until_executed(4)
-    until(lambda: project.status() and made.rows("SELECT * FROM copies"), "the copy is recorded")
+    until(lambda: project.status() and made.rows("SELECT * FROM duplicates"), "the copy is recorded")
     for _ in range(3):
         project.status()
-    assert made.rows("SELECT count(*) AS n FROM copies") == [{"n": 1}]
+    assert made.rows("SELECT count(*) AS n FROM duplicates") == [{"n": 1}]
     made.gate.touch()
     project.attach(made.session().name, figures=False)
-    assert made.rows(f"SELECT count(*) AS n FROM copies WHERE run = '{first}'") == [{"n": 1}]
-    assert made.rows("SELECT 1 FROM copies c JOIN executions e USING (execution) WHERE c.attempt = e.attempt") == []
+    assert made.rows(f"SELECT count(*) AS n FROM duplicates WHERE run = '{first}'") == [{"n": 1}]
+    assert made.rows("SELECT 1 FROM duplicates c JOIN executions e USING (execution) WHERE c.attempt = e.attempt") == []
 
 
 @pytest.mark.slow

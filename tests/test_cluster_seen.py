@@ -148,8 +148,8 @@ def test_show_says_where_runs_were_executed_and_how_often_that_was_cut_off(waiti
     )
     for one in execution.values():
         first, second = json.loads(waiting.project.quick("show", one[:12], "--json").stdout)["attempts"]
-        assert (first["state"], first["cut"], first["executed"]) == ("cut off", 2, False)
-        assert (second["state"], second["trouble"], second["executed"]) == ("finished", None, True)
+        assert (first["state"], first["interrupted_runs"], first["executed"]) == ("cut off", 2, False)
+        assert (second["state"], second["error"], second["executed"]) == ("finished", None, True)
         assert second["node"] in waiting.slurm.names
         assert first["job"] == f"{job}_0"
         text = waiting.project.quick("show", one[:12]).stdout

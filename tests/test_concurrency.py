@@ -49,7 +49,7 @@ def test_eight_that_ask_the_same_share_the_work_even_where_no_store_is_yet(simul
     ends = at_once(project, [("size.Log8", "--runs", "10")] * 8)
     assert [end.returncode for end in ends] == [0] * 8
     assert_each_once(project, 40)
-    assert project.sql("SELECT count(*) AS n FROM members") == [{"n": 40}]
+    assert project.sql("SELECT count(*) AS n FROM batch_runs") == [{"n": 40}]
     assert project.sql("SELECT count(*) AS n FROM batches") == [{"n": 1}]
     assert project.sql("SELECT count(*) AS n FROM experiments") == [{"n": 4}]
 
@@ -66,8 +66,8 @@ def test_eight_whose_questions_overlap_share_what_is_common(simulate: Simulate) 
     ends = at_once(project, some * 2)
     assert [end.returncode for end in ends] == [0] * 8
     assert_each_once(project, 47)
-    assert project.sql("SELECT batch, count(*) AS n FROM members GROUP BY 1 ORDER BY 2")[-1]["n"] == 40
-    assert project.sql("SELECT count(*) AS n FROM members") == [{"n": 20 + 40 + 21 + 8}]
+    assert project.sql("SELECT batch, count(*) AS n FROM batch_runs GROUP BY 1 ORDER BY 2")[-1]["n"] == 40
+    assert project.sql("SELECT count(*) AS n FROM batch_runs") == [{"n": 20 + 40 + 21 + 8}]
 
 
 @pytest.mark.slow

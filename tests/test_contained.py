@@ -138,7 +138,7 @@ def test_the_image_and_how_it_was_contained_are_shown(root: Path, batches: Mappi
     isolation = shown["isolation"] if kind == "execution" else shown["isolations"][0]
     assert (isolation["engine"], isolation["version"], isolation["mode"]) == ("podman", "podman 1, runc 1", "run")
     assert isolation["limits_enforced"] == {"cpus": 1.0, "pids": 50}
-    assert isolation["limits_asked"] == {"cpus": 1.0, "memory": 64_000_000, "pids": 50}
+    assert isolation["limits_requested"] == {"cpus": 1.0, "memory": 64_000_000, "pids": 50}
     text = succeed(root, "show", identity)
     for words in (shown["image"]["image"], "2 of dpkg", "COPY old", "nothing beyond it", "one for each run", "cpus 1, pids 50"):
         assert words in text
@@ -182,7 +182,7 @@ def test_images_are_compared_by_what_is_in_them(root: Path, batches: Mapping[str
     assert found["image", "image"]["line"].startswith("image: ../old.tar (sha256:")
     packages = found["image", "dpkg"]
     assert packages["line"].endswith("3 differ: libc6 2.36-9 → 2.36-10, zlib 3 new, tzdata 1 gone")
-    assert packages["is"] == {"libc6": "2.36-10", "tzdata": None, "zlib": "3"}
+    assert packages["after"] == {"libc6": "2.36-10", "tzdata": None, "zlib": "3"}
     assert "MODEL old → new" in found["image", "variables"]["line"]
     assert found["image", "files"]["line"].endswith("2 differ: usr/lib/libm.so, var/lib/dpkg/status")
 

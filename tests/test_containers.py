@@ -69,9 +69,9 @@ def test_a_batch_executes_in_its_image_and_says_so_in_sql(tmp_path: Path, busybo
     assert batch == {"engine": "podman", "n": 1}
     [one] = rows(
         folder,
-        "SELECT DISTINCT i.engine, i.mode, i.network, i.image = r.image AS same, r.reach, m.kind FROM executions "
+        "SELECT DISTINCT i.engine, i.mode, i.network, i.image = r.image AS same, r.host_access, m.kind FROM executions "
         "JOIN isolations i USING (isolation) "
-        "JOIN batches USING (batch) JOIN recipes r USING (recipe) JOIN images m ON m.image = i.image",
+        "JOIN batches USING (batch) JOIN specs r USING (spec) JOIN images m ON m.image = i.image",
     )
     assert one == {"engine": "podman", "mode": "run", "network": "none", "same": True, "reach": [], "kind": "oci"}
     values = rows(folder, "SELECT DISTINCT population_size AS n FROM swarm WHERE tick = 2 ORDER BY n")
@@ -212,9 +212,9 @@ BURNS = "python3 -c 'import time; x = b\"1\" * 60000000\nwhile time.process_time
 def test_what_a_run_has_used_is_the_programs_and_not_the_engines(tmp_path: Path, python: Path, isolation: str) -> None:
     folder = containers.make(tmp_path / "project", python, f'isolation = "{isolation}"', simulator=BURNS)
     says(folder, "run", "population_size=1", "--runs", "1", "--no-figures")
-    [used] = rows(folder, 'SELECT "user" + "system" AS cpu, max_rss FROM executions')
+    [used] = rows(folder, 'SELECT user_s + system_s AS cpu, max_rss_bytes FROM executions')
     assert 0.7 < used["cpu"] < 1.0
-    assert 60e6 < used["max_rss"] < 90e6
+    assert 60e6 < used["max_rss_bytes"] < 90e6
 
 
 def test_a_command_that_is_not_in_the_image_is_found_out_before_anything_runs(tmp_path: Path, busybox: Path) -> None:

@@ -23,7 +23,7 @@ SAYS = projects.SIMULATOR + "print('fine' if seed % 2 else 'not so')\n"
 
 
 def good(project: Project, batch: str) -> list[int]:
-    return [row["good"] for row in project.show(batch)["experiments"]]
+    return [row["succeeded"] for row in project.show(batch)["experiments"]]
 
 
 def test_a_stricter_rule_counts_everywhere(tmp_path: Path) -> None:

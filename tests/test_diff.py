@@ -98,7 +98,7 @@ def test_a_changed_line_of_code_is_told_with_its_patch_and_with_what_came_of_it(
     )
     bytes_too, mean = [one for one in said["differences"] if one["kind"] == "results"]
     assert bytes_too["line"] == "results: 4 of 4 runs wrote other bytes"
-    assert [now - was for was, now in zip(mean["was"], mean["is"], strict=True)] == pytest.approx([1, 1])
+    assert [now - was for was, now in zip(mean["before"], mean["after"], strict=True)] == pytest.approx([1, 1])
     assert {"query", "command", "programs", "inputs", "seed", "environment", "rules"} <= set(said["same"])
 
 
@@ -206,7 +206,7 @@ def test_two_experiments_and_two_runs(make: Make) -> None:
     said = diff(root, one, other)
     assert lines(said, "query") == ["population_size: 1 → 2"]
     assert lines(said, "inputs") == ["input, as asked: //swarm/@count: 1 → 2 (in all 2 runs)"]
-    runs = sierra.open(root).sql("SELECT run FROM members WHERE ordinal = 0 ORDER BY number").column(0).to_pylist()
+    runs = sierra.open(root).sql("SELECT run FROM batch_runs WHERE ordinal = 0 ORDER BY number").column(0).to_pylist()
     said = diff(root, *runs)
     assert kinds(said) == ["seed", "inputs", "results"]
     assert lines(said, "inputs")[0].startswith("input, the seed: //random/@seed: ")
@@ -252,7 +252,7 @@ def test_two_executions_with_other_programs(tmp_path: Path) -> None:
 def test_a_failure_is_told(make: Make) -> None:
     root = make("import sys, pathlib\nsys.exit(pathlib.Path(sys.argv[1]).read_text().count('count=\"2\"'))\n")
     batch = ask(root)
-    runs = sierra.open(root).sql("SELECT run FROM members WHERE number = 0 ORDER BY ordinal").column(0).to_pylist()
+    runs = sierra.open(root).sql("SELECT run FROM batch_runs WHERE number = 0 ORDER BY ordinal").column(0).to_pylist()
     assert lines(diff(root, *runs), "status") == ["status: ok → failed (exit status 1)"]
     assert batch
 
@@ -333,7 +333,7 @@ def test_inputs_that_the_store_has_lost_are_noted_and_the_rest_is_told(make: Mak
 def test_what_was_never_executed_is_not_said_to_be_executed_with_the_same(make: Make) -> None:
     root = make("import sys, time; time.sleep(0.4); sys.exit(1)\n")
     sierra.open(root).run("population_size=1", runs=20, jobs=1, fail_fast=True, figures=False)
-    missing = "SELECT run FROM members WHERE run NOT IN (SELECT run FROM executions) ORDER BY number"
+    missing = "SELECT run FROM batch_runs WHERE run NOT IN (SELECT run FROM executions) ORDER BY number"
     one, other, *_ = sierra.open(root).sql(missing).column(0).to_pylist()
     said = diff(root, one, other)
     assert kinds(said) == ["seed", "inputs"]

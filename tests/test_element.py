@@ -583,11 +583,11 @@ def test_a_full_shared_disk_is_said_and_what_is_packed_is_whole(
 def test_a_full_disk_of_the_node_is_said(folder: Folder, disk: Callable[[Path, str], Path]) -> None:
     folder.deal([job(f"run{n}", "true", files=(("in", os.urandom(2_000_000)),)) for n in range(4)])
     disk(folder.scratch, "3m")
-    (folder.scratch / "others").write_bytes(bytes(2_000_000))
+    (folder.scratch / "other_inputs").write_bytes(bytes(2_000_000))
     code, said = folder.run()
     assert (code, "No space left on device" in said, said.count("\n")) == (3, True, 1)
     assert "No space left" in folder.events(Trouble)[0].reason
-    assert [path.name for path in folder.scratch.iterdir()] == ["others"]
+    assert [path.name for path in folder.scratch.iterdir()] == ["other_inputs"]
 
 
 def test_a_worker_that_is_killed_is_trouble_and_leaves_nothing(folder: Folder) -> None:

@@ -38,7 +38,7 @@ def assert_complete(project: Any, runs: int = RUNS) -> None:
     assert project.sql("SELECT count(*) AS n, count(DISTINCT execution) AS e FROM artifacts WHERE kind = 'table'") == [
         {"n": runs, "e": runs}
     ]
-    assert project.sql("SELECT count(*) AS n FROM members") == [{"n": runs}]
+    assert project.sql("SELECT count(*) AS n FROM batch_runs") == [{"n": runs}]
     assert project.work() == []
     assert project.left_running() == []
 
@@ -190,7 +190,7 @@ def test_failed_runs_are_results_and_the_rest_goes_on(simulate: Simulate) -> Non
     assert "3 runs failed, as" in done.stdout
     assert done.stdout.count("exit status 9") == 1
     assert done.stdout.count("    no room") == 1
-    rows = project.sql("SELECT status, count(*) AS n, max(log) AS log FROM executions GROUP BY 1 ORDER BY 1")
+    rows = project.sql("SELECT status, count(*) AS n, max(log_tail) AS log FROM executions GROUP BY 1 ORDER BY 1")
     assert rows == [{"status": "failed", "n": 3, "log": "no room"}, {"status": "ok", "n": 6, "log": None}]
     again = project.quick("run", "size.Log4", "--runs", "3", "--no-figures")
     assert again.returncode == 1
@@ -294,4 +294,4 @@ def test_a_log_that_is_a_link_is_not_recorded(simulate: Simulate, tmp_path: Path
     project = simulate(f'cd ..; for log in stdout stderr; do rm $log; ln -s "{tmp_path}/secret" $log; done; exit 1')
     assert project.quick("run", "size=1", "--runs", "1", "--no-figures").returncode == 1
     assert project.sql("SELECT count(*) AS n FROM artifacts") == [{"n": 0}]
-    assert project.sql("SELECT log FROM executions") == [{"log": None}]
+    assert project.sql("SELECT log_tail FROM executions") == [{"log_tail": None}]

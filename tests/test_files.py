@@ -64,7 +64,7 @@ def batch_of(folder: Path) -> str:
 
 
 def first_run(folder: Path) -> dict[str, Any]:
-    return rows(folder, "SELECT run, seed FROM members JOIN batches USING (batch) ORDER BY created DESC, ordinal, number")[0]
+    return rows(folder, "SELECT run, seed FROM batch_runs JOIN batches USING (batch) ORDER BY created DESC, ordinal, number")[0]
 
 
 def listed(folder: Path, *words: str) -> list[dict[str, Any]]:
@@ -397,7 +397,7 @@ def test_show_groups_failures_by_their_reason(tmp_path: Path) -> None:
     ask = ("run", "population_size=1,91,92,96", "--runs", "3", "--no-figures")
     assert quick(folder, *ask).returncode == 1
     said = quick(folder, "show", batch_of(folder))
-    failing = rows(folder, "SELECT run FROM members WHERE number = 0 ORDER BY ordinal")
+    failing = rows(folder, "SELECT run FROM batch_runs WHERE number = 0 ORDER BY ordinal")
     assert f"\n  6 runs: exit status 3, e.g. run {failing[1]['run'][:10]} (population_size=91, number 0)\n" in said.stdout
     assert f"\n  3 runs: exit status 4, e.g. run {failing[3]['run'][:10]} (population_size=96, number 0)\n" in said.stdout
     failures = json.loads(quick(folder, "show", batch_of(folder), "--json").stdout)["failures"]
@@ -420,6 +420,6 @@ def test_columns_of_axes_stand_in_the_order_of_the_query(tmp_path: Path) -> None
     for ask in (("noise=0,1", "population_size=1,2"), ("population_size=1,2", "noise=0,1")):
         ran = quick(folder, "run", *ask, "--runs", "1", "--no-figures").stdout
         names = [criterion.partition("=")[0] for criterion in ask]
-        assert [*names, "runs", "good", "failed"] in [line.split() for line in ran.splitlines()]
+        assert [*names, "runs", "succeeded", "failed"] in [line.split() for line in ran.splitlines()]
         shown = quick(folder, "show", batch_of(folder)).stdout
-        assert ["ordinal", "experiment", *names, "runs", "good", "failed"] in [line.split() for line in shown.splitlines()]
+        assert ["ordinal", "experiment", *names, "runs", "succeeded", "failed"] in [line.split() for line in shown.splitlines()]

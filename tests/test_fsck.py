@@ -54,7 +54,7 @@ def test_a_sound_store_is_sound(recorded: Path) -> None:
 
 
 def test_where_something_is_damaged_the_next_step_is_named(root: Path) -> None:
-    segment = segment_with(root, "members")
+    segment = segment_with(root, "batch_runs")
     (segment / "members.parquet").write_bytes(b"")
     said = projects.quick(root, "fsck").stdout
     assert f"damaged: segments/{segment.name}/members.parquet: " in said
@@ -207,26 +207,26 @@ def seal(folder: Path) -> None:
 
 
 FORGED: dict[str, tuple[str, Callable[[dict[str, Any]], None]]] = {
-    "a seed": ("members", lambda row: row.update(seed=row["seed"] + 1)),
-    "an input": ("members", lambda row: row.update(input="0" * 64)),
-    "a run": ("members", lambda row: row.update(run="0" * 64)),
-    "a run's number": ("members", lambda row: row.update(number=1 - row["number"] if row["number"] < 2 else 2)),
+    "a seed": ("batch_runs", lambda row: row.update(seed=row["seed"] + 1)),
+    "an input": ("batch_runs", lambda row: row.update(input="0" * 64)),
+    "a run": ("batch_runs", lambda row: row.update(run="0" * 64)),
+    "a run's number": ("batch_runs", lambda row: row.update(number=1 - row["number"] if row["number"] < 2 else 2)),
     "a value": ("experiments", lambda row: row.update({k: 7 for k in row if k in ("population_size", "noise")})),
     "an experiment": ("experiments", lambda row: row.update(experiment="0" * 64)),
     "an order": ("experiments", lambda row: row.update(ordinal=5 - row["ordinal"])),
-    "a command": ("recipes", lambda row: row.update(command=["true"])),
+    "a command": ("specs", lambda row: row.update(command=["true"])),
     "a kernel": ("environments", lambda row: row.update(kernel="9")),
     "a commit": ("sources", lambda row: row.update(commit="0" * 40)),
     "a tree": ("sources", lambda row: row.update(tree="swh:1:dir:" + "0" * 40)),
     "a list of files": ("sources", lambda row: row.update(files="0" * 64)),
     "a program": ("programs", lambda row: row.update(sha256="0" * 64)),
-    "a declaration": ("readings", lambda row: row.update(declared='{"outputs": {}, "success": {}}')),
+    "a declaration": ("ingest_rules", lambda row: row.update(declared='{"outputs": {}, "success": {}}')),
     "a result": ("executions", lambda row: row.update(result="0" * 64)),
     "an execution's run": ("executions", lambda row: row.update(run="0" * 64)),
     "an execution": ("executions", lambda row: row.update(execution=sha256(row["execution"].encode()))),
     "an artifact's digest": ("artifacts", lambda row: row.update(sha256="0" * 64)),
     "an artifact's rows": ("artifacts", lambda row: row.update(rows=row["rows"] and row["rows"] + 1)),
-    "an artifact's count": ("artifacts", lambda row: row.update(counted=row["counted"] and row["counted"] + 1)),
+    "an artifact's count": ("artifacts", lambda row: row.update(counted_rows=row["counted_rows"] and row["counted_rows"] + 1)),
     "rows": ("output.swarm", lambda row: row.update(execution="0" * 64)),
     "content": ("objects", lambda row: row.update(content=row["content"] + b"x")),
     "an object's size": ("objects", lambda row: row.update(size=row["size"] + 1)),
@@ -250,7 +250,7 @@ def test_rows_that_were_never_read_are_missed_and_executed_again(root: Path) -> 
     artifacts = pq.read_table(folder / "artifacts.parquet")
     rows = artifacts.to_pylist()
     [row] = [row for row in rows if (row["execution"], row["path"]) == (lost, "swarm.csv")]
-    assert row["counted"] == row["rows"]
+    assert row["counted_rows"] == row["rows"]
     row["rows"] -= 1
     pq.write_table(pa.Table.from_pylist(rows, schema=artifacts.schema), folder / "artifacts.parquet")
     seal(folder)
@@ -288,7 +288,7 @@ def test_no_segment_of_several_is_overlooked(tmp_path: Path, monkeypatch: pytest
 def test_other_columns_and_what_is_no_parquet_are_named(root: Path) -> None:
     folder = segment_with(root, "executions")
     pq.write_table(pa.table({"execution": ["a"], "content": [b"x"]}), folder / "artifacts.parquet")
-    (folder / "readings.parquet").write_bytes(b"PAR1 no PAR1")
+    (folder / "ingest_rules.parquet").write_bytes(b"PAR1 no PAR1")
     seal(folder)
     assert sum(kind is Kind.INCONSISTENT and "segments/" in path for kind, path in wrong(root)) >= 2
 
@@ -382,7 +382,7 @@ def test_strays_are_put_aside(root: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("tables", [("executions", "objects", "artifacts"), ("output.swarm", "readings", "output.notes")])
+@pytest.mark.parametrize("tables", [("executions", "objects", "artifacts"), ("output.swarm", "ingest_rules", "output.notes")])
 def test_what_was_executed_and_is_lost_is_executed_again_and_nothing_else(root: Path, tables: Sequence[str]) -> None:
     """Each of the tables in what another batch executed; the second batch has files that no other has."""
     project = sierra.open(root)
@@ -399,7 +399,7 @@ def test_what_was_executed_and_is_lost_is_executed_again_and_nothing_else(root: 
     assert fsck(root).sound
     after = {row["batch"]: row["n"] for row in project.sql(executed).to_pylist()}
     lost = [before[batch]["n"] - after.get(batch, 0) for batch in batches]
-    assert [count > 0 for count in lost] == [table != "readings" for table in tables]  # which other segments have too
+    assert [count > 0 for count in lost] == [table != "ingest_rules" for table in tables]  # which other segments have too
     assert all(count <= before[batch]["most"] for batch, count in zip(batches, lost, strict=True))
     summaries = [project.run(batch, figures=False) for batch in batches]
     assert sum(one.failed + one.missing for one in summaries) == 0
@@ -414,7 +414,7 @@ def test_declarations_that_are_damaged_take_no_execution_with_them(
     root = simulate().folder
     sierra.open(root).run("size=1,2", runs=8, figures=False)
     assert len(list(root.glob(".sierra/segments/*/executions.parquet"))) > 1
-    extend(segment_with(root, "readings") / "readings.parquet")
+    extend(segment_with(root, "ingest_rules") / "ingest_rules.parquet")
     repaired(root)
     assert sierra.open(root).run("size=1,2", runs=8, figures=False).executed == 0
     assert fsck(root).sound
@@ -424,7 +424,7 @@ def test_declarations_that_are_damaged_take_no_execution_with_them(
     "tables",
     [
         ("blobs", "batches", "experiments"),
-        *(pytest.param(those, marks=pytest.mark.slow) for those in (("members", "recipes", "sources"), ("objects",))),
+        *(pytest.param(those, marks=pytest.mark.slow) for those in (("batch_runs", "specs", "sources"), ("objects",))),
     ],
 )
 def test_what_says_that_there_is_a_batch_is_recorded_again(root: Path, tables: Sequence[str]) -> None:

@@ -36,7 +36,7 @@ def root(made: Path, tmp_path: Path) -> Path:
 
 def everything(root: Path) -> dict[str, Any]:
     """All that SQL and `sierra files` give."""
-    around = ("objects", "blobs", "recipes", "sources", "environments", "programs", "readings")
+    around = ("objects", "blobs", "specs", "sources", "environments", "programs", "ingest_rules")
     with sierra.open(root).store.snapshot() as snapshot:
 
         def rows(what: str) -> list[dict[str, Any]]:
@@ -79,7 +79,7 @@ def test_files_that_nothing_refers_to_go_and_unfinished_ones(root: Path) -> None
 
     objects = Objects(writer.path("objects"))
     unneeded = objects.add(b"nobody needs this")
-    needed = sierra.open(root).sql("SELECT input FROM members LIMIT 1").to_pylist()[0]["input"]
+    needed = sierra.open(root).sql("SELECT input FROM batch_runs LIMIT 1").to_pylist()[0]["input"]
     objects.add(store.object(needed))
     objects.close()
     store.publish(writer)

@@ -18,7 +18,7 @@ from sierra.design.seeds import seed
 from sierra.execution.plans import Plan
 from sierra.ingest.context import Context
 from sierra.ingest.recorder import result_hash
-from sierra.model import Client, OutputFile, Recipe
+from sierra.model import Client, OutputFile, RunSpec
 from sierra.provenance.program import fingerprint
 from sierra.provenance.source.capture import Source
 from sierra.provenance.source.manifest import Entry, tree_hash
@@ -37,7 +37,7 @@ set = { MODE = "fast" }
 """
 
 GOLDEN = {
-    "recipe": "2ba967922a8885cf8c491d8c0bfbf348d9d2ab1c4e7cabb4eccbc570a92055e6",
+    "spec": "2ba967922a8885cf8c491d8c0bfbf348d9d2ab1c4e7cabb4eccbc570a92055e6",
     "run": "470ce59a6a1c2b507e4d8cfb855ffbaf2268dd1009d157d725facf2d52133934",
     "experiment": "dd5519a74c9078994b3a77d66beec8eb4ca7214b23da8636565906cbf339ca38",
     "batch": "fa14571176940ca0d713c28d0553b9b5d613e0869aaf089f73c7c6d3ffdf85ed",
@@ -66,9 +66,9 @@ def plan(folder: Path, *query: str, runs: int | None = None) -> Plan:
 
 def ids(plan: Plan) -> dict[str, str]:
     first = plan.batch.experiments[0]
-    source = plan.batch.recipe.source or ""
+    source = plan.batch.spec.source or ""
     return {
-        "recipe": plan.batch.recipe_id,
+        "spec": plan.batch.spec_id,
         "run": first.runs[0].id,
         "experiment": first.id,
         "batch": plan.batch.id,
@@ -92,7 +92,7 @@ def test_a_result_hash_is_what_it_has_always_been() -> None:
 
 def test_a_reading_is_what_it_has_always_been() -> None:
     outputs = {"out": Output(file="out.csv", units={"v": "m"})}
-    assert Context("s", "b", "run", "e", "p", outputs, Success()).reading == READING
+    assert Context("s", "b", "run", "e", "p", outputs, Success()).ingest_rules == READING
 
 
 def test_a_fingerprint_of_programs_is_what_it_has_always_been_in_any_order() -> None:
@@ -109,7 +109,7 @@ def test_a_state_of_the_source_is_what_it_has_always_been() -> None:
 
 def test_units_and_what_is_done_with_a_mismatch_are_no_part_of_a_reading() -> None:
     outputs = {"out": Output(file="out.csv", mismatch="ragged")}
-    assert Context("t", "c", "run", "f", "q", outputs, Success()).reading == READING
+    assert Context("t", "c", "run", "f", "q", outputs, Success()).ingest_rules == READING
 
 
 def test_a_tree_has_the_hash_that_git_gives_it() -> None:
@@ -222,8 +222,8 @@ def test_the_code_and_the_template_are_part_of_a_run(tmp_path: Path) -> None:
 
 
 def test_a_recipe_says_all_that_runs_have_in_common() -> None:
-    recipe = Recipe("command", ("a",), {"B": "c"}, "swh:1:dir:0", None)
-    assert set(recipe.preimage()) == {"platform", "command", "environment", "source", "image"}
+    spec = RunSpec("command", ("a",), {"B": "c"}, "swh:1:dir:0", None)
+    assert set(spec.preimage()) == {"platform", "command", "environment", "source", "image"}
 
 
 CONTAINED = [
@@ -233,11 +233,11 @@ CONTAINED = [
 
 
 def test_a_recipe_in_an_image_has_its_content_and_what_runs_reach_beyond_it() -> None:
-    plain = Recipe("command", ("a",), {"B": "c"}, "swh:1:dir:0", "sha256:" + "0" * 64)
-    reaching = replace(plain, reach=("device /dev/dri", "network"))
+    plain = RunSpec("command", ("a",), {"B": "c"}, "swh:1:dir:0", "sha256:" + "0" * 64)
+    reaching = replace(plain, host_access=("device /dev/dri", "network"))
     assert plain.preimage()["image"] == {"id": "sha256:" + "0" * 64, "reach": []}
     assert [digest("recipe", one.preimage()) for one in (plain, reaching)] == CONTAINED
-    assert replace(plain, image=None, reach=("network",)).preimage()["image"] is None
+    assert replace(plain, image=None, host_access=("network",)).preimage()["image"] is None
 
 
 ISOLATION = "248f73e6160525a63312e2ea2bb660709f2c72ba1316f4c6561046f4f7205a30"

@@ -89,7 +89,7 @@ def test_what_differs_is_named_and_never_counts(make: Make) -> None:
     first = next(output for output in said["outputs"] if output["verdict"] == "different")
     assert (first["path"], first["column"]) == ("swarm.csv", "coverage")
     assert first["abs"] > 0
-    assert f"row {first['row']}: 'coverage' was {first['recorded']} and is {first['found']}" in first["why"]
+    assert f"row {first['row']}: 'coverage' was {first['recorded_value']} and is {first['replayed_value']}" in first["reason"]
     assert sierra.open(root).sql("SELECT * FROM swarm ORDER BY ALL").equals(before)
 
 
@@ -108,7 +108,7 @@ def test_a_date_differs_until_it_is_declared_volatile(make: Make) -> None:
     batch = ask(root)
     code, said = replay(root, batch)
     assert (code, said["verdict"]) == (1, "different")
-    assert any(output["why"].startswith("line 1 was '# written") for output in said["outputs"])
+    assert any(output["reason"].startswith("line 1 was '# written") for output in said["outputs"])
     (root / "sierra.toml").write_text((root / "sierra.toml").read_text() + "volatile = ['^# written']\n")
     assert [replay(root, batch)[0], replay(root, batch)[1]["verdict"]] == [0, "equal"]
 
@@ -150,7 +150,7 @@ def test_a_run_that_fails_now_is_failed(make: Make, tmp_path: Path) -> None:
     (root / "sierra.toml").write_text((root / "sierra.toml").read_text() + "[limits]\nwall = 0.001\n")
     code, said = replay(root, batch)
     assert (code, said["verdict"]) == (1, "failed")
-    assert "ran longer than its limit" in said["outputs"][0]["why"]
+    assert "ran longer than its limit" in said["outputs"][0]["reason"]
 
 
 def test_where_the_project_moved_ids_and_verdict_are_the_same(make_either: Make, tmp_path: Path) -> None:
@@ -232,7 +232,7 @@ def test_a_volatile_column_that_differs_is_said_by_name(make: Make) -> None:
     root = make(NOISY, f'{DECLARED}volatile = ["coverage"]\n')
     code, said = replay(root, ask(root))
     assert (code, said["verdict"]) == (0, "equal")
-    whys = {one["why"] for one in said["outputs"] if one["verdict"] == "equal"}
+    whys = {one["reason"] for one in said["outputs"] if one["verdict"] == "equal"}
     assert whys == {"only what is declared volatile differs: 'coverage'"}
 
 
@@ -243,7 +243,7 @@ def test_rows_in_another_order_differ_until_their_order_is_declared_to_mean_noth
     declare(root, "ordered = false\n")
     code, said = replay(root, batch)
     assert (code, said["verdict"]) == (0, "equal")
-    assert {one["why"] for one in said["outputs"] if one["verdict"] == "equal"} == {"the same rows in another order"}
+    assert {one["reason"] for one in said["outputs"] if one["verdict"] == "equal"} == {"the same rows in another order"}
 
 
 def test_where_they_part_is_said_in_terms_of_time_and_how_the_difference_grows(make: Make) -> None:
@@ -252,7 +252,7 @@ def test_where_they_part_is_said_in_terms_of_time_and_how_the_difference_grows(m
     code, said = replay(root, ask(root), "--runs", "1")
     first = next(one for one in said["outputs"] if one["verdict"] == "different")
     assert code == 1
-    assert "row 3 (at 3): 'coverage' was" in first["why"]
+    assert "row 3 (at 3): 'coverage' was" in first["reason"]
     assert [until for until, _ in first["growth"]] == [0, 1, 2, 3, 4]
     assert [far > 0 for _, far in first["growth"]] == [False, False, False, True, True]
 
@@ -266,7 +266,7 @@ def test_stochastic_runs_are_equivalent_where_a_declared_metric_is(make: Make) -
         [metric] = experiment["metrics"]
         assert (experiment["verdict"], metric["n"], metric["margin"], metric["equivalent"]) == ("equivalent", 8, 0.5, True)
         assert metric["power"] > 0.99
-        assert f"is within ±0.5, n = 8, p = {metric['p']:.2g}, power {metric['power']:.2f}" in metric["why"]
+        assert f"is within ±0.5, n = 8, p = {metric['p']:.2g}, power {metric['power']:.2f}" in metric["reason"]
     rows = sierra.open(root).sql("SELECT metric, n, equivalent FROM equivalences").to_pylist()
     assert rows == [{"metric": "coverage", "n": 8, "equivalent": True}] * 2
 
@@ -497,7 +497,7 @@ def test_the_same_bytes_are_not_identical_where_the_record_lacks_rows_of_them(ma
 def test_runs_that_are_left_out_are_counted_beside_the_verdict(make: Make) -> None:
     root = make(projects.SIMULATOR + "if count == 2 and seed % 2 == 0: sys.exit(7)\n")
     batch = ask(root, "population_size=1,2", "montecarlo.C4")
-    [(good,)] = [row.values() for row in sierra.open(root).sql("SELECT count(*) FROM counting").to_pylist()]
+    [(good,)] = [row.values() for row in sierra.open(root).sql("SELECT count(*) FROM effective").to_pylist()]
     assert 0 < good < 16
     code, said = replay(root, batch)
     assert (code, said["verdict"], said["runs"], said["of"]) == (0, "identical", good, 16)
@@ -516,8 +516,8 @@ def test_lists_and_structures_are_compared_too() -> None:
 
 
 def test_where_all_is_volatile_that_is_said() -> None:
-    assert "every column" in of_tables(pa.table({"v": [1]}), pa.table({"v": [2]}), Rules(volatile=["v"])).why
-    assert "every line" in of_texts(b"a\n", b"b\n", ["^"]).why
+    assert "every column" in of_tables(pa.table({"v": [1]}), pa.table({"v": [2]}), Rules(volatile=["v"])).reason
+    assert "every line" in of_texts(b"a\n", b"b\n", ["^"]).reason
 
 
 def change(root: Path, table: str, **columns: list[Any]) -> None:
@@ -535,7 +535,7 @@ def change(root: Path, table: str, **columns: list[Any]) -> None:
 def test_an_input_that_a_strangers_store_names_outside_is_refused(make: Make, name: str) -> None:
     root = make()
     batch = ask(root)
-    change(root, "recipes", files=[[name]])
+    change(root, "specs", files=[[name]])
     index = root / ".sierra" / "numbers"
     before = {*root.parent.rglob("*"), index}
     ended = projects.quick(root, "replay", batch)
@@ -562,12 +562,12 @@ def table(**columns: list[Any]) -> pa.Table:
 
 
 def test_equal_numbers_are_equal_to_the_digits_that_are_kept() -> None:
-    assert of_tables(table(v=[0.1]), table(v=[0.1])).why == (
+    assert of_tables(table(v=[0.1]), table(v=[0.1])).reason == (
         "the same values (of fractions, the 17 digits that a number holds), written in other bytes"
     )
-    assert of_tables(table(v=[1]), table(v=[1])).why == "the same values, written in other bytes"
+    assert of_tables(table(v=[1]), table(v=[1])).reason == "the same values, written in other bytes"
     beside = of_tables(table(v=[0.1], when=[1]), table(v=[0.1], when=[2]), Rules(volatile=["when"]))
-    assert beside.why == (
+    assert beside.reason == (
         "only what is declared volatile differs: 'when'; all else has the same values (of fractions, the 17 digits that a "
         "number holds)"
     )
@@ -576,13 +576,13 @@ def test_equal_numbers_are_equal_to_the_digits_that_are_kept() -> None:
     )
     said = of_tables(old, new)
     assert (said.verdict, said.abs) == (Verdict.DIFFERENT, pytest.approx(1e-21))
-    assert said.why.startswith(f"row 0: 'v' was 0.{'1' * 20}1")
+    assert said.reason.startswith(f"row 0: 'v' was 0.{'1' * 20}1")
 
 
 def test_large_whole_numbers_are_as_far_apart_as_they_are() -> None:
     said = of_tables(table(v=[2**53]), table(v=[2**53 + 1]))
     assert (said.verdict, said.abs) == (Verdict.DIFFERENT, 1.0)
-    assert "at worst 1 apart" in said.why
+    assert "at worst 1 apart" in said.reason
     assert of_tables(table(v=[2**60 + 1]), table(v=[2**60 + 300])).abs == 299
     assert of_tables(table(v=[2**53]), table(v=[2**53 + 1]), Rules({"v": Tolerance(abs=1)})).verdict is Verdict.WITHIN
     assert of_tables(table(v=[2**53 + 1]), table(v=[2.0**53])).abs == 1
@@ -591,44 +591,44 @@ def test_large_whole_numbers_are_as_far_apart_as_they_are() -> None:
 def test_what_is_no_number_is_not_some_distance_apart() -> None:
     for was, now in ((1.0, None), (1.0, float("nan")), (1.0, float("inf")), (None, 1.0)):
         said = of_tables(pa.table({"v": pa.array([was], pa.float64())}), pa.table({"v": pa.array([now], pa.float64())}))
-        assert "apart" not in said.why
-        assert "None" not in said.why
+        assert "apart" not in said.reason
+        assert "None" not in said.reason
     assert (
-        "'v' was 1.0 and is missing" in of_tables(table(v=[1.0, 2.0]), pa.table({"v": pa.array([None, 2.0], pa.float64())})).why
+        "'v' was 1.0 and is missing" in of_tables(table(v=[1.0, 2.0]), pa.table({"v": pa.array([None, 2.0], pa.float64())})).reason
     )
     said = of_tables(table(v=[0.0]), table(v=[0.5]))
-    assert "at worst 0.5 apart;" in said.why
-    assert "relative" not in said.why
+    assert "at worst 0.5 apart;" in said.reason
+    assert "relative" not in said.reason
 
 
 def test_all_columns_that_differ_are_named_or_counted() -> None:
     old, new = ({f"c{n}": [0.0, 0.0, float(n) if now else 0.0] for n in range(7)} for now in (False, True))
     said = of_tables(table(**old), table(**new))
     assert (said.row, said.column) == (2, "c1")
-    assert "; 6 columns differ: 'c1' in 1 of 3 rows, 'c2' in 1 of 3 rows" in said.why
-    assert said.why.endswith(" and 2 more")
+    assert "; 6 columns differ: 'c1' in 1 of 3 rows, 'c2' in 1 of 3 rows" in said.reason
+    assert said.reason.endswith(" and 2 more")
 
 
 def test_what_both_tables_have_is_compared_where_columns_or_rows_are_others() -> None:
     wide = {f"column{n}": [1.0, 2.0] for n in range(500)}
     said = of_tables(table(**wide, gone=[1, 1]), table(**wide, new=[1, 1]))
-    assert said.why == "other columns: 'gone' gone, 'new' new; 500 columns in both: the same"
+    assert said.reason == "other columns: 'gone' gone, 'new' new; 500 columns in both: the same"
     said = of_tables(table(**wide, gone=[1, 1]), table(**{**wide, "column7": [1.0, 3.0]}))
     assert (said.verdict, said.form, said.row, said.column) == (Verdict.DIFFERENT, True, 1, "column7")
-    assert "other columns: 'gone' gone; 500 columns in both: row 1: 'column7' was 2.0 and is 3.0" in said.why
-    assert len(of_tables(table(**wide), table(x=[1, 1])).why) < 200
-    assert of_tables(table(v=[1, 2]), table(v=[1, 2, 3])).why == "2 rows were recorded, 3 found; the first 2 are the same"
+    assert "other columns: 'gone' gone; 500 columns in both: row 1: 'column7' was 2.0 and is 3.0" in said.reason
+    assert len(of_tables(table(**wide), table(x=[1, 1])).reason) < 200
+    assert of_tables(table(v=[1, 2]), table(v=[1, 2, 3])).reason == "2 rows were recorded, 3 found; the first 2 are the same"
     said = of_tables(table(v=[1, 2, 3]), table(v=[1, 5]))
     assert (
-        said.why == "3 rows were recorded, 2 found; row 1: 'v' was 2 and is 5; at worst 3 apart (relative 1.5); in 1 of 2 rows"
+        said.reason == "3 rows were recorded, 2 found; row 1: 'v' was 2 and is 5; at worst 3 apart (relative 1.5); in 1 of 2 rows"
     )
 
 
 def test_binary_files_are_counted_and_not_shown() -> None:
     said = of_texts(b"\x93NUMPY\0" + bytes(1000), b"\x93NUMPY\0" + bytes(500) + b"\1" * 500)
-    assert said.why == "binary: 500 of 1007 bytes differ, the first at offset 507"
-    assert of_texts(b"\0a", b"\0ab").why == "2 bytes were recorded, 3 found; binary: 0 of 2 bytes differ, the first at offset 2"
-    assert of_texts(b"a\nb\nc\n", b"a\nx\ny\n").why == "line 2 was 'b' and is 'x'; 2 of 4 lines differ"
+    assert said.reason == "binary: 500 of 1007 bytes differ, the first at offset 507"
+    assert of_texts(b"\0a", b"\0ab").reason == "2 bytes were recorded, 3 found; binary: 0 of 2 bytes differ, the first at offset 2"
+    assert of_texts(b"a\nb\nc\n", b"a\nx\ny\n").reason == "line 2 was 'b' and is 'x'; 2 of 4 lines differ"
 
 
 @given(st.lists(st.text(max_size=300), min_size=1, max_size=3), st.lists(st.text(max_size=300), min_size=1, max_size=3))
@@ -639,5 +639,5 @@ def test_a_report_is_a_short_line_whatever_was_written(one: list[str], other: li
         of_tables(table(**wide), table(b=other)),
         of_tables(table(**wide), table(v=one)),
     ):
-        assert len(found.why) < 700
-        assert "\n" not in found.why
+        assert len(found.reason) < 700
+        assert "\n" not in found.reason

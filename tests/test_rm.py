@@ -58,7 +58,7 @@ def test_a_dry_run_says_what_would_go_and_changes_nothing(root: Path) -> None:
 
 def test_what_is_removed_is_missing_from_the_batches_that_stay(root: Path) -> None:
     batch = batches(root)["noise=0.5"]
-    [run, *_] = sierra.open(root).sql("SELECT run FROM members", within=batch).column("run").to_pylist()
+    [run, *_] = sierra.open(root).sql("SELECT run FROM batch_runs", within=batch).column("run").to_pylist()
     projects.quick(root, "rm", run, "--yes")
     [told] = [row for row in sierra.open(root).batches if row["batch"] == batch]
     assert (told["failed"], told["missing"]) == (0, 1)
@@ -76,7 +76,7 @@ def test_without_a_terminal_yes_is_needed(root: Path) -> None:
 def test_a_batch_goes_whole_and_what_others_have_stays(root: Path) -> None:
     named = batches(root)
     gone, stays = named["population_size=1,2"], named["population_size=2,3"]
-    shared = rows(root, "SELECT DISTINCT run FROM members WHERE batch = $b", b=stays)
+    shared = rows(root, "SELECT DISTINCT run FROM batch_runs WHERE batch = $b", b=stays)
     keep = {row["run"] for row in shared}
     before = rows(root, "SELECT * FROM executions ORDER BY execution")
     swarm = rows(root, "SELECT * EXCLUDE (row) FROM swarm ORDER BY ALL", within=stays)
@@ -84,7 +84,7 @@ def test_a_batch_goes_whole_and_what_others_have_stays(root: Path) -> None:
     said = json.loads(projects.quick(root, "rm", gone[:8], "--yes", "--json").stdout)
     assert (said["done"], said["left"], said["shared"], said["sharing"]) == (True, 0, 2, [stays])
     assert gone not in batches(root).values()
-    for table in ("batches", "experiments", "members", "sessions", "replays"):
+    for table in ("batches", "experiments", "batch_runs", "sessions", "replays"):
         assert rows(root, f"SELECT * FROM {table} WHERE batch = $b", b=gone) == []
     others = [row for row in before if row["run"] in keep or row["batch"] == named["noise=0.5"]]
     assert rows(root, "SELECT * FROM executions ORDER BY execution") == others

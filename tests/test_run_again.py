@@ -46,7 +46,7 @@ def test_what_is_missing_is_executed_with_the_code_and_the_inputs_of_then(half: 
     (root / "sierra.toml").write_text((root / "sierra.toml").read_text().replace("runs = 2", "runs = 9"))
     ended = projects.quick(root, "run", batch[:10], "--json", "--no-figures")
     said = json.loads(ended.stdout)
-    assert (ended.returncode, said["batch"], said["executed"], said["again"], said["reused"]) == (0, batch, 2, 2, 2)
+    assert (ended.returncode, said["batch"], said["executed"], said["reexecuted"], said["reused"]) == (0, batch, 2, 2, 2)
     assert state(root, batch) == (0, 0)
     rows = sierra.open(root).sql("SELECT population_size, avg(coverage) AS c FROM swarm WHERE tick = 4 GROUP BY 1 ORDER BY 1")
     assert rows.column("population_size").to_pylist() == [1, 2]

@@ -49,7 +49,7 @@ WORDS = [
     ("show", "{run}"),
     ("files", "{run}"),
     ("sql", "SHOW TABLES"),
-    ("sql", "SELECT log, reason FROM executions"),
+    ("sql", "SELECT log_tail, reason FROM executions"),
     ("sql", "SELECT chr(27) || '[2J' AS \"a\x1bb\""),
     ("why", "{batch}"),
     ("run", "population_size=1,2", "--no-figures"),

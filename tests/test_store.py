@@ -194,7 +194,7 @@ def test_growing_a_batch_executes_only_what_is_new(project: Project) -> None:
     assert one(project, "SELECT count(*) FROM runs") == 20
     assert one(project, "SELECT count(*) FROM out") == 40
     assert one(project, "SELECT count(*) FROM batches") == 2
-    assert one(project, "SELECT count(*) FROM members") == 36
+    assert one(project, "SELECT count(*) FROM batch_runs") == 36
 
 
 def test_runs_that_batches_share_are_counted_once(project: Project) -> None:

@@ -33,11 +33,11 @@ def why(root: Path, prefix: str) -> dict[str, Any]:
 
 
 def causes(said: dict[str, Any]) -> list[str]:
-    return [cause["why"] for event in said["story"] for cause in event["causes"]]
+    return [cause["reason"] for event in said["history"] for cause in event["causes"]]
 
 
 def a_run(root: Path) -> str:
-    run: str = sierra.open(root).sql("SELECT run FROM members ORDER BY ordinal, number LIMIT 1").column(0)[0].as_py()
+    run: str = sierra.open(root).sql("SELECT run FROM batch_runs ORDER BY ordinal, number LIMIT 1").column(0)[0].as_py()
     return run
 
 
@@ -58,12 +58,12 @@ def outside(tmp_path: Path) -> tuple[Path, Install]:
 def test_what_is_asked_first_is_new_and_counts(root: Path) -> None:
     batch = ask(root)
     said = why(root, batch)
-    [event] = said["story"]
-    assert (event["what"], event["executed"], event["reused"], event["ended"]) == ("asking", 4, 0, True)
+    [event] = said["history"]
+    assert (event["kind"], event["executed"], event["reused"], event["ended"]) == ("session", 4, 0, True)
     assert causes(said) == ["new"]
     assert said["new_because"] == {batch: ["nothing over these variables was recorded before"]}
-    assert [(one["runs"], one["counts"]) for one in said["standings"]] == [(4, True)]
-    assert said["again"] == ["4 runs: reused"]
+    assert [(one["runs"], one["is_effective"]) for one in said["effective"]] == [(4, True)]
+    assert said["next_run"] == ["4 runs: reused"]
 
 
 def test_the_file_that_made_runs_new_is_named(root: Path) -> None:
@@ -72,12 +72,12 @@ def test_the_file_that_made_runs_new_is_named(root: Path) -> None:
     after = ask(root)
     for thing in (
         after,
-        sierra.open(root).sql("SELECT run FROM members WHERE batch = $b LIMIT 1", b=after).column(0)[0].as_py(),
+        sierra.open(root).sql("SELECT run FROM batch_runs WHERE batch = $b LIMIT 1", b=after).column(0)[0].as_py(),
     ):
         [told] = why(root, thing)["new_because"].values()
         assert told[0] == f"compared with batch {before[:10]}:"
         assert "sim.py (+1 −0)" in told[1]
-    again = why(root, before)["again"]
+    again = why(root, before)["next_run"]
     assert again[:2] == [f"other runs, those of batch {after[:10]}, since:", "the source has changed: sim.py"]
     assert again[2].startswith(f"(sierra run {before[:10]} ")
 
@@ -86,9 +86,9 @@ def test_a_grown_batch_says_where_its_runs_come_from(root: Path) -> None:
     small = ask(root)
     large = ask(root, runs=3)
     said = why(root, large)
-    assert [(event["batch"], event["executed"], event["reused"]) for event in said["story"]] == [(small, 4, 0), (large, 2, 4)]
+    assert [(event["batch"], event["executed"], event["reused"]) for event in said["history"]] == [(small, 4, 0), (large, 2, 4)]
     assert "runs per experiment: 2 → 3" in said["new_because"][large]
-    assert [(one["runs"], one["counts"]) for one in said["standings"]] == [(6, True)]
+    assert [(one["runs"], one["is_effective"]) for one in said["effective"]] == [(6, True)]
 
 
 def test_a_failure_is_why_it_was_executed_again(root: Path, tmp_path: Path) -> None:
@@ -99,28 +99,28 @@ def test_a_failure_is_why_it_was_executed_again(root: Path, tmp_path: Path) -> N
     )
     batch = ask(root)
     said = why(root, batch)
-    assert [(one["runs"], one["why"]) for one in said["standings"]] == [(4, "none is good; the last one: exit status 3")]
-    assert said["again"] == ["4 runs: failed: exit status 3"]
+    assert [(one["runs"], one["reason"]) for one in said["effective"]] == [(4, "none is good; the last one: exit status 3")]
+    assert said["next_run"] == ["4 runs: failed: exit status 3"]
     flag.unlink()
     ask(root)
     said = why(root, a_run(root))
     assert causes(said) == ["new", "the last one failed: exit status 3"]
-    assert [(event["executed"], event["failed"]) for event in said["story"]] == [(1, 1), (1, 0)]
+    assert [(event["executed"], event["failed"]) for event in said["history"]] == [(1, 1), (1, 0)]
 
 
 def test_another_program_is_why_and_what_it_made_stale(outside: tuple[Path, Install]) -> None:
     root, install = outside
     small = ask(root, "population_size=1", runs=1)
     install(2)
-    again = why(root, small)["again"]
+    again = why(root, small)["next_run"]
     assert again[0] == "1 run: executed with other programs"
     assert again[1].startswith("sim: ")
     ask(root, "population_size=1", runs=1)
     said = why(root, a_run(root))
     assert causes(said)[0] == "new"
     assert causes(said)[1].startswith("executed with other programs before: sim: ")
-    execution = said["story"][1]["causes"][0]["execution"]
-    assert [one["execution"] for one in said["standings"]] == [execution]
+    execution = said["history"][1]["causes"][0]["execution"]
+    assert [one["execution"] for one in said["effective"]] == [execution]
     assert causes(why(root, execution)) == causes(said)[1:]
 
 
@@ -130,9 +130,9 @@ def test_a_good_execution_with_other_programs_than_were_last_asked_for_is_stale(
     install(2)
     (root.parent / "sim").write_text("#!/bin/sh\nexit 1\n")
     ask(root, "population_size=1", runs=1)
-    [standing] = why(root, batch)["standings"]
+    [standing] = why(root, batch)["effective"]
     assert not standing["counts"]
-    assert standing["why"].startswith(
+    assert standing["reason"].startswith(
         "stale: the last good one was executed otherwise than the batch was last asked for: sim: "
     )
 
@@ -143,8 +143,8 @@ def test_other_rules_are_why(root: Path) -> None:
     assert ask(root, "population_size=1") == batch
     said = why(root, batch)
     assert causes(said) == ["new"]
-    assert [event["judged"] for event in said["story"]] == [0, 2]
-    assert said["story"][1]["other_rules"].startswith("[outputs] and [success]: ")
+    assert [event["reevaluated"] for event in said["history"]] == [0, 2]
+    assert said["history"][1]["other_rules"].startswith("[outputs] and [success]: ")
 
 
 def test_other_rules_are_why_where_the_bytes_are_not_kept(root: Path) -> None:
@@ -169,9 +169,9 @@ def test_a_replay_is_told_and_does_not_count(root: Path) -> None:
     batch = ask(root)
     sierra.open(root).replay(batch)
     said = why(root, batch)
-    assert [event["what"] for event in said["story"]] == ["asking", "replay"]
+    assert [event["kind"] for event in said["history"]] == ["session", "replay"]
     assert causes(said)[1] == f"a replay of batch {batch[:10]}: identical"
-    counts = said["standings"][0]["execution"]
+    counts = said["effective"][0]["execution"]
     rows = sierra.open(root).sql("SELECT purpose FROM executions WHERE execution = $e", e=counts).to_pylist()
     assert rows == [{"purpose": "run"}]
 
@@ -180,20 +180,20 @@ def test_an_experiment_is_told_of_its_own_runs(root: Path) -> None:
     ask(root)
     [experiment, *_] = sierra.open(root).sql("SELECT experiment FROM experiments").column(0).to_pylist()
     said = why(root, experiment)
-    assert (said["runs"], said["story"][0]["executed"], said["again"]) == (2, 2, ["2 runs: reused"])
+    assert (said["runs"], said["history"][0]["executed"], said["next_run"]) == (2, 2, ["2 runs: reused"])
 
 
 def test_a_project_that_cannot_be_asked_any_more_says_why(root: Path) -> None:
     batch = ask(root)
     (root / "arena.xml").unlink()
-    [line] = why(root, batch)["again"]
+    [line] = why(root, batch)["next_run"]
     assert line.startswith("cannot be asked again as it is: ")
     assert "arena.xml" in line
 
 
 def test_what_was_set_is_asked_for_again_as_it_was(root: Path) -> None:
     batch = ask(root, sets=[("//random[@seed]/following-sibling::noise", "0.5")])
-    assert why(root, batch)["again"] == ["4 runs: reused"]
+    assert why(root, batch)["next_run"] == ["4 runs: reused"]
 
 
 def test_people_read_it_too(root: Path) -> None:

@@ -78,8 +78,8 @@ def _answer(answer: Comparison) -> dict[str, Any]:
                 "rank": one.rank,
                 "name": one.name,
                 "line": one.line,
-                "was": one.was,
-                "is": one.now,
+                "before": one.was,
+                "after": one.now,
                 "details": list(one.details),
             }
             for one in answer.differences

@@ -40,6 +40,6 @@ def _lines(run: Compared, experiment: OfExperiment) -> Iterator[str]:
     from sierra.cli.output import readable
 
     for path, agreement in run.outputs.items():
-        yield readable(f"{path or 'run'}: {agreement.verdict}{f': {agreement.why}' if agreement.why else ''}")
+        yield readable(f"{path or 'run'}: {agreement.verdict}{f': {agreement.reason}' if agreement.reason else ''}")
     for metric in experiment.metrics:
-        yield readable(metric.why)
+        yield readable(metric.reason)

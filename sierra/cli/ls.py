@@ -27,10 +27,10 @@ def ls(
         return
     columns = {
         "batch": [short(row["batch"]) for row in batches],
-        "asked": [row["answered"] or row["created"] for row in batches],
+        "submitted": [row["submitted"] or row["created"] for row in batches],
         **{name: [row[name] for row in batches] for name in ("query", "controller", "scenario")},
-        **_where_any("set", [" ".join(row["sets"]) for row in batches]),
-        **_where_any("other than before", [", ".join(row["unlike"]) for row in batches]),
+        **_where_any("set", [" ".join(row["overrides"]) for row in batches]),
+        **_where_any("changed", [", ".join(row["changed"]) for row in batches]),
         **{name: [row[name] for row in batches] for name in ("experiments", "runs")},
         "state": [_state(row) for row in batches],
     }

@@ -51,7 +51,7 @@ def _image(image: Mapping[str, Any], reach: Sequence[str]) -> Iterator[tuple[str
 
     yield "name", image.get("name", "not recorded")
     yield "id", image["image"]
-    yield "reach", ", ".join(reach) or "nothing beyond it"
+    yield "host access", ", ".join(reach) or "nothing beyond it"
     if "packages" in image:
         counts = [f"{len(lines)} of {manager}" for manager, lines in image["packages"].items()]
         yield "kind", image["kind"]

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from sierra.execution.status import Standing
     from sierra.project import Project
 
-COUNTED = ("runs", "good", "failed")
+COUNTED = ("runs", "succeeded", "failed")
 
 
 def tell(project: Project, summary: Summary, more: Mapping[str, Any] | None, *, detached: bool = False) -> None:
@@ -28,13 +28,13 @@ def tell(project: Project, summary: Summary, more: Mapping[str, Any] | None, *, 
     if more is None:
         _print(summary, left)
     else:
-        print_json({**_answer(summary), "left": [_left(one) for one in left], **more})
+        print_json({**_answer(summary), "detached": [_left(one) for one in left], **more})
     if summary.interrupted:
         raise typer.Exit(130)
     if summary.failed or (summary.missing and not detached):
         raise typer.Exit(1)
-    if summary.undrawn:
-        raise Missing(summary.undrawn)
+    if summary.figure_error:
+        raise Missing(summary.figure_error)
 
 
 def _left(one: Standing) -> dict[str, Any]:
@@ -49,10 +49,10 @@ def _answer(summary: Summary) -> dict[str, Any]:
         "experiments",
         "runs",
         "executed",
-        "again",
+        "reexecuted",
         "reused",
         "awaited",
-        "judged",
+        "reevaluated",
         "failed",
         "missing",
         "interrupted",
@@ -62,7 +62,7 @@ def _answer(summary: Summary) -> dict[str, Any]:
     answer["counts"] = [{**counted.values, **{name: getattr(counted, name) for name in COUNTED}} for counted in summary.counts]
     answer["failures"] = [asdict(failure) for failure in summary.failures]
     answer["notes"] = list(summary.notes)
-    answer["undrawn"] = summary.undrawn
+    answer["figure_error"] = summary.figure_error
     return answer
 
 
@@ -74,12 +74,12 @@ def _print(summary: Summary, left: Sequence[Standing]) -> None:
 
     print(f"batch {short(summary.batch)}: {summary.query}")
     axes = list(summary.counts[0].values)
-    rows = [[*counted.values.values(), counted.runs, counted.good, counted.failed] for counted in summary.counts]
+    rows = [[*counted.values.values(), counted.runs, counted.succeeded, counted.failed] for counted in summary.counts]
     table([*axes, *COUNTED], rows, right=COUNTED)
     failed = f", {summary.failed} failed" if summary.failed else ""
     missing = f", {summary.missing} {'to come' if left else 'not executed'}" if summary.missing else ""
     awaited = f" ({summary.awaited} executed meanwhile by another asking)" if summary.awaited else ""
-    judged = f" ({summary.judged} judged anew by the changed [outputs] or [success])" if summary.judged else ""
+    judged = f" ({summary.reevaluated} judged anew by the changed [outputs] or [success])" if summary.reevaluated else ""
     print(f"{summary.runs} runs: {summary.executed} executed, {summary.reused} reused{awaited}{failed}{missing}{judged}")
     _print_failures(summary)
     if left:

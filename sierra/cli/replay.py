@@ -149,7 +149,13 @@ def _experiment(experiment: OfExperiment) -> dict[str, Any]:
         "verdict": experiment.verdict,
         "runs": len(experiment.runs),
         "metrics": [
-            {"name": one.name, "was": one.was, "found": one.now, "why": one.why, **(asdict(one.tested) if one.tested else {})}
+            {
+                "name": one.name,
+                "recorded_mean": one.recorded_mean,
+                "replayed_mean": one.replayed_mean,
+                "reason": one.reason,
+                **(asdict(one.tested) if one.tested else {}),
+            }
             for one in experiment.metrics
         ],
     }
@@ -176,7 +182,9 @@ def _print(answer: Replay) -> None:
         _print_outputs(verdict, path, found)
     for experiment in answer.experiments:
         for metric in experiment.metrics:
-            print(f"{'equivalent' if metric.equivalent else 'not shown to be equivalent'}: {_values(experiment)}: {metric.why}")
+            print(
+                f"{'equivalent' if metric.equivalent else 'not shown to be equivalent'}: {_values(experiment)}: {metric.reason}"
+            )
     if len(answer.experiments) > 1 and answer.verdict != "identical":
         axes = list(answer.experiments[0].values)
         rows = [[*one.values.values(), len(one.runs), one.verdict] for one in answer.experiments]
@@ -222,7 +230,7 @@ def _print_outputs(verdict: Verdict, path: str | None, found: Sequence[tuple[Com
     shown = found[: 1 if verdict.fine else SHOWN]
     for run, agreement in shown:
         where = f" {path}" if path else ""
-        print(readable(f"{verdict}: run {short(run.taken.run)} (number {run.taken.number}){where}: {agreement.why}"))
+        print(readable(f"{verdict}: run {short(run.taken.run)} (number {run.taken.number}){where}: {agreement.reason}"))
         if agreement.growth and not verdict.fine and run is found[0][0]:
             print(f"    {_grown(agreement)}")
     if more := len(found) - len(shown):

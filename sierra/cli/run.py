@@ -141,7 +141,7 @@ def _preview(project: Project, plan: Plan, *, explain: bool, as_json: bool) -> d
     store = project.stored()
     states = foreseen(plan, store, states_of(plan, store))
     anew = sum(state.anew for state in states.values())
-    missing = {run for run, state in states.items() if not state.good and not state.anew}
+    missing = {run for run, state in states.items() if not state.succeeded and not state.anew}
     there = missing & status.claimed(store).keys() if store and missing else set()
     now = status.seen(store, there) if store and there else []
     todo = len(missing) - len(there)

@@ -58,12 +58,12 @@ def show(
 def _contained(shown: dict[str, Any]) -> tuple[dict[str, Any] | None, list[str], list[dict[str, Any]]]:
     """Remove and return the image, the host access and the isolation of a batch or an execution."""
     if shown["kind"] == "batch":
-        recipe, isolations = shown["recipe"], shown.pop("isolations")
-        del recipe["image"]
-        return shown.pop("image"), recipe.pop("reach") or [], isolations
+        spec, isolations = shown["spec"], shown.pop("isolations")
+        del spec["image"]
+        return shown.pop("image"), spec.pop("host_access") or [], isolations
     if shown["kind"] == "execution":
         isolation = shown.pop("isolation", None)
-        return shown.pop("image"), shown.pop("reach"), [isolation] if isolation else []
+        return shown.pop("image"), shown.pop("host_access"), [isolation] if isolation else []
     return None, [], []
 
 
@@ -88,7 +88,7 @@ def _print(shown: dict[str, Any]) -> None:
     from sierra.cli.output import fields, fitting, short_id, table
     from sierra.util.text import few
 
-    plain = {name: value for name, value in shown.items() if not isinstance(value, dict | list) and name != "log"}
+    plain = {name: value for name, value in shown.items() if not isinstance(value, dict | list) and name != "log_tail"}
     fields(plain)
     for name, value in shown.items():
         if isinstance(value, dict):
@@ -97,7 +97,7 @@ def _print(shown: dict[str, Any]) -> None:
         elif isinstance(value, list) and value:
             print(f"\n{name}:")
             if isinstance(value[0], dict):
-                columns = list(dict.fromkeys(key for row in value for key in row if key != "log"))
+                columns = list(dict.fromkeys(key for row in value for key in row if key != "log_tail"))
                 most = AT_MOST.get(name, len(value))
                 rows = [[short_id(row.get(column)) for column in columns] for row in value[:most]]
                 wide = fitting(columns, rows)
@@ -108,5 +108,5 @@ def _print(shown: dict[str, Any]) -> None:
                     print(f"and {len(value) - most} more (--json has them all)")
             else:
                 print("  " + ", ".join(map(str, value)))
-    if shown.get("log"):
-        print("\nlog:\n" + shown["log"])
+    if shown.get("log_tail"):
+        print("\nlog:\n" + shown["log_tail"])

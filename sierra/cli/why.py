@@ -10,7 +10,7 @@ import typer
 from sierra.cli import complete
 
 if TYPE_CHECKING:
-    from sierra.explain.effective import Standing
+    from sierra.explain.effective import EffectiveRuns
     from sierra.explain.history import Event
     from sierra.explain.why import Why
 
@@ -63,32 +63,37 @@ def _print(answer: Why) -> None:
     print(f"{answer.found.kind} {short(answer.found.id)}{many}")
     idle = 0
     told: set[str] = set()
-    for event in answer.story:
-        if event.what == "asking" and event.ended and not (event.executed or event.judged) and answer.found.kind != "execution":
+    for event in answer.history:
+        if (
+            event.kind == "session"
+            and event.ended
+            and not (event.executed or event.reevaluated)
+            and answer.found.kind != "execution"
+        ):
             idle += 1
             continue
         _print_event(event, answer, because=event.batch not in told)
         told.add(event.batch)
     if idle:
         print(f"asked again {idle} time{'s' * (idle > 1)}: nothing of it was executed")
-    if not answer.story:
+    if not answer.history:
         print("it was never executed")
     print("what counts:")
-    for one in answer.standings[:LINES]:
-        print(f"  batch {short(one.batch)}: {_standing(one)}{readable(one.why)}")
-    if len(answer.standings) > LINES:
-        print(f"  and {len(answer.standings) - LINES} more (--json has them all)")
+    for one in answer.effective[:LINES]:
+        print(f"  batch {short(one.batch)}: {_standing(one)}{readable(one.reason)}")
+    if len(answer.effective) > LINES:
+        print(f"  and {len(answer.effective) - LINES} more (--json has them all)")
     for line in render_status.lines(answer.clusters):
         print(line)
     print("asking again now:")
-    for line in answer.again:
+    for line in answer.next_run:
         print(f"  {readable(line)}")
 
 
-def _standing(one: Standing) -> str:
+def _standing(one: EffectiveRuns) -> str:
     from sierra.util.hashing import short
 
-    if one.counts:
+    if one.is_effective:
         return f"execution {short(one.execution or '')}: " if one.runs == 1 else f"of {one.runs} runs, "
     return "no execution: " if one.runs == 1 else f"none of {one.runs} runs (run {short(one.run)}, …): "
 
@@ -102,7 +107,7 @@ def _print_event(event: Event, answer: Why, *, because: bool) -> None:
     reused = f", {event.reused} reused" if event.reused is not None and answer.found.kind == "batch" else ""
     counts = f"{_runs(event.executed)} " * many + "executed" + failed * bool(event.failed) + reused
     unended = "" if event.ended else ", and did not come to its end"
-    what = "asked" if event.what == "asking" else event.what
+    what = "asked" if event.kind == "session" else event.kind
     print(f"{cell(event.when)} {what} (batch {short(event.batch)}): {counts}{unended}")
     for cause in event.causes[:LINES]:
         which = (
@@ -110,13 +115,13 @@ def _print_event(event: Event, answer: Why, *, because: bool) -> None:
             if many
             else f"execution {short(cause.execution)}"
         )
-        print(f"  {which}: {readable(cause.why)}")
+        print(f"  {which}: {readable(cause.reason)}")
         if cause.new and because:
             for line in answer.new_because.get(event.batch, ()):
                 print(f"    {readable(line)}")
-    if event.judged:
-        print(readable(f"  {_runs(event.judged)} judged anew by other rules, not executed: {event.other_rules}"))
-    for line in event.more:
+    if event.reevaluated:
+        print(readable(f"  {_runs(event.reevaluated)} judged anew by other rules, not executed: {event.other_rules}"))
+    for line in event.notes:
         print(f"  {readable(line)}")
     if len(event.causes) > LINES:
         print(f"  and for {len(event.causes) - LINES} more reasons (--json has them all)")

@@ -15,7 +15,7 @@ from sierra.containers import images
 from sierra.containers.engines.base import PROJECT, PYTHON, Capabilities, ContainerSpec, Engine, Mount, Process
 from sierra.containers.images import Contents, Image, oci
 from sierra.errors import ConfigError, Missing
-from sierra.model import Limits, Recipe, Requirement
+from sierra.model import Limits, Requirement, RunSpec
 from sierra.provenance.change_guard import ChangeGuard, alone
 from sierra.provenance.hash_cache import HashCache
 from sierra.provenance.program import Kind, Program, Programs
@@ -34,7 +34,7 @@ SPARE_S = 60.0
 """The seconds after a run's time limit until its container ends by itself, in case that nothing else ends it."""
 
 
-def reach(container: Container | None) -> tuple[str, ...]:
+def host_access(container: Container | None) -> tuple[str, ...]:
     """Return the host access of runs beyond their image and their own folder, in the form that is part of their identity."""
     if container is None:
         return ()
@@ -43,17 +43,17 @@ def reach(container: Container | None) -> tuple[str, ...]:
     return tuple(sorted({*flags, *listed}))
 
 
-def other_reach(was: Sequence[str], now: Sequence[str]) -> list[str]:
+def other_host_access(was: Sequence[str], now: Sequence[str]) -> list[str]:
     """Return the differences between two lists of host access, in words."""
     return [*(f"{one} is new" for one in now if one not in was), *(f"{one} is gone" for one in was if one not in now)]
 
 
 def limits(row: Mapping[str, Any]) -> dict[str, dict[str, float]]:
     """Return the limits in a row of `isolations`: all requested ones, divided into enforced, watched and ignored ones."""
-    asked, enforced = (json.loads(row[name]) for name in ("limits_asked", "limits_enforced"))
+    asked, enforced = (json.loads(row[name]) for name in ("limits_requested", "limits_enforced"))
     left = {name: limit for name, limit in asked.items() if name not in enforced}
     return {
-        "limits_asked": asked,
+        "limits_requested": asked,
         "limits_enforced": enforced,
         "limits_watched": {name: limit for name, limit in left.items() if name in WATCHED},
         "limits_ignored": {name: limit for name, limit in left.items() if name not in WATCHED},
@@ -158,7 +158,7 @@ class Isolation:
             "network": "host" if box.network else "none" if able.isolated else "not isolated",
             "devices": [*box.devices, *(["gpu"] if box.gpu else [])],
             "mounts": json.dumps({mount.target: mount.source for mount in mounts}, sort_keys=True),
-            "limits_asked": json.dumps(box.limits, sort_keys=True),
+            "limits_requested": json.dumps(box.limits, sort_keys=True),
             "limits_enforced": json.dumps({name: box.limits[name] for name in sorted(self.enforced)}),
             "argv": [word.replace("\0", "{run}") for word in said.argv],
         }
@@ -167,7 +167,7 @@ class Isolation:
 def contain(
     engine: Engine,
     image: Image | None,
-    recipe: Recipe,
+    spec: RunSpec,
     container: Container | None,
     bounds: Limits,
     *,
@@ -190,7 +190,7 @@ def contain(
         raise Missing(able.trouble)
     inside = images.examine(project, store, image)
     _check_variables(image, inside)
-    program(recipe.command, recipe.environment.get("PATH"), inside)
+    program(spec.command, spec.environment.get("PATH"), inside)
     reference = engine.prepare(image, project, store)
     theirs = image.file and reference == str(project / image.file)
     given = container or Container(image=image.name)
@@ -201,15 +201,15 @@ def contain(
     if inside.user:
         notes.append(f"the image's USER {inside.user!r} is ignored: outside of the container, processes are {able.user}")
     if not elsewhere:
-        _check_devices(recipe)
+        _check_devices(spec)
     box = ContainerSpec(
         image=image,
         reference=reference,
         session=session,
-        mounts=tuple(_with_below((Mount(str(code), PROJECT), *_mounts(recipe, given, project)))),
-        network=NETWORK in recipe.reach,
-        devices=tuple(one.removeprefix(DEVICE) for one in recipe.reach if one.startswith(DEVICE)),
-        gpu=GPU in recipe.reach,
+        mounts=tuple(_with_below((Mount(str(code), PROJECT), *_mounts(spec, given, project)))),
+        network=NETWORK in spec.host_access,
+        devices=tuple(one.removeprefix(DEVICE) for one in spec.host_access if one.startswith(DEVICE)),
+        gpu=GPU in spec.host_access,
         # in a shared container, the limit would also hit the worker: it checks memory itself
         memory=None if shared else bounds.memory_bytes,
         cpus=given.cpus,
@@ -221,9 +221,9 @@ def contain(
     return Isolation(engine, able, box, (*notes, *_ignored(engine, able, box)), alone(Path(reference)) if theirs else None)
 
 
-def _mounts(recipe: Recipe, given: Container, project: Path) -> Iterator[Mount]:
+def _mounts(spec: RunSpec, given: Container, project: Path) -> Iterator[Mount]:
     """Yield the additional mounts of a run specification, with the project's sources. Raises ConfigError, Missing."""
-    for target in (one.removeprefix(MOUNT) for one in recipe.reach if one.startswith(MOUNT)):
+    for target in (one.removeprefix(MOUNT) for one in spec.host_access if one.startswith(MOUNT)):
         if target not in given.mounts:
             raise ConfigError(f"runs need a mount at {target}; name what is to be there in [container] mounts")
         yield Mount(str(_there(project, target, given.mounts[target])), target)
@@ -252,12 +252,12 @@ def _there(project: Path, target: str, source: str) -> Path:
     return path
 
 
-def _check_devices(recipe: Recipe) -> None:
+def _check_devices(spec: RunSpec) -> None:
     """Check that this machine has the devices that runs use. Raises Missing."""
-    for path in (one.removeprefix(DEVICE) for one in recipe.reach if one.startswith(DEVICE)):
+    for path in (one.removeprefix(DEVICE) for one in spec.host_access if one.startswith(DEVICE)):
         if not Path(path).exists():
             raise Missing(f"[container] devices: there is no {path} on this machine")
-    if GPU in recipe.reach and not NVIDIA.exists():
+    if GPU in spec.host_access and not NVIDIA.exists():
         raise Missing("[container] gpu: there is no driver of NVIDIA's on this machine")
 
 

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Iterator
 from sierra.design import seeds
 from sierra.design.experiments import Heed, deaf
 from sierra.errors import QueryError
-from sierra.model import Batch, Cell, Design, Experiment, Recipe, Run, Value
+from sierra.model import Batch, Cell, Design, Experiment, Run, RunSpec, Value
 from sierra.platforms.base import Platform
 from sierra.templates.base import Renderer, Template
 from sierra.util.hashing import canonical, canonical_plain, digest, merkle, sha256
@@ -26,12 +26,12 @@ Files = tuple[tuple[str, bytes], ...]
 class Expansion:
     """A design with everything that its runs are made from."""
 
-    def __init__(self, design: Design, template: Template, platform: Platform, recipe: Recipe) -> None:
+    def __init__(self, design: Design, template: Template, platform: Platform, spec: RunSpec) -> None:
         self._design = design
         self._template = template
         self._platform = platform
-        self._recipe = recipe
-        self.recipe_id = digest("recipe", recipe.preimage())
+        self._recipe = spec
+        self.spec_id = digest("recipe", spec.preimage())
         self._numbers = tuple(range(design.query.runs))
         self._names: dict[tuple[str, ...], tuple[str, ...]] = {}
         if any(cell.stream for cell in design.cells):
@@ -45,7 +45,7 @@ class Expansion:
             heed(len(experiments), count, count * self._design.query.runs)
             experiments.append(self._experiment(cell))
         identity = merkle("batch", (experiment.id for experiment in experiments))
-        return Batch(identity, self._design.axes, tuple(experiments), self._recipe, self.recipe_id)
+        return Batch(identity, self._design.axes, tuple(experiments), self._recipe, self.spec_id)
 
     def files(self, batch: Batch, wanted: Callable[[Run], bool]) -> Iterator[tuple[Run, Files]]:
         """Yield the wanted runs with their input files, in the batch's order; each is generated on demand."""
@@ -68,7 +68,7 @@ class Expansion:
         inputs = [(name, sha256(content)) for name, content in self._files(cell, render, number, seed)]
         names = tuple(name for name, _ in inputs)
         digests = bytes.fromhex("".join(digest for _, digest in inputs))
-        identity = run_id(self.recipe_id, inputs, seed)
+        identity = run_id(self.spec_id, inputs, seed)
         return Run(identity, cell.ordinal, number, seed, self._names.setdefault(names, names), digests)
 
     def _renderer(self, cell: Cell) -> Renderer:
@@ -92,9 +92,9 @@ def _check_streams(last: int, runs: int) -> None:
         raise QueryError(f"montecarlo takes at most {STREAMS} experiments; this asks for {last + 1}")
 
 
-def run_id(recipe: str, inputs: Iterable[tuple[str, str]], seed: int) -> str:
+def run_id(spec: str, inputs: Iterable[tuple[str, str]], seed: int) -> str:
     """Return a run's id, the hash of its batch's run specification, its input files and its seed."""
-    preimage = {"sierra": "run", "format": 1, "recipe": recipe, "inputs": [list(item) for item in inputs], "seed": seed}
+    preimage = {"sierra": "run", "format": 1, "recipe": spec, "inputs": [list(item) for item in inputs], "seed": seed}
     return sha256(canonical_plain(preimage))
 
 

@@ -16,7 +16,7 @@ from pathlib import Path
 
 from sierra.errors import Missing
 from sierra.execution import commands
-from sierra.model import Recipe
+from sierra.model import RunSpec
 from sierra.provenance import programs, referenced_files, source
 from sierra.provenance.program import NOTHING, Kind, Programs
 from sierra.store.layout import FIGURES, STORE
@@ -27,23 +27,23 @@ VENV = "pyvenv.cfg"
 """File name that marks a folder as a virtual environment."""
 
 
-def programs_in(recipe: Recipe, manifest: bytes, root: Path, data: Programs = NOTHING, project: Path | None = None) -> Programs:
-    """Return the programs that a recipe's command starts, with the code in `root`, and the files that they need.
+def programs_in(spec: RunSpec, manifest: bytes, root: Path, data: Programs = NOTHING, project: Path | None = None) -> Programs:
+    """Return the programs that a spec's command starts, with the code in `root`, and the files that they need.
 
-    `data` are the files that nothing in the recipe names. `project` is the user's project folder. Raises Missing.
+    `data` are the files that nothing in the spec names. `project` is the user's project folder. Raises Missing.
     """
-    command, variables = recipe.command, recipe.environment
-    if recipe.image is not None:
-        return _beside_image(recipe, manifest, root, data)
+    command, variables = spec.command, spec.environment
+    if spec.image is not None:
+        return _beside_image(spec, manifest, root, data)
     files = referenced_files.files((*command, *variables.values()), root, source.paths(manifest), data, project or root)
     words, declared = commands.fill(command, root, project=project), commands.declared(variables, root, project)
     found = programs.find(words, declared, root, files, project=project)
     return programs.of_project(found, (root, project or root))
 
 
-def _beside_image(recipe: Recipe, manifest: bytes, root: Path, data: Programs) -> Programs:
+def _beside_image(spec: RunSpec, manifest: bytes, root: Path, data: Programs) -> Programs:
     """Return the project files and mounted files that belong to the fingerprint when the image provides the programs."""
-    words = [word for word in (*recipe.command, *recipe.environment.values()) if "{project}" in word]
+    words = [word for word in (*spec.command, *spec.environment.values()) if "{project}" in word]
     files = referenced_files.files(words, root, source.paths(manifest), data)
     kept = {one.path for one in data.all}
     return replace(files, all=tuple(one for one in files.all if one.path in kept or one.name.startswith(INSIDE)))
@@ -54,7 +54,7 @@ class Checkout:
     """Content of a folder with the code of a batch."""
 
     project: Path
-    recipe: Recipe
+    spec: RunSpec
     manifest: bytes
     used: tuple[tuple[str, str], ...]
     """Recorded programs, libraries and files: name (`{project}/path`, or an absolute path) and kind."""
@@ -67,10 +67,10 @@ class Checkout:
 
     def make(self, root: Path) -> None:
         """Create `root` and write the code into it. Raises Missing if a file no longer exists anywhere."""
-        if self.recipe.source is None:
+        if self.spec.source is None:
             root.mkdir(parents=True)
         else:
-            source.restore(self.recipe.source, self.manifest, self.project, root, self.content, commit=self.commit)
+            source.restore(self.spec.source, self.manifest, self.project, root, self.content, commit=self.commit)
         for name, _ in self.used:
             path = Path(name.removeprefix(INSIDE))
             if name.startswith(INSIDE) and not path.is_absolute() and ".." not in path.parts:
@@ -86,11 +86,11 @@ class Checkout:
 
     def programs_in(self, root: Path) -> Programs:
         """Return the programs that the command starts in the checkout `root`, and the files that it needed, as they are now."""
-        contained = self.recipe.image is not None
+        contained = self.spec.image is not None
         kept = (name for name, kind in self.used if kind == Kind.FILE and (not contained or name.startswith(INSIDE)))
         files = referenced_files.again(kept, root)
         files = replace(files, all=(*files.all, *self.mounted.all))
-        return programs_in(self.recipe, self.manifest, root, files, self.project)
+        return programs_in(self.spec, self.manifest, root, files, self.project)
 
     def programs(self) -> Programs:
         """Return `programs_in` for a temporary checkout, which is removed again."""

@@ -20,7 +20,7 @@ from sierra.config.project_file import Project
 from sierra.containers.engines.base import INSIDE, PROJECT, PYTHON, WRITABLE, ContainerSpec, Engine, Mount, Process
 from sierra.containers.images import Image
 from sierra.errors import ConfigError
-from sierra.model import Client, Job, Limits, Recipe, Run
+from sierra.model import Client, Job, Limits, Run, RunSpec
 from sierra.platforms.base import Platform
 from sierra.store.layout import RUN_HOME, RUN_OUTPUT, RUN_TMP
 from sierra.util.hashing import digest_plain
@@ -98,9 +98,9 @@ def within(image: Image | None, variables: Mapping[str, str]) -> dict[str, str]:
     return {"PATH": SEARCHED, **image.variables, **variables} if image else dict(variables)
 
 
-def on_host(recipe: Recipe, image: Image, root: Path) -> tuple[tuple[str, ...], dict[str, str]]:
+def on_host(spec: RunSpec, image: Image, root: Path) -> tuple[tuple[str, ...], dict[str, str]]:
     """Return, for this machine, a command that was recorded in an image, and its variables."""
-    return fill(recipe.command, root, {"python": PYTHON}), declared(recipe.environment, root, image=image)
+    return fill(spec.command, root, {"python": PYTHON}), declared(spec.environment, root, image=image)
 
 
 def search_path(variables: Mapping[str, str]) -> str:
@@ -137,7 +137,7 @@ class CommandBuilder:
 
     def __init__(
         self,
-        recipe: Recipe,
+        spec: RunSpec,
         root: Path,
         engine: Engine,
         bounds: Limits,
@@ -154,7 +154,7 @@ class CommandBuilder:
         execute in containers. `script` is the worker's path on the nodes of a cluster; with it, runs get the devices that the
         scheduler allots. With an `image` and without a `box`, runs get the image's variables on this machine.
         """
-        self._recipe = recipe
+        self._recipe = spec
         self._root = root
         self._engine = engine
         self._bounds = bounds
@@ -165,7 +165,7 @@ class CommandBuilder:
         self._placed["python"] = PYTHON if image else sys.executable
         self._project = Path(self._placed["project"]) if box else project
         self._environment = {
-            **within(image, {name: self._fill((value,))[0] for name, value in recipe.environment.items()}),
+            **within(image, {name: self._fill((value,))[0] for name, value in spec.environment.items()}),
             "HOME": f"{self._here}/{RUN_HOME}",
             "TMPDIR": "/tmp" if self._here != HERE else f"{HERE}/{RUN_TMP}",  # noqa: S108 - the container's own
             "SIERRA_RUN_DIR": self._here,

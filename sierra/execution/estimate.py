@@ -21,7 +21,7 @@ OF_RECORD = 600.0
 """Approximate bytes of the records of one run, without its files."""
 WROTE = """
 WITH those AS (
-    SELECT execution FROM executions e JOIN batches b USING (batch) JOIN recipes r USING (recipe)
+    SELECT execution FROM executions e JOIN batches b USING (batch) JOIN specs r USING (spec)
     WHERE e.status = 'ok' AND e.purpose = 'run' AND r.command = $command
 )
 SELECT sum(size) / (SELECT count(*) FROM those) AS bytes FROM artifacts SEMI JOIN those USING (execution)
@@ -35,7 +35,7 @@ def proposal(plan: Plan, store: Store | None, runner: str, *, detach: bool) -> E
     would follow the jobs. Raises ConfigError.
     """
     found = runners.scheduler_of(runner, plan.project.config.runners)
-    missing = {run for run, state in foreseen(plan, store, states(plan, store)).items() if not (state.good or state.anew)}
+    missing = {run for run, state in foreseen(plan, store, states(plan, store)).items() if not (state.succeeded or state.anew)}
     wanted = missing - (claimed(store).keys() if store and missing else set())
     count = len(wanted)
     if found is None or not count:
@@ -57,7 +57,7 @@ def proposal(plan: Plan, store: Store | None, runner: str, *, detach: bool) -> E
 
 def _wrote(plan: Plan, store: Store) -> float | None:
     """Return the mean bytes that successful runs with the same command wrote; None without such runs."""
-    [row] = store.rows(WROTE, command=list(plan.batch.recipe.command))
+    [row] = store.rows(WROTE, command=list(plan.batch.spec.command))
     return None if row["bytes"] is None else float(row["bytes"])
 
 

@@ -46,7 +46,7 @@ class Counted:
 
     values: Mapping[str, Any]
     runs: int
-    good: int
+    succeeded: int
     failed: int
 
 
@@ -59,7 +59,7 @@ class Summary:
     experiments: int
     runs: int
     executed: int
-    again: int
+    reexecuted: int
     """Number of executed runs that had been executed before."""
     reused: int
     failed: int
@@ -67,9 +67,9 @@ class Summary:
     interrupted: bool
     awaited: int = 0
     """Number of the reused runs that another session executed at the same time."""
-    judged: int = 0
+    reevaluated: int = 0
     """Number of runs that were not executed but evaluated again, because [outputs] or [success] have changed."""
-    left: tuple[str, ...] = ()
+    detached: tuple[str, ...] = ()
     """Ids of sessions on a cluster that continue without this process."""
     counts: tuple[Counted, ...] = ()
     """Numbers of runs by experiment, in the batch's order."""
@@ -77,7 +77,7 @@ class Summary:
     """Failures by reason, most frequent first; at most `SHOWN_REASONS`."""
     notes: tuple[str, ...] = ()
     figures: tuple[str, ...] = ()
-    undrawn: str | None = None
+    figure_error: str | None = None
     """Reason why no figure could be written (a full disk, a file in the way); the results themselves are recorded."""
 
 
@@ -119,7 +119,7 @@ def _sum_up(executor: Executor) -> Summary:
     plan, store = executor.plan, executor.store
     now = states(plan, store)
     runs = len(now)
-    for run in [run for run, state in now.items() if state.good]:
+    for run in [run for run, state in now.items() if state.succeeded]:
         del now[run]
     bad = now.keys()
     failed = bad & (executor.attempted | executor.failed)
@@ -128,14 +128,14 @@ def _sum_up(executor: Executor) -> Summary:
         store,
         runs,
         executed=executor.attempted,
-        again=executor.again,
+        reexecuted=executor.again,
         awaited=executor.awaited - executor.attempted - bad,
-        judged=executor.judged - executor.attempted,
+        reevaluated=executor.judged - executor.attempted,
         failed=failed,
         missing=bad - failed if failed else bad,
         tried={run for run, state in now.items() if state.worth == FAILED} | failed,
         interrupted=executor.interrupted,
-        left=tuple(paths.root.name for paths in executor.left),
+        detached=tuple(paths.root.name for paths in executor.left),
         notes=executor.notes,
     )
 
@@ -146,14 +146,14 @@ def _summary(
     runs: int,
     *,
     executed: AbstractSet[str] = frozenset(),
-    again: AbstractSet[str] = frozenset(),
+    reexecuted: AbstractSet[str] = frozenset(),
     awaited: AbstractSet[str] = frozenset(),
-    judged: AbstractSet[str] = frozenset(),
+    reevaluated: AbstractSet[str] = frozenset(),
     failed: AbstractSet[str] = frozenset(),
     missing: AbstractSet[str] = frozenset(),
     tried: AbstractSet[str] = frozenset(),
     interrupted: bool = False,
-    left: tuple[str, ...] = (),
+    detached: tuple[str, ...] = (),
     notes: tuple[str, ...] = (),
 ) -> Summary:
     """Return the summary of a session that executed some runs.
@@ -171,14 +171,14 @@ def _summary(
         experiments=len(plan.batch.experiments),
         runs=runs,
         executed=len(executed),
-        again=len(again),
+        reexecuted=len(reexecuted),
         reused=runs - len(executed | failed) - len(missing),
         awaited=len(awaited),
-        judged=len(judged),
+        reevaluated=len(reevaluated),
         failed=len(failed),
         missing=len(missing),
         interrupted=interrupted,
-        left=left,
+        detached=detached,
         counts=tuple(_counts(plan.batch, failed | missing if failed else missing, tried)),
         failures=failures,
         notes=(*plan.notes, *dict.fromkeys(notes)),
@@ -194,7 +194,7 @@ def _counts(batch: Batch, bad: AbstractSet[str], tried: AbstractSet[str]) -> Ite
 REASONS = """
 WITH last AS (
     SELECT run, arg_max(status, lamport) AS status, coalesce(arg_max(reason, lamport), '') AS reason,
-           nullif(arg_max(coalesce(log, ''), lamport), '') AS log
+           nullif(arg_max(coalesce(log_tail, ''), lamport), '') AS log
     FROM executions JOIN failed USING (run) GROUP BY run
 )
 SELECT count(*), arg_min(status, place), reason, arg_min(run, place), arg_min(log, place)

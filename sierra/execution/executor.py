@@ -140,7 +140,7 @@ class Executor:
     def _wanted(self) -> set[str]:
         """Return the runs without a successful execution that no session has tried since this one began."""
         now = states(self.plan, self.store)
-        wanted = {run for run, state in now.items() if not state.good}
+        wanted = {run for run, state in now.items() if not state.succeeded}
         if self._before is None:
             self._before = {run: now[run].executions for run in wanted if now[run].executions}
             self.reused = self._total - len(wanted)
@@ -229,7 +229,7 @@ class Executor:
             self.containment = contain(
                 plan.engine,
                 plan.image,
-                plan.batch.recipe,
+                plan.batch.spec,
                 plan.project.config.container,
                 plan.limits,
                 code=root,
@@ -244,7 +244,7 @@ class Executor:
     def _jobs(self, wanted: AbstractSet[str], root: Path, contained: Isolation, script: Path | None) -> Iterator[Job]:
         plan = self.plan
         maker = commands.CommandBuilder(
-            plan.batch.recipe,
+            plan.batch.spec,
             root,
             plan.engine,
             plan.limits,
@@ -264,7 +264,7 @@ class Executor:
     def _search(self, root: Path) -> str:
         """Return the PATH of runs with the code in `root`."""
         plan = self.plan
-        return commands.declared(plan.batch.recipe.environment, root, plan.project.root, image=plan.image)["PATH"]
+        return commands.declared(plan.batch.spec.environment, root, plan.project.root, image=plan.image)["PATH"]
 
     def _code(self) -> Path:
         """Return the folder of the code that is executed."""

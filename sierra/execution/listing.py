@@ -18,28 +18,28 @@ from sierra.util.text import natural
 
 BATCHES = """
 WITH last AS (
-    SELECT batch, max(lamport) AS lamport, arg_max(ended, lamport) AS answered, arg_max(failed, lamport) AS failed,
-           arg_max(missing, lamport) AS missing, arg_max(query, lamport) AS query, sum(again) AS again
+    SELECT batch, max(lamport) AS lamport, arg_max(ended, lamport) AS submitted, arg_max(failed, lamport) AS failed,
+           arg_max(missing, lamport) AS missing, arg_max(query, lamport) AS query, sum(reexecuted) AS reexecuted
     FROM sessions GROUP BY batch
 )
 SELECT b.batch, b.created, coalesce(l.query, b.query) AS query, b.controller, b.scenario, b.experiments, b.runs,
-       l.answered, l.failed, l.missing, b.batch IN (
-           SELECT m.batch FROM findings f JOIN judged e ON e.judgement = f.execution JOIN members m ON m.run = e.run
-       ) AS doubted, coalesce(l.again, 0) > 0 OR b.batch IN (SELECT batch FROM replays) AS repeated
+       l.submitted, l.failed, l.missing, b.batch IN (
+           SELECT m.batch FROM findings f JOIN all_judgements e ON e.judgement = f.execution JOIN batch_runs m ON m.run = e.run
+       ) AS doubted, coalesce(l.reexecuted, 0) > 0 OR b.batch IN (SELECT batch FROM replays) AS repeated
 FROM batches b LEFT JOIN last l USING (batch)
 ORDER BY coalesce(l.lamport, b.lamport), b.batch
 """
 
 COUNTS = """
-WITH members_of AS (SELECT DISTINCT batch, run FROM members WHERE list_contains($batches, batch)),
+WITH members_of AS (SELECT DISTINCT batch, run FROM batch_runs WHERE list_contains($batches, batch)),
 tried AS (SELECT run, arg_max(status, lamport) AS last FROM executions WHERE purpose = 'run' GROUP BY run),
-good AS (SELECT DISTINCT batch, run, true AS good FROM counting WHERE list_contains($batches, batch))
-SELECT batch, count(good) AS good, count(*) FILTER (good IS NULL AND last <> 'ok') AS failed
+good AS (SELECT DISTINCT batch, run, true AS good FROM effective WHERE list_contains($batches, batch))
+SELECT batch, count(good) AS succeeded, count(*) FILTER (good IS NULL AND last <> 'ok') AS failed
 FROM members_of LEFT JOIN tried USING (run) LEFT JOIN good USING (batch, run) GROUP BY batch
 """
 
 UNLIKE = """
-SELECT m.batch, count(DISTINCT m.run) AS runs FROM nondeterminism n JOIN members m USING (run)
+SELECT m.batch, count(DISTINCT m.run) AS runs FROM nondeterminism n JOIN batch_runs m USING (run)
 WHERE list_contains($batches, m.batch) AND (n.verdict IS NULL OR n.verdict = 'different') GROUP BY m.batch
 """
 
@@ -75,13 +75,13 @@ def batches(store: Store) -> list[dict[str, Any]]:
         count = counted.get(row["batch"])
         if count is not None:
             row["failed"] = count["failed"]
-            row["missing"] = row["runs"] - count["good"] - count["failed"]
+            row["missing"] = row["runs"] - count["succeeded"] - count["failed"]
     return rows
 
 
 SETTINGS = """
-SELECT batch, axes, sets, base_seed, template_sha256, source, image, command, variables, reach
-FROM batches JOIN recipes USING (recipe)
+SELECT batch, axes, overrides, base_seed, template_sha256, source, image, command, variables, host_access
+FROM batches JOIN specs USING (spec)
 """
 DIFFERENCES = {
     "runs": "runs",
@@ -91,7 +91,7 @@ DIFFERENCES = {
     "image": "image",
     "command": "command",
     "variables": "environment",
-    "reach": "reach",
+    "host_access": "host access",
 }
 """Names for people of the settings in which batches of one query can differ."""
 ELSE = "settings"
@@ -103,12 +103,12 @@ def _add_settings(snapshot: Snapshot, rows: Sequence[dict[str, Any]]) -> None:
     settings = {row["batch"]: row for row in snapshot.sql(SETTINGS).to_pylist()}
     before: dict[tuple[Any, ...], dict[str, Any]] = {}
     for row in rows:
-        own = {"axes": [], "sets": [], **settings.get(row["batch"], {}), "runs": row["runs"]}
-        row.update(_named(row, own["axes"]), sets=own["sets"], unlike=[])
-        called = (row["query"], row["controller"], row["scenario"], *own["sets"])
+        own = {"axes": [], "overrides": [], **settings.get(row["batch"], {}), "runs": row["runs"]}
+        row.update(_named(row, own["axes"]), overrides=own["overrides"], changed=[])
+        called = (row["query"], row["controller"], row["scenario"], *own["overrides"])
         if (last := before.get(called)) is not None:
             differing = [text for name, text in DIFFERENCES.items() if last.get(name) != own.get(name)]
-            row["unlike"] = differing or [ELSE]
+            row["changed"] = differing or [ELSE]
         before[called] = own
 
 
@@ -142,11 +142,11 @@ def show(store: Store, prefix: str) -> dict[str, Any]:
 def _batch(snapshot: Snapshot, found: Found) -> dict[str, Any]:
     row: dict[str, Any]
     [row] = snapshot.sql("SELECT * FROM batches WHERE batch = $b", b=found.id).to_pylist()
-    [recipe] = snapshot.sql("SELECT * FROM recipes WHERE recipe = $r", r=row["recipe"]).to_pylist()
-    row |= {"recipe": recipe, **_named(row, row["axes"])}
-    row["image"] = _image(snapshot, recipe["image"])
+    [spec] = snapshot.sql("SELECT * FROM specs WHERE spec = $r", r=row["spec"]).to_pylist()
+    row |= {"spec": spec, **_named(row, row["axes"])}
+    row["image"] = _image(snapshot, spec["image"])
     row["isolations"] = [_isolation(one) for one in snapshot.sql(ISOLATIONS, b=found.id).to_pylist()]
-    row["source"] = _source(snapshot, found.id, recipe["source"])
+    row["source"] = _source(snapshot, found.id, spec["source"])
     last = snapshot.sql(LAST_AROUND, b=found.id).to_pylist()[0]
     row["programs"] = _programs(snapshot, last["programs"])
     row["environment"] = _environment(snapshot, last["environment"])
@@ -167,9 +167,9 @@ FROM (SELECT programs, environment, lamport FROM sessions WHERE batch = $b UNION
 """Programs and environment of a batch's last session or execution."""
 NONDETERMINISM = """
 SELECT run, executions, results, verdict, programs FROM nondeterminism
-WHERE run = $r OR run IN (SELECT run FROM members WHERE batch = $b) ORDER BY run
+WHERE run = $r OR run IN (SELECT run FROM batch_runs WHERE batch = $b) ORDER BY run
 """
-TOLD = "a.element, a.job, a.node, a.started, a.ended, a.runs, a.cut, a.state, a.trouble"
+TOLD = "a.element, a.job, a.node, a.started, a.ended, a.runs, a.interrupted_runs, a.state, a.error"
 ATTEMPTS_OF_BATCH = f"""
 SELECT session, {TOLD} FROM attempts a WHERE batch = $b ORDER BY state = 'finished', element, started
 """  # noqa: S608 - of our own parts
@@ -198,16 +198,16 @@ def _experiments(snapshot: Snapshot, batch: str, axes: Sequence[str]) -> list[di
     """Return the experiments of a batch, with its axes in the order of its query and without the axes of other batches."""
     rows: list[dict[str, Any]] = snapshot.sql(
         "WITH tried AS (SELECT run, arg_max(status, lamport) AS last FROM executions WHERE purpose = 'run' GROUP BY run), "
-        "good AS (SELECT ordinal, run, true AS good FROM counting WHERE batch = $b), "
-        "counted AS (SELECT ordinal, count(*) AS runs, count(good) AS good, "
+        "good AS (SELECT ordinal, run, true AS good FROM effective WHERE batch = $b), "
+        "counted AS (SELECT ordinal, count(*) AS runs, count(good) AS succeeded, "
         "count(*) FILTER (good IS NULL AND last <> 'ok') AS failed "
-        "FROM (SELECT DISTINCT ordinal, run FROM members WHERE batch = $b) "
+        "FROM (SELECT DISTINCT ordinal, run FROM batch_runs WHERE batch = $b) "
         "LEFT JOIN tried USING (run) LEFT JOIN good USING (ordinal, run) GROUP BY ordinal) "
-        "SELECT ordinal, runs, good, failed FROM counted ORDER BY ordinal",
+        "SELECT ordinal, runs, succeeded, failed FROM counted ORDER BY ordinal",
         b=batch,
     ).to_pylist()
     cells = snapshot.cells(batch)
-    columns = ("ordinal", "experiment", *axes, "runs", "good", "failed")
+    columns = ("ordinal", "experiment", *axes, "runs", "succeeded", "failed")
     return [{name: {**cells[row["ordinal"]], **row}[name] for name in columns} for row in rows if row["ordinal"] in cells]
 
 
@@ -218,8 +218,8 @@ WITH tried AS (
 ),
 failed AS (
     SELECT m.ordinal, m.number, m.run, coalesce(t.last.reason, t.last.status) AS reason
-    FROM (SELECT DISTINCT ordinal, number, run FROM members WHERE batch = $b) m JOIN tried t USING (run)
-    ANTI JOIN (SELECT ordinal, run FROM counting WHERE batch = $b) c ON c.ordinal = m.ordinal AND c.run = m.run
+    FROM (SELECT DISTINCT ordinal, number, run FROM batch_runs WHERE batch = $b) m JOIN tried t USING (run)
+    ANTI JOIN (SELECT ordinal, run FROM effective WHERE batch = $b) c ON c.ordinal = m.ordinal AND c.run = m.run
     WHERE t.last.status <> 'ok'
 )
 SELECT reason, count(*) AS runs, arg_min({'run': run, 'ordinal': ordinal, 'number': number}, (ordinal, number)) AS example
@@ -254,8 +254,8 @@ def _experiment(snapshot: Snapshot, found: Found) -> dict[str, Any]:
         "WHEN arg_max(e.status, e.lamport) = 'ok' THEN 'stale' "
         "ELSE coalesce(arg_max(e.status, e.lamport), 'missing') END AS status, "
         "arg_max(e.reason, e.lamport) AS reason "
-        "FROM (SELECT DISTINCT number, run, seed FROM members WHERE batch = $b AND ordinal = $o) m "
-        "LEFT JOIN executions e USING (run) LEFT JOIN counting c ON c.run = m.run AND c.batch = $b AND c.ordinal = $o "
+        "FROM (SELECT DISTINCT number, run, seed FROM batch_runs WHERE batch = $b AND ordinal = $o) m "
+        "LEFT JOIN executions e USING (run) LEFT JOIN effective c ON c.run = m.run AND c.batch = $b AND c.ordinal = $o "
         "GROUP BY ALL ORDER BY m.number",
         b=found.batch,
         o=row["ordinal"],
@@ -266,9 +266,9 @@ def _experiment(snapshot: Snapshot, found: Found) -> dict[str, Any]:
 def _run(snapshot: Snapshot, found: Found) -> dict[str, Any]:
     [row] = snapshot.sql("SELECT * FROM runs WHERE run = $r", r=found.id).to_pylist()
     row = _without_nulls(row)
-    [row["recipe"]] = snapshot.sql("SELECT * FROM recipes WHERE recipe = $r", r=row["recipe"]).to_pylist()
+    [row["spec"]] = snapshot.sql("SELECT * FROM specs WHERE spec = $r", r=row["spec"]).to_pylist()
     row["batches"] = [
-        row[0] for row in snapshot.run("SELECT DISTINCT batch FROM members WHERE run = $r ORDER BY 1", {"r": found.id})
+        row[0] for row in snapshot.run("SELECT DISTINCT batch FROM batch_runs WHERE run = $r ORDER BY 1", {"r": found.id})
     ]
     row["executions"] = snapshot.sql(
         "SELECT * EXCLUDE (run) FROM executions WHERE run = $r ORDER BY lamport", r=found.id
@@ -293,9 +293,9 @@ def _execution(snapshot: Snapshot, found: Found) -> dict[str, Any]:
     row["attempts"] = snapshot.sql(ATTEMPTS_OF_RUN, r=row["run"], e=found.id).to_pylist()
     artifacts = snapshot.sql("SELECT * EXCLUDE (execution, run) FROM artifacts WHERE execution = $e", e=found.id).to_pylist()
     row["artifacts"] = sorted(artifacts, key=lambda artifact: natural(artifact["path"]))
-    [recipe] = snapshot.sql(RECIPE, r=row["run"]).to_pylist()
-    row["image"] = _image(snapshot, recipe["image"])
-    row["reach"] = recipe["reach"] or []
+    [spec] = snapshot.sql(RECIPE, r=row["run"]).to_pylist()
+    row["image"] = _image(snapshot, spec["image"])
+    row["host_access"] = spec["host_access"] or []
     if (isolation := row.get("isolation")) is not None:
         rows = snapshot.sql("SELECT * FROM isolations WHERE isolation = $i", i=isolation).to_pylist()
         row["isolation"] = _isolation(rows[0]) if rows else {"isolation": isolation}
@@ -304,10 +304,10 @@ def _execution(snapshot: Snapshot, found: Found) -> dict[str, Any]:
     return row
 
 
-RECIPE = "SELECT r.image, r.reach FROM members m JOIN recipes r USING (recipe) WHERE m.run = $r LIMIT 1"
+RECIPE = "SELECT r.image, r.host_access FROM batch_runs m JOIN specs r USING (spec) WHERE m.run = $r LIMIT 1"
 ISOLATIONS = """
 SELECT i.*, count(*) AS executions
-FROM executions e SEMI JOIN (SELECT run FROM members WHERE batch = $b) USING (run) JOIN isolations i USING (isolation)
+FROM executions e SEMI JOIN (SELECT run FROM batch_runs WHERE batch = $b) USING (run) JOIN isolations i USING (isolation)
 WHERE e.purpose = 'run' GROUP BY ALL ORDER BY max(e.lamport) DESC
 """
 """Isolations of the executions of a batch's runs, most recent first."""

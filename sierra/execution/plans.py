@@ -21,7 +21,7 @@ from sierra.errors import ConfigError, Missing, QueryError, UsageError
 from sierra.execution import commands
 from sierra.execution.checkout import Checkout, programs_in
 from sierra.ingest.context import Context
-from sierra.model import Batch, Design, Experiment, Limits, Query, Recipe, Run, Set
+from sierra.model import Batch, Design, Experiment, Limits, Query, Run, RunSpec, Set
 from sierra.provenance import environment, referenced_files, source, versions
 from sierra.provenance.change_guard import ChangeGuard, seen
 from sierra.provenance.program import Programs
@@ -75,7 +75,7 @@ class Plan:
         manifest = self.source.manifest if self.source else b""
         used = tuple((program.name, program.kind) for program in self.programs.all)
         mounted = Programs(tuple(program for program in self.programs.all if program.name.startswith(isolation.MOUNTS)))
-        return Checkout(self.project.root, self.batch.recipe, manifest, used, content, mounted)
+        return Checkout(self.project.root, self.batch.spec, manifest, used, content, mounted)
 
 
 def ask(
@@ -146,12 +146,12 @@ def plan(project: LoadedProject, asked: Query, *, engine: str | None = None, hee
     data = referenced_files.data(root / config.template, _written(config), root, held, own)
     if box:
         data = isolation.data(data, box, root)
-    recipe = Recipe(config.platform, command, variables, code.tree, image.id if image else None, isolation.reach(box))
+    spec = RunSpec(config.platform, command, variables, code.tree, image.id if image else None, isolation.host_access(box))
     designed = design(asked, config, platform, template, heed)
-    expansion = Expansion(designed, template, platform, recipe)
+    expansion = Expansion(designed, template, platform, spec)
     batch = expansion.batch(heed)
-    used = programs_in(recipe, code.manifest, root, data)
-    checkout = _committed(root, recipe, code, used) if code.checkout else None
+    used = programs_in(spec, code.manifest, root, data)
+    checkout = _committed(root, spec, code, used) if code.checkout else None
     executed = checkout.programs() if checkout else used
     uncounted = referenced_files.uncounted(_set_by(designed), root / config.template, root, held, used)
     return Plan(
@@ -217,10 +217,10 @@ def _source(project: LoadedProject, own: Sequence[str]) -> source.Source:
     )
 
 
-def _committed(root: Path, recipe: Recipe, code: source.Source, used: Programs) -> Checkout:
+def _committed(root: Path, spec: RunSpec, code: source.Source, used: Programs) -> Checkout:
     """Return a checkout of the commit's code, which is executed instead of the current files."""
     known = tuple((program.name, program.kind) for program in used.all)
-    return Checkout(root, recipe, code.manifest, known, lambda blob: None)
+    return Checkout(root, spec, code.manifest, known, lambda blob: None)
 
 
 def out_of_reach(plan: Plan, logs: Sequence[str] | None) -> Iterator[str]:
@@ -254,7 +254,7 @@ def _reached(plan: Plan, path: str) -> str:
 
 def versioned(plan: Plan) -> Plan:
     """Return the plan with the versions that its programs report; this executes the programs."""
-    variables = commands.declared(plan.batch.recipe.environment, plan.project.root)
+    variables = commands.declared(plan.batch.spec.environment, plan.project.root)
     return replace(plan, programs=versions.asked(plan.programs, plan.project.config.programs, variables, plan.project.root))
 
 

@@ -27,7 +27,7 @@ AT_A_TIME = 4_096
 """Number of members that are in memory as rows at a time."""
 THERE = "SELECT blob FROM blobs SEMI JOIN objects USING (sha256)"
 """SQL: source files in the store with both their entry and their content; a repair may have removed the content."""
-COUNTS = ("executed", "again", "reused", "failed", "missing", "interrupted")
+COUNTS = ("executed", "reexecuted", "reused", "failed", "missing", "interrupted")
 
 
 def keep(plan: Plan, store: Store, session: Session) -> None:
@@ -55,20 +55,20 @@ def keep(plan: Plan, store: Store, session: Session) -> None:
         objects.add(inside.listing)
         writer.rows("images", [inside.row()])
     objects.close()
-    recipe = batch.recipe
+    spec = batch.spec
     first = batch.experiments[0].runs[0]
     writer.rows("batches", [{**batch_row(plan), "lamport": stamp(session.number, session.id)}])
     writer.rows(
-        "recipes",
+        "specs",
         [
             {
-                "recipe": batch.recipe_id,
-                "platform": recipe.platform,
-                "command": list(recipe.command),
-                "variables": json.dumps(dict(recipe.environment), sort_keys=True),
-                "source": recipe.source,
-                "image": recipe.image,
-                "reach": list(recipe.reach),
+                "spec": batch.spec_id,
+                "platform": spec.platform,
+                "command": list(spec.command),
+                "variables": json.dumps(dict(spec.environment), sort_keys=True),
+                "source": spec.source,
+                "image": spec.image,
+                "host_access": list(spec.host_access),
                 "files": [name for name, _ in first.inputs],
             }
         ],
@@ -77,7 +77,7 @@ def keep(plan: Plan, store: Store, session: Session) -> None:
     writer.rows("environments", [plan.environment])
     writer.rows("programs", plan.programs.rows())
     writer.table("experiments", _experiments(batch))
-    writer.tables("members", _members(batch))
+    writer.tables("batch_runs", _members(batch))
     with sessions.exclusively(store.paths):
         if not is_kept(plan, store):
             store.publish(writer)
@@ -126,7 +126,7 @@ WENT = """
 WITH mine AS (SELECT run, bool_or(status = 'ok') AS good, min(lamport) AS began FROM executions WHERE session = $s GROUP BY run)
 SELECT count(*) AS executed, count(*) FILTER (NOT good) AS failed, count(*) FILTER (
     EXISTS (SELECT 1 FROM executions e WHERE e.run = mine.run AND e.session <> $s AND e.lamport < mine.began)
-) AS again FROM mine
+) AS reexecuted FROM mine
 """
 
 
@@ -154,7 +154,7 @@ def _row(plan: Plan, session: Session, started: datetime, runner: str, slots: in
         "environment": plan.environment["environment"],
         "source": plan.source_id,
         "lamport": stamp(session.number, session.id),
-        **{name: getattr(now, name) for name in ("programs", "reading", "rules")},
+        **{name: getattr(now, name) for name in ("programs", "ingest_rules", "batch_rules")},
     }
 
 
@@ -176,12 +176,12 @@ def _known_inputs(plan: Plan, snapshot: Snapshot) -> set[str]:
     """Return the runs of the batch whose input files the store has, because they belong to an earlier batch."""
     import pyarrow as pa
 
-    recipe = {"recipe": plan.batch.recipe_id}
-    snapshot.views.make(("members",))
-    if not snapshot.run("SELECT 1 FROM members WHERE recipe = $recipe LIMIT 1", recipe):
+    spec = {"spec": plan.batch.spec_id}
+    snapshot.views.make(("batch_runs",))
+    if not snapshot.run("SELECT 1 FROM batch_runs WHERE spec = $spec LIMIT 1", spec):
         return set()
     snapshot.register("asked", pa.table({"run": [run.id for run in plan.batch.runs]}))
-    return {row[0] for row in snapshot.run("SELECT DISTINCT run FROM members SEMI JOIN asked USING (run)")}
+    return {row[0] for row in snapshot.run("SELECT DISTINCT run FROM batch_runs SEMI JOIN asked USING (run)")}
 
 
 def batch_row(plan: Plan) -> dict[str, Any]:
@@ -193,12 +193,12 @@ def batch_row(plan: Plan) -> dict[str, Any]:
         "axes": (axes := [axis.name for axis in plan.batch.axes]),
         "controller": None if "controller" in axes else plan.query.controller or plan.project.config.controller,
         "scenario": None if "scenario" in axes else plan.query.scenario or plan.project.config.scenario,
-        "sets": [f"{change.path}={change.value}" for change in plan.query.sets],
-        "platform": plan.batch.recipe.platform,
+        "overrides": [f"{change.path}={change.value}" for change in plan.query.sets],
+        "platform": plan.batch.spec.platform,
         "experiments": len(plan.batch.experiments),
         "runs": len({run.id for run in plan.batch.runs}),
         "base_seed": plan.query.base_seed,
-        "recipe": plan.batch.recipe_id,
+        "spec": plan.batch.spec_id,
         "template": plan.project.config.template,
         "template_sha256": plan.template_sha256,
     }
@@ -222,10 +222,10 @@ def _experiments(batch: Batch) -> Any:
 def _members(batch: Batch) -> Iterator[Any]:
     import pyarrow as pa
 
-    schema = arrow_schema("members")
+    schema = arrow_schema("batch_runs")
     for at in range(0, len(batch.runs), AT_A_TIME):
         rows = (
-            (batch.id, run.experiment, run.number, run.id, run.seed, first, others, batch.recipe_id)
+            (batch.id, run.experiment, run.number, run.id, run.seed, first, others, batch.spec_id)
             for run in batch.runs[at : at + AT_A_TIME]
             for first, *others in ([digest for _, digest in run.inputs],)
         )

@@ -33,7 +33,7 @@ class State:
     """Reason why it cannot be evaluated again although the rules have changed."""
 
     @property
-    def good(self) -> bool:
+    def succeeded(self) -> bool:
         return self.worth == GOOD
 
     @property
@@ -67,11 +67,13 @@ def is_answered(plan: Plan, store: Store) -> bool:
     with store.snapshot() as snapshot:
         snapshot.views.make(("sessions",))
         snapshot.views.make(("batches",))
-        last = snapshot.run("SELECT arg_max(batch, lamport), arg_max(programs, lamport), arg_max(rules, lamport) FROM sessions")
+        last = snapshot.run(
+            "SELECT arg_max(batch, lamport), arg_max(programs, lamport), arg_max(batch_rules, lamport) FROM sessions"
+        )
         if not snapshot.run("SELECT 1 FROM batches WHERE batch = $b LIMIT 1", {"b": plan.batch.id}):
             return False  # its records are lost
-        same = last == [(plan.batch.id, now.programs, now.rules)]
-        return same and all(state.good for state in states(plan, snapshot).values())
+        same = last == [(plan.batch.id, now.programs, now.batch_rules)]
+        return same and all(state.succeeded for state in states(plan, snapshot).values())
 
 
 def states(plan: Plan, asked: Store | Snapshot | None) -> dict[str, State]:
@@ -105,42 +107,44 @@ def foreseen(plan: Plan, store: Store | None, found: Mapping[str, State]) -> dic
 
 def rules_changed(plan: Plan, store: Store) -> bool:
     """Check whether the last session of the batch used other rules, including the rules for differences between siblings."""
-    [row] = store.rows("SELECT arg_max(rules, lamport) AS rules FROM sessions WHERE batch = $b", b=plan.batch.id)
-    return row["rules"] not in (None, context(plan).rules)
+    [row] = store.rows("SELECT arg_max(batch_rules, lamport) AS batch_rules FROM sessions WHERE batch = $b", b=plan.batch.id)
+    return row["batch_rules"] not in (None, context(plan).batch_rules)
 
 
-# Runs of one recipe are executed only for batches of that recipe. Some of these batches may have been removed.
+# Runs of one spec are executed only for batches of that spec. Some of these batches may have been removed.
 THOSE = (
-    "FROM {judged} WHERE purpose = 'run' AND (batch IN (SELECT batch FROM batches WHERE recipe = $recipe) "
+    "FROM {judged} WHERE purpose = 'run' AND (batch IN (SELECT batch FROM batches WHERE spec = $spec) "
     "OR batch NOT IN (SELECT batch FROM batches))"
 )
 EACH = f"""
-SELECT run, CASE WHEN status <> 'ok' THEN {FAILED} WHEN reading <> $reading THEN {OTHER_RULES}
+SELECT run, CASE WHEN status <> 'ok' THEN {FAILED} WHEN ingest_rules <> $ingest_rules THEN {OTHER_RULES}
     WHEN programs <> $programs THEN {OTHER_PROGRAMS} ELSE {GOOD} END AS worth,
     CASE WHEN worth = {FAILED} THEN reason END, CASE WHEN worth = {FAILED} THEN lamport ELSE 0 END, {{count}}
 {THOSE}
 """
 ANEW = """(
-SELECT run, batch, purpose, programs, lamport, judgements, j.status AS status, j.reason AS reason, j.reading AS reading
+SELECT run, batch, purpose, programs, lamport, judgements, j.status AS status, j.reason AS reason,
+       j.ingest_rules AS ingest_rules
 FROM (
     SELECT execution, any_value(run) AS run, any_value(batch) AS batch, any_value(purpose) AS purpose,
            any_value(programs) AS programs, any_value(lamport) AS lamport, count(*) AS judgements,
-           arg_max({'status': status, 'reason': reason, 'reading': reading}, (reading = $reading, place, judgement)) AS j
-    FROM judged GROUP BY execution
+           arg_max({'status': status, 'reason': reason, 'ingest_rules': ingest_rules},
+                   (ingest_rules = $ingest_rules, place, judgement)) AS j
+    FROM all_judgements GROUP BY execution
 ))"""
 """SQL: executions as evaluated by the requested rules, or else as they were evaluated last."""
 
 
 def _statement(plan: Plan, snapshot: Snapshot, runs: list[str]) -> tuple[str, dict[str, str]]:
     """Return the statement for the executions that may belong to these runs, and its parameters."""
-    recipe = {"recipe": plan.batch.recipe_id}
-    snapshot.views.make(("judged", "batches"))
-    [(count,)] = snapshot.run(f"SELECT count(*) {THOSE.format(judged='judged')}", recipe)
+    spec = {"spec": plan.batch.spec_id}
+    snapshot.views.make(("all_judgements", "batches"))
+    [(count,)] = snapshot.run(f"SELECT count(*) {THOSE.format(judged='all_judgements')}", spec)
     anew = any("judgements" in segment.files for segment in snapshot.segments)
-    statement = EACH.format(judged=ANEW, count="judgements") if anew else EACH.format(judged="judged", count="1")
+    statement = EACH.format(judged=ANEW, count="judgements") if anew else EACH.format(judged="all_judgements", count="1")
     if count > MANY * len(runs):
         import pyarrow as pa
 
         snapshot.register("asked", pa.table({"run": runs}))
         statement += " AND run IN (SELECT run FROM asked)"
-    return statement, {**recipe, "programs": plan.programs.id, "reading": context(plan).reading}
+    return statement, {**spec, "programs": plan.programs.id, "ingest_rules": context(plan).ingest_rules}

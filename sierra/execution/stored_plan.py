@@ -22,7 +22,7 @@ from sierra.execution import commands
 from sierra.execution.checkout import Checkout
 from sierra.execution.plans import Plan
 from sierra.ingest.context import rules_of
-from sierra.model import Axis, Batch, Experiment, Query, Recipe, Run
+from sierra.model import Axis, Batch, Experiment, Query, Run, RunSpec
 from sierra.provenance import environment
 from sierra.provenance.change_guard import seen
 from sierra.provenance.program import NOTHING
@@ -37,18 +37,21 @@ AT_A_TIME = 512
 """Number of runs whose input files are in memory at a time."""
 LAST = """
 WITH asked AS (
-    SELECT programs, reading, source, query, lamport FROM sessions WHERE batch = $b
-    UNION ALL SELECT programs, reading, NULL, NULL, place FROM judged WHERE batch = $b AND purpose = 'run'
+    SELECT programs, ingest_rules, source, query, lamport FROM sessions WHERE batch = $b
+    UNION ALL SELECT programs, ingest_rules, NULL, NULL, place FROM all_judgements WHERE batch = $b AND purpose = 'run'
 )
-SELECT arg_max(programs, lamport) AS programs, arg_max(reading, lamport) AS reading, arg_max(source, lamport) AS source,
-       arg_max(query, lamport) AS query
+SELECT arg_max(programs, lamport) AS programs, arg_max(ingest_rules, lamport) AS ingest_rules,
+       arg_max(source, lamport) AS source, arg_max(query, lamport) AS query
 FROM asked
 """
 
 
 LAST_DECLARED = """
-WITH used AS (SELECT reading, lamport FROM sessions UNION ALL SELECT reading, place FROM judged WHERE purpose = 'run')
-SELECT declared FROM readings WHERE reading = (SELECT arg_max(reading, lamport) FROM used) LIMIT 1
+WITH used AS (
+    SELECT ingest_rules, lamport FROM sessions
+    UNION ALL SELECT ingest_rules, place FROM all_judgements WHERE purpose = 'run'
+)
+SELECT declared FROM ingest_rules WHERE ingest_rules = (SELECT arg_max(ingest_rules, lamport) FROM used) LIMIT 1
 """
 
 
@@ -63,7 +66,7 @@ class Recalled:
     """Everything that the runs of one batch have in common."""
 
     batch: str
-    recipe: Recipe
+    spec: RunSpec
     manifest: bytes
     """Manifest of the source: the list of its files."""
     commit: str | None
@@ -76,37 +79,37 @@ class Recalled:
     def checkout(self, project: LoadedProject, store: Store) -> Checkout:
         """Return the checkout that restores the code."""
         used = tuple((row["name"], row["kind"]) for row in self.programs)
-        container = project.config.container if self.recipe.image else None
+        container = project.config.container if self.spec.image else None
         mounted = isolation.data(NOTHING, container, project.root) if container else NOTHING
-        return Checkout(project.root, self.recipe, self.manifest, used, store.blob, mounted, self.commit)
+        return Checkout(project.root, self.spec, self.manifest, used, store.blob, mounted, self.commit)
 
 
-def recall(store: Store, batch: str, programs: str, reading: str) -> Recalled:
+def recall(store: Store, batch: str, programs: str, ingest_rules: str) -> Recalled:
     """Return the recorded plan of a batch for one set of programs and one set of rules."""
     with store.snapshot() as snapshot:
-        made = _one(snapshot, "SELECT r.* FROM recipes r JOIN batches b USING (recipe) WHERE b.batch = $b", b=batch)
-        rules = _one(snapshot, "SELECT declared FROM readings WHERE reading = $r", r=reading)
+        made = _one(snapshot, "SELECT r.* FROM specs r JOIN batches b USING (spec) WHERE b.batch = $b", b=batch)
+        rules = _one(snapshot, "SELECT declared FROM ingest_rules WHERE ingest_rules = $r", r=ingest_rules)
         used = snapshot.sql("SELECT * FROM programs WHERE programs = $p", p=programs).to_pylist()
         code = snapshot.sql('SELECT files, "commit" FROM sources WHERE tree = $t LIMIT 1', t=made["source"]).to_pylist()
     outputs, success = rules_of(json.loads(rules["declared"]))
-    recipe = Recipe(
+    spec = RunSpec(
         made["platform"],
         tuple(made["command"]),
         json.loads(made["variables"]),
         made["source"],
         made["image"],
-        tuple(made["reach"] or ()),
+        tuple(made["host_access"] or ()),
     )
     manifest, commit = (store.object(code[0]["files"]), code[0]["commit"]) if code else (b"", None)
-    return Recalled(batch, recipe, manifest, commit, used, programs, outputs, success)
+    return Recalled(batch, spec, manifest, commit, used, programs, outputs, success)
 
 
-def engine(store: Store, batch: str, recipe: Recipe, name: str | None, *, hosted: bool) -> Engine:
-    """Return the engine for the runs of a recipe: the requested one, or the one that this batch used last.
+def engine(store: Store, batch: str, spec: RunSpec, name: str | None, *, hosted: bool) -> Engine:
+    """Return the engine for the runs of a spec: the requested one, or the one that this batch used last.
 
-    Raises UsageError if the engine does not fit the recipe.
+    Raises UsageError if the engine does not fit the spec.
     """
-    if recipe.image is None:
+    if spec.image is None:
         if name not in (None, "none"):
             raise UsageError(f"--engine {name}: batch {short(batch)} was executed without an image; leave it out")
         return engines.find("none")
@@ -122,12 +125,12 @@ def engine(store: Store, batch: str, recipe: Recipe, name: str | None, *, hosted
     return engines.find(name)
 
 
-def image(project: LoadedProject, store: Store, recipe: Recipe) -> Image | None:
-    """Return the image of a recipe: the pinned one with this id, under any name, or the recorded one. Raises Missing."""
-    if recipe.image is None:
+def image(project: LoadedProject, store: Store, spec: RunSpec) -> Image | None:
+    """Return the image of a spec: the pinned one with this id, under any name, or the recorded one. Raises Missing."""
+    if spec.image is None:
         return None
-    found = next((one for one in images.pins(project.root).values() if one.id == recipe.image), None)
-    return found or image_contents(store, recipe.image).image
+    found = next((one for one in images.pins(project.root).values() if one.id == spec.image), None)
+    return found or image_contents(store, spec.image).image
 
 
 def image_contents(store: Store, identity: str) -> Contents:
@@ -181,12 +184,12 @@ def plan(project: LoadedProject, store: Store, prefix: str, *, contained: str | 
     with store.snapshot() as snapshot:
         row = _one(snapshot, "SELECT * FROM batches WHERE batch = $b", b=found.id)
         last = _one(snapshot, LAST, b=found.id)
-    if last["reading"] is None:
+    if last["ingest_rules"] is None:
         raise Missing(f"batch {short(found.id)}: no asking for it has come to an end; ask by its query: {row['query']}")
-    recalled = recall(store, found.id, last["programs"], last["reading"])
+    recalled = recall(store, found.id, last["programs"], last["ingest_rules"])
     checkout = recalled.checkout(project, store)
     used = checkout.programs()
-    batch = _batch(store, row, recalled.recipe)
+    batch = _batch(store, row, recalled.spec)
     text = last["query"] or row["query"]
     return Plan(
         project=project,
@@ -206,8 +209,8 @@ def plan(project: LoadedProject, store: Store, prefix: str, *, contained: str | 
         checkout=checkout,
         programs=used,
         environment=environment.capture(__version__, project.config.environment.record),
-        engine=engine(store, found.id, recalled.recipe, contained, hosted=False),
-        image=image(project, store, recalled.recipe),
+        engine=engine(store, found.id, recalled.spec, contained, hosted=False),
+        image=image(project, store, recalled.spec),
         limits=commands.limits(project.config),
         template_sha256=row["template_sha256"],
         outputs=recalled.outputs,
@@ -216,12 +219,12 @@ def plan(project: LoadedProject, store: Store, prefix: str, *, contained: str | 
     )
 
 
-def _batch(store: Store, row: Mapping[str, Any], recipe: Recipe) -> Batch:
+def _batch(store: Store, row: Mapping[str, Any], spec: RunSpec) -> Batch:
     """Return a batch as it is recorded."""
     with store.snapshot(row["batch"]) as snapshot:
-        names = tuple(_one(snapshot, "SELECT files FROM recipes WHERE recipe = $r", r=row["recipe"])["files"])
+        names = tuple(_one(snapshot, "SELECT files FROM specs WHERE spec = $r", r=row["spec"])["files"])
         cells = snapshot.sql("SELECT * FROM experiments WHERE batch = $b ORDER BY ordinal", b=row["batch"]).to_pylist()
-        snapshot.views.make(("members",))
+        snapshot.views.make(("batch_runs",))
         runs: dict[int, list[Run]] = {}
         for ordinal, number, run, seed, first, others in snapshot.each(MEMBERS, {"b": row["batch"]}):
             digests = bytes.fromhex("".join((first, *(others or ()))))
@@ -233,10 +236,10 @@ def _batch(store: Store, row: Mapping[str, Any], recipe: Recipe) -> Batch:
         for cell in cells
     )
     axes = tuple(Axis(name, tuple(dict.fromkeys(one.values[name] for one in experiments))) for name in row["axes"])
-    return Batch(row["batch"], axes, experiments, recipe, row["recipe"])
+    return Batch(row["batch"], axes, experiments, spec, row["spec"])
 
 
-MEMBERS = "SELECT ordinal, number, run, seed, input, others FROM members WHERE batch = $b ORDER BY ordinal, number"
+MEMBERS = "SELECT ordinal, number, run, seed, input, other_inputs FROM batch_runs WHERE batch = $b ORDER BY ordinal, number"
 
 
 def _one(snapshot: Snapshot, statement: str, **parameters: Any) -> dict[str, Any]:

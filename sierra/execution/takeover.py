@@ -117,10 +117,10 @@ def _summary(store: Store, batch: str, told: list[Attached], left: list[str], bu
     """Return the state of a batch as the summary of a session."""
     shown = listing.show(store, batch)
     counts = tuple(
-        Counted({axis: row[axis] for axis in shown["axes"]}, row["runs"], row["good"], row["failed"])
+        Counted({axis: row[axis] for axis in shown["axes"]}, row["runs"], row["succeeded"], row["failed"])
         for row in shown["experiments"]
     )
-    good, failed = sum(one.good for one in counts), sum(one.failed for one in counts)
+    good, failed = sum(one.succeeded for one in counts), sum(one.failed for one in counts)
     executed = sum(one.executed for one in told)
     return Summary(
         batch=batch,
@@ -128,12 +128,12 @@ def _summary(store: Store, batch: str, told: list[Attached], left: list[str], bu
         experiments=len(shown["experiments"]),
         runs=shown["runs"],
         executed=executed,
-        again=0,
+        reexecuted=0,
         reused=max(0, good - executed + sum(one.failed for one in told)),
         failed=failed,
         missing=max(0, shown["runs"] - good - failed),
         interrupted=told[-1].interrupted,
-        left=tuple(left),
+        detached=tuple(left),
         counts=counts,
         failures=tuple(_failure(store, row) for row in shown["failures"][:SHOWN_REASONS]),
         notes=tuple(dict.fromkeys((*busy, *(note for one in told for note in one.notes)))),
@@ -141,8 +141,10 @@ def _summary(store: Store, batch: str, told: list[Attached], left: list[str], bu
 
 
 def _failure(store: Store, row: Mapping[str, Any]) -> Failure:
-    [last] = store.rows("SELECT status, log FROM executions WHERE run = $r ORDER BY lamport DESC LIMIT 1", r=row["run"])
-    return Failure(row["runs"], last["status"], row["reason"], row["run"], row["values"], row["number"], last["log"] or None)
+    [last] = store.rows("SELECT status, log_tail FROM executions WHERE run = $r ORDER BY lamport DESC LIMIT 1", r=row["run"])
+    return Failure(
+        row["runs"], last["status"], row["reason"], row["run"], row["values"], row["number"], last["log_tail"] or None
+    )
 
 
 def _cancel(store: Store, row: Standing, say: Say) -> Cancelled:

@@ -70,15 +70,15 @@ def estimate(values: Mapping[str, Value], known: Sequence[Timed]) -> float:
 
 # no variable has a blank in its name
 TIMED = """
-SELECT {'controller': b.controller, 'scenario': b.scenario, 'sets': b.sets} AS "of batch", avg(e.wall) AS "took s",
+SELECT {'controller': b.controller, 'scenario': b.scenario, 'overrides': b.overrides} AS "of batch", avg(e.wall_s) AS "took s",
        x.* EXCLUDE (batch, ordinal, experiment)
-FROM executions e JOIN members m USING (batch, run) JOIN experiments x USING (batch, ordinal) JOIN batches b USING (batch)
-     JOIN recipes r ON r.recipe = b.recipe
+FROM executions e JOIN batch_runs m USING (batch, run) JOIN experiments x USING (batch, ordinal) JOIN batches b USING (batch)
+     JOIN specs r ON r.spec = b.spec
 WHERE e.status = 'ok' AND e.purpose = 'run' AND r.command = $command
 GROUP BY ALL
 """
 RECORDED = """
-SELECT run, avg(wall) FROM executions SEMI JOIN asked USING (run) WHERE status = 'ok' AND purpose = 'run' GROUP BY run
+SELECT run, avg(wall_s) FROM executions SEMI JOIN asked USING (run) WHERE status = 'ok' AND purpose = 'run' GROUP BY run
 """
 
 
@@ -86,8 +86,8 @@ def _timed(plan: Plan, store: Store) -> Iterator[Timed]:
     """Yield the durations of runs with the same command, controller, scenario and settings, or else with others."""
     project, query, batch = plan.project.config, plan.query, plan.batch
     with store.snapshot() as snapshot:
-        snapshot.views.make(("executions", "members", "experiments", "batches", "recipes"))
-        rows = snapshot.sql(TIMED, command=list(batch.recipe.command)).to_pylist()
+        snapshot.views.make(("executions", "batch_runs", "experiments", "batches", "specs"))
+        rows = snapshot.sql(TIMED, command=list(batch.spec.command)).to_pylist()
     sets = [f"{change.path}={change.value}" for change in query.sets]
     asked = (query.controller or project.controller, query.scenario or project.scenario, sets)
     alike = [row for row in rows if tuple(row["of batch"].values()) == asked]

@@ -11,7 +11,7 @@ from typing import Any
 from sierra.containers import images
 from sierra.containers.images import Contents
 from sierra.containers.images.diff import files, packages
-from sierra.containers.isolation import other_reach
+from sierra.containers.isolation import other_host_access
 from sierra.errors import Damaged, Missing, NotFound, SierraError
 from sierra.execution import stored_plan
 from sierra.execution.plans import Plan
@@ -27,8 +27,8 @@ from sierra.util.hashing import short
 from sierra.util.text import few
 
 LIKE = """
-SELECT b.*, r.command, r.variables, r.source, r.image, r.reach
-FROM batches b JOIN recipes r USING (recipe) LEFT JOIN (SELECT batch, max(lamport) AS asked FROM sessions GROUP BY batch) s
+SELECT b.*, r.command, r.variables, r.source, r.image, r.host_access
+FROM batches b JOIN specs r USING (spec) LEFT JOIN (SELECT batch, max(lamport) AS asked FROM sessions GROUP BY batch) s
 USING (batch)
 WHERE b.axes = $axes AND b.batch <> $batch
 ORDER BY coalesce(s.asked, b.lamport) DESC LIMIT 1
@@ -58,9 +58,7 @@ def why_new(plan: Plan, store: Store | None) -> list[str]:
 
 def why_other(plan: Plan, store: Store, batch: str) -> list[str]:
     """Return the differences between a plan and a recorded batch, one line each."""
-    [before] = store.rows(
-        "SELECT b.*, r.* EXCLUDE (recipe) FROM batches b JOIN recipes r USING (recipe) WHERE b.batch = $b", b=batch
-    )
+    [before] = store.rows("SELECT b.*, r.* EXCLUDE (spec) FROM batches b JOIN specs r USING (spec) WHERE b.batch = $b", b=batch)
     return [*_made_from(plan, store, before), *_asked(plan, before)] or [CHANGES]
 
 
@@ -82,12 +80,12 @@ def why_again(plan: Plan, store: Store | None) -> list[str]:
 
 SPELLED = """
 SELECT batch, query FROM batches
-WHERE axes = $axes AND recipe = $recipe AND template_sha256 = $template_sha256 AND base_seed = $base_seed AND sets = $sets
+WHERE axes = $axes AND spec = $spec AND template_sha256 = $template_sha256 AND base_seed = $base_seed AND overrides = $overrides
     AND controller IS NOT DISTINCT FROM $controller AND scenario IS NOT DISTINCT FROM $scenario
     AND NOT EXISTS (SELECT 1 FROM batches WHERE batch = $batch)
 ORDER BY lamport DESC, batch LIMIT $most
 """
-SHARED = "SELECT 1 FROM members WHERE batch = $batch AND list_contains($runs, run) LIMIT 1"
+SHARED = "SELECT 1 FROM batch_runs WHERE batch = $batch AND list_contains($runs, run) LIMIT 1"
 LOOKED_AT = 100
 
 
@@ -100,7 +98,7 @@ def respelled(plan: Plan, store: Store) -> Iterator[str]:
     if not any(isinstance(value, int | float) for axis in plan.batch.axes for value in axis.values):
         return
     row = batch_row(plan)
-    names = ("axes", "recipe", "template_sha256", "base_seed", "sets", "controller", "scenario", "batch")
+    names = ("axes", "spec", "template_sha256", "base_seed", "overrides", "controller", "scenario", "batch")
     for before in store.rows(SPELLED, most=LOOKED_AT, **{name: row[name] for name in names}):
         found = _spelled_otherwise(plan, before["query"])
         if found is None:
@@ -131,7 +129,7 @@ def _made_from(plan: Plan, store: Store, before: dict[str, Any]) -> Iterator[str
     """Yield the differences in command, variables, platform, image, source and template."""
     yield from _recipe(plan, before)
     yield from _image(plan, store, before)
-    if before["source"] != plan.batch.recipe.source:
+    if before["source"] != plan.batch.spec.source:
         yield from _source(plan, store, before["source"])
     if before["template_sha256"] != plan.template_sha256:
         yield f"the template {plan.project.config.template} has changed"
@@ -140,7 +138,7 @@ def _made_from(plan: Plan, store: Store, before: dict[str, Any]) -> Iterator[str
 PROGRAMS = """
 SELECT name, kind, version, sha256 FROM programs
 WHERE programs = (
-    SELECT arg_max(programs, lamport) FROM executions JOIN members USING (run)
+    SELECT arg_max(programs, lamport) FROM executions JOIN batch_runs USING (run)
     WHERE members.batch = $batch AND purpose = 'run'
 )
 """
@@ -148,36 +146,36 @@ WHERE programs = (
 
 def other_programs(plan: Plan, store: Store) -> list[str]:
     """Return the programs that differ from those of the batch's last execution, one line each."""
-    words = mentioned(plan.batch.recipe.command, plan.project.root)
+    words = mentioned(plan.batch.spec.command, plan.project.root)
     return list(programs.told(store.rows(PROGRAMS, batch=plan.batch.id), plan.programs, words))
 
 
 def _recipe(plan: Plan, before: dict[str, Any]) -> list[str]:
-    recipe = plan.batch.recipe
+    spec = plan.batch.spec
     lines = []
-    if before["command"] != list(recipe.command):
-        lines.append(f"the command was {' '.join(before['command'])!r} and is {' '.join(recipe.command)!r}")
+    if before["command"] != list(spec.command):
+        lines.append(f"the command was {' '.join(before['command'])!r} and is {' '.join(spec.command)!r}")
     variables = json.loads(before["variables"])
-    for name in sorted(variables.keys() | recipe.environment.keys()):
-        if variables.get(name) != recipe.environment.get(name):
-            lines.append(f"the variable {name} was {variables.get(name)!r} and is {recipe.environment.get(name)!r}")
-    if before["platform"] != recipe.platform:
-        lines.append(f"the platform was {before['platform']} and is {recipe.platform}")
+    for name in sorted(variables.keys() | spec.environment.keys()):
+        if variables.get(name) != spec.environment.get(name):
+            lines.append(f"the variable {name} was {variables.get(name)!r} and is {spec.environment.get(name)!r}")
+    if before["platform"] != spec.platform:
+        lines.append(f"the platform was {before['platform']} and is {spec.platform}")
     return lines
 
 
 def _image(plan: Plan, store: Store, before: dict[str, Any]) -> Iterator[str]:
     """Yield the differences of the image, of its content, and of the host access of runs."""
-    recipe = plan.batch.recipe
-    if before["image"] != recipe.image:
+    spec = plan.batch.spec
+    if before["image"] != spec.image:
         was, now = _recorded(store, before["image"]), _known(plan, store)
         called = [one.image.name if one else "" for one in (was, now)]
-        ids = [images.short(identity) if identity else "none" for identity in (before["image"], recipe.image)]
+        ids = [images.short(identity) if identity else "none" for identity in (before["image"], spec.image)]
         told = [f"{name} ({identity})" if name else identity for name, identity in zip(called, ids, strict=True)]
         yield f"the image was {told[0]} and is {told[1]}"
         if was and now:
-            yield _inside(was, now, mentioned(recipe.command, plan.project.root))
-    if reach := other_reach(before["reach"] or (), recipe.reach):
+            yield _inside(was, now, mentioned(spec.command, plan.project.root))
+    if reach := other_host_access(before["host_access"] or (), spec.host_access):
         yield f"what runs reach beyond the image has changed: {', '.join(reach)}"
 
 
@@ -222,5 +220,5 @@ def _asked(plan: Plan, before: dict[str, Any]) -> list[str]:
     now = batch_row(plan)
     names = [name for name in ASKED if name not in now["axes"]]
     lines = [f"{name} was {before[name]!r} and is {now[name]!r}" for name in names if before[name] != now[name]]
-    lines += [f"--set {change} is new" for change in now["sets"] if change not in before["sets"]]
-    return lines + [f"--set {change} is gone" for change in before["sets"] if change not in now["sets"]]
+    lines += [f"--set {change} is new" for change in now["overrides"] if change not in before["overrides"]]
+    return lines + [f"--set {change} is gone" for change in before["overrides"] if change not in now["overrides"]]

@@ -26,7 +26,7 @@ class Cause:
     """Reason for some executions."""
 
     executions: int
-    why: str
+    reason: str
     execution: str
     """Id of one of the executions."""
     run: str
@@ -40,14 +40,14 @@ class Event:
 
     session: str
     when: datetime | None
-    what: str
-    """Kind: `asking` for a session, `replay`, or another purpose."""
+    kind: str
+    """`session` for a session, `replay`, or another purpose."""
     batch: str
     query: str
     executed: int
     """Number of executed runs among the selected ones. `failed`: how many of these executions failed."""
     failed: int
-    judged: int
+    reevaluated: int
     """Number of runs with a recorded execution that was evaluated again by other rules."""
     other_rules: str
     """Differences of these rules; empty if nothing was evaluated again."""
@@ -56,33 +56,33 @@ class Event:
     ended: bool
     """True if it ended and was recorded."""
     causes: tuple[Cause, ...]
-    more: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
     """Reasons why runs were started or executed more often than requested on a cluster."""
 
 
 EXECUTED = """
 CREATE TEMP TABLE happened AS
 WITH mine AS (
-    SELECT e.judgement, e.judged, e.place, e.execution, e.run, e.session, e.batch, e.started, e.ended, e.status, e.reason,
-           e.programs, e.reading, e.purpose, e.lamport
-    FROM judged e SEMI JOIN wanted USING (run)
+    SELECT e.judgement, e.judged_at, e.place, e.execution, e.run, e.session, e.batch, e.started, e.ended, e.status, e.reason,
+           e.programs, e.ingest_rules, e.purpose, e.lamport
+    FROM all_judgements e SEMI JOIN wanted USING (run)
 ),
-first AS (SELECT * EXCLUDE (judgement, judged, place) FROM mine WHERE judgement = execution),
+first AS (SELECT * EXCLUDE (judgement, judged_at, place) FROM mine WHERE judgement = execution),
 earlier AS (
-    SELECT e.execution, p.execution AS prior, p.lamport, p.programs, p.reading, p.reason,
+    SELECT e.execution, p.execution AS prior, p.lamport, p.programs, p.ingest_rules, p.reason,
            f.lamport IS NOT NULL AND f.lamport < e.lamport AS doubted,
            CASE WHEN p.status <> 'ok' AND (f.lamport IS NULL OR f.lamport < e.lamport) THEN $failed
-                WHEN p.reading <> e.reading THEN $rules WHEN p.programs <> e.programs THEN $programs
+                WHEN p.ingest_rules <> e.ingest_rules THEN $rules WHEN p.programs <> e.programs THEN $programs
                 ELSE $good END AS worth
     FROM first e JOIN mine p ON p.run = e.run AND p.execution <> e.execution AND p.place < e.lamport AND p.purpose = 'run'
         AND NOT (p.session <> e.session AND p.started < e.ended AND p.ended > e.started)
     LEFT JOIN findings f ON f.execution = p.judgement
     QUALIFY row_number() OVER (
-        PARTITION BY e.execution, p.execution ORDER BY p.reading = e.reading DESC, p.place DESC, p.judgement
+        PARTITION BY e.execution, p.execution ORDER BY p.ingest_rules = e.ingest_rules DESC, p.place DESC, p.judgement
     ) = 1
 ),
 best AS (
-    SELECT execution, max(worth) AS worth, arg_max({'prior': prior, 'programs': programs, 'reading': reading,
+    SELECT execution, max(worth) AS worth, arg_max({'prior': prior, 'programs': programs, 'ingest_rules': ingest_rules,
            'reason': reason, 'doubted': doubted}, (worth, lamport)) AS best
     FROM earlier GROUP BY execution
 )
@@ -94,8 +94,8 @@ FROM first m LEFT JOIN best b USING (execution)
 """
 CAUSES = """
 SELECT session, batch, purpose, worth, beside, best.doubted AS doubted, CASE WHEN worth = 0 THEN best.reason END AS reason,
-       CASE WHEN worth = 1 THEN best.reading END AS was_reading, CASE WHEN worth = 2 THEN best.programs END AS was_programs,
-       CASE WHEN worth = 1 THEN reading END AS reading, CASE WHEN worth = 2 THEN programs END AS programs,
+       CASE WHEN worth = 1 THEN best.ingest_rules END AS was_rules, CASE WHEN worth = 2 THEN best.programs END AS was_programs,
+       CASE WHEN worth = 1 THEN ingest_rules END AS ingest_rules, CASE WHEN worth = 2 THEN programs END AS programs,
        count(*) AS executions, count(*) FILTER (status <> 'ok') AS failed, min(started) AS started,
        min(lamport) AS lamport, arg_min(execution, lamport) AS execution, arg_min(run, lamport) AS run,
        arg_min(best.prior, lamport) AS prior
@@ -105,27 +105,29 @@ CUT = """
 WITH mine AS (
     SELECT DISTINCT a.session, a.element FROM attempts a JOIN executions e USING (attempt) SEMI JOIN wanted USING (run)
 )
-SELECT session, count(*) AS times, sum(cut)::INT AS cut, list(DISTINCT trouble ORDER BY trouble) AS troubles
-FROM attempts SEMI JOIN mine USING (session, element) WHERE state = 'cut off' AND cut > 0 GROUP BY session
+SELECT session, count(*) AS times, sum(interrupted_runs)::INT AS interrupted, list(DISTINCT error ORDER BY error) AS errors
+FROM attempts SEMI JOIN mine USING (session, element) WHERE state = 'cut off' AND interrupted_runs > 0 GROUP BY session
 """
 COPIED = """
 SELECT e.session, count(*) AS copies, count(*) FILTER (NOT same) AS other, min(execution) AS execution
-FROM copies JOIN executions e USING (execution) WHERE e.run IN (SELECT run FROM wanted) GROUP BY e.session
+FROM duplicates JOIN executions e USING (execution) WHERE e.run IN (SELECT run FROM wanted) GROUP BY e.session
 """
 ASKINGS = """
 SELECT * FROM sessions WHERE list_contains($b, batch) OR list_contains($s, session)
 """
 JUDGED = """
-SELECT j.session, any_value(j.batch) AS batch, count(DISTINCT j.run) AS runs, min(j.judged) AS judged,
-       min(j.lamport) AS lamport, list(DISTINCT j.reading) AS reading, list(DISTINCT e.reading) AS was_reading
-FROM judgements j SEMI JOIN wanted USING (run) JOIN judged e ON e.judgement = j.execution GROUP BY j.session
+SELECT j.session, any_value(j.batch) AS batch, count(DISTINCT j.run) AS runs, min(j.judged_at) AS judged_at,
+       min(j.lamport) AS lamport, list(DISTINCT j.ingest_rules) AS ingest_rules, list(DISTINCT e.ingest_rules) AS was_rules
+FROM judgements j SEMI JOIN wanted USING (run) JOIN all_judgements e ON e.judgement = j.execution GROUP BY j.session
 """
 REPLAYS = "SELECT replay, kind, target, verdict FROM replays WHERE list_contains($s, replay)"
 
 
 def tell(snapshot: Snapshot, batches: Sequence[str]) -> list[Event]:
     """Return all events of the runs in the table `wanted`, and all sessions of these batches, in order."""
-    snapshot.views.make(("executions", "judged", "findings", "sessions", "replays", "members", "attempts", "copies"))
+    snapshot.views.make(
+        ("executions", "all_judgements", "findings", "sessions", "replays", "batch_runs", "attempts", "duplicates")
+    )
     snapshot.run(EXECUTED, {"failed": FAILED, "rules": OTHER_RULES, "programs": OTHER_PROGRAMS, "good": GOOD})
     rows = snapshot.sql(CAUSES).to_pylist()
     judged = {row["session"]: row for row in snapshot.sql(JUDGED).to_pylist()}
@@ -164,32 +166,32 @@ def _event(
     return Event(
         session=session,
         when=asking["started"] if asking else _began(rows, judged),
-        what="asking" if purpose == "run" else purpose,
+        kind="session" if purpose == "run" else purpose,
         batch=(asking or (*rows, judged or {})[0])["batch"],
         query=asking["query"] if asking else "",
         executed=executed,
         failed=failed,
-        judged=judged["runs"] if judged else 0,
-        other_rules=_lines(other_rules(snapshot, judged["was_reading"], judged["reading"])) if judged else "",
+        reevaluated=judged["runs"] if judged else 0,
+        other_rules=_lines(other_rules(snapshot, judged["was_rules"], judged["ingest_rules"])) if judged else "",
         reused=asking["reused"] if asking else None,
         ended=asking is not None or replay is not None,
         causes=tuple(_cause(snapshot, row, replay) for row in rows),
-        more=tuple(more),
+        notes=tuple(more),
     )
 
 
 def _began(rows: Sequence[Mapping[str, Any]], judged: Mapping[str, Any] | None) -> datetime | None:
     """Return the time of the first action of a session without a record."""
-    return min((row["started"] for row in rows), default=judged["judged"] if judged else None)
+    return min((row["started"] for row in rows), default=judged["all_judgements"] if judged else None)
 
 
 def _more(snapshot: Snapshot) -> dict[str, list[str]]:
     """Return, by session, lines about runs that were started or executed more often than requested, and the reasons."""
     told: dict[str, list[str]] = {}
     for row in snapshot.sql(CUT).to_pylist():
-        why = few([trouble for trouble in row["troubles"] if trouble], SHOWN) or "nobody says by what"
+        why = few([trouble for trouble in row["errors"] if trouble], SHOWN) or "nobody says by what"
         which = f"elements were cut off {row['times']} times" if row["times"] > 1 else "an element was cut off"
-        line = f"{which}, with {row['cut']} of its runs in flight, which were begun again: {why}"
+        line = f"{which}, with {row['interrupted']} of its runs in flight, which were begun again: {why}"
         told.setdefault(row["session"], []).append(line)
     for row in snapshot.sql(COPIED).to_pylist():
         other = f"{row['other']} of them with other results" if row["other"] else "with the same results"
@@ -218,7 +220,7 @@ def _why(snapshot: Snapshot, row: Mapping[str, Any], replay: Mapping[str, Any] |
         case 0:
             return f"the last one failed: {row['reason']}"
         case 1:
-            changes = other_rules(snapshot, [row["was_reading"]], [row["reading"]])
+            changes = other_rules(snapshot, [row["was_rules"]], [row["ingest_rules"]])
             return f"judged by other rules before: {_lines(changes)}"
         case 2:
             changes = other_programs(snapshot, [row["was_programs"]], [row["programs"]])

@@ -28,8 +28,8 @@ def again(project: LoadedProject, store: Store, batch: str, runs: Container[str]
         because = [f"other runs, those of batch {short(plan.batch.id)}, since:", *why_other(plan, store, batch)]
         return [*because, f"(sierra run {short(batch)} asks for these, with the code of then)"]
     found = {run: state for run, state in foreseen(plan, store, states(plan, store)).items() if runs is None or run in runs}
-    there = {} if all(state.good for state in found.values()) else claimed(store)
-    counted = Counter(ON_CLUSTER if run in there and not state.good else state.why for run, state in found.items())
+    there = {} if all(state.succeeded for state in found.values()) else claimed(store)
+    counted = Counter(ON_CLUSTER if run in there and not state.succeeded else state.why for run, state in found.items())
     lines = [f"{_runs(count)}: {why}" for why, count in counted.most_common()]
     return [*lines, *(other_programs(plan, store) if counted["executed with other programs"] else [])]
 
@@ -40,7 +40,7 @@ def _runs(count: int) -> str:
 
 def _plan(project: LoadedProject, store: Store, batch: str) -> Plan:
     [row] = store.rows("SELECT * FROM batches WHERE batch = $b", b=batch)
-    [last] = store.rows("SELECT max(number) + 1 AS runs FROM members WHERE batch = $b", b=batch)
+    [last] = store.rows("SELECT max(number) + 1 AS runs FROM batch_runs WHERE batch = $b", b=batch)
     asked: dict[str, Any] = {name: row[name] for name in ("controller", "scenario") if name not in row["axes"]}
-    sets = [grammar.setting(text) for text in row["sets"]]
+    sets = [grammar.setting(text) for text in row["overrides"]]
     return plans.plan(project, plans.ask(project, row["query"].split(), runs=last["runs"], sets=sets, **asked))

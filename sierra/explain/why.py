@@ -9,7 +9,7 @@ from sierra.config.project_file import LoadedProject
 from sierra.execution.status import Standing as OnCluster
 from sierra.execution.status import seen
 from sierra.explain import diff
-from sierra.explain.effective import Standing, standings
+from sierra.explain.effective import EffectiveRuns, standings
 from sierra.explain.history import Event, tell
 from sierra.explain.rerun import again
 from sierra.store.files import where
@@ -21,7 +21,7 @@ BATCHES = 10
 
 ASKED_LAST = """
 SELECT b.batch FROM batches b LEFT JOIN (SELECT batch, max(lamport) AS asked FROM sessions GROUP BY batch) s USING (batch)
-WHERE b.batch IN (SELECT batch FROM members WHERE run = $r) ORDER BY coalesce(s.asked, b.lamport) DESC
+WHERE b.batch IN (SELECT batch FROM batch_runs WHERE run = $r) ORDER BY coalesce(s.asked, b.lamport) DESC
 """
 EARLIER = """
 SELECT b.batch FROM batches b JOIN batches this ON this.batch = $b
@@ -37,12 +37,12 @@ class Why:
 
     found: Found
     runs: int
-    story: tuple[Event, ...]
+    history: tuple[Event, ...]
     """Events in order; for an execution, only the event of that execution."""
     new_because: Mapping[str, tuple[str, ...]]
     """Lines by batch with new runs: the batch that it is compared with, and the differences."""
-    standings: tuple[Standing, ...]
-    again: tuple[str, ...]
+    effective: tuple[EffectiveRuns, ...]
+    next_run: tuple[str, ...]
     """Effect of repeating the query on these runs."""
     clusters: tuple[OnCluster, ...] = ()
     """Sessions on clusters with some of these runs."""
@@ -54,18 +54,24 @@ def why(project: LoadedProject, store: Store, prefix: str) -> Why:
     with store.snapshot() as snapshot:
         snapshot.run("SET threads = 1")
         batches = _runs(snapshot, found)
-        story = tell(snapshot, batches)
+        history = tell(snapshot, batches)
         if found.kind == "execution":
-            story = [event for event in story if event.session == _session(snapshot, found.id)]
+            history = [event for event in history if event.session == _session(snapshot, found.id)]
         stands = tuple(standings(snapshot, batches))
         [(wanted,)] = snapshot.run("SELECT count(*) FROM wanted")
         these = {row[0] for row in snapshot.run("SELECT run FROM wanted")}
         only = None if found.kind == "batch" else these
-        firsts = dict.fromkeys(event.batch for event in story if any(cause.new for cause in event.causes))
+        firsts = dict.fromkeys(event.batch for event in history if any(cause.new for cause in event.causes))
         before = {batch: _before(snapshot, batch) for batch in list(firsts)[:BATCHES]}
     because = {batch: tuple(_because(project, store, batch, earlier)) for batch, earlier in before.items()}
     return Why(
-        found, wanted, tuple(story), because, stands, tuple(again(project, store, batches[0], only)), tuple(seen(store, these))
+        found,
+        wanted,
+        tuple(history),
+        because,
+        stands,
+        tuple(again(project, store, batches[0], only)),
+        tuple(seen(store, these)),
     )
 
 
@@ -75,11 +81,11 @@ def _runs(snapshot: Snapshot, found: Found) -> list[str]:
     Returns the batches that the answer covers, last used first.
     """
     if found.kind == "batch":
-        snapshot.views.make(("members",))
-        snapshot.run("CREATE TEMP TABLE wanted AS SELECT DISTINCT run FROM members WHERE batch = $b", {"b": found.id})
+        snapshot.views.make(("batch_runs",))
+        snapshot.run("CREATE TEMP TABLE wanted AS SELECT DISTINCT run FROM batch_runs WHERE batch = $b", {"b": found.id})
         return [found.id]
     place = where(snapshot, found)
-    statement = f"CREATE TEMP TABLE wanted AS SELECT DISTINCT m.run FROM members m WHERE m.batch = $b {place.only}"  # noqa: S608
+    statement = f"CREATE TEMP TABLE wanted AS SELECT DISTINCT m.run FROM batch_runs m WHERE m.batch = $b {place.only}"  # noqa: S608
     snapshot.run(statement, place.parameters)
     [(run,), *_] = snapshot.run("SELECT run FROM wanted LIMIT 1")
     batches = [row[0] for row in snapshot.run(ASKED_LAST, {"r": run})]

@@ -17,7 +17,7 @@ from sierra.store.layout import SessionPaths
 from sierra.store.store import Store
 from sierra.store.views import ORDER
 
-ANY_TABLE = "SELECT 1 FROM judged_artifacts WHERE kind = 'table' LIMIT 1"
+ANY_TABLE = "SELECT 1 FROM all_artifacts WHERE kind = 'table' LIMIT 1"
 
 
 def find_odd(store: Store, session: SessionPaths, context: Context) -> set[str]:
@@ -41,7 +41,7 @@ def find_odd(store: Store, session: SessionPaths, context: Context) -> set[str]:
             found.setdefault(execution, reason)
     now = datetime.now(UTC)
     writer = store.writer(session.segment, context.batch)
-    same = {"found": now, "status": "mismatch", "lamport": context.lamport()}
+    same = {"found_at": now, "status": "mismatch", "lamport": context.lamport()}
     writer.rows("findings", ({"execution": one, "reason": reason, **same} for one, reason in found.items()))
     store.publish(writer)
     return {row["run"] for row in rows if row["execution"] in found}
@@ -49,15 +49,15 @@ def find_odd(store: Store, session: SessionPaths, context: Context) -> set[str]:
 
 def asked(context: Context) -> dict[str, str]:
     """Return the parameters of the statements below."""
-    return {"batch": context.batch, "programs": context.programs, "reading": context.reading}
+    return {"batch": context.batch, "programs": context.programs, "ingest_rules": context.ingest_rules}
 
 
 GOOD = f"""
 WITH good AS (
     SELECT m.ordinal, e.run, arg_max(e.judgement, {ORDER}) AS execution
-    FROM (SELECT DISTINCT ordinal, run FROM members WHERE batch = $batch) m
-    JOIN judged e ON e.run = m.run AND e.status = 'ok' AND e.purpose = 'run'
-        AND e.programs = $programs AND e.reading = $reading
+    FROM (SELECT DISTINCT ordinal, run FROM batch_runs WHERE batch = $batch) m
+    JOIN all_judgements e ON e.run = m.run AND e.status = 'ok' AND e.purpose = 'run'
+        AND e.programs = $programs AND e.ingest_rules = $ingest_rules
     GROUP BY ALL
 )"""
 """The successful executions of a batch, each with its last judgement and the position of its experiment."""
@@ -65,8 +65,8 @@ WITH good AS (
 
 ODD = """,
 tables AS (
-    SELECT g.ordinal, g.execution, a.output, sum(a.rows)::BIGINT AS rows, list_sort(list(DISTINCT a.form)) AS forms
-    FROM good g JOIN judged_artifacts a ON a.execution = g.execution AND a.kind = 'table'
+    SELECT g.ordinal, g.execution, a.output, sum(a.rows)::BIGINT AS rows, list_sort(list(DISTINCT a.table_layout)) AS forms
+    FROM good g JOIN all_artifacts a ON a.execution = g.execution AND a.kind = 'table'
     GROUP BY ALL
 ),
 counted AS (
@@ -195,7 +195,7 @@ def known(store: Store, context: Context, name: str) -> Siblings:
     mixed = {
         column
         for row in forms
-        for column, kind in json.loads(row["form"])["columns"].items()
+        for column, kind in json.loads(row["table_layout"])["columns"].items()
         if kind not in ("number", "empty")
     }
 
@@ -203,7 +203,7 @@ def known(store: Store, context: Context, name: str) -> Siblings:
         places = store.rows(PLACES, batch=context.batch)
         votes: dict[tuple[Any, str], Counter[str]] = {}
         for row in store.rows(SIBLINGS + SIBLINGS_VOTES, **alike):
-            for column, kind in json.loads(row["form"])["columns"].items():
+            for column, kind in json.loads(row["table_layout"])["columns"].items():
                 if kind != "empty":
                     votes.setdefault((row["ordinal"], column), Counter())[own_kind(kind)] += row["executions"]
         wanted = set(runs)
@@ -212,27 +212,27 @@ def known(store: Store, context: Context, name: str) -> Siblings:
     return Siblings(frozenset(mixed), ask)
 
 
-PLACES = "SELECT run, min(ordinal) AS ordinal FROM members WHERE batch = $batch GROUP BY run"
+PLACES = "SELECT run, min(ordinal) AS ordinal FROM batch_runs WHERE batch = $batch GROUP BY run"
 SIBLINGS = f"""
-WITH mine AS (SELECT DISTINCT ordinal, run FROM members WHERE batch = $batch),
-alike AS (SELECT DISTINCT mine.ordinal, m.batch, m.ordinal AS theirs FROM mine JOIN members m USING (run)),
+WITH mine AS (SELECT DISTINCT ordinal, run FROM batch_runs WHERE batch = $batch),
+alike AS (SELECT DISTINCT mine.ordinal, m.batch, m.ordinal AS theirs FROM mine JOIN batch_runs m USING (run)),
 family AS (
-    SELECT DISTINCT a.ordinal, m.run FROM alike a JOIN members m ON m.batch = a.batch AND m.ordinal = a.theirs
+    SELECT DISTINCT a.ordinal, m.run FROM alike a JOIN batch_runs m ON m.batch = a.batch AND m.ordinal = a.theirs
 ),
 good AS (
     SELECT f.ordinal, e.run, arg_max(e.judgement, {ORDER}) AS execution
     FROM family f
-    JOIN judged e ON e.run = f.run AND e.status = 'ok' AND e.purpose = 'run'
-        AND e.programs = $programs AND e.reading = $reading
+    JOIN all_judgements e ON e.run = f.run AND e.status = 'ok' AND e.purpose = 'run'
+        AND e.programs = $programs AND e.ingest_rules = $ingest_rules
     GROUP BY ALL
 )"""
 """The successful executions of a batch's experiments, including those of the same experiment with another number of runs."""
 SIBLINGS_FORMS = """
-SELECT DISTINCT a.form FROM judged_artifacts a
+SELECT DISTINCT a.table_layout FROM all_artifacts a
 WHERE a.kind = 'table' AND a.output = $output AND a.execution IN (SELECT execution FROM good)
 """
 SIBLINGS_VOTES = """
-SELECT g.ordinal, a.form, count(DISTINCT a.execution) AS executions
-FROM judged_artifacts a JOIN good g USING (execution) WHERE a.kind = 'table' AND a.output = $output
+SELECT g.ordinal, a.table_layout, count(DISTINCT a.execution) AS executions
+FROM all_artifacts a JOIN good g USING (execution) WHERE a.kind = 'table' AND a.output = $output
 GROUP BY ALL
 """

@@ -42,7 +42,7 @@ class Context:
     enforced: tuple[str, ...] = ()
     """The limits that the engine enforces."""
     number: int | None = None
-    """The session's Lamport number; None for a session that an older SIERRA began."""
+    """The session's Lamport number; None without a session."""
 
     def lamport(self, position: int = 0) -> int | None:
         """Return the `lamport` value of a record of this session; `position` is an execution's position in it."""
@@ -52,12 +52,12 @@ class Context:
     """True if the bytes of files that become tables are stored too."""
 
     @property
-    def reading(self) -> str:
+    def ingest_rules(self) -> str:
         """The hash of the rules that decide if an execution is successful and what is recorded of it."""
         return self._declared({"mismatch", *UNREAD})
 
     @property
-    def rules(self) -> str:
+    def batch_rules(self) -> str:
         """The hash of these rules and of the differences that are allowed between siblings."""
         return self._declared(UNREAD)
 

@@ -31,7 +31,7 @@ from sierra.worker import worker
 PENDING_RUNS = 4_000
 PENDING_BYTES = 256 << 20
 SOON_S, LATE_S = 2.0, 600.0
-COPIES = "SELECT c.execution, c.attempt FROM copies c JOIN executions e USING (execution) WHERE e.session = $s"
+COPIES = "SELECT c.execution, c.attempt FROM duplicates c JOIN executions e USING (execution) WHERE e.session = $s"
 
 
 class Recorder:
@@ -55,7 +55,7 @@ class Recorder:
         self._store = store
         self._session = session
         self._context = context
-        self._reading = context.reading
+        self._reading = context.ingest_rules
         self._pending: list[Judgement] = []
         self._beside: dict[str, list[Mapping[str, Any]]] = {}
         self._around: set[str] = set()
@@ -119,7 +119,7 @@ class Recorder:
         writer = self._store.writer(self._session.segment, self._context.batch)
         for table, rows in self._beside.items():
             writer.rows(table, rows)
-        writer.rows("copies", self._compared())
+        writer.rows("duplicates", self._compared())
         if (doubt := self._doubt()) is not None:
             self._pending = [doubted(one, doubt) for one in self._pending]
         judged = self._write(writer)
@@ -167,7 +167,7 @@ class Recorder:
         if self._copied:
             told = f"{self._copied} runs were executed twice, because copies of their elements lived at a time"
             unlike = f"; {self._unlike} of them came out differently: they are not deterministic" if self._unlike else ""
-            yield f"{told}{unlike}; the table copies has them"
+            yield f"{told}{unlike}; the table duplicates has them"
 
     def _write(self, writer: Writer) -> list[Judgement]:
         """Write everything pending and return the final judgements."""
@@ -181,7 +181,7 @@ class Recorder:
         writer.rows("executions", (self._execution(one, place) for place, one in enumerate(judged, first)))
         self._position = first + len(judged)
         if self._ruled < 2:  # in two segments, so that one damaged segment does not make the others useless
-            writer.rows("readings", [{"reading": self._reading, "declared": self._context.declared}])
+            writer.rows("ingest_rules", [{"ingest_rules": self._reading, "declared": self._context.declared}])
             writer.rows("isolations", [self._context.isolation] if self._context.isolation else [])
         return judged
 
@@ -205,17 +205,17 @@ class Recorder:
             "reason": one.reason,
             "exit_code": result.exit_code,
             "signal": result.signal,
-            "wall": result.ended - result.started,
-            "user": result.user_s,
-            "system": result.system_s,
-            "max_rss": result.max_rss_bytes,
+            "wall_s": result.ended - result.started,
+            "user_s": result.user_s,
+            "system_s": result.system_s,
+            "max_rss_bytes": result.max_rss_bytes,
             "host": result.host,
             "slot": result.slot,
             "result": result_hash(result.outputs),
-            "log": None if one.status is Status.OK else last_words(result.directory),
+            "log_tail": None if one.status is Status.OK else last_words(result.directory),
             "environment": result.environment or context.environment,
             "programs": context.programs,
-            "reading": self._reading,
+            "ingest_rules": self._reading,
             "purpose": context.purpose,
             "isolation": context.isolation and context.isolation["isolation"],
             "attempt": result.attempt,

@@ -8,9 +8,9 @@ and success. These change, so each judgement is a record of its own:
 - Each later judgement is a row of `judgements`. Its artifacts and its output rows are recorded once more, with the
   judgement's id in place of the execution's.
 
-So every output row belongs to exactly one judgement. `counting` takes one judgement of each run: the one by the rules of the
+So every output row belongs to exactly one judgement. `effective` takes one judgement of each run: the one by the rules of the
 batch's last session. The views of outputs show the rows of that judgement, with the id of the execution. Code that reads
-the files of segments uses judgements (`judged`, `judged_artifacts`). Code that counts executions uses `executions`. When a
+the files of segments uses judgements (`all_judgements`, `all_artifacts`). Code that counts executions uses `executions`. When a
 project returns to earlier rules, the earlier judgement is found, and nothing is evaluated.
 
 An execution can be evaluated again if it has the same programs, ended by itself, and was successful or failed only by its
@@ -61,9 +61,9 @@ CUT = "of its {path} only the beginning and the end are in the store"
 Artifact = Mapping[str, Any]
 
 
-def judgement_id(execution: str, reading: str, session: str) -> str:
-    """Return the id of the judgement of an execution by a session; `reading` is the hash of the rules."""
-    return digest_plain("judgement", {"execution": execution, "reading": reading, "session": session})
+def judgement_id(execution: str, ingest_rules: str, session: str) -> str:
+    """Return the id of the judgement of an execution by a session; `ingest_rules` is the hash of the rules."""
+    return digest_plain("judgement", {"execution": execution, "reading": ingest_rules, "session": session})
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +87,7 @@ class Past:
     """True if the rows of its tables by the new rules are already recorded."""
 
     @property
-    def good(self) -> bool:
+    def succeeded(self) -> bool:
         return self.status == Status.OK
 
     def result(self, execution: str, directory: Path, files: Mapping[str, OutputFile]) -> Result:
@@ -112,7 +112,7 @@ class Past:
 
     def failed_by_rules(self, result: Result) -> bool:
         """Check that it was successful, or failed only by its rules, which then give the same reason again."""
-        if self.good or self.status == Status.MISMATCH:
+        if self.succeeded or self.status == Status.MISMATCH:
             return True
         reasons = {judge(result, self.outputs, self.success)[1]}
         for row in self.artifacts:
@@ -152,26 +152,27 @@ def foresee(store: Store, context: Context, runs: Iterable[str], *, mismatched: 
 PAST = """
 WITH last AS (
     SELECT e.run, e.execution, any_value(e.exit_code) AS exit_code, any_value(e.lamport) AS lamport,
-           arg_max({'judgement': e.judgement, 'status': e.status, 'reason': e.reason, 'reading': e.reading},
-                   (e.reading = $reading, e.place, e.judgement)) AS j
-    FROM judged e SEMI JOIN wanted w ON w.run = e.run
+           arg_max({'judgement': e.judgement, 'status': e.status, 'reason': e.reason, 'ingest_rules': e.ingest_rules},
+                   (e.ingest_rules = $ingest_rules, e.place, e.judgement)) AS j
+    FROM all_judgements e SEMI JOIN wanted w ON w.run = e.run
     WHERE e.purpose = 'run' AND e.programs = $programs AND e.exit_code IS NOT NULL GROUP BY e.run, e.execution
 ),
 may AS (
     SELECT l.*, f.execution IS NOT NULL AS found FROM last l LEFT JOIN findings f ON f.execution = l.j.judgement
     WHERE l.j.status IN ('ok', 'failed', 'mismatch')
-        AND (l.j.reading <> $reading OR ($mismatched AND f.execution IS NOT NULL))
+        AND (l.j.ingest_rules <> $ingest_rules OR ($mismatched AND f.execution IS NOT NULL))
 ),
 best AS (
-    SELECT run, arg_max({'execution': execution, 'exit_code': exit_code, 'found': found, 'status': j.status,
-           'reason': j.reason, 'reading': j.reading, 'judgement': j.judgement}, (j.status = 'ok', lamport, execution)) AS b
+    SELECT run, arg_max({'execution': execution, 'exit_code': exit_code, 'found_at': found_at, 'status': j.status,
+           'reason': j.reason, 'ingest_rules': j.ingest_rules, 'judgement': j.judgement},
+           (j.status = 'ok', lamport, execution)) AS b
     FROM may GROUP BY run
 )
 SELECT run, b.execution AS execution, b.exit_code AS exit_code, b.found AS found, b.status AS status, b.reason AS reason,
-       b.reading AS reading, b.judgement AS judgement
+       b.ingest_rules AS ingest_rules, b.judgement AS judgement
 FROM best ORDER BY run
 """
-ARTIFACTS = "SELECT a.* FROM judged_artifacts a SEMI JOIN chosen USING (execution) ORDER BY execution, path"
+ARTIFACTS = "SELECT a.* FROM all_artifacts a SEMI JOIN chosen USING (execution) ORDER BY execution, path"
 
 
 def _past(snapshot: Snapshot, context: Context, runs: Iterable[str], *, mismatched: bool) -> Iterator[Past]:
@@ -179,18 +180,20 @@ def _past(snapshot: Snapshot, context: Context, runs: Iterable[str], *, mismatch
     import pyarrow as pa
 
     snapshot.register("wanted", pa.table({"run": pa.array(sorted(runs), pa.string())}))
-    asked = {"reading": context.reading, "programs": context.programs, "mismatched": mismatched}
+    asked = {"ingest_rules": context.ingest_rules, "programs": context.programs, "mismatched": mismatched}
     rows = snapshot.sql(PAST, **asked).to_pylist()
-    declared = {row["reading"]: row["declared"] for row in snapshot.sql("SELECT * FROM readings").to_pylist()}
-    rules = {name: rules_of(json.loads(text)) for name, text in declared.items() if any(row["reading"] == name for row in rows)}
+    declared = {row["ingest_rules"]: row["declared"] for row in snapshot.sql("SELECT * FROM ingest_rules").to_pylist()}
+    rules = {
+        name: rules_of(json.loads(text)) for name, text in declared.items() if any(row["ingest_rules"] == name for row in rows)
+    }
     snapshot.register("chosen", pa.table({"execution": pa.array([row["judgement"] for row in rows], pa.string())}))
     artifacts: dict[str, list[Artifact]] = {row["judgement"]: [] for row in rows}
     for row in snapshot.sql(ARTIFACTS).to_pylist():
         artifacts[row["execution"]].append(row)
     for row in rows:
-        if row["reading"] in rules:
-            named = {name: row[name] for name in ("run", "execution", "status", "reason", "found", "exit_code", "judgement")}
-            outputs, success = rules[row["reading"]]
+        if row["ingest_rules"] in rules:
+            named = {name: row[name] for name in ("run", "execution", "status", "reason", "found_at", "exit_code", "judgement")}
+            outputs, success = rules[row["ingest_rules"]]
             one = Past(**named, outputs=outputs, success=success, artifacts=tuple(artifacts[row["judgement"]]))
             yield replace(one, tabled=_is_tabled(one, context))
 
@@ -208,7 +211,7 @@ def _tables(one: Past, outputs: Mapping[str, Output]) -> Iterator[tuple[str, Sha
 
 def _is_hopeless(one: Past, context: Context) -> bool:
     """Check, without reading any bytes, if a run must be executed: it still fails, or did not fail by its rules."""
-    if one.good:
+    if one.succeeded:
         return False
     result = one.result(one.execution, Path(), {})
     if judge(result, context.outputs, context.success.model_copy(update={"marker": ""}))[0] is not Status.OK:
@@ -238,7 +241,7 @@ def _lacking(one: Past, context: Context, sizes: Mapping[str, int]) -> str | Non
 def needed(one: Past, context: Context) -> list[Artifact]:
     """Return the files to read for an evaluation: files that become tables and are not yet tables, and the markers."""
     tables = set() if one.tabled else {file.path for _, _, file in _tables(one, context.outputs)}
-    markers = {context.success.marker, *(() if one.good else (one.success.marker,))} - {""}
+    markers = {context.success.marker, *(() if one.succeeded else (one.success.marker,))} - {""}
     files = [row for row in one.artifacts if row["kind"] != "log" and row["path"] in tables | markers]
     return [*files, *(row for row in one.artifacts if row["kind"] == "log" and row["path"] in markers)]
 
@@ -314,7 +317,9 @@ class _Group:
         made = [(results[one.result.execution][0], tables.judged(one)) for one in first]
         writer.rows("artifacts", (row for of, one in made for row in _artifacts(of, one.result, tables)))
         writer.rows("judgements", (self._row(of, one) for of, one in made))
-        writer.rows("readings", [{"reading": self.context.reading, "declared": self.context.declared}] if made else [])
+        writer.rows(
+            "ingest_rules", [{"ingest_rules": self.context.ingest_rules, "declared": self.context.declared}] if made else []
+        )
         self.store.publish(writer)
         self.anew.judged |= {of.run for of, _ in made}
 
@@ -335,14 +340,14 @@ class _Group:
 
     def _is_worth(self, past: Past, one: Judgement) -> bool:
         """Return False if the execution failed before and still fails: then its run is executed, and nothing is recorded."""
-        return past.good or one.status is Status.OK
+        return past.succeeded or one.status is Status.OK
 
     def _results(self, past: Sequence[Past]) -> Iterator[tuple[Past, Result]]:
         """Yield the results that a worker would have reported, with the bytes of the needed files in a folder."""
         folders = {one.execution: self.session.anew / str(number) for number, one in enumerate(past)}
         read, lost = self._unpacked(past, folders)
         for one in past:
-            made = judgement_id(one.execution, self.context.reading, self.context.session)
+            made = judgement_id(one.execution, self.context.ingest_rules, self.context.session)
             result = one.result(made, folders[one.execution], read.get(one.execution, {}))
             if one.execution in lost:
                 self.anew.unread[one.run] = lost[one.execution]
@@ -381,10 +386,10 @@ class _Group:
             "run": past.run,
             "session": self.context.session,
             "batch": self.context.batch,
-            "judged": datetime.now(UTC),
+            "judged_at": datetime.now(UTC),
             "status": str(one.status),
             "reason": one.reason,
-            "reading": self.context.reading,
+            "ingest_rules": self.context.ingest_rules,
             "lamport": self.context.lamport(),
         }
 
@@ -404,11 +409,11 @@ class Recalled(TableIngest):
         return count
 
     def counted(self, execution: str, file: OutputFile) -> int | None:
-        count: int | None = self._of(execution, file).get("counted")
+        count: int | None = self._of(execution, file).get("counted_rows")
         return count
 
     def form(self, execution: str, file: OutputFile) -> str:
-        return str(self._of(execution, file)["form"])
+        return str(self._of(execution, file)["table_layout"])
 
     def _of(self, execution: str, file: OutputFile) -> Artifact:
         return self.recorded.get((execution, file.path), {})

@@ -93,8 +93,8 @@ def artifact_rows(result: Result, tables: TableIngest) -> Iterator[dict[str, Any
             "size": file.bytes,
             "sha256": file.sha256,
             "rows": count,
-            "form": None if count is None else tables.form(result.execution, file),
-            "counted": None if count is None else tables.counted(result.execution, file),
+            "table_layout": None if count is None else tables.form(result.execution, file),
+            "counted_rows": None if count is None else tables.counted(result.execution, file),
         }
 
 

@@ -40,7 +40,7 @@ class TableWarnings:
         if not self._shapes:
             return []
         rows = self._store.rows(GOOD + FORMS, **asked(self._context))
-        forms = [{**row, "columns": json.loads(row["form"])["columns"]} for row in rows]
+        forms = [{**row, "columns": json.loads(row["table_layout"])["columns"]} for row in rows]
         return [*self._alone(forms), *self._renamed(forms), *self._of_kinds(forms)]
 
     def _alone(self, forms: Sequence[Mapping[str, Any]]) -> Iterator[str]:
@@ -164,8 +164,8 @@ def _only_column(kinds: Iterable[tuple[str, str]], output: str, name: str) -> bo
 
 
 FORMS = """
-SELECT a.output, a.form, count(DISTINCT a.execution) AS executions
-FROM judged_artifacts a WHERE a.kind = 'table' AND a.execution IN (SELECT execution FROM good)
+SELECT a.output, a.table_layout, count(DISTINCT a.execution) AS executions
+FROM all_artifacts a WHERE a.kind = 'table' AND a.execution IN (SELECT execution FROM good)
 GROUP BY ALL ORDER BY ALL
 """
 NUMBER = r"[-+]?([0-9]+[.]?[0-9]*|[.][0-9]+)([eE][-+]?[0-9]+)?"

@@ -28,7 +28,6 @@ from sierra.store.segments import (
     MANIFEST,
     MARK_BYTES,
     OUTPUT,
-    READABLE,
     REPLACES,
     SUFFIX,
     Segment,
@@ -50,8 +49,6 @@ EXPANDED = 256 << 20
 """The largest size in memory of a piece of an object file, in bytes."""
 FIXED = {"format": FORMAT, ".gitignore": "*\n", "CACHEDIR.TAG": CACHEDIR}
 """Files that are the same in every store."""
-ALSO = {"format": READABLE}
-"""All accepted contents of a file in `FIXED`, if there are several."""
 DERIVED = frozenset(("files", "numbers"))
 """Files that are derived from others, and made again if they are missing."""
 FOLDERS = frozenset(("segments", "work", "damaged", "kept", "images"))
@@ -111,7 +108,7 @@ def _top(paths: StorePaths) -> Iterator[Finding]:
         try:
             if not _is_plain(path):
                 yield Finding(Kind.DAMAGED, name, "is no plain file")
-            elif _beginning(path, len(content.encode()) + 1) not in [one.encode() for one in ALSO.get(name, (content,))]:
+            elif _beginning(path, len(content.encode()) + 1) != content.encode():
                 yield Finding(Kind.DAMAGED, name, "does not say what it should; sierra fsck --repair writes it again")
         except FileNotFoundError:
             yield Finding(Kind.ABSENT, name, "is not there; sierra fsck --repair writes it again")

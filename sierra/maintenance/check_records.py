@@ -23,7 +23,7 @@ from sierra.ingest.context import UNREAD
 from sierra.ingest.rejudge import judgement_id
 from sierra.maintenance.check_files import Contents, Objects
 from sierra.maintenance.findings import NOTHING, Affected, Finding, Kind, of
-from sierra.model import Recipe
+from sierra.model import RunSpec
 from sierra.provenance import source
 from sierra.provenance.program import fingerprint
 from sierra.store.counting import rows_by_file
@@ -55,7 +55,7 @@ class Records:
         self.snapshot.run(f"SET memory_limit = '{MEMORY}'")
         self.snapshot.run("SET preserve_insertion_order = true")
         self.snapshot.register("kept", pa.table({"sha256": pa.array(sorted(objects.whole), pa.string())}))
-        for name in (*(name for name in RECORDED if name != "objects"), "judged", "judged_artifacts"):
+        for name in (*(name for name in RECORDED if name != "objects"), "all_judgements", "all_artifacts"):
             with contextlib.suppress(SierraError):  # the checks that need it report that it cannot be read
                 self.snapshot.views.make((name,))
 
@@ -114,12 +114,14 @@ def _id(what: Callable[[], str]) -> str | None:
 
 
 def _recipes(records: Records) -> Iterator[Finding]:
-    def recipe(row: Mapping[str, Any]) -> str:
+    def spec(row: Mapping[str, Any]) -> str:
         variables = json.loads(row["variables"])
-        made = Recipe(row["platform"], tuple(row["command"]), variables, row["source"], row["image"], tuple(row["reach"] or ()))
+        made = RunSpec(
+            row["platform"], tuple(row["command"]), variables, row["source"], row["image"], tuple(row["host_access"] or ())
+        )
         return digest("recipe", made.preimage())
 
-    yield from _own(records, "recipes", "recipe", recipe)
+    yield from _own(records, "specs", "spec", spec)
 
 
 def _environments(records: Records) -> Iterator[Finding]:
@@ -133,7 +135,7 @@ def _sources(records: Records) -> Iterator[Finding]:
 
 
 def _readings(records: Records) -> Iterator[Finding]:
-    def reading(row: Mapping[str, Any]) -> str:
+    def ingest_rules(row: Mapping[str, Any]) -> str:
         declared = json.loads(row["declared"])
         heeded = {
             name: {key: value for key, value in output.items() if key not in {"mismatch", *UNREAD}}
@@ -141,14 +143,14 @@ def _readings(records: Records) -> Iterator[Finding]:
         }
         return digest("reading", {"outputs": heeded, "success": declared["success"]})
 
-    yield from _own(records, "readings", "reading", reading)
+    yield from _own(records, "ingest_rules", "ingest_rules", ingest_rules)
 
 
 def _judgements(records: Records) -> Iterator[Finding]:
     """Check the ids of judgements, and that each judgement has the run of the execution that it judges."""
-    rows = f"SELECT judgement, execution, reading, session, filename FROM {records.raw('judgements')}"
-    for judgement, execution, reading, session, filename in list(records.each(rows)):
-        if _id(lambda: judgement_id(execution, reading, session)) != judgement:  # noqa: B023
+    rows = f"SELECT judgement, execution, ingest_rules, session, filename FROM {records.raw('judgements')}"
+    for judgement, execution, ingest_rules, session, filename in list(records.each(rows)):
+        if _id(lambda: judgement_id(execution, ingest_rules, session)) != judgement:  # noqa: B023
             what = f"judgement {short(str(judgement))} does not have the id that its columns give"
             yield records.wrong({"filename": filename}, what, of(records.snapshot, [judgement]))
     statement = "SELECT j.judgement FROM judgements j JOIN executions e USING (execution) WHERE j.run <> e.run"
@@ -172,9 +174,9 @@ def _own(records: Records, table: str, key: str, identity: Callable[[Mapping[str
 
 
 USING = {
-    "recipe": "SELECT DISTINCT batch FROM members WHERE recipe = $id",
+    "spec": "SELECT DISTINCT batch FROM batch_runs WHERE spec = $id",
     "environment": "SELECT DISTINCT batch FROM executions WHERE environment = $id",
-    "reading": "SELECT DISTINCT batch FROM executions WHERE reading = $id",
+    "ingest_rules": "SELECT DISTINCT batch FROM executions WHERE ingest_rules = $id",
     "isolation": "SELECT DISTINCT batch FROM executions WHERE isolation = $id",
     "programs": "SELECT DISTINCT batch FROM executions WHERE programs = $id",
     "source": "SELECT DISTINCT batch FROM sessions WHERE source = $id",
@@ -196,18 +198,18 @@ def _programs(records: Records) -> Iterator[Finding]:
 
 
 RUNS = """
-SELECT DISTINCT m.run, m.seed, m.recipe, [m.input] || m.others AS inputs, r.files, m.filename
-FROM {members} m LEFT JOIN recipes r ON r.recipe = m.recipe
+SELECT DISTINCT m.run, m.seed, m.spec, [m.input] || m.other_inputs AS inputs, r.files, m.filename
+FROM {members} m LEFT JOIN specs r ON r.spec = m.spec
 """
 
 
 def _runs(records: Records) -> Iterator[Finding]:
     bad: dict[tuple[str, str], set[str]] = {}
-    for run, seed, recipe, inputs, files, path in records.each(RUNS.format(members=records.raw("members"))):
+    for run, seed, spec, inputs, files, path in records.each(RUNS.format(members=records.raw("batch_runs"))):
         if files is None:
-            bad.setdefault((path, f"its recipe {short(str(recipe))} is not recorded"), set()).add(run)
-        elif _id(lambda: run_id(recipe, zip(files, inputs, strict=True), seed)) != run:  # noqa: B023
-            bad.setdefault((path, "runs do not have the ids that their recipe, inputs and seeds give"), set()).add(run)
+            bad.setdefault((path, f"its spec {short(str(spec))} is not recorded"), set()).add(run)
+        elif _id(lambda: run_id(spec, zip(files, inputs, strict=True), seed)) != run:  # noqa: B023
+            bad.setdefault((path, "runs do not have the ids that their spec, inputs and seeds give"), set()).add(run)
     for (path, what), runs in bad.items():
         yield Finding(Kind.INCONSISTENT, records.shown(path), what, of(records.snapshot, runs=runs))
 
@@ -240,7 +242,7 @@ def _batches(records: Records) -> Iterator[Finding]:
     yield from _parted(records, found.keys() - axes.keys())
 
 
-MEMBERS = "SELECT run FROM members WHERE batch = $b AND ordinal = $o GROUP BY run, number ORDER BY number"
+MEMBERS = "SELECT run FROM batch_runs WHERE batch = $b AND ordinal = $o GROUP BY run, number ORDER BY number"
 
 
 def _is_experiment(records: Records, row: Mapping[str, Any], axes: Sequence[str]) -> bool:
@@ -253,7 +255,7 @@ def _is_experiment(records: Records, row: Mapping[str, Any], axes: Sequence[str]
 
 
 def _parted(records: Records, batches: Iterable[str]) -> Iterator[Finding]:
-    members = {row[0] for row in records.each("SELECT DISTINCT batch FROM members")}
+    members = {row[0] for row in records.each("SELECT DISTINCT batch FROM batch_runs")}
     known = {row[0] for row in records.each("SELECT DISTINCT batch FROM batches")}
     for batch in sorted({*batches, *(members - known)}):
         yield Finding(
@@ -270,7 +272,7 @@ FROM (
     SELECT DISTINCT execution, result FROM {executions}
     UNION SELECT j.judgement, e.result FROM judgements j JOIN {executions} e USING (execution)
 ) e
-LEFT JOIN (SELECT execution, sha256, path FROM judged_artifacts WHERE kind <> 'log') a USING (execution) GROUP BY ALL
+LEFT JOIN (SELECT execution, sha256, path FROM all_artifacts WHERE kind <> 'log') a USING (execution) GROUP BY ALL
 """
 
 
@@ -278,7 +280,7 @@ def _results(records: Records) -> Iterator[Finding]:
     bad = []
     for execution, result, members in records.each(RESULTS.format(executions=records.raw("executions"))):
         odd = any("\\" in member for member in members or ())  # a name that is not UTF-8 was sorted by its bytes
-        preimage = {"sierra": "result", "format": 1, "members": members or []}
+        preimage = {"sierra": "result", "format": 1, "batch_runs": members or []}
         if not odd and sha256(canonical_plain(preimage)) != result:
             bad.append(execution)
     if bad := _unless_broken(records, bad):
@@ -305,17 +307,17 @@ def _unless_broken(records: Records, executions: Iterable[str]) -> list[str]:
 ORPHANS = "their runs belong to no batch; asking for that again finds them"
 LOST_BY_EXECUTION = {
     "files or logs of executions are not in the store": """
-        SELECT DISTINCT execution FROM judged_artifacts a ANTI JOIN kept USING (sha256) WHERE a.kind IN ('file', 'log')""",
+        SELECT DISTINCT execution FROM all_artifacts a ANTI JOIN kept USING (sha256) WHERE a.kind IN ('file', 'log')""",
     ORPHANS: """
-        SELECT DISTINCT execution FROM executions ANTI JOIN members USING (run)""",
+        SELECT DISTINCT execution FROM executions ANTI JOIN batch_runs USING (run)""",
     "what the project declared for executions is not recorded": """
-        SELECT DISTINCT judgement FROM judged ANTI JOIN readings USING (reading)""",
+        SELECT DISTINCT judgement FROM all_judgements ANTI JOIN ingest_rules USING (ingest_rules)""",
     "how executions were contained is not recorded": """
         SELECT DISTINCT execution FROM executions ANTI JOIN isolations USING (isolation) WHERE isolation IS NOT NULL""",
     "there are artifacts of executions that are not recorded": """
-        SELECT DISTINCT execution FROM judged_artifacts a ANTI JOIN judged e ON e.judgement = a.execution""",
+        SELECT DISTINCT execution FROM all_artifacts a ANTI JOIN all_judgements e ON e.judgement = a.execution""",
     "there are findings about executions that are not recorded": """
-        SELECT DISTINCT execution FROM findings f ANTI JOIN judged e ON e.judgement = f.execution""",
+        SELECT DISTINCT execution FROM findings f ANTI JOIN all_judgements e ON e.judgement = f.execution""",
     "there are judgements of executions that are not recorded": """
         SELECT DISTINCT judgement FROM judgements ANTI JOIN executions USING (execution)""",
     "there are verdicts about executions that are not recorded": """
@@ -350,19 +352,19 @@ def _references(records: Records) -> Iterator[Finding]:
 
 
 INPUTS = """
-SELECT DISTINCT run FROM (SELECT run, unnest([input] || others) AS sha256 FROM members) ANTI JOIN kept USING (sha256)
+SELECT DISTINCT run FROM (SELECT run, unnest([input] || other_inputs) AS sha256 FROM batch_runs) ANTI JOIN kept USING (sha256)
 """
 
 
 def _inputs(records: Records) -> Iterator[Finding]:
     if lost := [row[0] for row in records.each(INPUTS)]:
-        yield Finding(Kind.LOST, "members", "input files of runs are not in the store", of(records.snapshot, runs=lost))
+        yield Finding(Kind.LOST, "batch_runs", "input files of runs are not in the store", of(records.snapshot, runs=lost))
 
 
 EXPECTED = """
 SELECT execution, lower(output) AS output, CASE WHEN form->>'$.file' IS NULL THEN path ELSE '' END AS file,
-    any_value(path) AS path, sum(rows)::BIGINT AS rows, sum(counted)::BIGINT AS counted
-FROM judged_artifacts WHERE kind = 'table' GROUP BY ALL
+    any_value(path) AS path, sum(rows)::BIGINT AS rows, sum(counted_rows)::BIGINT AS counted
+FROM all_artifacts WHERE kind = 'table' GROUP BY ALL
 """
 TABLES = f"""
 SELECT execution, output, coalesce(e.path, file), coalesce(e.counted, e.rows, 0), coalesce(w.rows, 0)
@@ -417,7 +419,7 @@ def _manifests(records: Records) -> Iterator[Finding]:
                 row, f"the files of source {short(row['source'])} do not give its tree", _of_tree(records, row["tree"])
             )
     known = {row[0] for row in records.each("SELECT DISTINCT tree FROM sources")}
-    for (tree,) in records.each("SELECT DISTINCT source FROM recipes WHERE source IS NOT NULL"):
+    for (tree,) in records.each("SELECT DISTINCT source FROM specs WHERE source IS NOT NULL"):
         if tree not in known:
             yield Finding(Kind.LOST, "sources", f"the source {tree} is not recorded", _of_tree(records, tree))
 
@@ -435,13 +437,13 @@ def _images(records: Records) -> Iterator[Finding]:
 
 
 IMAGES = """
-SELECT DISTINCT coalesce(r.image, i.image), i.files FROM (SELECT image FROM recipes WHERE image IS NOT NULL) r
+SELECT DISTINCT coalesce(r.image, i.image), i.files FROM (SELECT image FROM specs WHERE image IS NOT NULL) r
 FULL JOIN images i USING (image)
 """
 
 
 def _of_image(records: Records, identity: str) -> Affected:
-    statement = "SELECT DISTINCT batch FROM members SEMI JOIN (SELECT recipe FROM recipes WHERE image = $i) USING (recipe)"
+    statement = "SELECT DISTINCT batch FROM batch_runs SEMI JOIN (SELECT spec FROM specs WHERE image = $i) USING (spec)"
     return of(records.snapshot, batches=[row[0] for row in records.each(statement, i=identity)])
 
 
@@ -451,13 +453,13 @@ def _object(records: Records, digest: str) -> bytes:
 
 
 def _of_tree(records: Records, tree: str | None) -> Affected:
-    statement = "SELECT DISTINCT batch FROM members SEMI JOIN (SELECT recipe FROM recipes WHERE source = $t) USING (recipe)"
+    statement = "SELECT DISTINCT batch FROM batch_runs SEMI JOIN (SELECT spec FROM specs WHERE source = $t) USING (spec)"
     return of(records.snapshot, batches=[row[0] for row in records.each(statement, t=tree)])
 
 
 def _of_sources(records: Records) -> Affected:
     statement = (
-        "SELECT DISTINCT m.batch FROM members m JOIN recipes r USING (recipe) JOIN sources s ON s.tree = r.source "
+        "SELECT DISTINCT m.batch FROM batch_runs m JOIN specs r USING (spec) JOIN sources s ON s.tree = r.source "
         "WHERE s.vcs = 'none'"
     )
     return of(records.snapshot, batches=[row[0] for row in records.each(statement)])

@@ -80,7 +80,7 @@ SHOWN = 3
 """The largest number of batches, and of experiments of each batch, that a line names."""
 PLACES = """
 SELECT DISTINCT m.batch, x.experiment, m.ordinal, m.number, m.run
-FROM members m LEFT JOIN experiments x USING (batch, ordinal) JOIN concerned c ON c.run = m.run
+FROM batch_runs m LEFT JOIN experiments x USING (batch, ordinal) JOIN concerned c ON c.run = m.run
 ORDER BY m.batch, m.ordinal, m.number
 """
 
@@ -88,11 +88,11 @@ ORDER BY m.batch, m.ordinal, m.number
 def of(snapshot: Snapshot, executions: Iterable[str] = (), runs: Iterable[str] = (), batches: Iterable[str] = ()) -> Affected:
     """Return the runs, experiments and batches that these executions, runs and batches belong to, and a text about them."""
     ended = sorted(set(executions))
-    snapshot.views.make(("members", "experiments", "batches", "judged", "judged_artifacts"))
+    snapshot.views.make(("batch_runs", "experiments", "batches", "all_judgements", "all_artifacts"))
     snapshot.register("named", pa.table({"execution": pa.array(ended, pa.string())}))
     found = snapshot.run(
-        "SELECT DISTINCT run FROM judged e SEMI JOIN named n ON n.execution = e.judgement UNION "
-        "SELECT DISTINCT run FROM judged_artifacts SEMI JOIN named USING (execution)"
+        "SELECT DISTINCT run FROM all_judgements e SEMI JOIN named n ON n.execution = e.judgement UNION "
+        "SELECT DISTINCT run FROM all_artifacts SEMI JOIN named USING (execution)"
     )
     concerned = sorted({*runs, *(row[0] for row in found if row[0] is not None)})
     snapshot.register("concerned", pa.table({"run": pa.array(concerned, pa.string())}))

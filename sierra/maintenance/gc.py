@@ -149,18 +149,18 @@ def _unfinished(paths: StorePaths) -> Iterator[Path]:
 
 
 REFERRED = """
-SELECT sha256 FROM judged_artifacts {which} UNION SELECT unnest([input] || others) FROM members
+SELECT sha256 FROM all_artifacts {which} UNION SELECT unnest([input] || other_inputs) FROM batch_runs
 UNION SELECT files FROM sources UNION SELECT files FROM images UNION SELECT sha256 FROM blobs
 """
 
 
 RAW = "WHERE kind <> 'table'"
-TABLES = "SELECT count(DISTINCT sha256) FROM judged_artifacts SEMI JOIN unneeded USING (sha256) WHERE kind = 'table'"
+TABLES = "SELECT count(DISTINCT sha256) FROM all_artifacts SEMI JOIN unneeded USING (sha256) WHERE kind = 'table'"
 
 
 def _plan(store: Store, *, raw: bool) -> _Plan:
     with store.snapshot() as snapshot:
-        snapshot.views.make(("judged_artifacts", "members", "sources", "images", "blobs"))
+        snapshot.views.make(("all_artifacts", "batch_runs", "sources", "images", "blobs"))
         unneeded = {} if not _has(snapshot, "objects") else _unneeded(snapshot, raw=raw)
         drop = {"objects": {"sha256": set(unneeded)}} if unneeded else {}
         holding = touched(snapshot, snapshot.segments, drop)

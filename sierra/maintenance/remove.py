@@ -114,28 +114,29 @@ def _resolve(store: Store, prefixes: Sequence[str]) -> dict[str, set[str]]:
 TABLES = (
     "batches",
     "experiments",
-    "members",
+    "batch_runs",
     "executions",
-    "judged",
+    "all_judgements",
     "artifacts",
-    "judged_artifacts",
+    "all_artifacts",
     "verdicts",
     "replays",
     "sessions",
-    "recipes",
+    "specs",
     "sources",
     "images",
     "blobs",
 )
 FIND = """
 CREATE TEMP TABLE asked_members AS SELECT DISTINCT m.batch, m.ordinal, m.run
-    FROM members m JOIN experiments x USING (batch, ordinal)
+    FROM batch_runs m JOIN experiments x USING (batch, ordinal)
     WHERE m.batch IN (SELECT id FROM named WHERE kind = 'batch')
     OR x.experiment IN (SELECT id FROM named WHERE kind = 'experiment');
 CREATE TEMP TABLE shared AS SELECT DISTINCT a.run, m.batch FROM (SELECT DISTINCT run FROM asked_members) a
-    JOIN (SELECT DISTINCT batch, ordinal, run FROM members EXCEPT SELECT batch, ordinal, run FROM asked_members) m USING (run);
+    JOIN (SELECT DISTINCT batch, ordinal, run FROM batch_runs
+          EXCEPT SELECT batch, ordinal, run FROM asked_members) m USING (run);
 CREATE TEMP TABLE gone AS
-    SELECT judgement AS execution, execution AS own, run, environment, programs, reading, isolation FROM judged
+    SELECT judgement AS execution, execution AS own, run, environment, programs, ingest_rules, isolation FROM all_judgements
     WHERE execution IN (SELECT id FROM named WHERE kind = 'execution') OR run IN (SELECT id FROM named WHERE kind = 'run')
     OR run IN (SELECT run FROM asked_members EXCEPT SELECT run FROM shared);
 CREATE TEMP TABLE gone_batches AS SELECT id AS batch FROM named WHERE kind = 'batch';
@@ -146,26 +147,26 @@ CREATE TEMP TABLE staying_verdicts AS SELECT DISTINCT replay FROM verdicts
     AND (execution IS NULL OR execution NOT IN (SELECT execution FROM gone));
 CREATE TEMP TABLE gone_replays AS SELECT replay FROM replays WHERE batch IN (SELECT batch FROM gone_batches)
     OR (replay IN (SELECT replay FROM gone_verdicts) AND replay NOT IN (SELECT replay FROM staying_verdicts));
-CREATE TEMP TABLE staying AS SELECT judgement AS execution, environment, programs, reading, isolation FROM judged
+CREATE TEMP TABLE staying AS SELECT judgement AS execution, environment, programs, ingest_rules, isolation FROM all_judgements
     WHERE judgement NOT IN (SELECT execution FROM gone);
-CREATE TEMP TABLE gone_members AS SELECT * FROM members WHERE batch IN (SELECT batch FROM gone_batches);
-CREATE TEMP TABLE staying_members AS SELECT * FROM members WHERE batch NOT IN (SELECT batch FROM gone_batches);
-CREATE TEMP TABLE staying_recipes AS SELECT DISTINCT recipe FROM staying_members;
-CREATE TEMP TABLE staying_trees AS SELECT DISTINCT source AS tree FROM recipes
-    WHERE recipe IN (SELECT recipe FROM staying_recipes);
+CREATE TEMP TABLE gone_members AS SELECT * FROM batch_runs WHERE batch IN (SELECT batch FROM gone_batches);
+CREATE TEMP TABLE staying_members AS SELECT * FROM batch_runs WHERE batch NOT IN (SELECT batch FROM gone_batches);
+CREATE TEMP TABLE staying_specs AS SELECT DISTINCT spec FROM staying_members;
+CREATE TEMP TABLE staying_trees AS SELECT DISTINCT source AS tree FROM specs
+    WHERE spec IN (SELECT spec FROM staying_specs);
 CREATE TEMP TABLE staying_sessions AS SELECT * FROM sessions WHERE batch NOT IN (SELECT batch FROM gone_batches);
 CREATE TEMP TABLE staying_replays AS SELECT * FROM replays WHERE replay NOT IN (SELECT replay FROM gone_replays);
 CREATE TEMP TABLE gone_sources AS SELECT source, files, vcs FROM sources WHERE
     (source IN (SELECT source FROM sessions WHERE batch IN (SELECT batch FROM gone_batches))
-     OR tree IN (SELECT source FROM recipes WHERE recipe IN (SELECT recipe FROM gone_members)))
+     OR tree IN (SELECT source FROM specs WHERE spec IN (SELECT spec FROM gone_members)))
     AND source NOT IN (SELECT source FROM staying_sessions WHERE source IS NOT NULL)
     AND tree NOT IN (SELECT tree FROM staying_trees WHERE tree IS NOT NULL);
 CREATE TEMP TABLE gone_images AS SELECT image, files FROM images WHERE
-    image IN (SELECT image FROM recipes WHERE recipe IN (SELECT recipe FROM gone_members))
-    AND image NOT IN (SELECT image FROM recipes WHERE recipe IN (SELECT recipe FROM staying_recipes) AND image IS NOT NULL);
+    image IN (SELECT image FROM specs WHERE spec IN (SELECT spec FROM gone_members))
+    AND image NOT IN (SELECT image FROM specs WHERE spec IN (SELECT spec FROM staying_specs) AND image IS NOT NULL);
 """
 AROUND = {
-    "recipes": ("recipe", "SELECT recipe FROM gone_members EXCEPT SELECT recipe FROM staying_recipes"),
+    "specs": ("spec", "SELECT spec FROM gone_members EXCEPT SELECT spec FROM staying_specs"),
     "environments": (
         "environment",
         "(SELECT environment FROM gone UNION SELECT environment FROM sessions UNION SELECT environment FROM replays) EXCEPT "
@@ -177,10 +178,10 @@ AROUND = {
         "(SELECT programs FROM gone UNION SELECT programs FROM sessions UNION SELECT programs FROM replays) EXCEPT "
         "(SELECT programs FROM staying UNION SELECT programs FROM staying_sessions UNION SELECT programs FROM staying_replays)",
     ),
-    "readings": (
-        "reading",
-        "(SELECT reading FROM gone UNION SELECT reading FROM sessions) EXCEPT "
-        "(SELECT reading FROM staying UNION SELECT reading FROM staying_sessions)",
+    "ingest_rules": (
+        "ingest_rules",
+        "(SELECT ingest_rules FROM gone UNION SELECT ingest_rules FROM sessions) EXCEPT "
+        "(SELECT ingest_rules FROM staying UNION SELECT ingest_rules FROM staying_sessions)",
     ),
     "sources": ("source", "SELECT source FROM gone_sources"),
     "images": ("image", "SELECT image FROM gone_images"),
@@ -188,12 +189,12 @@ AROUND = {
 }
 """By table: its key column, and a query for the ids that nothing refers to any more."""
 OBJECTS = """
-(SELECT sha256 FROM judged_artifacts WHERE execution IN (SELECT execution FROM gone)
- UNION SELECT unnest([input] || others) FROM gone_members UNION SELECT files FROM gone_sources
+(SELECT sha256 FROM all_artifacts WHERE execution IN (SELECT execution FROM gone)
+ UNION SELECT unnest([input] || other_inputs) FROM gone_members UNION SELECT files FROM gone_sources
  UNION SELECT files FROM gone_images UNION SELECT sha256 FROM blobs WHERE blob IN (SELECT blob FROM gone_blobs))
 EXCEPT
-(SELECT sha256 FROM judged_artifacts WHERE execution NOT IN (SELECT execution FROM gone)
- UNION SELECT unnest([input] || others) FROM staying_members
+(SELECT sha256 FROM all_artifacts WHERE execution NOT IN (SELECT execution FROM gone)
+ UNION SELECT unnest([input] || other_inputs) FROM staying_members
  UNION SELECT files FROM sources WHERE source NOT IN (SELECT source FROM gone_sources)
  UNION SELECT files FROM images WHERE image NOT IN (SELECT image FROM gone_images)
  UNION SELECT sha256 FROM blobs WHERE blob NOT IN (SELECT blob FROM gone_blobs))
@@ -202,7 +203,7 @@ EXCEPT
 
 def _plan(store: Store, named: Mapping[str, AbstractSet[str]]) -> _Plan:
     with store.snapshot() as snapshot:
-        snapshot.views.make((*TABLES, "environments", "programs", "readings", "findings"))
+        snapshot.views.make((*TABLES, "environments", "programs", "ingest_rules", "findings"))
         pairs = [(kind, identity) for kind, ids in named.items() for identity in sorted(ids)]
         snapshot.register("named", pa.table({"kind": [kind for kind, _ in pairs], "id": [one for _, one in pairs]}))
         snapshot.run(FIND)
@@ -210,7 +211,7 @@ def _plan(store: Store, named: Mapping[str, AbstractSet[str]]) -> _Plan:
         made.drop = _drop(snapshot, store, named)
         made.touched = touched(snapshot, snapshot.segments, made.drop)
         made.seen = {segment.name for segment in snapshot.segments}
-        concerned = "SELECT batch FROM members WHERE run IN (SELECT run FROM gone) UNION SELECT batch FROM gone_batches"
+        concerned = "SELECT batch FROM batch_runs WHERE run IN (SELECT run FROM gone) UNION SELECT batch FROM gone_batches"
         made.concerned = _column(snapshot, concerned)
         return made
 
@@ -224,7 +225,7 @@ def _removal(snapshot: Snapshot, named: Mapping[str, AbstractSet[str]]) -> Remov
     [(replays,)] = snapshot.run("SELECT count(DISTINCT replay) FROM gone_replays")
     [(size,)] = snapshot.run("SELECT coalesce(sum(size), 0)::BIGINT FROM artifacts WHERE execution IN (SELECT own FROM gone)")
     losing = _column(
-        snapshot, "SELECT m.batch FROM members m JOIN gone USING (run) ANTI JOIN gone_batches g ON g.batch = m.batch"
+        snapshot, "SELECT m.batch FROM batch_runs m JOIN gone USING (run) ANTI JOIN gone_batches g ON g.batch = m.batch"
     )
     kept = "SELECT run, batch FROM shared WHERE run NOT IN (SELECT run FROM gone)"
     shared = _column(snapshot, f"SELECT run FROM ({kept})")
@@ -239,7 +240,7 @@ def _drop(snapshot: Snapshot, store: Store, named: Mapping[str, AbstractSet[str]
     drop: dict[str, dict[str, AbstractSet[str]]] = {
         **{table: {"execution": executions} for table in ("executions", "artifacts", "findings", "output")},
         "judgements": {"judgement": executions},
-        **{table: {"batch": batches} for table in ("batches", "experiments", "members", "sessions")},
+        **{table: {"batch": batches} for table in ("batches", "experiments", "batch_runs", "sessions")},
         "replays": {"replay": replays},
         "equivalences": {"replay": replays},
         "verdicts": {"replay": replays, "recorded": executions, "execution": executions},

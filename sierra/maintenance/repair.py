@@ -31,7 +31,7 @@ from sierra.maintenance.fsck import Checked, Report, Tell
 from sierra.maintenance.transaction import aside, changing, publish, undisturbed
 from sierra.store.compaction import Compaction, Drop, groups, touched
 from sierra.store.layout import StorePaths
-from sierra.store.segments import FORMAT, MANIFEST, READABLE, Segment, manifest
+from sierra.store.segments import FORMAT, MANIFEST, Segment, manifest
 from sierra.util.fs import write_whole
 from sierra.util.hashing import sha256, short
 
@@ -60,7 +60,7 @@ class _Loss:
             drop["judgements"] = {"judgement": self.executions}
             drop["verdicts"] = {"recorded": self.executions, "execution": self.executions}
         if self.batches:
-            drop |= {table: {"batch": self.batches} for table in ("batches", "experiments", "members")}
+            drop |= {table: {"batch": self.batches} for table in ("batches", "experiments", "batch_runs")}
         return drop
 
 
@@ -79,7 +79,7 @@ def _ours(paths: StorePaths) -> None:
     """Raise Damaged if the store declares another format: its sound data would seem damaged here."""
     with contextlib.suppress(OSError):
         found = paths.format.read_bytes().decode("utf-8", "replace")
-        if re.fullmatch(r"sierra store \d+\n", found) and found not in READABLE:
+        if re.fullmatch(r"sierra store \d+\n", found) and found != FORMAT:
             told = f"this is {found.strip()!r}, which this SIERRA does not repair"
             raise Damaged(f"{paths.format}: {told}; if this SIERRA made it, let the file say {FORMAT.strip()!r}")
 

@@ -62,17 +62,17 @@ class Agreement:
     """Result of comparing one output: the verdict, and for tables the first difference and the greatest distances."""
 
     verdict: Verdict
-    why: str = ""
+    reason: str = ""
     """Explanation in one line; empty if the outputs are identical."""
     row: int | None = None
     """First row that differs, counted from 0."""
     column: str | None = None
-    recorded: str | None = None
-    found: str | None = None
-    abs: float | None = None
-    """Greatest absolute distance; `rel` is the greatest relative one, `ulp` the greatest in units in the last place."""
-    rel: float | None = None
-    ulp: float | None = None
+    recorded_value: str | None = None
+    replayed_value: str | None = None
+    max_abs: float | None = None
+    """Greatest absolute distance; `max_rel` is the greatest relative one, `max_ulp` the greatest in units in the last place."""
+    max_rel: float | None = None
+    max_ulp: float | None = None
     growth: tuple[tuple[Any, float], ...] = ()
     """For each tenth of the rows: its last time (or row number, without a time), and its greatest absolute distance."""
     form: bool = False
@@ -107,9 +107,11 @@ def of_tables(recorded: Any, found: Any, rules: Rules | None = None) -> Agreemen
     answer = _of_columns(recorded, found, both, rules)
     if set(old) == set(new):
         return answer
-    same = {Verdict.EQUAL: "the same", Verdict.DIFFERENT: answer.why}.get(answer.verdict, f"{answer.verdict}, {answer.why}")
+    same = {Verdict.EQUAL: "the same", Verdict.DIFFERENT: answer.reason}.get(
+        answer.verdict, f"{answer.verdict}, {answer.reason}"
+    )
     rest = f"; {counted(len(both), 'column')} in both: {same}" if both else ""
-    return replace(answer, verdict=Verdict.DIFFERENT, why=f"{other_columns(old, new)}{rest}", form=True)
+    return replace(answer, verdict=Verdict.DIFFERENT, reason=f"{other_columns(old, new)}{rest}", form=True)
 
 
 def other_columns(was: Sequence[str], now: Sequence[str]) -> str:
@@ -130,7 +132,7 @@ def _of_columns(recorded: Any, found: Any, columns: list[str], rules: Rules) -> 
         return answer
     answer = _of_rows(_sorted(recorded), _sorted(found), rules, unlike)
     equal = answer.verdict is Verdict.EQUAL
-    return replace(answer, why="the same rows in another order" if equal else f"rows sorted: {answer.why}")
+    return replace(answer, reason="the same rows in another order" if equal else f"rows sorted: {answer.reason}")
 
 
 def _volatile(recorded: Any, found: Any, rules: Rules) -> list[str]:
@@ -236,7 +238,9 @@ def of_texts(recorded: bytes, found: bytes, volatile: Sequence[str] = ()) -> Agr
     was, now = (_shown(lines[row]) if row < len(lines) else "nothing" for lines in (ours, theirs))
     count = len(differing) + abs(len(ours) - len(theirs))
     more = f"; {count} of {max(len(ours), len(theirs))} lines differ" if count > 1 else ""
-    return Agreement(Verdict.DIFFERENT, f"line {row + 1} was {was} and is {now}{more}", row=row, recorded=was, found=now)
+    return Agreement(
+        Verdict.DIFFERENT, f"line {row + 1} was {was} and is {now}{more}", row=row, recorded_value=was, replayed_value=now
+    )
 
 
 def _is_text(content: bytes) -> bool:

@@ -25,13 +25,13 @@ def probe(plan: Plan, store: Store, options: RunOptions) -> tuple[str, ...]:
     Returns nothing if there is no such run, or if it fails. Raises KeyboardInterrupt when it is interrupted.
     """
     found = states(plan, store)
-    run = next((run.id for run in plan.batch.runs if not found[run.id].good), None)
+    run = next((run.id for run in plan.batch.runs if not found[run.id].succeeded), None)
     if run is None:
         return ()
     first = execute.run(plan, store, replaced(options, slots=1, only={run}, detach=False))
     if first.interrupted:
         raise KeyboardInterrupt
-    if not first.executed or not states(plan, store)[run].good:
+    if not first.executed or not states(plan, store)[run].succeeded:
         return ()
     try:
         answer = replay.replay(plan.project, store, run, replay.ReplayOptions(slots=1, runner=options.runner), options.watch)
@@ -47,5 +47,5 @@ def _told(run: Compared) -> str:
     if run.verdict is Verdict.IDENTICAL:
         return f"{executed} left the same bytes"
     worst = next((path, one) for path, one in run.outputs.items() if one.verdict is run.verdict)
-    told = f"{executed} came out {run.verdict}: {f'{worst[0]}: ' if worst[0] else ''}{worst[1].why}"
+    told = f"{executed} came out {run.verdict}: {f'{worst[0]}: ' if worst[0] else ''}{worst[1].reason}"
     return told if run.verdict.fine else f"{told}; runs with one seed are not deterministic"

@@ -27,11 +27,11 @@ class Metric:
 
     name: str
     declared: Equivalence
-    was: float | None
+    recorded_mean: float | None
     """Recorded mean."""
-    now: float | None
+    replayed_mean: float | None
     tested: equivalence.Tested | None
-    why: str
+    reason: str
     """Explanation in one line."""
 
     @property

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from sierra.containers.images import Contents
 from sierra.execution import commands
-from sierra.model import Recipe
+from sierra.model import RunSpec
 from sierra.provenance import programs
 from sierra.provenance.program import Kind, Program
 from sierra.util.hashing import short
@@ -21,12 +21,12 @@ from sierra.util.text import few
 SHOWN = 3
 
 
-def unlike(recipe: Recipe, inside: Contents, root: Path) -> Iterator[str]:
+def unlike(spec: RunSpec, inside: Contents, root: Path) -> Iterator[str]:
     """Yield a line with those of this machine's programs that differ from the image's, if any; the code is in `root`.
 
     Raises Missing for a program that is not on this machine.
     """
-    words, variables = commands.on_host(recipe, inside.image, root)
+    words, variables = commands.on_host(spec, inside.image, root)
     found = programs.find(words, variables, root)
     other = [line for one in found.all if (line := _other(one, inside, root))]
     if other:

@@ -55,7 +55,7 @@ def _artifacts(snapshot: Snapshot, executions: Iterable[str]) -> dict[str, Artif
 
     left: dict[str, dict[str, Artifact]] = {execution: {} for execution in executions}
     snapshot.register("compared", pa.table({"execution": pa.array(left, pa.string())}))
-    statement = "SELECT a.* FROM judged_artifacts a SEMI JOIN compared USING (execution) WHERE kind <> 'log'"
+    statement = "SELECT a.* FROM all_artifacts a SEMI JOIN compared USING (execution) WHERE kind <> 'log'"
     for row in snapshot.sql(statement).to_pylist():
         left[row["execution"]][row["path"]] = row
     return dict(left)
@@ -127,7 +127,7 @@ class _Contents:
     def lost(self, was: Artifact, now: Artifact) -> str | None:
         """Return the difference between the store's row counts of two tables with the same bytes; None if there is none."""
         for whose, one, other in (("recorded", was, now), ("new", now, was)):
-            known = [row["counted"] for row in (one, other) if row["counted"] is not None]
+            known = [row["counted_rows"] for row in (one, other) if row["counted_rows"] is not None]
             truth = next(iter(known), one["rows"])
             if (count := self._counted.get(_key(one), 0)) != truth:
                 return f"the same bytes, but of its {truth} rows the {whose} table has {count} (see sierra fsck)"
@@ -162,7 +162,7 @@ def _identical(contents: _Contents, was: Artifact, now: Artifact) -> Agreement:
 
 def _key(artifact: Artifact) -> tuple[str, str, str | None]:
     """Return the key of a table in the store: the execution, the output and, if it has several files, the file's path."""
-    several = json.loads(artifact["form"] or "{}").get("file", "") is None
+    several = json.loads(artifact["table_layout"] or "{}").get("file", "") is None
     return artifact["execution"], artifact["output"], artifact["path"] if several else None
 
 
@@ -182,7 +182,7 @@ def _output(contents: _Contents, was: Artifact, now: Artifact, declared: Mapping
 
 def _without_rows(was: Artifact, now: Artifact) -> Agreement:
     """Compare two tables by their columns' names; one or both of them have no rows."""
-    columns, others = (list(json.loads(one["form"] or "{}").get("columns", ())) for one in (was, now))
+    columns, others = (list(json.loads(one["table_layout"] or "{}").get("columns", ())) for one in (was, now))
     if columns != others:
         return Agreement(Verdict.DIFFERENT, other_columns(columns, others), form=True)
     if was["rows"] != now["rows"]:

@@ -104,8 +104,8 @@ def replay(
     record = _look_up(store, store.resolve(prefix), options.runs)
     declared = _declared(record, project, options.tolerances)
     was = _metrics(project, store, record, declared)
-    engine = stored_plan.engine(store, record.of.batch, record.of.recipe, options.engine, hosted=True)
-    image = stored_plan.image(project, store, record.of.recipe)
+    engine = stored_plan.engine(store, record.of.batch, record.of.spec, options.engine, hosted=True)
+    image = stored_plan.image(project, store, record.of.spec)
     runner = runners.find(options.runner, project.config.runners)(options.slots)
     began = datetime.now(UTC)
     session = Session(store.paths, project.config.store.place())
@@ -116,14 +116,14 @@ def replay(
         checkout = record.of.checkout(project, store)
         checkout.make(root)
         if image is not None and engine.name == "none":
-            record.notes += host_check.unlike(record.of.recipe, stored_plan.image_contents(store, image.id), root)
-        variables = commands.declared(record.of.recipe.environment, root, project.root)
+            record.notes += host_check.unlike(record.of.spec, stored_plan.image_contents(store, image.id), root)
+        variables = commands.declared(record.of.spec.environment, root, project.root)
         now = versions.asked(checkout.programs_in(root), project.config.programs, variables, root)
         around = environment.capture(__version__, project.config.environment.record)
         contained = contain(
             engine,
             image,
-            record.of.recipe,
+            record.of.spec,
             project.config.container,
             commands.limits(project.config),
             code=root,
@@ -154,7 +154,7 @@ def replay(
             **contained.context,
         )
         maker = commands.CommandBuilder(
-            record.of.recipe,
+            record.of.spec,
             root,
             engine,
             commands.limits(project.config),
@@ -165,7 +165,7 @@ def replay(
             script=session.paths.worker if runner.stays else None,
         )
         made = {job.run: job for job in _jobs(record, store, maker)}
-        search = commands.declared(record.of.recipe.environment, root, project.root, image=image)["PATH"]
+        search = commands.declared(record.of.spec.environment, root, project.root, image=image)["PATH"]
         work = Work(
             made.values(),
             len(made),
@@ -227,21 +227,21 @@ def _look_up(store: Store, found: Found, runs: int | None) -> _Record:
         taken = [one for one in good if runs is None or one.number < runs]
         if not taken:
             raise NotFound(f"{found.kind} {short(found.id)} has no good execution to compare with; sierra run makes one")
-        snapshot.views.make(("members", "experiments", "batches"))
+        snapshot.views.make(("batch_runs", "experiments", "batches"))
         batch = where(snapshot, found).batch
         snapshot.register("taken", pa.table({"execution": [str(one.judgement) for one in taken]}))
         by = snapshot.sql(
-            "SELECT DISTINCT programs, reading, environment "
-            "FROM judged e SEMI JOIN taken t ON t.execution = e.judgement ORDER BY ALL"
+            "SELECT DISTINCT programs, ingest_rules, environment "
+            "FROM all_judgements e SEMI JOIN taken t ON t.execution = e.judgement ORDER BY ALL"
         ).to_pylist()
         cells = snapshot.cells(batch)
         [(axes,)] = snapshot.run("SELECT axes FROM batches WHERE batch = $b", {"b": batch})
         tables = {row["output"]: row["forms"] for row in snapshot.sql(TABLES).to_pylist()}
         wrote = {row[0] for row in snapshot.run(WROTE)}
-        seeds = dict(snapshot.run("SELECT run, seed FROM members WHERE batch = $b", {"b": batch}))
+        seeds = dict(snapshot.run("SELECT run, seed FROM batch_runs WHERE batch = $b", {"b": batch}))
     record = _Record(
         found=found,
-        of=stored_plan.recall(store, batch, by[0]["programs"], by[0]["reading"]),
+        of=stored_plan.recall(store, batch, by[0]["programs"], by[0]["ingest_rules"]),
         runs=taken,
         named=len(named),
         whole=len(taken) == len(good) and found.kind in ("batch", "experiment"),
@@ -258,7 +258,7 @@ def _look_up(store: Store, found: Found, runs: int | None) -> _Record:
         record.notes.append(f"{len(taken) - left} of {len(taken)} runs left nothing but logs, which are not compared")
     if without := len(named) - len(good):
         record.notes.append(f"{without} of {len(named)} runs have no good execution to compare with; they are left out")
-    if len({(row["programs"], row["reading"]) for row in by}) > 1:
+    if len({(row["programs"], row["ingest_rules"]) for row in by}) > 1:
         record.notes.append("not all runs were recorded with the same programs and rules; those of the first are heeded")
     return record
 
@@ -270,11 +270,11 @@ def _columns(forms: list[str | None]) -> list[str]:
 
 
 TABLES = """
-SELECT output, list(DISTINCT form ORDER BY form) AS forms FROM judged_artifacts SEMI JOIN taken USING (execution)
+SELECT output, list(DISTINCT table_layout ORDER BY table_layout) AS forms FROM all_artifacts SEMI JOIN taken USING (execution)
 WHERE kind = 'table' GROUP BY output
 """
 """SQL: the recorded forms of tables, by output."""
-WROTE = "SELECT DISTINCT execution FROM judged_artifacts SEMI JOIN taken USING (execution) WHERE kind <> 'log'"
+WROTE = "SELECT DISTINCT execution FROM all_artifacts SEMI JOIN taken USING (execution) WHERE kind <> 'log'"
 """SQL: the executions that left files or tables."""
 
 
@@ -337,7 +337,7 @@ def _metrics(
 def _other_programs(of: Recalled, now: Programs, root: Path) -> Iterator[str]:
     """Yield a line for each program that differs from the record; the code is in `root`."""
     if now.id != of.fingerprint:
-        words = mentioned(of.recipe.command, root)
+        words = mentioned(of.spec.command, root)
         yield from (f"other programs: {line}" for line in programs.told(of.programs, now, words))
 
 

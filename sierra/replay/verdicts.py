@@ -110,14 +110,14 @@ def verdict_rows(replay: str, run: Compared) -> Iterator[dict[str, Any]]:
             "execution": run.execution,
             "path": path,
             "verdict": str(agreement.verdict),
-            "why": agreement.why,
+            "reason": agreement.reason,
             "row": agreement.row,
             "column": agreement.column,
-            "was": agreement.recorded,
-            "found": agreement.found,
-            "abs": agreement.abs,
-            "rel": agreement.rel,
-            "ulp": agreement.ulp,
+            "recorded_value": agreement.recorded_value,
+            "replayed_value": agreement.replayed_value,
+            "max_abs": agreement.max_abs,
+            "max_rel": agreement.max_rel,
+            "max_ulp": agreement.max_ulp,
         }
 
 
@@ -131,9 +131,9 @@ def metric_rows(replay: str, experiment: OfExperiment) -> Iterator[dict[str, Any
             "output": metric.declared.table,
             "column": metric.declared.column,
             "measure": metric.declared.measure,
-            "was": metric.was,
-            "found": metric.now,
-            "why": metric.why,
+            "recorded_mean": metric.recorded_mean,
+            "replayed_mean": metric.replayed_mean,
+            "reason": metric.reason,
             **({} if metric.tested is None else asdict(metric.tested)),
             "equivalent": metric.equivalent,
         }

@@ -115,7 +115,7 @@ class Place:
 
     @property
     def only(self) -> str:
-        """The SQL condition on `members` m that selects the part of the batch."""
+        """The SQL condition on `batch_runs` m that selects the part of the batch."""
         return (self.ordinal is not None) * "AND m.ordinal = $o " + (self.run is not None) * "AND m.run = $r"
 
     @property
@@ -126,7 +126,7 @@ class Place:
 
 def where(snapshot: Snapshot, found: Found) -> Place:
     """Return the position of an id. If several batches contain it, the batch that was submitted last is taken."""
-    snapshot.views.make(("members", "experiments", "batches", "executions", "judged", "counting", "sessions"))
+    snapshot.views.make(("batch_runs", "experiments", "batches", "executions", "all_judgements", "effective", "sessions"))
     run = found.id if found.kind == "run" else None
     if found.kind == "batch":
         return Place(found.id)
@@ -150,17 +150,17 @@ def _readable() -> Iterator[None]:
 
 LATEST = """
 SELECT m.batch, m.ordinal
-FROM members m JOIN experiments x USING (batch, ordinal) JOIN batches b USING (batch)
+FROM batch_runs m JOIN experiments x USING (batch, ordinal) JOIN batches b USING (batch)
 LEFT JOIN (SELECT batch, max(lamport) AS asked FROM sessions GROUP BY batch) s USING (batch)
 WHERE m.run = $run OR x.experiment = $experiment
 ORDER BY coalesce(s.asked, b.lamport) DESC, m.batch, m.ordinal LIMIT 1
 """
 
 TAKEN = """
-WITH m AS (SELECT DISTINCT m.ordinal, m.number, m.run FROM members m WHERE m.batch = $b {only}),
-c AS (SELECT ordinal, run, execution, judgement FROM counting WHERE batch = $b),
-l AS (SELECT e.run, arg_max(e.judgement, {order}) AS judgement FROM judged e WHERE e.purpose = 'run' GROUP BY e.run),
-n AS (SELECT e.run, arg_max(e.judgement, {order}) AS judgement FROM judged e WHERE e.execution = $named GROUP BY e.run),
+WITH m AS (SELECT DISTINCT m.ordinal, m.number, m.run FROM batch_runs m WHERE m.batch = $b {only}),
+c AS (SELECT ordinal, run, execution, judgement FROM effective WHERE batch = $b),
+l AS (SELECT e.run, arg_max(e.judgement, {order}) AS judgement FROM all_judgements e WHERE e.purpose = 'run' GROUP BY e.run),
+n AS (SELECT e.run, arg_max(e.judgement, {order}) AS judgement FROM all_judgements e WHERE e.execution = $named GROUP BY e.run),
 t AS (
     SELECT x.experiment, m.ordinal, m.number, m.run,
            CASE WHEN $named IS NULL OR $named = c.execution THEN coalesce(c.judgement, l.judgement)
@@ -171,7 +171,7 @@ t AS (
     LEFT JOIN c ON c.ordinal = m.ordinal AND c.run = m.run LEFT JOIN l ON l.run = m.run LEFT JOIN n ON n.run = m.run
 )
 SELECT t.experiment, t.ordinal, t.number, t.run, e.execution, e.status, t.which, t.judgement
-FROM t LEFT JOIN judged e ON e.judgement = t.judgement ORDER BY t.ordinal, t.number
+FROM t LEFT JOIN all_judgements e ON e.judgement = t.judgement ORDER BY t.ordinal, t.number
 """
 
 
@@ -182,7 +182,7 @@ def recorded(snapshot: Snapshot, runs: Sequence[Taken], *, inputs: bool = False)
     columns = {"place": range(len(runs)), "run": [t.run for t in runs], "execution": [t.judgement for t in runs]}
     snapshot.register("taken", pa.table({name: list(values) for name, values in columns.items()}))
     with _readable():
-        snapshot.views.make(("members", "recipes", "judged_artifacts", "objects"))
+        snapshot.views.make(("batch_runs", "specs", "all_artifacts", "objects"))
         rows = [(place, Recorded(runs[place], *rest)) for place, *rest in snapshot.each(FILES, {"all": not inputs})]
     return [file for _, file in sorted(rows, key=lambda row: (row[0], PARTS.get(row[1].kind, 1), natural(row[1].path)))]
 
@@ -192,20 +192,20 @@ PARTS = {"input": 0, "log": 2}
 FILES = f"""
 WITH inputs AS (
     SELECT t.place, m.inputs, r.files, unnest(range(len(r.files))) AS nth
-    FROM taken t JOIN (SELECT run, any_value([input] || others) AS inputs, any_value(recipe) AS recipe FROM members
-                       WHERE run IN (SELECT run FROM taken) GROUP BY run) m USING (run) JOIN recipes r USING (recipe)
+    FROM taken t JOIN (SELECT run, any_value([input] || other_inputs) AS inputs, any_value(spec) AS spec FROM batch_runs
+                       WHERE run IN (SELECT run FROM taken) GROUP BY run) m USING (run) JOIN specs r USING (spec)
 ),
 listed AS (
     SELECT place, '{INPUT_FOLDER}' || files[nth + 1] AS path, 'input' AS kind, NULL::BIGINT AS size,
-           inputs[nth + 1] AS sha256, NULL AS output, NULL AS form, NULL::BIGINT AS rows FROM inputs
+           inputs[nth + 1] AS sha256, NULL AS output, NULL AS table_layout, NULL::BIGINT AS rows FROM inputs
     UNION ALL
     SELECT t.place, CASE a.kind WHEN 'log' THEN a.path ELSE '{OUTPUT_FOLDER}' || a.path END, a.kind, a.size, a.sha256,
-           a.output, a.form, a.rows
-    FROM taken t JOIN judged_artifacts a USING (execution) WHERE $all
+           a.output, a.table_layout, a.rows
+    FROM taken t JOIN all_artifacts a USING (execution) WHERE $all
 ),
 kept AS (SELECT sha256, any_value(size) AS kept FROM objects GROUP BY sha256)
 SELECT l.place, l.path, l.kind, coalesce(l.size, k.kept), l.sha256, k.kept,
-       l.output, l.form, l.rows
+       l.output, l.table_layout, l.rows
 FROM listed l LEFT JOIN kept k ON k.sha256 = l.sha256
 """
 

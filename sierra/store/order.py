@@ -12,9 +12,7 @@ All three parts are recorded as one whole number in the column `lamport`. A grea
     18 bits   the first bits of the session's id
     22 bits   the position, from 0; positions beyond the largest one share it
 
-Records that are older than these numbers come before all others and are ordered by their time: SQL sees a negative `lamport`
-for them. Imported records have the numbers of the store that they came from: `STAMPED` is the place in the code to rank them
-below this store's records.
+Imported records have the numbers of the store that they came from.
 """
 
 from __future__ import annotations
@@ -22,21 +20,12 @@ from __future__ import annotations
 NUMBER, TIE, POSITION = 23, 18, 22
 """The widths of the three parts in bits."""
 HIGHEST = (1 << NUMBER) - 1
-STAMPED = "coalesce(lamport, epoch_us({time}) - 4611686018427387904)"
-"""The SQL expression for a record's position in the order; `time` is the column that orders old records."""
-TIMES = {
-    "batches": "created",
-    "executions": "ended",
-    "findings": "found",
-    "judgements": "judged",
-    "replays": "ended",
-    "sessions": "ended",
-}
-"""The ordered tables, each with the column that orders its old records."""
+ORDERED = ("batches", "executions", "findings", "judgements", "replays", "sessions")
+"""The tables with the column `lamport`."""
 
 
 def stamp(number: int | None, session: str, position: int = 0) -> int | None:
-    """Return the value of the column `lamport`; None for a session without a number, which an older SIERRA began."""
+    """Return the value of the column `lamport`; None without a session."""
     if number is None:
         return None
     tie = int(session[:16], 16) >> (64 - TIE)

@@ -1,6 +1,6 @@
 """The data of one batch for statistics: its runs, and its output columns as samples over time.
 
-Only one execution of a run is effective: see the table `counting`. A run without an effective execution is reported as
+Only one execution of a run is effective: see the table `effective`. A run without an effective execution is reported as
 missing.
 """
 
@@ -55,7 +55,7 @@ class Frame:
         self._snapshot: Snapshot = store.snapshot(batch)
         self._loaded: set[str] = set()
         self._relations: dict[str, Relation] = {}
-        self._snapshot.views.make(("members", "judged", "experiments", "batches", "counting"))
+        self._snapshot.views.make(("batch_runs", "all_judgements", "experiments", "batches", "effective"))
         self._members(these)
         self._files = self._output_files()
 
@@ -67,20 +67,20 @@ class Frame:
 
     def _members(self, these: Mapping[str, str] | None) -> None:
         run = self._snapshot.run
-        taken = "(SELECT ordinal, run, judgement FROM counting WHERE batch = $b)"
+        taken = "(SELECT ordinal, run, judgement FROM effective WHERE batch = $b)"
         if these is not None:
             import pyarrow as pa
 
             self._snapshot.register("these", pa.table({"run": list(these), "judgement": list(these.values())}))
             taken = "(SELECT ordinal, run, judgement FROM wanted JOIN these USING (run))"
         run(
-            "CREATE TEMP TABLE wanted AS SELECT DISTINCT ordinal, number, run FROM members WHERE batch = $b",
+            "CREATE TEMP TABLE wanted AS SELECT DISTINCT ordinal, number, run FROM batch_runs WHERE batch = $b",
             {"b": self.batch},
         )
         run(
             "CREATE TEMP TABLE membership AS SELECT w.ordinal::INTEGER AS experiment, w.run, w.number::INTEGER AS number, "
             f"c.judgement, e.batch FROM wanted w JOIN {taken} c ON c.run = w.run AND c.ordinal = w.ordinal "
-            "JOIN judged e ON e.judgement = c.judgement",
+            "JOIN all_judgements e ON e.judgement = c.judgement",
             {"b": self.batch} if these is None else {},
         )
 

@@ -54,12 +54,12 @@ RECORDED = {
             ("axes", LIST, "names of the independent variables, in order"),
             ("controller", TEXT, "the controller, where one was named"),
             ("scenario", TEXT, "the scenario, where one was named"),
-            ("sets", LIST, "what was set for all runs beside, each as XPATH=VALUE"),
+            ("overrides", LIST, "what was set for all runs beside, each as XPATH=VALUE"),
             ("platform", TEXT, "how the simulator is driven"),
             ("experiments", INT, "experiments in it", "1"),
             ("runs", INT, "runs in it, all experiments together", "1"),
             ("base_seed", INT, "the number that all seeds derive from"),
-            ("recipe", ID, "what all its runs have in common"),
+            ("spec", ID, "what all its runs have in common"),
             ("template", TEXT, "the template's path in the project"),
             ("template_sha256", ID, "SHA-256 of the template file"),
             ("lamport", INT, "its place in the logical order, as in sessions"),
@@ -72,7 +72,7 @@ RECORDED = {
             ("ordinal", INT, "its place in the batch, from 0"),
         ),
         _table(
-            "members",
+            "batch_runs",
             "Which run belongs to which experiment of which batch; a run may belong to many.",
             ("batch", ID, "the batch"),
             ("ordinal", INT, "the experiment's place in the batch, from 0"),
@@ -80,25 +80,25 @@ RECORDED = {
             ("run", ID, "the run"),
             ("seed", INT, "its seed"),
             ("input", ID, "SHA-256 of its first input file; the file itself is in objects"),
-            ("others", LIST, "SHA-256 of its further input files, named as in recipes.files"),
-            ("recipe", ID, "what it has in common with the other runs of the batch"),
+            ("other_inputs", LIST, "SHA-256 of its further input files, named as in specs.files"),
+            ("spec", ID, "what it has in common with the other runs of the batch"),
         ),
         _table(
-            "recipes",
-            "What runs have in common: with an input and a seed, a recipe makes a run.",
-            ("recipe", ID, "the recipe's id"),
+            "specs",
+            "What runs have in common: with an input and a seed, a spec makes a run.",
+            ("spec", ID, "the spec's id"),
             ("platform", TEXT, "how the simulator is driven"),
             ("command", LIST, "program and arguments, before paths of a machine are filled in"),
             ("variables", TEXT, "declared environment variables, as JSON"),
             ("source", ID, "the tree of the code (an SWHID); NULL where no source counts"),
             ("image", ID, "content identity of the container image; NULL without one"),
-            ("reach", LIST, "what runs reach beyond it: network, gpu, each device and each mount"),
+            ("host_access", LIST, "what runs reach beyond it: network, gpu, each device and each mount"),
             ("files", LIST, "names of the input files that each run gets"),
         ),
         _table(
             "executions",
             "One time that a run was executed: when, where, by what, and how it ended. Where it was judged anew by other "
-            "rules, status, reason and reading are those of the last judgement; judged has all.",
+            "rules, status, reason and ingest_rules are those of the last judgement; judged has all.",
             ("execution", ID, "the execution's id"),
             ("run", ID, "the run"),
             ("session", ID, "the asking that executed it"),
@@ -109,11 +109,16 @@ RECORDED = {
             ("reason", TEXT, "why it is not ok, in a line"),
             ("exit_code", INT, "the program's exit status; NULL where a signal ended it"),
             ("signal", INT, "the signal that ended it"),
-            ("wall", REAL, "from start to end", "s"),
-            ("user", REAL, "CPU time in user mode, of all its processes that ended; in a container, what was seen of it", "s"),
-            ("system", REAL, "CPU time in the kernel, likewise", "s"),
+            ("wall_s", REAL, "from start to end", "s"),
             (
-                "max_rss",
+                "user_s",
+                REAL,
+                "CPU time in user mode, of all its processes that ended; in a container, as measured",
+                "s",
+            ),
+            ("system_s", REAL, "CPU time in the kernel, likewise", "s"),
+            (
+                "max_rss_bytes",
                 INT,
                 "greatest resident size of its greatest process (the worker's own size at least); in a container, as seen",
                 "bytes",
@@ -121,10 +126,10 @@ RECORDED = {
             ("host", TEXT, "host name"),
             ("slot", INT, "the slot of the worker that executed it"),
             ("result", ID, "Merkle hash of its outputs' names and digests"),
-            ("log", TEXT, "the end of its standard error, or of its standard output where that is empty"),
+            ("log_tail", TEXT, "the end of its standard error, or of its standard output where that is empty"),
             ("environment", ID, "what was around it"),
             ("programs", ID, "fingerprint of the programs outside source and image"),
-            ("reading", ID, "hash of what the project declares of outputs and success"),
+            ("ingest_rules", ID, "hash of what the project declares of outputs and success"),
             ("purpose", TEXT, "run, or what else it was executed for; only those of run count in statistics"),
             ("isolation", ID, "how it was contained; NULL where it was not"),
             ("attempt", ID, "on a cluster, the attempt at an element in which it was executed; NULL elsewhere"),
@@ -143,7 +148,7 @@ RECORDED = {
             ("started", TIME, "when it began"),
             ("ended", TIME, "when it had last recorded something"),
             (
-                "clock",
+                "clock_offset_s",
                 REAL,
                 "how far the node's clock was ahead of the shared file system's; all times are by the latter, if over 2 s",
                 "s",
@@ -153,13 +158,13 @@ RECORDED = {
             ("gpus", TEXT, "graphics processors that it had, as the scheduler calls them"),
             ("allocation", TEXT, "what else the scheduler said of it on the node, as JSON"),
             ("runs", INT, "runs that it has executed to their end", "1"),
-            ("cut", INT, "runs that it began, and did not end", "1"),
+            ("interrupted_runs", INT, "runs that it began, and did not end", "1"),
             ("state", TEXT, "finished, or cut off"),
-            ("trouble", TEXT, "why it could not go on, as it said, or else the scheduler"),
+            ("error", TEXT, "why it could not go on, as it said, or else the scheduler"),
             ("environment", ID, "what was around it"),
         ),
         _table(
-            "copies",
+            "duplicates",
             "Runs that were executed once more than was asked, because two attempts at one element lived at a time.",
             ("execution", ID, "the execution of the run that is recorded: that which was seen first"),
             ("run", ID, "the run"),
@@ -180,7 +185,7 @@ RECORDED = {
             ("network", TEXT, "none, host, or not isolated where none was asked for and can't be had"),
             ("devices", LIST, "devices of the host that runs could use; gpu for NVIDIA's"),
             ("mounts", TEXT, "files and folders of the host that runs could read, as JSON: path inside, path outside"),
-            ("limits_asked", TEXT, "limits that the engine was to enforce, as JSON: memory in bytes, cpus, pids"),
+            ("limits_requested", TEXT, "limits that the engine was to enforce, as JSON: memory in bytes, cpus, pids"),
             (
                 "limits_enforced",
                 TEXT,
@@ -196,17 +201,17 @@ RECORDED = {
             ("run", ID, "its run"),
             ("session", ID, "the asking that judged it anew"),
             ("batch", ID, "the batch that it was judged for"),
-            ("judged", TIME, "when"),
+            ("judged_at", TIME, "when"),
             ("status", TEXT, "as in executions"),
             ("reason", TEXT, "why it is not ok, in a line"),
-            ("reading", ID, "hash of the rules: what the project declares of outputs and success"),
+            ("ingest_rules", ID, "hash of the rules: what the project declares of outputs and success"),
             ("lamport", INT, "its place in the logical order, as in sessions"),
         ),
         _table(
             "findings",
             "What was found out about an execution after it was recorded; it is not ok from then on.",
             ("execution", ID, "the execution, or the judgement of it that is not ok"),
-            ("found", TIME, "when"),
+            ("found_at", TIME, "when"),
             ("status", TEXT, "what it is now"),
             ("reason", TEXT, "why, in a line"),
             ("lamport", INT, "its place in the logical order, as in sessions"),
@@ -223,11 +228,11 @@ RECORDED = {
             ("sha256", ID, "SHA-256 of its bytes; of a log over 1 MiB, of what is kept of it, its beginning and end"),
             ("rows", INT, "rows it gave its table", "1"),
             (
-                "form",
+                "table_layout",
                 TEXT,
                 "what its table looks like, as JSON: its file, what each column holds, whether its last line is whole",
             ),
-            ("counted", INT, "rows that the file itself has, by a count that does not depend on how it was read", "1"),
+            ("counted_rows", INT, "rows that the file itself has, by a count that does not depend on how it was read", "1"),
         ),
         _table(
             "sessions",
@@ -246,7 +251,7 @@ RECORDED = {
                 "1",
             ),
             ("executed", INT, "runs executed", "1"),
-            ("again", INT, "of these, runs that had been executed before", "1"),
+            ("reexecuted", INT, "of these, runs that had been executed before", "1"),
             ("reused", INT, "runs whose recorded execution was good", "1"),
             ("failed", INT, "runs of the batch without a good execution, of those executed", "1"),
             ("missing", INT, "runs of the batch that were not executed", "1"),
@@ -255,8 +260,8 @@ RECORDED = {
             ("environment", ID, "what was around it"),
             ("source", ID, "the source's full state"),
             ("programs", ID, "fingerprint of the programs that its runs are, or would have been, executed with"),
-            ("reading", ID, "hash of what the project declares of outputs and success, as in executions"),
-            ("rules", ID, "hash of the same and of what may differ between siblings"),
+            ("ingest_rules", ID, "hash of what the project declares of outputs and success, as in executions"),
+            ("batch_rules", ID, "hash of the same and of what may differ between siblings"),
             (
                 "lamport",
                 INT,
@@ -295,14 +300,14 @@ RECORDED = {
             ("execution", ID, "the execution that was compared with it; NULL where there is none"),
             ("path", TEXT, "the output's path; NULL where it is about the whole run"),
             ("verdict", TEXT, "identical, equal, within tolerance, different or failed"),
-            ("why", TEXT, "in a line; empty where they are identical"),
+            ("reason", TEXT, "in a line; empty where they are identical"),
             ("row", INT, "the first row (or line) in which they differ, from 0"),
             ("column", TEXT, "the column of that"),
-            ("was", TEXT, "the recorded value there"),
-            ("found", TEXT, "the value found there"),
-            ("abs", REAL, "the greatest distance in that column, in its unit"),
-            ("rel", REAL, "the greatest distance relative to the recorded number", "1"),
-            ("ulp", REAL, "the greatest distance in units in the last place", "1"),
+            ("recorded_value", TEXT, "the recorded value there"),
+            ("replayed_value", TEXT, "the value found there"),
+            ("max_abs", REAL, "the greatest distance in that column, in its unit"),
+            ("max_rel", REAL, "the greatest distance relative to the recorded number", "1"),
+            ("max_ulp", REAL, "the greatest distance in units in the last place", "1"),
         ),
         _table(
             "equivalences",
@@ -313,8 +318,8 @@ RECORDED = {
             ("output", TEXT, "the output"),
             ("column", TEXT, "the column of it"),
             ("measure", TEXT, "what each run was reduced to"),
-            ("was", REAL, "the recorded mean, in the column's unit"),
-            ("found", REAL, "the mean found"),
+            ("recorded_mean", REAL, "the recorded mean, in the column's unit"),
+            ("replayed_mean", REAL, "the mean found"),
             ("n", INT, "pairs of runs", "1"),
             ("difference", REAL, "the mean of the differences, run by run"),
             ("low", REAL, "the interval of confidence 1 - 2 alpha around it"),
@@ -324,7 +329,7 @@ RECORDED = {
             ("p", REAL, "the greater p value of the two tests", "1"),
             ("power", REAL, "the probability to find equivalent what is the same", "1"),
             ("equivalent", FLAG, "whether the interval lies within the margins"),
-            ("why", TEXT, "in a line"),
+            ("reason", TEXT, "in a line"),
         ),
         _table(
             "environments",
@@ -373,9 +378,9 @@ RECORDED = {
             ("sha256", ID, "SHA-256 of the file; the file itself is in objects"),
         ),
         _table(
-            "readings",
+            "ingest_rules",
             "What projects declared of outputs and success, so that another execution can be judged by the same rules.",
-            ("reading", ID, "as in executions"),
+            ("ingest_rules", ID, "as in executions"),
             ("declared", TEXT, "the tables outputs and success of sierra.toml, as JSON"),
         ),
         _table(
@@ -417,7 +422,7 @@ RECORDED = {
             ("labels", TEXT, "its labels, as JSON"),
             ("variables", TEXT, "what it sets for its programs, as JSON"),
             ("packages", TEXT, "what is installed, as JSON: by dpkg, apk and python, a list of name==version each"),
-            ("recipe", TEXT, "what is known of how it was made: a definition file, or a history"),
+            ("spec", TEXT, "what is known of how it was made: a definition file, or a history"),
             ("files", ID, "SHA-256 of the list of its files in objects: a JSON object a line, with path, type, size, sha256"),
             ("size", INT, "size of its files", "bytes"),
         ),
@@ -432,16 +437,8 @@ RECORDED = {
     )
 }
 
-LATER = {
-    "artifacts": ("counted",),
-    "batches": ("lamport",),
-    "executions": ("lamport",),
-    "findings": ("lamport",),
-    "judgements": ("lamport",),
-    "sessions": ("lamport",),
-    "replays": ("lamport",),
-}
-"""The last columns of tables: older files do not have them, and their values are NULL there."""
+LATER: dict[str, tuple[str, ...]] = {}
+"""By table, the last columns that were added within this format: older files lack them, and their values are NULL there."""
 
 DERIVED = {
     table.name: table
@@ -453,13 +450,13 @@ DERIVED = {
             ("seed", INT, "its seed"),
             ("number", INT, "its number in its experiment, from 0 (the least, where it belongs to several)"),
             ("input", ID, "SHA-256 of its first input file; the file itself is in objects"),
-            ("recipe", ID, "what it has in common with other runs"),
+            ("spec", ID, "what it has in common with other runs"),
             ("status", TEXT, "ok where an execution counts; else that of the last (stale if ok), missing if there is none"),
             ("execution", ID, "the execution that counts for the batch last asked for"),
             ("executions", INT, "how many times it was executed", "1"),
         ),
         _table(
-            "counting",
+            "effective",
             "The execution that counts for a run in a batch: the last good one with the programs and by the rules of the "
             "batch's last asking. Statistics, figures and outputs see no other.",
             ("batch", ID, "the batch"),
@@ -467,24 +464,24 @@ DERIVED = {
             ("run", ID, "the run"),
             ("execution", ID, "the execution"),
             ("judgement", ID, "the judgement of it that counts, as in judged"),
-            ("asked", TIME, "when the batch was last asked for"),
+            ("submitted", TIME, "when the batch was last asked for"),
             ("lamport", INT, "the place of that in the logical order, as in sessions"),
         ),
         _table(
-            "judged",
+            "all_judgements",
             "Every judgement of every execution: the first, made when it was recorded, and those that were made anew.",
             ("judgement", ID, "the judgement; the first has the id of its execution"),
-            ("judged", TIME, "when"),
+            ("judged_at", TIME, "when"),
             ("place", INT, "its place in the logical order; that of the first judgement is the execution's"),
             *(
                 (column.name, column.type, f"{column.meaning}; by this judgement", column.unit)
-                if column.name in ("status", "reason", "reading")
+                if column.name in ("status", "reason", "ingest_rules")
                 else (column.name, column.type, column.meaning, column.unit)
                 for column in RECORDED["executions"].columns
             ),
         ),
         _table(
-            "judged_artifacts",
+            "all_artifacts",
             "The rows of artifacts by each judgement; artifacts has those of the last one alone.",
             ("execution", ID, "the judgement"),
             *((column.name, column.type, column.meaning, column.unit) for column in RECORDED["artifacts"].columns[1:]),
@@ -513,8 +510,22 @@ DERIVED = {
 }
 
 RESERVED = frozenset(
-    ("batch", "experiment", "run", "number", "seed", "execution", "row", "file", "session", "ordinal", "runs", "good", "failed")
-) | {column.name for table in DERIVED.values() if not table.name.startswith("judged") for column in table.columns}
+    (
+        "batch",
+        "experiment",
+        "run",
+        "number",
+        "seed",
+        "execution",
+        "row",
+        "file",
+        "session",
+        "ordinal",
+        "runs",
+        "succeeded",
+        "failed",
+    )
+) | {column.name for table in DERIVED.values() if not table.name.startswith("all_") for column in table.columns}
 """Names that are not allowed for axes, because a column of the store has them."""
 
 BESIDE_OUTPUTS = frozenset(("run", "execution", "file", "number", "filename", "file_row_number"))

@@ -39,12 +39,8 @@ from sierra.store.schema import arrow_schema
 from sierra.util.fs import inside
 from sierra.util.hashing import sha256, sha256_file
 
-FORMAT = "sierra store 3\n"
+FORMAT = "sierra store 4\n"
 """The format of segments and of their role in the store. It is raised whenever an older SIERRA would misread it."""
-READABLE = (FORMAT, "sierra store 2\n")
-"""The formats that this version reads. Adding a segment raises an older store to the newest format. Columns that its records
-lack are NULL.
-"""
 MANIFEST = "MANIFEST"
 OUTPUT = "output."
 SUFFIX = ".parquet"
@@ -173,7 +169,6 @@ class Writer:
             self.folder.rmdir()
             return False
         with disk_errors(self.folder):
-            _raise_format(segments.with_name("format"))
             target = inside(segments, self.seal())
             try:
                 self.folder.rename(target)
@@ -183,15 +178,6 @@ class Writer:
                 shutil.rmtree(self.folder)
             sync(segments)
         return True
-
-
-def _raise_format(path: Path) -> None:
-    """Raise the store's format to the newest one. The file is changed in place, because it is also a lock."""
-    with contextlib.suppress(FileNotFoundError), path.open("rb") as file:
-        if file.read(len(FORMAT) + 1).decode("utf-8", "replace") in READABLE[1:]:
-            with path.open("r+b") as changed:
-                changed.write(FORMAT.encode())
-                os.fsync(changed.fileno())
 
 
 def manifest(files: Iterable[Path]) -> bytes:

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from sierra.errors import Damaged
 from sierra.store.layout import StorePaths
-from sierra.store.order import HIGHEST, TIMES, number_of
+from sierra.store.order import HIGHEST, ORDERED, number_of
 from sierra.store.scans import read_parquet
 from sierra.store.segments import Segment
 from sierra.store.store import Snapshot, Store
@@ -45,7 +45,7 @@ def _recorded(paths: StorePaths) -> int:
 
 
 def _highest(snapshot: Snapshot, segments: Iterable[Segment]) -> int:
-    files = [segment.files[table] for segment in segments for table in TIMES if table in segment.files]
+    files = [segment.files[table] for segment in segments for table in ORDERED if table in segment.files]
     if not files:
         return 0
     [(highest,)] = snapshot.run(f"SELECT max(lamport) FROM {read_parquet(files, schema={'lamport': 'BIGINT'})}")

@@ -22,7 +22,7 @@ from sierra.store.errors import explain
 from sierra.store.layout import StorePaths
 from sierra.store.read_lock import Shared
 from sierra.store.scans import check_folder, plain, read_parquet
-from sierra.store.segments import FORMAT, READABLE, Segment, Writer, disk_errors, listed
+from sierra.store.segments import FORMAT, Segment, Writer, disk_errors, listed
 from sierra.store.views import Views, outputs, tables_of
 from sierra.util.fs import write_whole
 
@@ -67,7 +67,7 @@ class Store:
                 found = file.read(FORMAT_BYTES).decode("utf-8", "backslashreplace")
         except OSError as error:
             raise Missing(f"no store in {root}: nothing has been run here yet (sierra run makes one)") from error
-        if found not in READABLE:
+        if found != FORMAT:
             told = f"this is {found.strip()[:40]!r}, and this SIERRA reads {FORMAT.strip()!r}"
             other = f"read it with the SIERRA that made it, or move {root} away and ask again"
             heals = other if re.fullmatch(r"sierra store \d+\n", found) else "sierra fsck --repair writes it again"
@@ -164,7 +164,7 @@ class Store:
             found = snapshot.sql(
                 "SELECT 'batch' AS kind, batch AS id, batch FROM batches WHERE starts_with(batch, $p) UNION "
                 "SELECT 'experiment', experiment, max(batch) FROM experiments WHERE starts_with(experiment, $p) GROUP BY ALL "
-                "UNION SELECT 'run', run, max(batch) FROM members WHERE starts_with(run, $p) GROUP BY ALL "
+                "UNION SELECT 'run', run, max(batch) FROM batch_runs WHERE starts_with(run, $p) GROUP BY ALL "
                 "UNION SELECT 'execution', execution, batch FROM executions WHERE starts_with(execution, $p) "
                 "ORDER BY 1, 2 LIMIT 20",
                 p=text,

@@ -11,25 +11,24 @@ from sierra.errors import Damaged
 from sierra.store.columns import Relation, relation
 from sierra.store.errors import first_line
 from sierra.store.names import column_names, identifier, quote
-from sierra.store.order import STAMPED, TIMES
 from sierra.store.scans import read_parquet
 from sierra.store.schema import DERIVED, LATER, RECORDED
 from sierra.store.segments import Segment, is_first_part
 
 NEEDS = {
-    "judged": ("findings", "judgements"),
-    "executions": ("judged",),
-    "artifacts": ("judged",),
-    "judged_artifacts": ("artifacts",),
-    "counting": ("members", "sessions", "judged"),
+    "all_judgements": ("findings", "judgements"),
+    "executions": ("all_judgements",),
+    "artifacts": ("all_judgements",),
+    "all_artifacts": ("artifacts",),
+    "effective": ("batch_runs", "sessions", "all_judgements"),
     "nondeterminism": ("executions", "verdicts"),
-    "points": ("members", "experiments", "batches"),
-    "runs": ("members", "experiments", "batches", "executions", "counting"),
+    "points": ("batch_runs", "experiments", "batches"),
+    "runs": ("batch_runs", "experiments", "batches", "executions", "effective"),
 }
 ONCE = {
     "batches": ("batch",),
     "experiments": ("batch", "ordinal"),
-    "recipes": ("recipe",),
+    "specs": ("spec",),
     "environments": ("environment",),
     "sources": ("source",),
     "programs": ("programs", "name", "path"),
@@ -37,7 +36,7 @@ ONCE = {
     "blobs": ("blob",),
     "images": ("image",),
     "isolations": ("isolation",),
-    "readings": ("reading",),
+    "ingest_rules": ("ingest_rules",),
     "findings": ("execution",),
 }
 """Tables to which two writers may add the same record, with the columns that identify a record."""
@@ -116,7 +115,7 @@ class Views:
             body = self._points()
         elif name in DEFINED:
             body = DEFINED[name]
-        elif name in RECORDED or name in ("judged", "judged_artifacts"):
+        elif name in RECORDED or name in ("all_judgements", "all_artifacts"):
             self._make_recorded(name)
             return
         elif name in self._outputs:
@@ -131,7 +130,7 @@ class Views:
         import duckdb
 
         view = f"CREATE VIEW {identifier(name)} AS "
-        bodies = {"judged": self._judged, "judged_artifacts": self._judged_artifacts}
+        bodies = {"all_judgements": self._all_judgements, "all_artifacts": self._all_artifacts}
         body = bodies.get(name, partial(self._recorded, name))
         try:
             self._sql.execute(view + body())
@@ -154,18 +153,13 @@ class Views:
             return self._executions(source)
         if name == "artifacts" and self._anew:
             return f"SELECT a.* REPLACE (l.execution AS execution) FROM {source} a JOIN ({LAST}) l ON a.execution = l.judgement"
-        if name == "members" and self._within is not None:
+        if name == "batch_runs" and self._within is not None:
             return f"SELECT * FROM {source} WHERE batch = {quote(self._within)}"
         return f"SELECT * FROM {source}"
 
     def _records(self, name: str, files: list[str], *, older: bool) -> str:
         """Return the relation of records in these files; `older`: no file has the later columns."""
-        source = records(name, files) if older else read_parquet(files, union=name in LATER)
-        if name not in LATER:
-            return source
-        values = {"lamport": STAMPED.format(time=TIMES.get(name))}  # DuckDB refuses columns that no file has
-        later = ", ".join(f"{values.get(column, column)} AS {column}" for column in LATER[name])
-        return f"(SELECT * REPLACE ({later}) FROM {source})"
+        return records(name, files) if older else read_parquet(files, union=name in LATER)
 
     def _experiments(self, files: list[str]) -> str:
         """Return the relation of axis values: unchanged for one batch, with numbers split from texts for all batches."""
@@ -194,22 +188,22 @@ class Views:
 
     def _executions(self, source: str) -> str:
         if not self._anew:
-            return "SELECT * EXCLUDE (judgement, judged, place) FROM judged"
-        said = "l.status AS status, l.reason AS reason, l.reading AS reading"
+            return "SELECT * EXCLUDE (judgement, judged_at, place) FROM all_judgements"
+        said = "l.status AS status, l.reason AS reason, l.ingest_rules AS ingest_rules"
         return f"SELECT e.* REPLACE ({said}) FROM {source} e JOIN ({LAST}) l USING (execution)"
 
-    def _judged(self, *, older: bool = False) -> str:
+    def _all_judgements(self, *, older: bool = False) -> str:
         """Return the query for all judgements, the first and the later ones, with findings that were added afterwards."""
         files = self._files.get("executions")
         if files is None:
-            columns = ", ".join(f"NULL::{c.type} AS {identifier(c.name)}" for c in DERIVED["judged"].columns)
+            columns = ", ".join(f"NULL::{c.type} AS {identifier(c.name)}" for c in DERIVED["all_judgements"].columns)
             return f"SELECT {columns} WHERE false"
         source = self._records("executions", files, older=older)
-        first = f"SELECT execution AS judgement, ended AS judged, lamport AS place, * FROM {source}"
+        first = f"SELECT execution AS judgement, ended AS judged_at, lamport AS place, * FROM {source}"
         if self._anew:
-            theirs = ", ".join(f"j.{name} AS {name}" for name in ("batch", "status", "reason", "reading"))
+            theirs = ", ".join(f"j.{name} AS {name}" for name in ("batch", "status", "reason", "ingest_rules"))
             anew = (
-                f"SELECT j.judgement, j.judged, j.lamport AS place, e.* REPLACE ({theirs}) "
+                f"SELECT j.judgement, j.judged_at, j.lamport AS place, e.* REPLACE ({theirs}) "
                 f"FROM judgements j JOIN {source} e USING (execution)"
             )
             first = f"{first} UNION ALL BY NAME {anew}"
@@ -220,7 +214,7 @@ class Views:
             f"FROM ({first}) e LEFT JOIN findings f ON f.execution = e.judgement"
         )
 
-    def _judged_artifacts(self, *, older: bool = False) -> str:
+    def _all_artifacts(self, *, older: bool = False) -> str:
         files = self._files.get("artifacts")
         return "FROM artifacts" if files is None else f"SELECT * FROM {self._records('artifacts', files, older=older)}"
 
@@ -236,10 +230,10 @@ class Views:
             "GROUP BY run), "
             f"counted AS ({COUNTED}) "
             f"SELECT m.run, {axes}any_value(m.seed) AS seed, min(m.number) AS number, any_value(m.input) AS input, "
-            "any_value(m.recipe) AS recipe, CASE WHEN any_value(c.execution) IS NOT NULL THEN 'ok' "
+            "any_value(m.spec) AS spec, CASE WHEN any_value(c.execution) IS NOT NULL THEN 'ok' "
             "WHEN any_value(s.last) = 'ok' THEN 'stale' ELSE coalesce(any_value(s.last), 'missing') END AS status, "
             "any_value(c.execution) AS execution, coalesce(any_value(s.executions), 0) AS executions "
-            "FROM members m JOIN experiments x USING (batch, ordinal) LEFT JOIN batches b USING (batch) "
+            "FROM batch_runs m JOIN experiments x USING (batch, ordinal) LEFT JOIN batches b USING (batch) "
             "LEFT JOIN state s USING (run) "
             "LEFT JOIN counted c USING (run) GROUP BY m.run"
         )
@@ -250,7 +244,7 @@ class Views:
         merged = "".join(f", max({axis}) AS {axis}" for axis in axes)
         alike = " AND ".join(f"min({axis}) IS NOT DISTINCT FROM max({axis})" for axis in axes) or "true"
         return (
-            f"WITH seen AS (SELECT DISTINCT m.run, m.number{seen} FROM members m JOIN experiments x USING (batch, ordinal) "
+            f"WITH seen AS (SELECT DISTINCT m.run, m.number{seen} FROM batch_runs m JOIN experiments x USING (batch, ordinal) "
             "LEFT JOIN batches b USING (batch)), "
             f"alike AS (SELECT run, {alike} AS alike FROM seen GROUP BY run) "
             f"SELECT run, min(number) AS number{merged} FROM seen JOIN alike USING (run) WHERE alike GROUP BY run UNION ALL "
@@ -259,7 +253,7 @@ class Views:
         )
 
     def _output(self, name: str) -> str:
-        self._make("counting")
+        self._make("effective")
         self._make("points")
         files = self._holding(self._outputs[name])
         found = relation(self._fetch, files, f"execution IN (SELECT execution FROM ({COUNTED}))", rows=True)
@@ -292,26 +286,27 @@ class Views:
     def _of_batch(self, files: Sequence[str]) -> set[str]:
         """Return the files of batches that recorded an effective execution."""
         batches = {
-            row[0][:12] for row in self._fetch(f"SELECT DISTINCT batch FROM judged SEMI JOIN ({COUNTED}) USING (judgement)")
+            row[0][:12]
+            for row in self._fetch(f"SELECT DISTINCT batch FROM all_judgements SEMI JOIN ({COUNTED}) USING (judgement)")
         }
         return {path for segment in self._segments if segment.batch in batches for path in segment.files.values()} & set(files)
 
 
 LATEST = """
 WITH asked AS (
-    SELECT batch, programs, reading, ended, lamport FROM sessions WHERE reading IS NOT NULL
+    SELECT batch, programs, ingest_rules, ended, lamport FROM sessions WHERE ingest_rules IS NOT NULL
     UNION ALL
-    SELECT batch, programs, reading, judged, place FROM judged WHERE purpose = 'run'
+    SELECT batch, programs, ingest_rules, judged_at, place FROM all_judgements WHERE purpose = 'run'
 ),
 latest AS (
-    SELECT batch, arg_max(programs, lamport) AS programs, arg_max(reading, lamport) AS reading,
-           arg_max(ended, lamport) AS asked, max(lamport) AS lamport
+    SELECT batch, arg_max(programs, lamport) AS programs, arg_max(ingest_rules, lamport) AS ingest_rules,
+           arg_max(ended, lamport) AS submitted, max(lamport) AS lamport
     FROM asked GROUP BY batch
 )
 """
 """The relation `latest`: the programs and the rules of each batch's last session."""
 
-COUNTS = "e.status = 'ok' AND e.purpose = 'run' AND e.programs = l.programs AND e.reading = l.reading"
+COUNTS = "e.status = 'ok' AND e.purpose = 'run' AND e.programs = l.programs AND e.ingest_rules = l.ingest_rules"
 """The SQL condition that a judgement e may be effective in a batch with `latest` l. Of all such judgements of a run, the last
 judgement of the last execution is effective.
 """
@@ -320,23 +315,23 @@ ORDER = "(e.lamport, e.place, e.judgement)"
 """The order of judgements e: by their executions, then by their own positions."""
 
 COUNTING = f"""{LATEST}
-SELECT batch, ordinal, run, c.execution AS execution, c.judgement AS judgement, asked, lamport
+SELECT batch, ordinal, run, c.execution AS execution, c.judgement AS judgement, submitted, lamport
 FROM (
-    SELECT m.batch, m.ordinal, m.run, any_value(l.asked) AS asked, any_value(l.lamport) AS lamport,
+    SELECT m.batch, m.ordinal, m.run, any_value(l.submitted) AS submitted, any_value(l.lamport) AS lamport,
            arg_max({{'execution': e.execution, 'judgement': e.judgement}}, {ORDER}) AS c
-    FROM members m
+    FROM batch_runs m
     JOIN latest l ON m.batch = l.batch
-    JOIN judged e ON e.run = m.run AND {COUNTS}
+    JOIN all_judgements e ON e.run = m.run AND {COUNTS}
     GROUP BY m.batch, m.ordinal, m.run
 )
 """
 
 LAST = """
-SELECT execution, l.judgement AS judgement, l.status AS status, l.reason AS reason, l.reading AS reading
+SELECT execution, l.judgement AS judgement, l.status AS status, l.reason AS reason, l.ingest_rules AS ingest_rules
 FROM (
-    SELECT e.execution, arg_max({'judgement': e.judgement, 'status': e.status, 'reason': e.reason, 'reading': e.reading},
-           (e.place, e.judgement)) AS l
-    FROM judged e GROUP BY e.execution
+    SELECT e.execution, arg_max({'judgement': e.judgement, 'status': e.status, 'reason': e.reason,
+           'ingest_rules': e.ingest_rules}, (e.place, e.judgement)) AS l
+    FROM all_judgements e GROUP BY e.execution
 )
 """
 """The last judgement of each execution."""
@@ -347,21 +342,21 @@ WITH several AS (
     SELECT run, programs, count(*) AS executions, count(DISTINCT result) AS results
     FROM executions WHERE status = 'ok' GROUP BY run, programs HAVING min(result) < max(result)
 ),
-judged AS (
+compared AS (
     SELECT e.run, e.programs, max(CASE v.verdict WHEN 'identical' THEN 0 WHEN 'equal' THEN 1 WHEN 'within tolerance' THEN 2
         ELSE 3 END) AS worst
     FROM verdicts v JOIN executions e ON e.execution = v.execution GROUP BY e.run, e.programs
 )
 SELECT s.*, CASE j.worst WHEN 0 THEN 'identical' WHEN 1 THEN 'equal' WHEN 2 THEN 'within tolerance' WHEN 3 THEN 'different'
     END AS verdict
-FROM several s LEFT JOIN judged j USING (run, programs)
+FROM several s LEFT JOIN compared j USING (run, programs)
 """
-DEFINED = {"counting": COUNTING, "nondeterminism": NONDETERMINISM}
+DEFINED = {"effective": COUNTING, "nondeterminism": NONDETERMINISM}
 
 
 COUNTED = """
 SELECT run, c.execution AS execution, c.judgement AS judgement
-FROM (SELECT run, arg_max({'execution': execution, 'judgement': judgement}, lamport) AS c FROM counting GROUP BY run)
+FROM (SELECT run, arg_max({'execution': execution, 'judgement': judgement}, lamport) AS c FROM effective GROUP BY run)
 """
 """Each run's effective execution and its judgement, in the batch that was submitted last."""
 

@@ -164,7 +164,7 @@ def counted_by_sql(here: Path) -> str:
     """What is recorded: how many executions, of how many runs; and of how many each, and how many good."""
     text = (
         "SELECT count(*) AS executions, count(DISTINCT execution) AS different, count(DISTINCT run) AS of_runs, "
-        "count(*) FILTER (status = 'ok') AS good, (SELECT count(*) FROM members) AS asked FROM executions"
+        "count(*) FILTER (status = 'ok') AS good, (SELECT count(*) FROM batch_runs) AS asked FROM executions"
     )
     done = subprocess.run([SIERRA, "sql", "--json", text], cwd=here, capture_output=True, text=True, check=True)
     return " ".join(done.stdout.split())

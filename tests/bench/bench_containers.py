@@ -72,11 +72,11 @@ def loop(here: Path, engine: str, runs: int, folder: Path) -> Callable[[], float
     plan = sierra.open(here).plan("population_size=1", runs=1, engine=engine)
     store = sierra.open(here).store
     contained = isolation.contain(
-        plan.engine, plan.image, plan.batch.recipe, plan.project.config.container, plan.limits,
+        plan.engine, plan.image, plan.batch.spec, plan.project.config.container, plan.limits,
         code=here, project=here, store=store.paths, session="bench",
     )  # fmt: skip
     maker = commands.CommandBuilder(
-        plan.batch.recipe, here, plan.engine, plan.limits, "bench", here, image=plan.image, box=contained.box
+        plan.batch.spec, here, plan.engine, plan.limits, "bench", here, image=plan.image, box=contained.box
     )
     client = maker.job(plan.batch.runs[0], (("input.xml", b""),)).client
     assert client is not None

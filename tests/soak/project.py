@@ -62,16 +62,16 @@ def content(root: Path) -> dict[str, list[dict[str, Any]]]:
 ROWS = "SELECT * EXCLUDE (execution, row), row_number() OVER (PARTITION BY run ORDER BY row) AS place FROM {} ORDER BY ALL"
 KEPT = (
     "SELECT DISTINCT sha256, size FROM objects WHERE sha256 IN (SELECT sha256 FROM artifacts "
-    "WHERE kind {} 'table' AND execution IN (SELECT execution FROM counting)) ORDER BY ALL"
+    "WHERE kind {} 'table' AND execution IN (SELECT execution FROM effective)) ORDER BY ALL"
 )
 RAW = "bytes of tables"
 CONTENT = {
-    "members": "SELECT batch, ordinal, number, run, seed, input FROM members ORDER BY ALL",
+    "batch_runs": "SELECT batch, ordinal, number, run, seed, input FROM batch_runs ORDER BY ALL",
     "experiments": "SELECT * FROM experiments ORDER BY ALL",
-    "counting": "SELECT c.batch, c.ordinal, c.run, e.status, e.result, e.exit_code FROM counting c JOIN executions e "
+    "effective": "SELECT c.batch, c.ordinal, c.run, e.status, e.result, e.exit_code FROM effective c JOIN executions e "
     "USING (execution) ORDER BY ALL",
     "artifacts": "SELECT a.run, a.path, a.kind, a.output, a.size, a.sha256, a.rows FROM artifacts a "
-    "WHERE a.execution IN (SELECT execution FROM counting) ORDER BY ALL",
+    "WHERE a.execution IN (SELECT execution FROM effective) ORDER BY ALL",
     "swarm": ROWS.format("swarm"),
     "notes": ROWS.format("notes"),
     "kept files": KEPT.format("<>"),

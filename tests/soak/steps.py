@@ -236,7 +236,7 @@ def many_at_once(place: Place, wanted: Wanted) -> str:
         expect(Ended(words, process.returncode, out, ""), 0)
     from sierra.store.store import Store
 
-    keep = {row["batch"] for row in wanted["members"]}
+    keep = {row["batch"] for row in wanted["batch_runs"]}
     for batch in {row["batch"] for row in Store(root / ".sierra").rows("SELECT batch FROM batches")} - keep:
         expect(sierra(root, "rm", batch, "--yes"), 0)
     check(root, wanted)

@@ -18,7 +18,7 @@ SHOWN = 8
 
 def source(store: Store, root: Path, before: Side, after: Side) -> Iterator[Difference]:
     """Yield the difference of the two recorded sources."""
-    was, now = before.recipe["source"], after.recipe["source"]
+    was, now = before.spec["source"], after.spec["source"]
     if was == now:
         return
     if was is None or now is None:
@@ -28,9 +28,9 @@ def source(store: Store, root: Path, before: Side, after: Side) -> Iterator[Diff
 
 
 def _tree(store: Store, root: Path, before: Side, after: Side) -> Difference:
-    was, now = before.recipe["source"], after.recipe["source"]
+    was, now = before.spec["source"], after.spec["source"]
     try:
-        old, new = (State(side.recipe["source"], store.object(side.source["files"])) for side in (before, after))
+        old, new = (State(side.spec["source"], store.object(side.source["files"])) for side in (before, after))
     except (KeyError, NotFound, Damaged) as error:
         why = "the list of its files is not in the store" if isinstance(error, KeyError | NotFound) else error
         return Difference("source", "tree", f"source: another tree; {why}", was, now)
@@ -93,7 +93,7 @@ def _logs(commits: Commits) -> Iterator[str]:
 
 def has_commits(before: Side, after: Side) -> bool:
     """Check whether the commits of both sides are recorded and their sources are the same."""
-    return bool(before.source and after.source) and before.recipe["source"] == after.recipe["source"]
+    return bool(before.source and after.source) and before.spec["source"] == after.spec["source"]
 
 
 def commit(root: Path, before: Side, after: Side) -> Iterator[Difference]:

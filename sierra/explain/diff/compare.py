@@ -78,7 +78,7 @@ Part = tuple[tuple[str, ...], Iterable[Difference]]
 
 AROUND = (
     ("environment", "environment", environment.environments),
-    ("rules", "reading", environment.rules),
+    ("rules", "ingest_rules", environment.rules),
 )
 """Kinds, the columns of `executions` that identify them, and the functions that compare them."""
 NOT_EXECUTED = "{kind}: not compared, since nothing was executed"
@@ -92,7 +92,7 @@ def _parts(
         before, after = gather(snapshot, old, BEFORE), gather(snapshot, new, AFTER)
         pairs = pair(snapshot, before, after)
         yield ("query",), query.query(before, after, pairs)
-        yield ("platform", "command", "variables"), query.recipe(before, after)
+        yield ("platform", "command", "variables"), query.spec(before, after)
         yield ("image",), images.image(snapshot, store, before, after, project.root)
         yield ("source",), code.source(store, project.root, before, after)
         if code.has_commits(before, after):
@@ -103,7 +103,7 @@ def _parts(
                 yield (kind,), compared(snapshot, before, after)
             else:
                 notes.append(Note(NOT_EXECUTED.format(kind=kind), kind))
-        if any(side.recipe["image"] for side in (before, after)):
+        if any(side.spec["image"] for side in (before, after)):
             if all(environment.executed(snapshot, side) for side in (before, after)):
                 yield ("isolation",), environment.isolations(snapshot, before, after)
             else:

@@ -19,7 +19,7 @@ from sierra.store.store import Snapshot
 from sierra.util.hashing import short
 
 Rows = Sequence[Mapping[str, Any]]
-USED = "SELECT DISTINCT e.{what} AS id FROM {table} t JOIN judged e ON e.judgement = t.execution"
+USED = "SELECT DISTINCT e.{what} AS id FROM {table} t JOIN all_judgements e ON e.judgement = t.execution"
 
 
 def programs(snapshot: Snapshot, before: Side, after: Side, root: Path) -> Iterator[Difference]:
@@ -27,7 +27,7 @@ def programs(snapshot: Snapshot, before: Side, after: Side, root: Path) -> Itera
 
     Versions that the command or its scripts in `root` name come first.
     """
-    words = mentioned((*before.recipe["command"], *after.recipe["command"]), root)
+    words = mentioned((*before.spec["command"], *after.spec["command"]), root)
     was, now = (_used(snapshot, side, "programs") for side in (before, after))
     yield from other_programs(snapshot, was, now, words)
 
@@ -105,7 +105,7 @@ def _hashable(value: Any) -> Any:
 
 def _runners(snapshot: Snapshot, side: Side) -> Rows:
     statement = (
-        f"WITH used AS (SELECT DISTINCT e.session FROM {side.table} t JOIN judged e ON e.judgement = t.execution) "  # noqa: S608
+        f"WITH used AS (SELECT DISTINCT e.session FROM {side.table} t JOIN all_judgements e ON e.judgement = t.execution) "  # noqa: S608
         "SELECT DISTINCT s.runner FROM sessions s JOIN used USING (session) UNION "
         "SELECT DISTINCT r.runner FROM replays r JOIN used ON used.session = r.replay"
     )
@@ -154,7 +154,7 @@ def executed(snapshot: Snapshot, side: Side) -> bool:
 
 def rules(snapshot: Snapshot, before: Side, after: Side) -> Iterator[Difference]:
     """Yield differences of the declarations of outputs and success."""
-    yield from other_rules(snapshot, *(_used(snapshot, side, "reading") for side in (before, after)))
+    yield from other_rules(snapshot, *(_used(snapshot, side, "ingest_rules") for side in (before, after)))
 
 
 def other_rules(snapshot: Snapshot, before: Sequence[str], after: Sequence[str]) -> Iterator[Difference]:
@@ -169,7 +169,7 @@ def other_rules(snapshot: Snapshot, before: Sequence[str], after: Sequence[str])
 
 
 def _declared(snapshot: Snapshot, ids: Sequence[str]) -> list[str]:
-    rows = snapshot.sql("SELECT declared FROM readings WHERE list_contains($i, reading)", i=list(ids)).to_pylist()
+    rows = snapshot.sql("SELECT declared FROM ingest_rules WHERE list_contains($i, ingest_rules)", i=list(ids)).to_pylist()
     return [row["declared"] for row in rows]
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from sierra.containers import images
 from sierra.containers.images.diff import Change, files, packages
-from sierra.containers.isolation import other_reach
+from sierra.containers.isolation import other_host_access
 from sierra.errors import Damaged, NotFound
 from sierra.explain.diff.model import ARROW, Difference, changed
 from sierra.explain.diff.operands import Side
@@ -24,14 +24,14 @@ DETAILS = 1000
 
 def image(snapshot: Snapshot, store: Store, before: Side, after: Side, root: Path) -> Iterator[Difference]:
     """Yield differences of the image (its id, packages, variables and files) and of the host access of runs."""
-    was, now = (side.recipe["image"] for side in (before, after))
+    was, now = (side.spec["image"] for side in (before, after))
     if was != now:
         old, new = (_row(snapshot, identity) for identity in (was, now))
         yield Difference("image", "image", f"image: {_called(was, old)} {ARROW} {_called(now, new)}", was, now)
         if old and new:
-            yield from _inside(store, old, new, mentioned(after.recipe["command"], root))
-    before_reach, reach = (side.recipe["reach"] or [] for side in (before, after))
-    if told := other_reach(before_reach, reach):
+            yield from _inside(store, old, new, mentioned(after.spec["command"], root))
+    before_reach, reach = (side.spec["host_access"] or [] for side in (before, after))
+    if told := other_host_access(before_reach, reach):
         yield Difference("image", "reach", f"what runs reach beyond the image: {', '.join(told)}", before_reach, reach)
 
 

@@ -144,6 +144,6 @@ def _is_asked(pair: _Pair, spot: Spot, before: Side, after: Side) -> bool:
     for name in was.keys() & now.keys():
         if was[name] != now[name] and (spot.was, spot.now) == (str(was[name]), str(now[name])):
             return True
-    old, new = before.batch["sets"], after.batch["sets"]
+    old, new = before.batch["overrides"], after.batch["overrides"]
     values = {text.rpartition("=")[2]: text in new for text in (*old, *new) if (text in old) != (text in new)}
     return any(value == (spot.now if later else spot.was) for value, later in values.items())

@@ -36,7 +36,7 @@ class Side:
     """
     runs: int
     batch: Mapping[str, Any]
-    recipe: Mapping[str, Any]
+    spec: Mapping[str, Any]
     session: Mapping[str, Any]
     """Session of this side: for a batch or an experiment the last one. Empty if it is not recorded."""
     source: Mapping[str, Any]
@@ -70,12 +70,12 @@ CREATE TEMP TABLE {table} AS
 m AS (
     SELECT ordinal, number, any_value(run) AS run, any_value(seed) AS seed,
            md5_number(concat_ws(' ', any_value(input), array_to_string(any_value(others), ' '))) AS input
-    FROM members m WHERE batch = $b {only} GROUP BY ordinal, number
+    FROM batch_runs m WHERE batch = $b {only} GROUP BY ordinal, number
 ),
 e AS (
     SELECT e.run, e.judgement AS execution, e.execution AS own, md5_number(e.result) AS result, e.status, {order} AS place,
            {counts} AS counts
-    FROM judged e LEFT JOIN latest l ON l.batch = $b WHERE {which}
+    FROM all_judgements e LEFT JOIN latest l ON l.batch = $b WHERE {which}
 ),
 one AS (
     SELECT ordinal, number, any_value(m.run) AS run, any_value(seed) AS seed, any_value(input) AS input,
@@ -108,11 +108,11 @@ def gather(snapshot: Snapshot, found: Found, table: str) -> Side:
     """Return everything that the store has about one side."""
     place = where(snapshot, found)
     batch_id = place.batch
-    snapshot.views.make(("recipes", "sources", "replays"))
+    snapshot.views.make(("specs", "sources", "replays"))
     make_runs(snapshot, place, table)
     [batch] = _rows(snapshot, "SELECT * FROM batches WHERE batch = $b", b=batch_id)
-    [recipe] = _rows(snapshot, "SELECT * FROM recipes WHERE recipe = $r", r=batch["recipe"])
-    recipe["variables"] = json.loads(recipe["variables"])
+    [spec] = _rows(snapshot, "SELECT * FROM specs WHERE spec = $r", r=batch["spec"])
+    spec["variables"] = json.loads(spec["variables"])
     experiments = _experiments(snapshot, batch_id, table)
     session = _session(snapshot, found, batch_id)
     return Side(
@@ -120,9 +120,9 @@ def gather(snapshot: Snapshot, found: Found, table: str) -> Side:
         table=table,
         runs=snapshot.run(f"SELECT count(*) FROM {table}")[0][0],  # noqa: S608
         batch=batch,
-        recipe=recipe,
+        spec=spec,
         session=session,
-        source=_source(snapshot, recipe["source"], session.get("source")),
+        source=_source(snapshot, spec["source"], session.get("source")),
         experiments={row["ordinal"]: row["experiment"] for row in experiments},
         cells=_cells(batch, experiments),
     )

@@ -1,4 +1,4 @@
-"""Differences of the query and of the parts that runs are made from: recipe, template, seeds."""
+"""Differences of the query and of the parts that runs are made from: spec, template, seeds."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def query(before: Side, after: Side, pairs: Sequence[tuple[int, int]]) -> Iterat
         yield from changed("query", name, _whole(before, name), _whole(after, name))
     if not before.is_one:
         yield from changed("query", "runs", _runs(before), _runs(after), called="runs per experiment")
-    old_sets, new_sets = before.batch["sets"], after.batch["sets"]
+    old_sets, new_sets = before.batch["overrides"], after.batch["overrides"]
     for change in (*old_sets, *new_sets):
         if (change in old_sets) != (change in new_sets):
             what = "is gone" if change in old_sets else "is new"
@@ -73,9 +73,9 @@ def _called(side: Side, ordinal: int) -> str:
     return " ".join(f"{name}={shown(side.cells[ordinal][name])}" for name in side.batch["axes"])
 
 
-def recipe(before: Side, after: Side) -> Iterator[Difference]:
-    """Yield differences of the recipe, without source and image, and for batches of the template."""
-    old, new = before.recipe, after.recipe
+def spec(before: Side, after: Side) -> Iterator[Difference]:
+    """Yield differences of the spec, without source and image, and for batches of the template."""
+    old, new = before.spec, after.spec
     yield from changed("platform", "platform", old["platform"], new["platform"])
     yield from changed("command", "command", " ".join(old["command"]), " ".join(new["command"]))
     for name in sorted(old["variables"].keys() | new["variables"].keys()):

@@ -53,7 +53,7 @@ def of_one(
 
 
 def _execution(snapshot: Snapshot, side: Side) -> dict[str, Any] | None:
-    statement = f"SELECT e.* FROM judged e JOIN {side.table} t ON t.execution = e.judgement"  # noqa: S608 - our own names
+    statement = f"SELECT e.* FROM all_judgements e JOIN {side.table} t ON t.execution = e.judgement"  # noqa: S608 - our own names
     rows: list[dict[str, Any]] = snapshot.sql(statement).to_pylist()
     return rows[0] if rows else None
 
@@ -85,7 +85,7 @@ def _outputs(
 ) -> Iterator[Difference]:
     """Yield the outputs in which two executions differ; equal values in different bytes only give a note."""
     try:
-        declared = _declared(snapshot, now["reading"], project)
+        declared = _declared(snapshot, now["ingest_rules"], project)
         compared = outputs.compare(snapshot, was["judgement"], now["judgement"], declared)
     except SierraError as error:
         notes.append(Note(f"{run}results cannot be compared: {error}", "results"))
@@ -94,16 +94,18 @@ def _outputs(
         notes.append(Note(f"{run}nothing was left but logs, which are not compared", "results"))
     for path, agreement in compared.items():
         if agreement.verdict is Verdict.EQUAL:
-            notes.append(Note(f"{run}{path}: {agreement.why}"))
+            notes.append(Note(f"{run}{path}: {agreement.reason}"))
         elif agreement.verdict is not Verdict.IDENTICAL:
-            line = f"results: {run}{path}: {agreement.verdict}: {agreement.why}"
+            line = f"results: {run}{path}: {agreement.verdict}: {agreement.reason}"
             told = asdict(agreement)
-            yield Difference("results", str(path), line, told["recorded"], told["found"], tuple(_growth(agreement)))
+            yield Difference(
+                "results", str(path), line, told["recorded_value"], told["replayed_value"], tuple(_growth(agreement))
+            )
 
 
-def _declared(snapshot: Snapshot, reading: str, project: LoadedProject) -> dict[str, Output]:
+def _declared(snapshot: Snapshot, rules: str, project: LoadedProject) -> dict[str, Output]:
     """Return the declared outputs with volatile parts and tolerances; the project's current ones override the recorded ones."""
-    rows = snapshot.sql("SELECT declared FROM readings WHERE reading = $r", r=reading).to_pylist()
+    rows = snapshot.sql("SELECT declared FROM ingest_rules WHERE ingest_rules = $r", r=rules).to_pylist()
     recorded = rules_of(json.loads(rows[0]["declared"]))[0] if rows else {}
     return {**recorded, **project.config.outputs}
 
@@ -141,7 +143,8 @@ def of_shared(snapshot: Snapshot, store: Store, project: LoadedProject, notes: l
     looked = snapshot.sql(OTHERS, most=LOOKED_AT).to_pylist()
     for row in looked:
         was, now = (
-            snapshot.sql("SELECT * FROM judged WHERE judgement = $e", e=row[name]).to_pylist()[0] for name in ("was", "now")
+            snapshot.sql("SELECT * FROM all_judgements WHERE judgement = $e", e=row[name]).to_pylist()[0]
+            for name in ("was", "now")
         )
         found = list(_outputs(snapshot, store, project, was, now, notes, f"run {short(row['run'])}: "))
         differing += bool(found)
@@ -213,10 +216,10 @@ def others(snapshot: Snapshot, pairs: Sequence[tuple[int, int]]) -> list[tuple[i
 def rows(snapshot: Snapshot) -> int:
     """Return the number of rows of the outputs of both sides."""
     statement = (
-        "SELECT coalesce(sum(rows), 0)::BIGINT FROM judged_artifacts WHERE kind = 'table' AND execution IN "
+        "SELECT coalesce(sum(rows), 0)::BIGINT FROM all_artifacts WHERE kind = 'table' AND execution IN "
         "(SELECT execution FROM before UNION ALL SELECT execution FROM after)"
     )
-    snapshot.views.make(("judged_artifacts",))
+    snapshot.views.make(("all_artifacts",))
     count: int = snapshot.run(statement)[0][0]
     return count
 

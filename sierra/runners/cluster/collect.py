@@ -320,15 +320,15 @@ class Collector:
             "node": begun.node,
             "started": moment(track.since),
             "ended": moment(track.ended - track.ahead),
-            "clock": begun.clock,
+            "clock_offset_s": begun.clock,
             "cpus": begun.cpus,
             "memory": begun.memory,
             "gpus": begun.gpus,
             "allocation": json.dumps(dict(begun.allocation), sort_keys=True),
             "runs": track.runs,
-            "cut": len(track.begun),
+            "interrupted_runs": len(track.begun),
             "state": "finished" if track.finished else "cut off",
-            "trouble": track.trouble or (None if track.finished else track.requeued or track.word or word or None),
+            "error": track.trouble or (None if track.finished else track.requeued or track.word or word or None),
             "environment": track.environment,
         }
 
