@@ -62,9 +62,8 @@ class Gated:
         return log.read_text().split() if log.exists() else []
 
     def ask(self, *words: str) -> subprocess.Popen[str]:
-        command = [projects.SIERRA, "run", *(words or ("population_size.Log8",)), "--on", "slurm", "--no-figures"]
-        pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "stdin": subprocess.DEVNULL}
-        self.asked.append(subprocess.Popen(command, cwd=self.root, text=True, **pipes))  # type: ignore[call-overload]
+        command = ["run", *(words or ("population_size.Log8",)), "--on", "slurm", "--no-figures"]
+        self.asked.append(projects.start(self.root, *command, stdin=subprocess.DEVNULL))
         return self.asked[-1]
 
     def until_begun(self, count: int) -> None:

@@ -9,7 +9,6 @@ import os
 import shutil
 import signal
 import subprocess
-import sys
 from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -165,9 +164,7 @@ class Simulated:
 
     def start(self, *words: str, **more: Any) -> subprocess.Popen[str]:
         """`sierra WORDS`, begun."""
-        command = [str(Path(sys.executable).with_name("sierra")), *words]
-        pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-        return subprocess.Popen(command, cwd=self.folder, text=True, **{**pipes, **more})
+        return projects.start(self.folder, *words, **more)
 
     def ask(self, *words: str) -> subprocess.CompletedProcess[str]:
         """`sierra WORDS`, to its end; what it says has no traceback in it."""

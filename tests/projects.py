@@ -10,15 +10,18 @@ import subprocess
 import sys
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import typer.main
 
 from sierra.cli import main
+from tests import forkserver
 
 typer.main.get_command = functools.cache(typer.main.get_command)
 """Else each command within this process would make all commands anew, which takes as long as what many of them do."""
 
-SIERRA = Path(sys.executable).with_name("sierra")
+SIERRA = forkserver.SIERRA
+"""The program itself; `sierra` and `start` do not start it, but fork a process that has imported it: see `forkserver`."""
 
 SIMULATOR = """\
 import sys
@@ -75,16 +78,13 @@ def sierra(
     folder: Path, *words: str, stdin: str = "", environment: Mapping[str, str] | None = None
 ) -> subprocess.CompletedProcess[str]:
     """Call the command line in a folder, as a user does, without a terminal."""
-    return subprocess.run(
-        [str(SIERRA), *words],
-        cwd=folder,
-        input=stdin,
-        capture_output=True,
-        text=True,
-        timeout=200,
-        check=False,
-        env={**os.environ, **(environment or {})},
-    )
+    return forkserver.run(*words, cwd=folder, stdin=stdin, environment={**os.environ, **(environment or {})}, timeout=200)
+
+
+def start(folder: Path, *words: str, **more: Any) -> forkserver.Popen:
+    """Begin a call of the command line in a folder; `more` is what `subprocess.Popen` takes."""
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    return forkserver.Popen([SIERRA, *words], cwd=folder, **{**pipes, **more})
 
 
 def quick(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:

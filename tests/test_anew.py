@@ -14,7 +14,7 @@ import pytest
 
 from sierra.store.store import Store
 from tests import projects
-from tests.projects import SIERRA, quick
+from tests.projects import SIERRA, quick, start
 from tests.waiting import until
 
 SIMULATOR = (
@@ -305,8 +305,7 @@ def test_bytes_of_a_table_that_are_needed_as_those_of_a_file_are_not_dropped(pro
 
 def test_two_sessions_that_judge_at_once_leave_each_row_once(project: Counted) -> None:
     project.declare(WIDE + 'delimiter = ";"\n')
-    command = [str(SIERRA), "run", *ASK]
-    both = [subprocess.Popen(command, cwd=project.root, stdout=subprocess.PIPE, stderr=subprocess.STDOUT) for _ in range(2)]
+    both = [start(project.root, "run", *ASK, stderr=subprocess.STDOUT) for _ in range(2)]
     assert [process.wait(200) for process in both] == [0, 0]
     for process in both:
         process.communicate()

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -15,12 +13,11 @@ import sierra
 from sierra.config import project_file
 from tests import projects
 
-SIERRA = str(Path(sys.executable).with_name("sierra"))
 EXAMPLE = Path(sierra.__file__).parent / "setup" / "examples" / "swarm"
 
 
 def sierra_(*arguments: str, cwd: Path) -> str:
-    done = subprocess.run([SIERRA, *arguments], cwd=cwd, capture_output=True, text=True, check=False)
+    done = projects.sierra(cwd, *arguments)
     assert done.returncode == 0, done.stderr
     return done.stdout
 

@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from tests.projects import SIERRA, SIMULATOR, TEMPLATE, make, quick
+from tests.projects import SIMULATOR, TEMPLATE, make, quick, start
 from tests.waiting import PATIENCE_S
 
 SHELL = '#!/bin/sh\nprintf "t,x\\n0,1\\n1,3\\n" > out.csv\n'
@@ -39,7 +39,7 @@ def answering(folder: Path, *answers: str, words: tuple[str, ...] = ("init",)) -
     """Call the command line on a terminal, and type these answers, then that there are no more; exit code and what is said."""
     ours, theirs = pty.openpty()
     said = b""
-    with subprocess.Popen([SIERRA, *words], cwd=folder, stdin=theirs, stdout=theirs, stderr=theirs) as asking:
+    with start(folder, *words, stdin=theirs, stdout=theirs, stderr=theirs) as asking:
         os.close(theirs)
         os.write(ours, "".join(f"{answer}\n" for answer in answers).encode() + b"\x04")
         try:

@@ -6,7 +6,6 @@ import json
 import os
 import pty
 import shutil
-import subprocess
 from pathlib import Path
 
 import pytest
@@ -85,8 +84,9 @@ def test_json_and_files_keep_what_was_recorded(evil: Path, tmp_path: Path) -> No
 
 def test_csv_on_a_terminal_is_safe_too(evil: Path) -> None:
     ours, theirs = pty.openpty()
-    command = [str(projects.SIERRA), "sql", "SELECT chr(27) || 'x' AS a", "--format", "csv"]
-    subprocess.run(command, cwd=evil, stdout=theirs, stderr=theirs, check=True)
+    assert (
+        projects.start(evil, "sql", "SELECT chr(27) || 'x' AS a", "--format", "csv", stdout=theirs, stderr=theirs).wait() == 0
+    )
     os.close(theirs)
     assert b"\x1b" not in os.read(ours, 4096)
     os.close(ours)

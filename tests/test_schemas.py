@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import subprocess
-import sys
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
@@ -20,6 +18,7 @@ import sierra
 from sierra.config import project_file
 from sierra.platforms.argos import ArgosOptions
 from sierra.setup import schemas
+from tests import projects
 
 FOLDER = Path(__file__).parent.parent / "schemas"
 EXAMPLE = Path(sierra.__file__).parent / "setup" / "examples" / "swarm" / "sierra.toml"
@@ -28,8 +27,9 @@ MODELS = {model.__name__: model for model in project_file.Table.__subclasses__()
 
 def schema(*options: str) -> str:
     """What `sierra schema` says."""
-    command = [str(Path(sys.executable).with_name("sierra")), "schema", *options]
-    return subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    done = projects.sierra(Path(), "schema", *options)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
 
 
 @pytest.fixture(scope="module")
