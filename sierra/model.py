@@ -370,6 +370,13 @@ class Requirement:
     """The packages installed in the folders of a Python (`path`, written like a PATH), as `array_task.installed` lists them."""
 
 
+class Purpose(StrEnum):
+    """What an execution was made for. Only executions for runs are effective."""
+
+    RUN = "run"
+    REPLAY = "replay"
+
+
 class Status(StrEnum):
     """The outcome of an execution."""
 

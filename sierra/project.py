@@ -27,7 +27,8 @@ if TYPE_CHECKING:
     from sierra.containers.images.listing import Known
     from sierra.design.experiments import Heed
     from sierra.execution.execute import Summary
-    from sierra.execution.executor import RunOptions, Watch
+    from sierra.execution.executor import RunOptions
+    from sierra.execution.observer import Observer
     from sierra.execution.plans import Plan
     from sierra.execution.status import Standing
     from sierra.execution.takeover import Cancelled
@@ -124,7 +125,7 @@ class Project:
         jobs: int | None = None,
         fail_fast: bool = False,
         figures: bool = True,
-        watch: Watch | None = None,
+        observer: Observer | None = None,
         engine: str | None = None,
         runner: str = "local",
         detach: bool = False,
@@ -132,11 +133,13 @@ class Project:
         """Run a query: execute its missing runs, record them, and draw the figures.
 
         `jobs` is the number of runs that execute at the same time (default: the user's setting, or the number of usable cores).
-        `watch` receives the progress. `runner` is where runs execute: `local`, or the name of a cluster; with `detach`, this
-        function returns once the jobs are submitted.
+        `observer` receives the progress: see `sierra.execution.observer.Observer`. `runner` is where runs execute: `local`, or
+        the name of a cluster; with `detach`, this function returns once the jobs are submitted.
         """
         plan = self.plan(*query, runs=runs, controller=controller, scenario=scenario, sets=sets, engine=engine)
-        return self.execute(plan, jobs=jobs, fail_fast=fail_fast, figures=figures, watch=watch, runner=runner, detach=detach)
+        return self.execute(
+            plan, jobs=jobs, fail_fast=fail_fast, figures=figures, observer=observer, runner=runner, detach=detach
+        )
 
     def execute(
         self,
@@ -145,16 +148,15 @@ class Project:
         jobs: int | None = None,
         fail_fast: bool = False,
         figures: bool = True,
-        watch: Watch | None = None,
+        observer: Observer | None = None,
         runner: str = "local",
         detach: bool = False,
-        say: Callable[[str], None] | None = None,
-        leave: Callable[[], bool] | None = None,
     ) -> Summary:
-        """Execute a plan. `say` receives messages for the user at once; see `sierra.execution.executor.RunOptions`."""
+        """Execute a plan. `observer` receives progress and notices: see `sierra.execution.observer.Observer`."""
         from sierra import runners
         from sierra.execution import execute
         from sierra.execution.executor import RunOptions
+        from sierra.execution.observer import Observer
 
         stays = runners.find(runner, self.config.runners)(1).stays
         if detach and not stays:
@@ -165,9 +167,7 @@ class Project:
             _slots(jobs),
             runner,
             fail_fast,
-            watch=watch or (lambda progress: None),
-            say=say or (lambda text: None),
-            leave=leave if leave and not detach else lambda: True,
+            observer=observer or Observer(),
             detach=detach,
         )
         store = Store.create(self.paths.store)
@@ -210,21 +210,20 @@ class Project:
         tolerances: Tolerances | None = None,
         keep: bool = False,
         record: bool = True,
-        watch: Watch | None = None,
-        say: Callable[[str], None] | None = None,
+        observer: Observer | None = None,
     ) -> Replay:
         """Replay what an id names from the record alone, and compare the results: see `sierra.replay.verdicts.Replay`.
 
         `runs`: replay at most this number of runs of each experiment, the first ones. `tolerances`: by output and column (`*`:
         all); they override those in `sierra.toml`. `keep`: do not remove the restored source and the folders of the runs.
-        Without `record`, nothing is written to the store, which may be read-only. `say` receives differences from the
+        Without `record`, nothing is written to the store, which may be read-only. `observer` receives differences from the
         recorded environment before anything executes. Raises NotFound, and Missing if something necessary no longer exists.
         """
         from sierra.replay import replay
 
         options = replay.ReplayOptions(_slots(jobs), runs, runner, engine, tolerances or {}, keep)
         execute = replay.replay if record else replay.unrecorded
-        return execute(self._loaded, self.store, prefix, options, watch or (lambda progress: None), say or (lambda text: None))
+        return execute(self._loaded, self.store, prefix, options, observer)
 
     def proposal(self, plan: Plan, runner: str, *, detach: bool = False) -> Estimate | None:
         """Return an estimate of the cluster resources that a plan needs: see `sierra.runners.cluster.estimate`.
@@ -235,12 +234,12 @@ class Project:
 
         return estimate.proposal(plan, self.stored(), runner, detach=detach)
 
-    def status(self, prefix: str | None = None, *, say: Callable[[str], None] = lambda text: None) -> list[Standing]:
+    def status(self, prefix: str | None = None, *, observer: Observer | None = None) -> list[Standing]:
         """Return the state of cluster jobs, of all batches or of one. Record the runs that have finished there first."""
         from sierra.execution import status
 
         store = self.stored()
-        return status.standing(store, prefix, say) if store else []
+        return status.standing(store, prefix, observer) if store else []
 
     def left(self, summary: Summary) -> list[Standing]:
         """Return the state of the cluster jobs that the summary's session left running."""
@@ -254,27 +253,21 @@ class Project:
         prefix: str,
         *,
         figures: bool = True,
-        watch: Watch | None = None,
-        say: Callable[[str], None] | None = None,
-        leave: Callable[[], bool] | None = None,
+        observer: Observer | None = None,
     ) -> Summary:
         """Reattach to a detached batch and wait for it; see `sierra.execution.takeover.follow`."""
         from sierra.execution import takeover
+        from sierra.execution.observer import Observer
 
-        summary = takeover.follow(
-            self.store,
-            prefix,
-            watch or (lambda progress: None),
-            say or (lambda text: None),
-            leave or (lambda: True),
-        )
+        summary = takeover.follow(self.store, prefix, observer or Observer())
         return self._drawn(summary) if figures else summary
 
-    def cancel(self, prefix: str, *, say: Callable[[str], None] = lambda text: None) -> list[Cancelled]:
+    def cancel(self, prefix: str, *, observer: Observer | None = None) -> list[Cancelled]:
         """Cancel a batch's jobs on a cluster, and keep finished runs. Raises NotFound if the batch has no jobs there."""
         from sierra.execution import takeover
+        from sierra.execution.observer import Observer
 
-        return takeover.cancel(self.store, prefix, say)
+        return takeover.cancel(self.store, prefix, observer or Observer())
 
     def diff(self, before: str, after: str) -> Comparison:
         """Return the differences between two batches, experiments, runs or executions, by prefixes of their ids.

@@ -27,7 +27,7 @@ import sierra
 from sierra.config.project_file import ClusterTable
 from sierra.errors import ConfigError, Full, Missing, SierraError
 from sierra.execution.execute import Summary
-from sierra.execution.executor import Progress
+from sierra.execution.observer import Progress
 from sierra.execution.sessions import Session
 from sierra.project import Project
 from sierra.runners import schedulers
@@ -40,6 +40,7 @@ from sierra.worker import worker
 from tests import containers, projects
 from tests.clusters import Slurm
 from tests.conftest import Simulated
+from tests.observers import Observing
 from tests.users import a_user, called_as
 from tests.waiting import PATIENCE_S, until
 
@@ -318,7 +319,7 @@ def test_a_site_without_room_makes_no_run_fail(clustered: Callable[..., Clustere
             cut.append(Here.tasks[-1][-1])
             cut_off(cut[0])
 
-    summary = made.project.run(*QUERY, runs=1, runner="here", watch=watch, figures=False)
+    summary = made.project.run(*QUERY, runs=1, runner="here", observer=Observing(watch), figures=False)
     assert cut
     assert (summary.failed, summary.executed) == (0, 3), summary.failures
 
@@ -341,7 +342,7 @@ def test_where_a_guess_at_their_time_was_too_short_elements_are_given_more(
         else:
             made.gate.touch()
 
-    summary = made.project.run("size=2", runs=1, runner="here", watch=watch, figures=False)
+    summary = made.project.run("size=2", runs=1, runner="here", observer=Observing(watch), figures=False)
     assert (summary.executed, summary.failed) == (1, 0), summary.failures
     least, *longer = [
         wall for wall, request in zip(Here.walls, Here.requests, strict=True) if request.name.startswith("sierra-")
@@ -383,7 +384,7 @@ def test_a_scheduler_that_is_asked_for_the_jobs_that_lived_sees_those_with_more_
         elif len(sent) > 2 and looks[len(Here.tasks)] > 10:
             made.gate.touch()
 
-    summary = made.project.run("size=2", runs=2, runner="here", watch=watch, figures=False)
+    summary = made.project.run("size=2", runs=2, runner="here", observer=Observing(watch), figures=False)
     assert (summary.executed, summary.failed) == (2, 0), summary.failures
     assert [request.elements for request in Here.requests if request.name.startswith("sierra-")] == [(0, 1), (0,)]
 
@@ -394,7 +395,7 @@ def test_what_could_not_be_begun_is_submitted_again_and_that_is_said(
     monkeypatch.setattr(Here, "held", 1)
     said: list[str] = []
     made = clustered()
-    summary = made.project.execute(made.project.plan(*QUERY, runs=1), runner="here", say=said.append, figures=False)
+    summary = made.project.execute(made.project.plan(*QUERY, runs=1), runner="here", observer=Observing(notice=said.append), figures=False)
     assert (summary.executed, summary.failed) == (3, 0)
     assert "1 element is submitted again: launch failed requeued held (CANCELLED)" in said
 
@@ -414,7 +415,7 @@ def gives_back(project: Project) -> Callable[[Progress], None]:
 def test_what_others_give_back_is_executed_too(clustered: Callable[..., Clustered]) -> None:
     made = clustered()
     project = made.project
-    summary = project.run(*QUERY, runs=1, runner="here", watch=gives_back(project), figures=False)
+    summary = project.run(*QUERY, runs=1, runner="here", observer=Observing(gives_back(project)), figures=False)
     assert (summary.executed, summary.failed, summary.missing) == (3, 0, 0)
     assert made.simulated.work() == []
 
@@ -425,7 +426,7 @@ def test_what_is_said_of_a_job_before_is_not_of_what_was_given_back(
     monkeypatch.setattr(Here, "word", "FAILED")
     made = clustered("sleep 3; " + PRINTS, elements=2)
     project = made.project
-    summary = project.run(*QUERY, runs=1, runner="here", watch=gives_back(project), figures=False)
+    summary = project.run(*QUERY, runs=1, runner="here", observer=Observing(gives_back(project)), figures=False)
     handed_over = [request.elements for request in Here.requests if request.name.startswith("sierra-")]
     assert handed_over == [(0, 1), (0,)]
     assert (summary.executed, summary.failed, summary.missing) == (3, 0, 0)
@@ -465,7 +466,7 @@ def test_a_program_that_changes_under_way_has_made_no_result(clustered: Callable
             made.gate.touch()
 
     with pytest.raises(SierraError, match="is another than on the host that submitted"):
-        made.project.run(*QUERY, runs=1, runner="here", watch=watch, figures=False)
+        made.project.run(*QUERY, runs=1, runner="here", observer=Observing(watch), figures=False)
     assert made.rows("SELECT * FROM executions") == []
 
 
@@ -500,7 +501,7 @@ def test_a_replay_that_is_cancelled_from_elsewhere_is_no_verdict(clustered: Call
         if progress.running and (made.session() / "submission.json").exists():
             (made.session() / "cancelled").touch()
 
-    answer = made.project.replay(batch, runner="here", watch=watch)
+    answer = made.project.replay(batch, runner="here", observer=Observing(watch))
     assert answer.interrupted
     assert made.rows("SELECT * FROM replays") == []
 
@@ -532,7 +533,7 @@ def test_what_git_ignores_and_nobody_names_is_said_to_be_missing(clustered: Call
     (folder / ".gitignore").write_text("built\n*.npy\nmaps/\n__pycache__/\nenvironment/\n")
     projects.commit(folder)
     said: list[str] = []
-    summary = made.project.execute(made.project.plan(*QUERY, runs=1), runner="here", say=said.append, figures=False)
+    summary = made.project.execute(made.project.plan(*QUERY, runs=1), runner="here", observer=Observing(notice=said.append), figures=False)
     assert (summary.executed, summary.failed) == (3, 0)
     [note] = [text for text in said if "ignores" in text]
     assert note.startswith("git ignores big.npy, maps/ in the project: nodes have of these only what the command")
@@ -675,7 +676,7 @@ def test_who_leaves_hears_what_is_refused_and_nothing_is_cancelled(
 
     with monkeypatch.context() as patch:
         refuse(patch)
-        ask(made, watch=watch, say=said.append)
+        ask(made, observer=Observing(watch, said.append))
     assert any("no such array" in text for text in said)
     made.gate.touch()
     assert made.project.attach(made.session().name, figures=False).missing == 0

@@ -21,6 +21,7 @@ from sierra.runners.cluster.result_log import Started
 from tests.batches import packed
 from tests.clusters import Slurm
 from tests.conftest import Simulated
+from tests.observers import Observing
 from tests.waiting import until
 
 PRINTS = r"printf 't,v\n1,1\n2,4\n' > swarm.csv"
@@ -76,7 +77,7 @@ def is_whole(project: Simulated) -> None:
 def asked(project: Simulated, say: Callable[[str], None] = lambda text: None) -> Summary:
     """The batch, answered in this process."""
     here = sierra.open(project.folder)
-    return here.execute(here.plan("size=1,2", runs=12), runner="slurm", figures=False, say=say)
+    return here.execute(here.plan("size=1,2", runs=12), runner="slurm", figures=False, observer=Observing(notice=say))
 
 
 @pytest.mark.parametrize("runner", ["slurm", pytest.param("pbs", marks=pytest.mark.slow)])

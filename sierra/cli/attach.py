@@ -33,12 +33,11 @@ def attach(
       sierra attach 774d
     """
     from sierra.cli import open_project, render_summary
-    from sierra.cli.output import note
     from sierra.cli.progress import watching
     from sierra.config import user
 
     project = open_project.project()
     drawn = user.load().figures if figures is None else figures
     with watching(quiet=as_json) as display:
-        summary = project.attach(prefix, figures=drawn, watch=display.show, say=note, leave=display.leave)
+        summary = project.attach(prefix, figures=drawn, observer=display)
     render_summary.tell(project, summary, {} if as_json else None)

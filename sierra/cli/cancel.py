@@ -31,9 +31,10 @@ def cancel(
       sierra cancel 774d
     """
     from sierra.cli import open_project
-    from sierra.cli.output import note, print_json
+    from sierra.cli.output import print_json
+    from sierra.cli.progress import Display
 
-    done = open_project.project().cancel(prefix, say=note)
+    done = open_project.project().cancel(prefix, observer=Display())
     if as_json:
         print_json([asdict(one) for one in done])
         return

@@ -11,9 +11,9 @@ from typing import Any
 import typer
 
 from sierra.cli import detach
-from sierra.cli.output import raw, safe
+from sierra.cli.output import note, raw, safe
 from sierra.errors import UsageError
-from sierra.execution.executor import Progress
+from sierra.execution.observer import Observer, Progress
 from sierra.util.text import counted
 
 FIRST_S, LAST_S = 10.0, 300.0
@@ -24,11 +24,11 @@ SHARE = 0.2
 """The time until the next line, as a share of the time since the beginning."""
 
 
-class Display:
-    """A receiver of progress that also asks the user questions; this base class shows nothing."""
+class Display(Observer):
+    """An observer that prints notices and asks the user questions; this base class shows no progress."""
 
-    def show(self, progress: Progress) -> None:
-        """Receive progress."""
+    def notice(self, text: str) -> None:
+        note(text)
 
     def leave(self) -> bool:
         """Return whether cluster jobs continue when the user interrupts: see `sierra.cli.detach`."""
@@ -86,7 +86,7 @@ class _Lines(Display):
         self._began = self._said = time.monotonic()
         self._last = ""
 
-    def show(self, progress: Progress) -> None:
+    def progress(self, progress: Progress) -> None:
         now = time.monotonic()
         if now - self._said >= min(max(FIRST_S, SHARE * (now - self._began)), LAST_S):
             line = text(progress, now - self._began)
@@ -124,7 +124,7 @@ class _Bar(Display):
         finally:
             self._bars.start()
 
-    def show(self, progress: Progress) -> None:
+    def progress(self, progress: Progress) -> None:
         self._bars.update(
             self._task,
             total=progress.total,

@@ -74,7 +74,7 @@ def replay(
     """
     from sierra.cli import junit as junit_file
     from sierra.cli import open_project
-    from sierra.cli.output import note, print_json
+    from sierra.cli.output import print_json
     from sierra.cli.progress import watching
 
     asked = tolerances(set_tolerance or ())
@@ -91,8 +91,7 @@ def replay(
             tolerances=asked,
             keep=keep,
             record=not no_record,
-            watch=display.show,
-            say=None if as_json else note,
+            observer=None if as_json else display,
         )
     if junit is not None and not answer.interrupted:
         junit_file.write(answer, junit)

@@ -118,11 +118,9 @@ def run(
             jobs=jobs,
             fail_fast=fail_fast,
             figures=user.load().figures if figures is None else figures,
-            watch=display.show,
+            observer=display,
             runner=runner,
             detach=detach,
-            say=note,
-            leave=display.leave,
         )
     more: dict[str, Any] = {name: told[name] for name in ("reasons", "new_because", "proposal") if name in told}
     render_summary.tell(project, summary, more if as_json else None, detached=detach)

@@ -33,9 +33,10 @@ def status(
       sierra status 774d --json
     """
     from sierra.cli import open_project, render_status
-    from sierra.cli.output import note, print_json
+    from sierra.cli.output import print_json
+    from sierra.cli.progress import Display
 
-    found = open_project.project().status(prefix, say=note)
+    found = open_project.project().status(prefix, observer=Display())
     if as_json:
         print_json([asdict(one) for one in found])
     elif found:

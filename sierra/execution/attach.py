@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from sierra import runners
 from sierra.execution import records
-from sierra.execution.follow import Following, Observer
+from sierra.execution.follow import follow
+from sierra.execution.observer import Tally
 from sierra.execution.sessions import Session
-from sierra.ingest.consistency import find_odd
 from sierra.ingest.context import Context
 from sierra.ingest.recorder import Recorder
-from sierra.model import Status
 from sierra.runners.base import Runner
 from sierra.runners.cluster.submission import Submission
 from sierra.store.store import Store
-from sierra.util.signals import noted
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,31 +31,20 @@ class Attached:
     notes: tuple[str, ...] = ()
 
 
-def attach(store: Store, session: Session, observer: Observer, leave: Callable[[], bool], *, detach: bool = False) -> Attached:
+def attach(store: Store, session: Session, tally: Tally, *, detach: bool = False) -> Attached:
     """Follow a session that was taken over, and close it; with `detach`, record what has finished and leave it.
 
     Raises the errors of a runner that cannot continue.
     """
-    done: dict[str, Status] = {}
     cancelled = session.paths.cancelled.exists()
-
-    def took(run: str, status: Status) -> None:
-        done[run] = status
-        observer.took(run, status)
-
     try:
         context, runner = _submitted(session)
-        recorder = Recorder(store, session.paths, context)
-        with noted(detach) as signals:
-            following = Following(runner, recorder, store, session, replace(observer, took=took), leave=leave)
-            following.go_on(signals)
-        if not following.left:
-            find_odd(store, session.paths, context)
+        followed = follow(runner, Recorder(store, session.paths, context), store, session, tally, None, detach=detach)
+        if not followed.left:
             records.finish(store, session, interrupted=session.paths.cancelled.exists())
-        failed = sum(status is not Status.OK for status in done.values())
-        notes = () if following.left else tuple(recorder.notes())
-        ended = not (cancelled or following.left) and session.paths.cancelled.exists()  # by others, or on the cluster
-        return Attached(context.batch, len(done), failed, following.left, (bool(signals) and not detach) or ended, notes)
+        ended = not (cancelled or followed.left) and session.paths.cancelled.exists()  # by others, or on the cluster
+        interrupted = followed.interrupted or ended
+        return Attached(context.batch, len(tally.statuses), len(tally.failed), followed.left, interrupted, followed.notes)
     finally:
         session.close()
 

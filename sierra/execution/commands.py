@@ -132,6 +132,11 @@ def limits(project: Project) -> Limits:
     return Limits(table.wall, table.cpu, table.memory, table.output, table.grace)
 
 
+def execution_id(session: str, run: str) -> str:
+    """Return the id of the execution of a run by a session."""
+    return digest_plain("execution", {"session": session, "run": run})
+
+
 class CommandBuilder:
     """Builder of the jobs of one session."""
 
@@ -154,7 +159,7 @@ class CommandBuilder:
         execute in containers. `script` is the worker's path on the nodes of a cluster; with it, runs get the devices that the
         scheduler allots. With an `image` and without a `box`, runs get the image's variables on this machine.
         """
-        self._recipe = spec
+        self._spec = spec
         self._root = root
         self._engine = engine
         self._bounds = bounds
@@ -182,7 +187,7 @@ class CommandBuilder:
 
     def job(self, run: Run, files: tuple[tuple[str, bytes], ...]) -> Job:
         """Return the job that executes a run in this session."""
-        execution = digest_plain("execution", {"session": self._environment["SIERRA_SESSION"], "run": run.id})
+        execution = execution_id(self._environment["SIERRA_SESSION"], run.id)
         seed = str(run.seed)
         own = {"SIERRA_RUN_ID": run.id, "SIERRA_SEED": seed, "SIERRA_EXECUTION": execution}
         argv = self._argv(files[0][0], seed)
@@ -196,10 +201,10 @@ class CommandBuilder:
             return same
         here = self._here
         values = {"input": f"{here}/{file}", "output": f"{here}/{RUN_OUTPUT}", "run": here, "seed": seed}
-        argv = self._fill(self._recipe.command, values)
+        argv = self._fill(self._spec.command, values)
         if self._search is not None:  # a node may find another program with that name
             argv = (shutil.which(argv[0], path=self._search) or argv[0], *argv[1:])
-        if not any("{seed}" in word for word in self._recipe.command):
+        if not any("{seed}" in word for word in self._spec.command):
             self._same[file] = argv
         return argv
 

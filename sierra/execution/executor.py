@@ -6,24 +6,24 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from collections.abc import Set as AbstractSet
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
-from sierra.containers.isolation import Isolation, contain
+from sierra.containers.isolation import Isolation
+from sierra.design.expand import Files
 from sierra.errors import Missing
-from sierra.execution import commands, recover, sessions, timing
+from sierra.execution import recover, sessions, timing
 from sierra.execution.attach import attach
-from sierra.execution.follow import Following, Observer
+from sierra.execution.observer import Observer, Relay, Tally
 from sierra.execution.plans import Plan, context
 from sierra.execution.reuse import rules_changed, states
+from sierra.execution.service import Service, Setup
 from sierra.execution.sessions import Session
 from sierra.ingest.consistency import find_odd
-from sierra.ingest.recorder import Recorder
 from sierra.ingest.rejudge import judge_anew
-from sierra.model import Job, Status
-from sierra.provenance import environment
+from sierra.model import Run
 from sierra.provenance.program import Programs
-from sierra.runners.base import Runner, Work, needed
+from sierra.runners.base import Runner
 from sierra.store.layout import SessionPaths
 from sierra.store.store import Store
 from sierra.util.signals import noted
@@ -35,25 +35,6 @@ NOTED = 4
 
 
 @dataclass(frozen=True, slots=True)
-class Progress:
-    """Progress of a session."""
-
-    total: int
-    reused: int
-    done: int
-    failed: int
-    running: int
-    elsewhere: int = 0
-    queued: int = 0
-    """Number of elements (of array jobs) that wait for a node."""
-    waits: str = ""
-    """Reason why they wait, in the scheduler's words."""
-
-
-Watch = Callable[[Progress], None]
-
-
-@dataclass(frozen=True, slots=True)
 class RunOptions:
     """Options of an execution: where runs execute, and callbacks for progress and notices."""
 
@@ -62,11 +43,7 @@ class RunOptions:
     fail_fast: bool = False
     only: AbstractSet[str] | None = None
     """Ids of the runs to execute; None for all."""
-    watch: Watch = lambda progress: None
-    say: Callable[[str], None] = lambda text: None
-    """Callback for notices that the user should see at once."""
-    leave: Callable[[], bool] = lambda: True
-    """Callback when the user wants to stop: return True to leave jobs on a cluster running, False to end them too."""
+    observer: Observer = field(default_factory=Observer)
     detach: bool = False
     """True to leave jobs on a cluster without waiting for them."""
 
@@ -79,37 +56,46 @@ class Executor:
         self.store = store
         self.session = session
         self.interrupted = False
-        self._before: dict[str, int] | None = None
-        self._claimed: AbstractSet[str] = frozenset()
-        self._open: set[str] = set()
         self.failed: set[str] = set()
         self.notes: tuple[str, ...] = ()
-        self._doubted: str | None = None
-        self._runner = runner
-        self._options = options
-        self.reused = 0
-        self._total = len({run.id for run in plan.batch.runs})
-        self._context = context(plan, session.id, session.number)
-        self.containment: Isolation | None = None
         self.left: list[SessionPaths] = []
         """Sessions on a cluster that continue without this process."""
         self.awaited: set[str] = set()
         """Runs that other sessions were executing, or had submitted."""
-        self.judged: set[str] = set()
+        self.reevaluated: set[str] = set()
         """Runs with a recorded execution that was evaluated again by changed rules."""
-        self._looked_at: set[str] = set()
         self.rules_changed = rules_changed(plan, store)
         """True if the last session of the batch used other rules."""
+        self._runner = runner
+        self._options = options
+        observer = Relay(options.observer, leave=True) if options.detach else options.observer
+        self._context = context(plan, session.id, session.number)
+        self._tally = Tally(observer, len({run.id for run in plan.batch.runs}))
+        self._service: Service | None = None
+        self._before: dict[str, int] | None = None
+        self._claimed: AbstractSet[str] = frozenset()
+        self._doubted: str | None = None
+        self._looked_at: set[str] = set()
+
+    @property
+    def reused(self) -> int:
+        """Return the number of runs whose recorded execution is used."""
+        return self._tally.reused
 
     @property
     def attempted(self) -> AbstractSet[str]:
         """Return the runs that this session has executed to their end."""
-        return self._claimed - self._open
+        return self._tally.statuses.keys()
 
     @property
-    def again(self) -> AbstractSet[str]:
+    def reexecuted(self) -> AbstractSet[str]:
         """Return those of the attempted runs that had been executed before."""
         return self.attempted & (self._before or {}).keys()
+
+    @property
+    def _open(self) -> AbstractSet[str]:
+        """The runs that this session has begun to execute, and that have not ended."""
+        return self._claimed - self.attempted
 
     def answer(self) -> None:
         """Execute missing runs, wait for runs that other sessions execute, and take over runs that these leave."""
@@ -143,7 +129,7 @@ class Executor:
         wanted = {run for run, state in now.items() if not state.succeeded}
         if self._before is None:
             self._before = {run: now[run].executions for run in wanted if now[run].executions}
-            self.reused = self._total - len(wanted)
+            self._tally.reused = self._tally.total - len(wanted)
         self.failed |= {run for run in wanted if now[run].executions > self._before.get(run, 0)}
         if self._options.only is not None:
             wanted &= self._options.only
@@ -163,108 +149,74 @@ class Executor:
         self._context.save(self.session.paths.context)
         anew = judge_anew(self.store, self.session.paths, self._context, fresh, mismatched=self.rules_changed)
         for lack, count in Counter(anew.unread.values()).most_common(NOTED):
-            self._options.say(f"executing {counted(count, 'run')} again, which cannot be judged by the changed rules: {lack}")
+            self._options.observer.notice(
+                f"executing {counted(count, 'run')} again, which cannot be judged by the changed rules: {lack}"
+            )
         if anew.judged:
             find_odd(self.store, self.session.paths, self._context)
-        self.judged |= anew.judged
-        self.reused += len(anew.judged)
+        self.reevaluated |= anew.judged
+        self._tally.reused += len(anew.judged)
         self.notes += tuple(anew.notes)
         return wanted - anew.judged
 
     def _execute(self, wanted: AbstractSet[str]) -> set[str]:
         """Execute these runs; return those with an execution, new or old, that is inconsistent with other executions."""
         runner, plan = self._runner(), self.plan
-        root, programs = self._snapshot() if runner.stays else (self._code(), self.plan.programs)
-        contained = self._contain(root, elsewhere=runner.stays)
-        self._context = replace(self._context, **contained.context)
-        self._context.save(self.session.paths.context)
+        root, programs = self._snapshot() if runner.stays else (self._code(), plan.programs)
+        service = self._prepared(root, stays=runner.stays)
         self._claimed = self._claimed | wanted if self._claimed else wanted  # a set of 100,000 runs takes 4 MB
-        self._open |= wanted
-        # a cluster executes a copy of the code, and its nodes check the programs
-        doubt = self._doubt if not runner.stays else lambda: None
-        recorder = Recorder(self.store, self.session.paths, self._context, doubt=doubt)
-        with noted(self._options.detach) as signals:
-            observer = Observer(self._took, self._tell, self._options.say)
-            following = Following(runner, recorder, self.store, self.session, observer, leave=self._options.leave)
-            work = Work(
-                self._jobs(wanted, root, contained, self.session.paths.worker if runner.stays else None),
-                len(wanted),
-                self.plan.batch.id,
-                (*needed(programs, self._search(root)), *contained.needed),
-                timing.expected(plan, self.store, wanted) if runner.stays else None,
-                not self._options.detach,
-                environment.recorded(self.plan.project.config.environment.record),
-                self.plan.environment,
-            )
-            try:
-                following.execute(work, signals, enough=self._is_enough)
-            finally:
-                if not runner.stays:
-                    contained.close()
-            odd = find_odd(self.store, self.session.paths, self._context)
-            self.notes += tuple(recorder.notes())
-        self.left += [self.session.paths] if following.left else []
+        followed = service.execute(
+            runner,
+            self._context,
+            self._inputs(wanted),
+            len(wanted),
+            programs,
+            self._tally,
+            times=timing.expected(plan, self.store, wanted) if runner.stays else None,
+            detach=self._options.detach,
+            # a cluster executes a copy of the code, and its nodes check the programs
+            doubt=self._doubt if not runner.stays else lambda: None,
+            enough=self._is_enough,
+        )
+        self.failed |= self._tally.failed
+        self.notes += followed.notes
+        self.left += [self.session.paths] if followed.left else []
         cancelled = self.session.paths.cancelled.exists() and not self._is_enough()
-        self.interrupted = cancelled or (bool(signals) and not self._options.detach)
-        return odd
+        self.interrupted = cancelled or followed.interrupted
+        return followed.inconsistent
+
+    def _prepared(self, root: Path, *, stays: bool) -> Service:
+        """Return the service that executes the runs; its isolation is prepared at the first call."""
+        if self._service is None:
+            plan = self.plan
+            setup = Setup(plan.project, plan.batch.spec, plan.engine, plan.image, plan.limits, root, plan.environment)
+            self._service = Service(setup, self.store, self.session, stays=stays)
+            self.notes += self._service.isolation.notes
+        return self._service
+
+    @property
+    def isolation(self) -> Isolation | None:
+        """Return the isolation of the runs; None if nothing was executed."""
+        return self._service.isolation if self._service else None
 
     def _doubt(self) -> str | None:
         """Return the reason why results do not belong to the plan (files have changed, even if only for a while); else None."""
-        contained = self.containment
+        contained = self.isolation
         self._doubted = self._doubted or self.plan.seen.doubt() or (contained.doubt() if contained else None)
         return self._doubted
 
     def _is_enough(self) -> bool:
-        return self._doubted is not None or (self._options.fail_fast and bool(self.failed))
+        return self._doubted is not None or (self._options.fail_fast and bool(self.failed or self._tally.failed))
 
-    def _took(self, run: str, status: Status) -> None:
-        self._open.discard(run)
-        if status is not Status.OK:
-            self.failed.add(run)
-
-    def _contain(self, root: Path, *, elsewhere: bool) -> Isolation:
-        """Return the isolation of the runs; it is prepared at the first call."""
-        if self.containment is None:
-            plan = self.plan
-            self.containment = contain(
-                plan.engine,
-                plan.image,
-                plan.batch.spec,
-                plan.project.config.container,
-                plan.limits,
-                code=root,
-                project=plan.project.root,
-                store=self.store.paths,
-                session=self.session.id,
-                elsewhere=elsewhere,
-            )
-            self.notes += self.containment.notes
-        return self.containment
-
-    def _jobs(self, wanted: AbstractSet[str], root: Path, contained: Isolation, script: Path | None) -> Iterator[Job]:
+    def _inputs(self, wanted: AbstractSet[str]) -> Iterator[tuple[Run, Files]]:
+        """Yield these runs with their input files, each run once."""
         plan = self.plan
-        maker = commands.CommandBuilder(
-            plan.batch.spec,
-            root,
-            plan.engine,
-            plan.limits,
-            self.session.id,
-            plan.project.root,
-            image=plan.image,
-            box=contained.box,
-            script=script,
-        )
-        unique = len(plan.batch.runs) == self._total
+        unique = len(plan.batch.runs) == self._tally.total
         sent: set[str] = set()
         for run, files in plan.inputs.files(plan.batch, lambda run: run.id in wanted):
             if unique or run.id not in sent:
                 sent.update(() if unique else (run.id,))
-                yield maker.job(run, files)
-
-    def _search(self, root: Path) -> str:
-        """Return the PATH of runs with the code in `root`."""
-        plan = self.plan
-        return commands.declared(plan.batch.spec.environment, root, plan.project.root, image=plan.image)["PATH"]
+                yield run, files
 
     def _code(self) -> Path:
         """Return the folder of the code that is executed."""
@@ -294,7 +246,7 @@ class Executor:
             raise Missing(f"programs have changed {meanwhile}: {few(plan.programs.unlike(programs), 3)}; ask again")
         if made and (left_out := checkout.left_out()):  # reported last: the callback may write to a file of the project
             what = "nodes have of these only what the command, a variable or the template names"
-            self._options.say(f"git ignores {left_out} in the project: {what}")
+            self._options.observer.notice(f"git ignores {left_out} in the project: {what}")
         return root, programs
 
     def _wait(self, wanted: AbstractSet[str]) -> bool:
@@ -304,7 +256,9 @@ class Executor:
         """
         session = self._adopted(wanted)
         if session is None and self._options.detach:
-            self._options.say(f"{len(wanted)} runs are executed by other processes already; they are not waited for")
+            self._options.observer.notice(
+                f"{len(wanted)} runs are executed by other processes already; they are not waited for"
+            )
             return False
         session = session or self._until_free(wanted)
         if session is not None:
@@ -319,7 +273,7 @@ class Executor:
         known = len(self.store.segments())
         with noted() as signals:
             while not signals and sessions.others(self.session.store, self.session.id) & wanted:
-                self._tell(0, elsewhere=len(wanted))
+                self._tally.report(0, elsewhere=len(wanted))
                 time.sleep(JOIN_S)
                 recover.finish_dead(self.store)
                 if len(self.store.segments()) != known:
@@ -343,21 +297,20 @@ class Executor:
     def _join(self, session: Session, wanted: AbstractSet[str]) -> None:
         """Follow runs that were submitted before."""
         mine = sessions.claims(session.paths) & wanted
-        self._options.say(f"{len(mine)} runs have been submitted before ({session.id}); they are followed")
-        attached = attach(self.store, session, self._hearing(mine), self._options.leave, detach=self._options.detach)
+        self._options.observer.notice(f"{len(mine)} runs have been submitted before ({session.id}); they are followed")
+        attached = attach(self.store, session, _Joined(self._tally, mine), detach=self._options.detach)
         self.notes += attached.notes
         self.left += [session.paths] if attached.left else []
         self.interrupted = attached.interrupted
 
-    def _hearing(self, runs: set[str]) -> Observer:
-        """Return the observer of a followed session; its progress shows how many of these runs are not finished."""
-        to_come = set(runs)
 
-        def tell(running: int, queued: int, waits: str) -> None:
-            self._tell(running, queued, waits, elsewhere=len(to_come))
+class _Joined(Tally):
+    """The tally of another session that is followed here: it reports this session's progress, and the runs to come."""
 
-        return Observer(lambda run, status: to_come.discard(run), tell, self._options.say)
+    def __init__(self, own: Tally, runs: set[str]) -> None:
+        super().__init__(own.observer, len(runs))
+        self._own = own
+        self._runs = runs
 
-    def _tell(self, running: int, queued: int = 0, waits: str = "", elsewhere: int = 0) -> None:
-        done = len(self._claimed) - len(self._open)
-        self._options.watch(Progress(self._total, self.reused, done, len(self.failed), running, elsewhere, queued, waits))
+    def report(self, running: int, queued: int = 0, waits: str = "", elsewhere: int = 0) -> None:
+        self._own.report(running, queued, waits, elsewhere=len(self._runs - self.statuses.keys()))

@@ -9,11 +9,14 @@ from dataclasses import dataclass
 
 from sierra.errors import Missing, SierraError
 from sierra.execution import recover
+from sierra.execution.observer import Tally
 from sierra.execution.sessions import Session
+from sierra.ingest.consistency import find_odd
 from sierra.ingest.recorder import Recorder
-from sierra.model import Status
+from sierra.model import Purpose, Status
 from sierra.runners.base import Look, Runner, Work
 from sierra.store.store import Store
+from sierra.util.signals import noted
 
 POLL_S = 0.05
 MANY = 100
@@ -21,46 +24,58 @@ MANY = 100
 
 
 @dataclass(frozen=True, slots=True)
-class Observer:
-    """Callbacks for finished runs, progress and notices.
+class Followed:
+    """Result of following a session."""
 
-    `took` gets each run that ends, and gets it again if recording finds a problem. `tell` gets the number of running runs,
-    the number of waiting elements, and the reason why they wait. `say` gets notices for the user.
+    left: bool
+    """True if the runs continue without this process."""
+    interrupted: bool
+    """True if the user ended it."""
+    inconsistent: set[str]
+    """Runs with an execution, new or old, that is inconsistent with other executions."""
+    notes: tuple[str, ...]
+
+
+def follow(
+    runner: Runner,
+    recorder: Recorder,
+    store: Store,
+    session: Session,
+    tally: Tally,
+    work: Work | None,
+    *,
+    detach: bool = False,
+    enough: Callable[[], bool] = lambda: False,
+) -> Followed:
+    """Execute the work of a session until it ends, and record it; without `work`, follow jobs that were submitted before.
+
+    `detach`: act from the start as if the user had interrupted; the observer decides then to leave the jobs.
+    If `enough` returns True, the rest is ended. Raises the runner's errors.
     """
+    with noted(detach) as signals:
+        following = _Following(runner, recorder, store, session, tally)
+        if work is None:
+            following.go_on(signals)
+        else:
+            following.execute(work, signals, enough)
+        odd = find_odd(store, session.paths, recorder.context) if recorder.context.purpose == Purpose.RUN else set()
+        return Followed(following.left, bool(signals) and not detach, odd, tuple(recorder.notes()))
 
-    took: Callable[[str, Status], None]
-    tell: Callable[[int, int, str], None]
-    say: Callable[[str], None] = lambda text: None
 
-
-class Following:
+class _Following:
     """One runner and the recorder of its results."""
 
-    def __init__(
-        self,
-        runner: Runner,
-        recorder: Recorder,
-        store: Store,
-        session: Session,
-        observer: Observer,
-        *,
-        leave: Callable[[], bool] = lambda: True,
-    ) -> None:
-        """Prepare to follow a runner.
-
-        `leave` is called when the user wants to stop and runs can continue without this process; it returns True to let them.
-        """
+    def __init__(self, runner: Runner, recorder: Recorder, store: Store, session: Session, tally: Tally) -> None:
         self._runner = runner
         self._recorder = recorder
         self._store = store
         self._session = session
-        self._observer = observer
-        self._leave = leave
+        self._tally = tally
         self.left = False
         """True if the runs were left to continue without this process."""
         self._submitted = self._over = False
 
-    def execute(self, work: Work, signals: Sequence[int], *, enough: Callable[[], bool] = lambda: False) -> None:
+    def execute(self, work: Work, signals: Sequence[int], enough: Callable[[], bool]) -> None:
         """Execute all jobs until they end.
 
         If `signals` is not empty or `enough` returns True, end the running jobs, or leave them. After an error, results of
@@ -86,10 +101,10 @@ class Following:
             self._take(look)
             if self._recorder.due():
                 self._flush()
-            self._observer.tell(look.running, look.queued, look.waits)
+            self._tally.report(look.running, look.queued, look.waits)
             self._session.beat()
             if len(signals) > told or (enough() and not told):
-                if self._runner.stays and len(signals) > told and self._leave():
+                if self._runner.stays and len(signals) > told and self._tally.observer.leave():
                     self._runner.leave()
                     look = self._look()
                     self._take(look)
@@ -106,7 +121,7 @@ class Following:
         self._flush()
         if self.left:
             self._session.leave()
-        self._observer.tell(0, 0, "")
+        self._tally.report(0)
 
     def _look(self) -> Look:
         """Return the runner's new results. If the runner cannot continue, record its results first and raise its error."""
@@ -126,14 +141,14 @@ class Following:
         for result in look.results:
             status = self._recorder.add(result)
             if status is not Status.INTERRUPTED:
-                self._observer.took(result.run, status)
+                self._tally.ended(result.run, status)
         self._recorder.beside(look.rows, look.copies)
         for text in look.notes:
-            self._observer.say(text)
+            self._tally.observer.notice(text)
 
     def _flush(self) -> None:
         for run, status, _ in self._recorder.flush():
-            self._observer.took(run, status)
+            self._tally.ended(run, status)
 
     @contextlib.contextmanager
     def _giving_up(self) -> Iterator[None]:

@@ -21,7 +21,7 @@ from sierra.errors import ConfigError, Missing, QueryError, UsageError
 from sierra.execution import commands
 from sierra.execution.checkout import Checkout, programs_in
 from sierra.ingest.context import Context
-from sierra.model import Batch, Design, Experiment, Limits, Query, Run, RunSpec, Set
+from sierra.model import Batch, Design, Experiment, Limits, Purpose, Query, Run, RunSpec, Set
 from sierra.provenance import environment, referenced_files, source, versions
 from sierra.provenance.change_guard import ChangeGuard, seen
 from sierra.provenance.program import Programs
@@ -263,7 +263,7 @@ def context(plan: Plan, session: str = "", number: int | None = None) -> Context
     return Context(
         session=session,
         batch=plan.batch.id,
-        purpose="run",
+        purpose=Purpose.RUN,
         environment=plan.environment["environment"],
         programs=plan.programs.id,
         outputs=plan.outputs,

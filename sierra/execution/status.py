@@ -6,7 +6,6 @@ to its scheduler, and a second one while all its elements wait for the small tas
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from collections.abc import Set as AbstractSet
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -16,7 +15,7 @@ from functools import partial
 from sierra.errors import NotFound, SierraError
 from sierra.execution import sessions
 from sierra.execution.attach import attach
-from sierra.execution.follow import Observer
+from sierra.execution.observer import Observer, Relay, Tally
 from sierra.execution.sessions import Session
 from sierra.runners import schedulers
 from sierra.runners.cluster import submission
@@ -31,7 +30,6 @@ AT_ONCE = 8
 PROBED = "nodes are tried out first"
 ON_CLUSTER = "on a cluster now: followed, not executed again"
 """Text for runs that were submitted before, when the query is repeated."""
-DEAF = Observer(lambda run, status: None, lambda running, queued, waits: None)
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,16 +71,19 @@ class Standing:
         return self.queued == 0 and self.running == 0 and not (self.stuck or self.ended)
 
 
-def standing(store: Store, prefix: str | None = None, say: Callable[[str], None] = lambda text: None) -> list[Standing]:
+def standing(store: Store, prefix: str | None = None, observer: Observer | None = None) -> list[Standing]:
     """Return the sessions on clusters, oldest first: all, or those of the batch or session whose id starts with `prefix`.
 
-    Records finished runs first. `say` receives notices for the user. Raises NotFound.
+    Records finished runs first. `observer` receives notices. Raises NotFound.
     """
+    observer = observer or Observer()
     found = [row for paths in named(store, prefix) if (row := submitted(paths))]
-    rows = [_recorded(store, row, say) for row in found]
+    rows = [_recorded(store, row, observer) for row in found]
     with ThreadPoolExecutor(AT_ONCE) as pool:
         rows = list(pool.map(partial(_asked, store), rows))
-    rows = [_recorded(store, row, say) if row.is_gone else row for row in rows]  # sessions that ended between the two queries
+    rows = [
+        _recorded(store, row, observer) if row.is_gone else row for row in rows
+    ]  # sessions that ended between the two queries
     counts = counted(store, [row.session for row in rows])
     rows = [replace(row, done=counts[row.session][0], failed=counts[row.session][1]) for row in rows]
     return sorted(rows, key=lambda row: (row.since, row.session))
@@ -168,7 +169,7 @@ def _query(paths: SessionPaths) -> str | None:
     return query
 
 
-def _recorded(store: Store, row: Standing, say: Callable[[str], None]) -> Standing:
+def _recorded(store: Store, row: Standing, observer: Observer) -> Standing:
     """Return the status after finished runs are recorded, by this process or by the one that follows the session.
 
     If the session is cancelled, end its jobs first.
@@ -178,9 +179,9 @@ def _recorded(store: Store, row: Standing, say: Callable[[str], None]) -> Standi
     if session is None:
         return replace(row, attended=sessions.holder(paths)) if paths.submission.exists() else replace(row, ended=True)
     try:
-        attached = attach(store, session, replace(DEAF, say=say), lambda: not paths.cancelled.exists(), detach=True)
+        attached = attach(store, session, Tally(Relay(observer, leave=not paths.cancelled.exists()), row.runs), detach=True)
     except SierraError as error:
-        say(f"session {row.session}: {error}")
+        observer.notice(f"session {row.session}: {error}")
         return replace(row, ended=not paths.submission.exists())
     return replace(row, ended=not attached.left)
 

@@ -4,19 +4,17 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 from sierra.errors import Missing, NotFound, SierraError
 from sierra.execution import listing, sessions
 from sierra.execution.attach import Attached, attach
 from sierra.execution.execute import SHOWN_REASONS, Counted, Failure, Summary
-from sierra.execution.executor import Progress, Watch
-from sierra.execution.follow import Observer
+from sierra.execution.observer import Observer, Relay, Tally
 from sierra.execution.sessions import Session
-from sierra.execution.status import DEAF, Standing, counted, named, submitted
-from sierra.model import Status
+from sierra.execution.status import Standing, counted, named, submitted
 from sierra.runners import schedulers
 from sierra.runners.cluster import submission
 from sierra.runners.cluster.submission import Submission
@@ -26,8 +24,6 @@ from sierra.store.store import Store
 PATIENCE_S = 60.0
 """Maximum seconds to wait until the process that follows a session ends it after another process cancelled it."""
 POLL_S = 0.2
-
-Say = Callable[[str], None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +41,7 @@ class Cancelled:
     """Process that still has to end the session; None if it has ended."""
 
 
-def follow(store: Store, prefix: str, watch: Watch, say: Say, leave: Callable[[], bool]) -> Summary:
+def follow(store: Store, prefix: str, observer: Observer) -> Summary:
     """Follow a batch's unattended sessions, or one session, to the end; return the state of the batch then.
 
     Raises NotFound if none is on a cluster, SierraError if other processes follow all of them.
@@ -63,15 +59,17 @@ def follow(store: Store, prefix: str, watch: Watch, say: Say, leave: Callable[[]
             busy.append(_busy(store, row))
             continue
         if row.query is None:
-            say(f"session {row.session} is of a replay that nobody awaits any more: it is recorded, and nothing is compared")
-        told.append(attach(store, session, _observer(store, row, watch, say), leave))
+            observer.notice(
+                f"session {row.session} is of a replay that nobody awaits any more: it is recorded, and nothing is compared"
+            )
+        told.append(attach(store, session, _tally(store, row, observer)))
         left += [row.session] if told[-1].left else []
     if not told:
         raise SierraError("; ".join(busy))
     return _summary(store, rows[0].batch, told, left, busy)
 
 
-def cancel(store: Store, prefix: str, say: Say) -> list[Cancelled]:
+def cancel(store: Store, prefix: str, observer: Observer) -> list[Cancelled]:
     """Cancel the sessions of a batch on clusters, or one session; finished runs are recorded.
 
     Raises the same errors as `follow`, and Missing if a scheduler cannot be reached. The sessions stay marked as cancelled, so
@@ -81,7 +79,7 @@ def cancel(store: Store, prefix: str, say: Say) -> list[Cancelled]:
     for row in rows:
         with contextlib.suppress(FileNotFoundError):  # it has been closed
             store.paths.session(row.session).cancelled.touch()
-    return [_cancel(store, row, say) for row in rows]
+    return [_cancel(store, row, observer) for row in rows]
 
 
 def found(store: Store, prefix: str) -> list[Standing]:
@@ -96,21 +94,10 @@ def _busy(store: Store, row: Standing) -> str:
     return f"session {row.session} is followed by {sessions.holder(store.paths.session(row.session))}"
 
 
-def _observer(store: Store, row: Standing, watch: Watch, say: Say) -> Observer:
-    """Return the observer of one session, whose progress counts this session's runs."""
+def _tally(store: Store, row: Standing, observer: Observer) -> Tally:
+    """Return the tally of one session; runs that are recorded count as reused."""
     before, failed = counted(store, [row.session])[row.session]
-    done: set[str] = set()
-    bad: set[str] = set()
-
-    def took(run: str, status: Status) -> None:
-        done.add(run)
-        if status is not Status.OK:
-            bad.add(run)
-
-    def tell(running: int, queued: int, waits: str) -> None:
-        watch(Progress(row.runs, before, len(done), failed + len(bad), running, queued=queued, waits=waits))
-
-    return Observer(took, tell, say)
+    return Tally(observer, row.runs, before, failed)
 
 
 def _summary(store: Store, batch: str, told: list[Attached], left: list[str], busy: list[str]) -> Summary:
@@ -147,14 +134,14 @@ def _failure(store: Store, row: Mapping[str, Any]) -> Failure:
     )
 
 
-def _cancel(store: Store, row: Standing, say: Say) -> Cancelled:
+def _cancel(store: Store, row: Standing, observer: Observer) -> Cancelled:
     """End one session: take it over, or let the process that follows it end it."""
     paths = store.paths.session(row.session)
     session, ending = Session.adopted(store.paths, paths), None
     if session is None and paths.submission.exists():
         session, ending = _asked_to_end(store, paths)
     if session is not None:
-        attach(store, session, replace(DEAF, say=say), lambda: False, detach=True)
+        attach(store, session, Tally(Relay(observer, leave=False), row.runs), detach=True)
     done, failed = counted(store, [row.session])[row.session]
     return Cancelled(row.session, row.batch, done, failed, row.runs - done, ending)
 

@@ -54,7 +54,7 @@ class Recorder:
         self._doubt = doubt
         self._store = store
         self._session = session
-        self._context = context
+        self.context = context
         self._reading = context.ingest_rules
         self._pending: list[Judgement] = []
         self._beside: dict[str, list[Mapping[str, Any]]] = {}
@@ -75,7 +75,7 @@ class Recorder:
     def add(self, result: Result) -> Status:
         """Add one result and return its preliminary status. An interrupted execution is not recorded."""
         result = self._ended(result)
-        status, reason = judge(result, self._context.outputs, self._context.success)
+        status, reason = judge(result, self.context.outputs, self.context.success)
         if status is Status.INTERRUPTED:
             discard(Path(result.directory), self._session)
         else:
@@ -86,10 +86,10 @@ class Recorder:
 
     def _ended(self, result: Result) -> Result:
         """Return the result as the engine classifies it, if the engine's client ran between the program and the worker."""
-        if self._context.isolation is None or self._context.shared or result.exit_code == 0:
+        if self.context.isolation is None or self.context.shared or result.exit_code == 0:
             return result
         said = kept_of(f"{result.directory}/{RUN_STDERR}")[0][-LOG_SHOWN:].decode("utf-8", "replace")
-        return engines.find(self._context.engine).classify(result, said, frozenset(self._context.enforced))
+        return engines.find(self.context.engine).classify(result, said, frozenset(self.context.enforced))
 
     def beside(self, rows: Iterable[tuple[str, Mapping[str, Any]]], copies: Iterable[Result]) -> None:
         """Add other records: rows by table, and runs that were executed once more than requested."""
@@ -116,7 +116,7 @@ class Recorder:
         self._flushed = time.monotonic()
         if not (self._pending or self._beside or self._copies):
             return []
-        writer = self._store.writer(self._session.segment, self._context.batch)
+        writer = self._store.writer(self._session.segment, self.context.batch)
         for table, rows in self._beside.items():
             writer.rows(table, rows)
         writer.rows("duplicates", self._compared())
@@ -136,9 +136,9 @@ class Recorder:
         if not self._copies:
             return
         recorded = {one.result.execution: result_hash(one.result.outputs) for one in self._pending}
-        rows = self._store.rows("SELECT execution, result FROM executions WHERE session = $s", s=self._context.session)
+        rows = self._store.rows("SELECT execution, result FROM executions WHERE session = $s", s=self.context.session)
         recorded |= {row["execution"]: row["result"] for row in rows}
-        told = self._store.rows(COPIES, s=self._context.session)
+        told = self._store.rows(COPIES, s=self.context.session)
         known = {(row["execution"], row["attempt"]) for row in told}
         for copy in (one for one in self._copies if (one.execution, one.attempt) not in known):
             result = result_hash(copy.outputs)
@@ -159,7 +159,7 @@ class Recorder:
 
         This queries the store, so call it once, after everything is recorded and `find_odd` has checked it.
         """
-        remarks = TableWarnings(self._store, self._context, self._shapes)
+        remarks = TableWarnings(self._store, self.context, self._shapes)
         return [*self._twice(), *lost(list(self._left_out)), *as_files(self._assigning.kept), *remarks.all()]
 
     def _twice(self) -> Iterator[str]:
@@ -171,29 +171,29 @@ class Recorder:
 
     def _write(self, writer: Writer) -> list[Judgement]:
         """Write everything pending and return the final judgements."""
-        tables = tabled(self._pending, writer, self._store, self._context, self._assigning, self._shapes)
+        tables = tabled(self._pending, writer, self._store, self.context, self._assigning, self._shapes)
         judged = [tables.judged(one) for one in self._pending]
         objects = Objects(writer.path("objects"))
-        artifacts = [row for one in judged for row in _artifacts(one.result, tables, objects, raw=self._context.raw)]
+        artifacts = [row for one in judged for row in _artifacts(one.result, tables, objects, raw=self.context.raw)]
         objects.close()
         writer.rows("artifacts", artifacts)
         first = self._next()
         writer.rows("executions", (self._execution(one, place) for place, one in enumerate(judged, first)))
         self._position = first + len(judged)
         if self._ruled < 2:  # in two segments, so that one damaged segment does not make the others useless
-            writer.rows("ingest_rules", [{"ingest_rules": self._reading, "declared": self._context.declared}])
-            writer.rows("isolations", [self._context.isolation] if self._context.isolation else [])
+            writer.rows("ingest_rules", [{"ingest_rules": self._reading, "declared": self.context.declared}])
+            writer.rows("isolations", [self.context.isolation] if self.context.isolation else [])
         return judged
 
     def _next(self) -> int:
         """Return the position of the next execution in its session."""
         if self._position is None:
-            [row] = self._store.rows("SELECT count(*) AS before FROM executions WHERE session = $s", s=self._context.session)
+            [row] = self._store.rows("SELECT count(*) AS before FROM executions WHERE session = $s", s=self.context.session)
             self._position = row["before"]
         return self._position
 
     def _execution(self, one: Judgement, position: int) -> dict[str, Any]:
-        result, context = one.result, self._context
+        result, context = one.result, self.context
         return {
             "execution": result.execution,
             "run": result.run,

@@ -10,6 +10,7 @@ from dataclasses import replace as replaced
 from sierra.errors import Missing
 from sierra.execution import execute
 from sierra.execution.executor import RunOptions
+from sierra.execution.observer import Observer
 from sierra.execution.plans import Plan
 from sierra.execution.reuse import states
 from sierra.replay import replay
@@ -17,6 +18,13 @@ from sierra.replay.compare import Verdict
 from sierra.replay.verdicts import Compared
 from sierra.store.store import Store
 from sierra.util.hashing import short
+
+
+class _Progress(Observer):
+    """Passes on the progress alone: the notes of the replay are in the result of the probe."""
+
+    def __init__(self, observer: Observer) -> None:
+        self.progress = observer.progress  # type: ignore[method-assign]
 
 
 def probe(plan: Plan, store: Store, options: RunOptions) -> tuple[str, ...]:
@@ -34,7 +42,9 @@ def probe(plan: Plan, store: Store, options: RunOptions) -> tuple[str, ...]:
     if not first.executed or not states(plan, store)[run].succeeded:
         return ()
     try:
-        answer = replay.replay(plan.project, store, run, replay.ReplayOptions(slots=1, runner=options.runner), options.watch)
+        answer = replay.replay(
+            plan.project, store, run, replay.ReplayOptions(slots=1, runner=options.runner), _Progress(options.observer)
+        )
     except Missing as error:
         return (f"run {short(run)} could not be executed a second time: {error}",)
     if answer.interrupted:

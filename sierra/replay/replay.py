@@ -17,16 +17,17 @@ from typing import Any
 
 from sierra import runners
 from sierra.config.project_file import LoadedProject, Output
-from sierra.containers.isolation import Isolation, contain
+from sierra.containers.engines.base import Engine
+from sierra.containers.isolation import Isolation
+from sierra.design.expand import Files
 from sierra.errors import Missing, NotFound, UsageError
 from sierra.execution import commands, recover, stored_plan, timing
-from sierra.execution.executor import Progress, Watch
-from sierra.execution.follow import Following, Observer
+from sierra.execution.observer import Observer, Relay, Tally
+from sierra.execution.service import Service, Setup
 from sierra.execution.sessions import Session
 from sierra.execution.stored_plan import Recalled
 from sierra.ingest.context import Context
-from sierra.ingest.recorder import Recorder
-from sierra.model import Job, Run, Status
+from sierra.model import Purpose, Run, Status
 from sierra.provenance import environment, programs, versions
 from sierra.provenance.change_guard import ChangeGuard, seen
 from sierra.provenance.program import Programs, mentioned
@@ -35,7 +36,6 @@ from sierra.replay.compare import Agreement, Verdict
 from sierra.replay.equivalence import Metric
 from sierra.replay.outputs import compare_all
 from sierra.replay.verdicts import Compared, OfExperiment, Replay, Tolerances, metric_rows, plain, verdict_rows
-from sierra.runners.base import Runner, Work, needed
 from sierra.store.files import Taken, take, where
 from sierra.store.layout import SessionPaths
 from sierra.store.names import column_names
@@ -43,7 +43,6 @@ from sierra.store.order import stamp
 from sierra.store.samples import like
 from sierra.store.store import Found, Store
 from sierra.util.hashing import short
-from sierra.util.signals import noted
 from sierra.version import __version__
 
 ARITHMETIC = ("machine", "cpu_flags", "gpus", "libc", "container")
@@ -91,15 +90,15 @@ def replay(
     store: Store,
     prefix: str,
     options: ReplayOptions,
-    watch: Watch = lambda progress: None,
-    say: Callable[[str], None] = lambda text: None,
+    observer: Observer | None = None,
 ) -> Replay:
-    """Execute the runs of an id again and compare. `say` receives deviations from the record, before anything executes.
+    """Execute the runs of an id again and compare. `observer` receives deviations from the record, before anything executes.
 
     Raises NotFound for an unknown id, Missing if the source, a program or an input no longer exists.
     """
     if not os.access(store.paths.root, os.W_OK):
         raise Missing(f"cannot write to {store.paths.root}; a replay with --no-record does not need to")
+    observer = observer or Observer()
     recover.finish_dead(store)
     record = _look_up(store, store.resolve(prefix), options.runs)
     declared = _declared(record, project, options.tolerances)
@@ -120,66 +119,44 @@ def replay(
         variables = commands.declared(record.of.spec.environment, root, project.root)
         now = versions.asked(checkout.programs_in(root), project.config.programs, variables, root)
         around = environment.capture(__version__, project.config.environment.record)
-        contained = contain(
-            engine,
-            image,
-            record.of.spec,
-            project.config.container,
-            commands.limits(project.config),
-            code=root,
-            project=project.root,
-            store=store.paths,
-            session=session.id,
-            elsewhere=runner.stays,
-        )
+        limits = commands.limits(project.config)
+        setup = Setup(project, record.of.spec, engine, image, limits, root, around)
+        service = Service(setup, store, session, stays=runner.stays)
         notes = (
             *record.notes,
-            *contained.notes,
+            *service.isolation.notes,
             *now.notes,
             *_other_programs(record.of, now, root),
             *_other_machine(store, record, around),
         )
         for text in notes:
-            say(text)
+            observer.notice(text)
         context = Context(
             session.id,
             record.of.batch,
-            "replay",
+            Purpose.REPLAY,
             around["environment"],
             now.id,
             record.of.outputs,
             record.of.success,
             number=session.number,
             raw=project.config.store.raw,
-            **contained.context,
         )
-        maker = commands.CommandBuilder(
-            record.of.spec,
-            root,
-            engine,
-            commands.limits(project.config),
-            session.id,
-            project.root,
-            image=image,
-            box=contained.box,
-            script=session.paths.worker if runner.stays else None,
+        made = {one.run: commands.execution_id(session.id, one.run) for one in record.runs}
+        tally = Tally(Relay(observer, leave=False), len(record.runs))
+        followed = service.execute(
+            runner,
+            context,
+            _inputs(record, store),
+            len(record.runs),
+            now,
+            tally,
+            times=timing.recorded(store, [one.run for one in record.runs]) if runner.stays else None,
+            doubt=_doubt(seen(root, b"", now), service.isolation),
+            kept=kept,
         )
-        made = {job.run: job for job in _jobs(record, store, maker)}
-        search = commands.declared(record.of.spec.environment, root, project.root, image=image)["PATH"]
-        work = Work(
-            made.values(),
-            len(made),
-            record.of.batch,
-            (*needed(now, search), *contained.needed),
-            timing.recorded(store, list(made)) if runner.stays else None,
-            record=environment.recorded(project.config.environment.record),
-            around=around,
-        )
-        try:
-            doubt = _doubt(seen(root, b"", now), contained)
-            failed, interrupted = _execute(store, session, context, work, runner, watch, say, kept, doubt)
-        finally:
-            contained.close()
+        failed = {run: tally.statuses[run] for run in tally.failed}
+        interrupted = followed.interrupted or session.paths.cancelled.exists()
         _leave(session.paths, kept)
         if interrupted:
             return Replay(session.id, record.found, (), notes, interrupted=True, of=record.named, kept=kept)
@@ -188,9 +165,9 @@ def replay(
         experiments = tuple(_experiments(project, store, record, list(compared), was, declared))
         late = record.notes[before:]
         for text in late:
-            say(text)
+            observer.notice(text)
         answer = Replay(session.id, record.found, experiments, (*notes, *late), interrupted=False, of=record.named, kept=kept)
-        _keep(answer, store, session, record, now, around, began, options, contained)
+        _keep(answer, store, session, record, now, around, began, options, engine)
         return answer
     finally:
         session.close()
@@ -201,8 +178,7 @@ def unrecorded(
     store: Store,
     prefix: str,
     options: ReplayOptions,
-    watch: Watch = lambda progress: None,
-    say: Callable[[str], None] = lambda text: None,
+    observer: Observer | None = None,
 ) -> Replay:
     """Replay without a record: a temporary store records everything, and is removed at the end.
 
@@ -215,7 +191,7 @@ def unrecorded(
     own = project.config.store.model_copy(update={"work": None})  # the temporary store is in that folder already
     inner = replace(project, config=project.config.model_copy(update={"store": own}))
     with store.beside(project.config.store.place()) as other:
-        return replay(inner, other, prefix, options, watch, say)
+        return replay(inner, other, prefix, options, observer)
 
 
 def _look_up(store: Store, found: Found, runs: int | None) -> _Record:
@@ -350,42 +326,10 @@ def _other_machine(store: Store, record: _Record, around: Mapping[str, Any]) -> 
                 yield f"other machine: {name} {'that differ: ' if isinstance(was, list) else ''}was {old}, is {new}"
 
 
-def _jobs(record: _Record, store: Store, maker: commands.CommandBuilder) -> Iterator[Job]:
-    """Yield a job for each run, with its recorded inputs."""
+def _inputs(record: _Record, store: Store) -> Iterator[tuple[Run, Files]]:
+    """Yield each run with its recorded inputs."""
     for taken, files in stored_plan.inputs(store, {one.run: one for one in record.runs}.values()):
-        yield maker.job(Run(taken.run, taken.ordinal, taken.number, record.seeds[taken.run], (), b""), files)
-
-
-def _execute(
-    store: Store,
-    session: Session,
-    context: Context,
-    work: Work,
-    runner: Runner,
-    watch: Watch,
-    say: Callable[[str], None],
-    kept: Path | None,
-    doubt: Callable[[], str | None],
-) -> tuple[dict[str, Status], bool]:
-    """Execute the jobs; return the unsuccessful runs with their status, and whether the replay was interrupted."""
-    context.save(session.paths.context)
-    done: dict[str, Status] = {}
-
-    def took(run: str, status: Status) -> None:
-        done[run] = status
-
-    def bad() -> dict[str, Status]:
-        return {run: status for run, status in done.items() if status is not Status.OK}
-
-    def tell(running: int, queued: int, waits: str) -> None:
-        watch(Progress(work.count, 0, len(done), len(bad()), running, queued=queued, waits=waits))
-
-    with noted() as signals:
-        observer = Observer(took, tell, say)
-        recorder = Recorder(store, session.paths, context, kept, doubt)
-        following = Following(runner, recorder, store, session, observer, leave=lambda: False)
-        following.execute(work, signals)
-    return bad(), bool(signals) or session.paths.cancelled.exists()
+        yield Run(taken.run, taken.ordinal, taken.number, record.seeds[taken.run], (), b""), files
 
 
 def _doubt(files: ChangeGuard, contained: Isolation) -> Callable[[], str | None]:
@@ -404,16 +348,16 @@ def _leave(session: SessionPaths, kept: Path | None) -> None:
 
 
 def _compare(
-    record: _Record, store: Store, made: Mapping[str, Job], failed: Mapping[str, Status], declared: Mapping[str, Output]
+    record: _Record, store: Store, made: Mapping[str, str], failed: Mapping[str, Status], declared: Mapping[str, Output]
 ) -> Iterator[Compared]:
     done = [one for one in record.runs if one.run not in failed]
     with store.snapshot() as snapshot:
-        pairs = [(str(one.judgement), made[one.run].execution) for one in done]
+        pairs = [(str(one.judgement), made[one.run]) for one in done]
         for taken, outputs in zip(done, compare_all(snapshot, pairs, declared), strict=True):
-            yield Compared(taken, made[taken.run].execution, outputs)
+            yield Compared(taken, made[taken.run], outputs)
         snapshot.views.make(("executions",))
         for taken in (one for one in record.runs if one.run in failed):
-            execution = made[taken.run].execution
+            execution = made[taken.run]
             [(reason,)] = snapshot.run("SELECT reason FROM executions WHERE execution = $e", {"e": execution}) or [("",)]
             yield Compared(taken, execution, {None: Agreement(Verdict.FAILED, reason or failed[taken.run])})
 
@@ -461,7 +405,7 @@ def _keep(
     around: Mapping[str, Any],
     began: datetime,
     options: ReplayOptions,
-    contained: Isolation,
+    engine: Engine,
 ) -> None:
     """Record the replay and its verdicts."""
     writer = store.writer(session.paths.segment, record.of.batch)
@@ -476,7 +420,7 @@ def _keep(
                 "started": began,
                 "ended": datetime.now(UTC),
                 "runner": options.runner,
-                "engine": contained.engine.name,
+                "engine": engine.name,
                 "runs": len(answer.runs),
                 "verdict": str(answer.verdict),
                 "tolerances": json.dumps(plain(options.tolerances)) if options.tolerances else None,

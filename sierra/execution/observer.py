@@ -1,0 +1,83 @@
+"""The observer of an execution: it receives progress and notices, and decides what happens to cluster jobs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from sierra.model import Status
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """Progress of a session, in numbers of runs."""
+
+    total: int
+    reused: int
+    done: int
+    failed: int
+    running: int
+    elsewhere: int = 0
+    """Number of runs that another session executes."""
+    queued: int = 0
+    """Number of elements (of array jobs) that wait for a node."""
+    waits: str = ""
+    """Reason why they wait, in the scheduler's words."""
+
+
+class Observer:
+    """Receives progress and notices, and decides. This one ignores all, and leaves cluster jobs running."""
+
+    def progress(self, progress: Progress) -> None:
+        """Receive progress, several times per second."""
+
+    def notice(self, text: str) -> None:
+        """Receive a message that the user should see at once."""
+
+    def leave(self) -> bool:
+        """Decide what happens when the user interrupts: return True to leave jobs on a cluster running, False to end them."""
+        return True
+
+
+class Relay(Observer):
+    """Passes progress and notices on to another observer, with a decision that is made already."""
+
+    def __init__(self, observer: Observer, *, leave: bool) -> None:
+        self._observer = observer
+        self._leave = leave
+
+    def progress(self, progress: Progress) -> None:
+        self._observer.progress(progress)
+
+    def notice(self, text: str) -> None:
+        self._observer.notice(text)
+
+    def leave(self) -> bool:
+        return self._leave
+
+
+class Tally:
+    """Counts the runs of a session as they end, and reports the counts to an observer."""
+
+    def __init__(self, observer: Observer, total: int, reused: int = 0, failed: int = 0) -> None:
+        """`total` is the number of runs; `reused` of them have a result already. `failed` more have failed before."""
+        self.observer = observer
+        self.total = total
+        self.reused = reused
+        self.statuses: dict[str, Status] = {}
+        """Status of each run that has ended. It may change later, if recording finds a problem."""
+        self.failed: set[str] = set()
+        """The runs that have ended without success."""
+        self._failed_before = failed
+
+    def ended(self, run: str, status: Status) -> None:
+        """Count a run that has ended. It is called again if the status changes."""
+        self.statuses[run] = status
+        if status is Status.OK:
+            self.failed.discard(run)
+        else:
+            self.failed.add(run)
+
+    def report(self, running: int, queued: int = 0, waits: str = "", elsewhere: int = 0) -> None:
+        """Report the progress to the observer."""
+        done, failed = len(self.statuses), self._failed_before + len(self.failed)
+        self.observer.progress(Progress(self.total, self.reused, done, failed, running, elsewhere, queued, waits))
