@@ -30,7 +30,7 @@ def seen(snapshot: Snapshot) -> set[str]:
 
 def is_asked(snapshot: Snapshot) -> None:
     snapshot.sql("SELECT * FROM runs")
-    snapshot.sql("SELECT * FROM main.members")
+    snapshot.sql("SELECT * FROM main.batch_runs")
 
 
 def sets(snapshot: Snapshot) -> None:

@@ -82,7 +82,7 @@ def reasons(project: Project) -> list[str]:
 
 def failed(project: Project) -> list[int]:
     """The numbers of the runs that have failed."""
-    rows = project.sql("SELECT DISTINCT number FROM members JOIN executions USING (run) WHERE status <> 'ok' ORDER BY 1")
+    rows = project.sql("SELECT DISTINCT number FROM batch_runs JOIN executions USING (run) WHERE status <> 'ok' ORDER BY 1")
     numbers: list[int] = rows.column(0).to_pylist()
     return numbers
 

@@ -282,7 +282,7 @@ def _run(snapshot: Snapshot, found: Found) -> dict[str, Any]:
 
 
 VERDICTS = """
-SELECT v.replay, r.started, v.path, v.verdict, v.why FROM verdicts v JOIN replays r USING (replay)
+SELECT v.replay, r.started, v.path, v.verdict, v.reason FROM verdicts v JOIN replays r USING (replay)
 WHERE v.run = $r ORDER BY r.lamport, v.path
 """
 

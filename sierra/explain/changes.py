@@ -139,7 +139,7 @@ PROGRAMS = """
 SELECT name, kind, version, sha256 FROM programs
 WHERE programs = (
     SELECT arg_max(programs, lamport) FROM executions JOIN batch_runs USING (run)
-    WHERE members.batch = $batch AND purpose = 'run'
+    WHERE batch_runs.batch = $batch AND purpose = 'run'
 )
 """
 

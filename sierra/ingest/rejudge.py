@@ -163,7 +163,7 @@ may AS (
         AND (l.j.ingest_rules <> $ingest_rules OR ($mismatched AND f.execution IS NOT NULL))
 ),
 best AS (
-    SELECT run, arg_max({'execution': execution, 'exit_code': exit_code, 'found_at': found_at, 'status': j.status,
+    SELECT run, arg_max({'execution': execution, 'exit_code': exit_code, 'found': found, 'status': j.status,
            'reason': j.reason, 'ingest_rules': j.ingest_rules, 'judgement': j.judgement},
            (j.status = 'ok', lamport, execution)) AS b
     FROM may GROUP BY run
@@ -192,7 +192,7 @@ def _past(snapshot: Snapshot, context: Context, runs: Iterable[str], *, mismatch
         artifacts[row["execution"]].append(row)
     for row in rows:
         if row["ingest_rules"] in rules:
-            named = {name: row[name] for name in ("run", "execution", "status", "reason", "found_at", "exit_code", "judgement")}
+            named = {name: row[name] for name in ("run", "execution", "status", "reason", "found", "exit_code", "judgement")}
             outputs, success = rules[row["ingest_rules"]]
             one = Past(**named, outputs=outputs, success=success, artifacts=tuple(artifacts[row["judgement"]]))
             yield replace(one, tabled=_is_tabled(one, context))

@@ -362,7 +362,7 @@ def _inputs(records: Records) -> Iterator[Finding]:
 
 
 EXPECTED = """
-SELECT execution, lower(output) AS output, CASE WHEN form->>'$.file' IS NULL THEN path ELSE '' END AS file,
+SELECT execution, lower(output) AS output, CASE WHEN table_layout->>'$.file' IS NULL THEN path ELSE '' END AS file,
     any_value(path) AS path, sum(rows)::BIGINT AS rows, sum(counted_rows)::BIGINT AS counted
 FROM all_artifacts WHERE kind = 'table' GROUP BY ALL
 """

@@ -69,7 +69,7 @@ CREATE TEMP TABLE {table} AS
 {latest},
 m AS (
     SELECT ordinal, number, any_value(run) AS run, any_value(seed) AS seed,
-           md5_number(concat_ws(' ', any_value(input), array_to_string(any_value(others), ' '))) AS input
+           md5_number(concat_ws(' ', any_value(input), array_to_string(any_value(other_inputs), ' '))) AS input
     FROM batch_runs m WHERE batch = $b {only} GROUP BY ordinal, number
 ),
 e AS (
