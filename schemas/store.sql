@@ -82,7 +82,7 @@ CREATE TABLE attempts (
     "attempt" VARCHAR,  -- the attempt's id
     "session" VARCHAR,  -- the asking that it was for
     "batch" VARCHAR,  -- the batch
-    "element" BIGINT,  -- the element: it has every n-th run of the asking
+    "array_task" BIGINT,  -- the index of the array task: it has every n-th run of the session
     "scheduler" VARCHAR,  -- what started it, with its version
     "job" VARCHAR,  -- the scheduler's id of the job, or of this task of it
     "node" VARCHAR,  -- host name of the node

@@ -17,7 +17,7 @@ from tests.waiting import until
 
 CLUSTER = """
 [runners.slurm]
-elements = 3
+array_tasks = 3
 """
 WAITING = """\
 import os, sys, time

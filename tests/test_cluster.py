@@ -57,7 +57,7 @@ def test_tasks_that_have_done_their_work_are_never_cancelled(simulate: Callable[
     """The last run of an element is recorded before its task has ended."""
     made = simulate()
     config = made.folder / "sierra.toml"
-    config.write_text(config.read_text() + "[runners.slurm]\nelements = 4\n")
+    config.write_text(config.read_text() + "[runners.slurm]\narray_tasks = 4\n")
     for value in range(6):
         done = made.quick("run", f"size={value}", "--runs", "8", "--on", "slurm", "--no-figures")
         assert done.returncode == 0, done.stderr
@@ -68,7 +68,7 @@ def test_tasks_that_have_done_their_work_are_never_cancelled(simulate: Callable[
 def test_attempts_say_where_and_with_what_runs_were_executed(tmp_path: Path, slurm: Slurm) -> None:
     root = projects.make(tmp_path / "project", projects.CONFIG + CLUSTER + "cpus = 2\nmemory = '100 MB'\n")
     assert projects.quick(root, "run", "population_size.Log8", "--on", "slurm").returncode == 0
-    found = rows(sierra.open(root), "SELECT * FROM attempts ORDER BY element")
+    found = rows(sierra.open(root), "SELECT * FROM attempts ORDER BY array_task")
     assert [row["element"] for row in found] == [0, 1, 2]
     assert [row["runs"] for row in found] == [3, 3, 2]
     for row in found:
@@ -84,7 +84,7 @@ def test_runs_see_the_devices_that_are_allotted_to_their_slot(simulate: Callable
     made = simulate('printf "t,v,w\\n1,$CUDA_VISIBLE_DEVICES,$ROCR_VISIBLE_DEVICES\\n" > swarm.csv; sleep 1')
     config = made.folder / "sierra.toml"
     text = config.read_text() + '[environment.set]\nROCR_VISIBLE_DEVICES = "7"\n'
-    config.write_text(text + "[runners.slurm]\nelements = 1\ncpus = 2\ngpus = 2\n")
+    config.write_text(text + "[runners.slurm]\narray_tasks = 1\ncpus = 2\ngpus = 2\n")
     project = sierra.open(made.folder)
     before = project.plan("size=1,2,3,4", runs=1).batch.id
     summary = project.run("size=1,2,3,4", runs=1, runner="slurm", figures=False)
@@ -216,7 +216,7 @@ def test_a_probe_that_somebody_cancels_ends_the_session(gated: Gated, monkeypatc
 @pytest.mark.parametrize("which", ["one element", "all"])
 def test_what_somebody_cancels_is_submitted_again_where_the_project_wants_that(gated: Gated, which: str) -> None:
     config = gated.root / "sierra.toml"
-    config.write_text(config.read_text() + 'cancelled = "again"\n')
+    config.write_text(config.read_text() + 'cancelled = "resubmit"\n')
     asking = gated.ask()
     gated.until_begun(3)
     job = gated.job()
@@ -282,7 +282,7 @@ def test_a_controller_that_dies_loses_nothing(gated: Gated) -> None:
 @pytest.mark.parametrize("again", ["status", "cancel", "run"])
 def test_what_cannot_be_cancelled_now_is_cancelled_by_whoever_looks_next(gated: Gated, again: str) -> None:
     config = gated.root / "sierra.toml"
-    config.write_text(config.read_text().replace("elements = 3", 'elements = 8\ndirectives = ["--exclusive"]'))
+    config.write_text(config.read_text().replace("array_tasks = 3", 'array_tasks = 8\ndirectives = ["--exclusive"]'))
     ended(gated.ask("population_size.Log8", "--detach"))
     gated.until_begun(3)
     gated.slurm.kill_controller(saved=True)
@@ -334,13 +334,13 @@ def test_an_element_that_is_requeued_goes_on_where_it_was(gated: Gated) -> None:
     gated.open()
     ended(asking)
     is_whole(gated.project)
-    assert rows(gated.project, "SELECT element, interrupted_runs FROM attempts WHERE state = 'cut off'") == [{"element": 0, "interrupted_runs": 1}]
+    assert rows(gated.project, "SELECT array_task, interrupted_runs FROM attempts WHERE state = 'cut off'") == [{"array_task": 0, "interrupted_runs": 1}]
 
 
 @pytest.mark.slow
 def test_a_run_that_outlives_its_element_every_time_has_failed(gated: Gated) -> None:
     config = gated.root / "sierra.toml"
-    config.write_text(config.read_text() + 'attempts = 2\ncancelled = "again"\n')
+    config.write_text(config.read_text() + 'attempts = 2\ncancelled = "resubmit"\n')
     asking = gated.ask("population_size=1", "--runs", "2")
     for count in (2, 4):
         gated.until_told(count)

@@ -77,7 +77,7 @@ def waiting(simulate: Callable[..., Simulated], tmp_path: Path, slurm: Slurm) ->
     gate = tmp_path / "gate"
     project = simulate(WAITS.format(gate=gate))
     config = project.folder / "sierra.toml"
-    config.write_text(config.read_text() + "[runners.slurm]\nelements = 3\n")
+    config.write_text(config.read_text() + "[runners.slurm]\narray_tasks = 3\n")
     return Waiting(project, gate, slurm)
 
 
@@ -309,7 +309,7 @@ def test_a_dry_run_shows_the_script_that_is_submitted_then(waiting: Waiting) -> 
     [folder] = waiting.project.work()
     probed = json.loads((folder / "submission.json").read_text())["probed"]
     assert any("a dependency in the script" in note for note in told["notes"]) == probed
-    assert (told["elements"], told["runs"]) == (left["elements"], left["runs"])
+    assert (told["array_tasks"], told["runs"]) == (left["array_tasks"], left["runs"])
     waiting.project.until_executed(3)
     files = [path for path in folder.rglob("*") if path.is_file()]
     assert abs(told["files"] - len(files)) <= 4, files

@@ -12,7 +12,7 @@ from tests import containers, projects
 from tests.clusters import Slurm
 
 pytestmark = [pytest.mark.slow, pytest.mark.real]
-CLUSTER = "\n[runners.slurm]\nelements = 2\nattempts = 1\n"
+CLUSTER = "\n[runners.slurm]\narray_tasks = 2\nattempts = 1\n"
 
 
 @pytest.fixture

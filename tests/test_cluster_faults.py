@@ -154,7 +154,7 @@ def test_what_takes_its_element_down_is_found_and_the_runs_beside_it_complete(
     slow = HUNGRY.replace("if count == 4:", "time.sleep(1 + count)\nif count == 4:")
     gated = gate('memory = "300 MB"\nattempts = 2\ncpus = 4\n', on=start(settings=WATCHED), simulator=slow)
     config = gated.root / "sierra.toml"
-    config.write_text(config.read_text().replace("elements = 3", "elements = 1"))
+    config.write_text(config.read_text().replace("array_tasks = 3", "array_tasks = 1"))
     told = ended(gated.ask("population_size.Log8", "--runs", "1"), 1)
     assert "may be what ended it: executed one by one now" in told
     found = rows(gated.project, "SELECT e.status, reason FROM executions e JOIN runs USING (run) ORDER BY population_size")
@@ -172,7 +172,7 @@ def test_a_full_disk_of_a_node_is_said_and_room_completes_the_batch(
     scratch = disk(tmp_path / "node's own", "500k")
     gated = gate(f'scratch = "{scratch}"\nattempts = 2\n', on=start(), simulator=LARGE)
     config = gated.root / "sierra.toml"
-    config.write_text(config.read_text().replace("elements = 3", "elements = 1"))
+    config.write_text(config.read_text().replace("array_tasks = 3", "array_tasks = 1"))
     told = ended(gated.ask(), 3)
     assert "ended before any run had: n1: " in told
     assert "No space left on device" in told
@@ -278,7 +278,7 @@ QUICK_FIRST = WAITING.replace("while not", "while count > 1 and not")
 def test_an_element_that_nobody_follows_goes_on_after_its_time_limit(gate: Callable[..., Gated]) -> None:
     gated = gate("wall = 60\n", simulator=QUICK_FIRST)
     config = gated.root / "sierra.toml"
-    config.write_text(config.read_text().replace("elements = 3", "elements = 1"))
+    config.write_text(config.read_text().replace("array_tasks = 3", "array_tasks = 1"))
     told = ended(gated.ask(*ASK[:1], "--detach"))
     assert "goes on by itself only where the site lets tasks requeue themselves" in told
     until(lambda: packed(gated.root, Requeued), "the element asks to be begun anew", 200)

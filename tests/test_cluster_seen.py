@@ -25,7 +25,7 @@ def waiting(simulate: Callable[..., Simulated], tmp_path: Path, slurm: Slurm) ->
     gate = tmp_path / "gate"
     project = simulate(WAITS.format(gate=gate))
     config = project.folder / "sierra.toml"
-    config.write_text(config.read_text() + "[runners.slurm]\nelements = 3\ncpus = 2\n")
+    config.write_text(config.read_text() + "[runners.slurm]\narray_tasks = 3\ncpus = 2\n")
     return Waiting(project, gate, slurm)
 
 
@@ -79,7 +79,7 @@ def test_what_is_on_a_cluster_is_told_by_all_that_speak_of_the_batch(waiting: Wa
     assert f"on slurm now (job {left['jobs'][0]})" in listed
     [row] = json.loads(waiting.project.quick("ls", "--json").stdout)
     assert row["clusters"] == json.loads(waiting.project.quick("show", waiting.batch(), "--json").stdout)["clusters"]
-    assert row["clusters"] == [{name: left[name] for name in ("session", "runner", "jobs", "elements", "runs", "since")}]
+    assert row["clusters"] == [{name: left[name] for name in ("session", "runner", "jobs", "array_tasks", "runs", "since")}]
     assert (
         "asking again now:\n  6 runs: on a cluster now: followed, not executed again\n"
         in waiting.project.quick("why", waiting.batch()).stdout
@@ -144,7 +144,7 @@ def test_show_says_where_runs_were_executed_and_how_often_that_was_cut_off(waiti
     shown = json.loads(waiting.project.quick("show", waiting.batch(), "--json").stdout)["attempts"]
     assert [(one["element"], one["state"]) for one in shown] == [(0, "cut off"), *((n, "finished") for n in range(3))]
     [execution] = waiting.project.sql(
-        "SELECT run, execution FROM executions JOIN attempts a USING (attempt) WHERE a.element = 0 ORDER BY run LIMIT 1"
+        "SELECT run, execution FROM executions JOIN attempts a USING (attempt) WHERE a.array_task = 0 ORDER BY run LIMIT 1"
     )
     for one in execution.values():
         first, second = json.loads(waiting.project.quick("show", one[:12], "--json").stdout)["attempts"]

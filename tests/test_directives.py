@@ -12,9 +12,9 @@ SLURM = [
     ("--dependency=afterok:1", "SIERRA has elements wait itself"),
     ("-d singleton", "SIERRA has elements wait itself"),
     ("--dep=afterok:1", "SIERRA has elements wait itself"),
-    ("--array=0-3", "elements = N"),
-    ("--mail-type=FAIL --array 0-3", "elements = N"),
-    ("-a0-3", "elements = N"),
+    ("--array=0-3", "array_tasks = N"),
+    ("--mail-type=FAIL --array 0-3", "array_tasks = N"),
+    ("-a0-3", "array_tasks = N"),
     ("-ko nowhere", "what elements print is shown"),
     ("--output=/tmp/x", "what elements print is shown"),
     ("-e /tmp/x", "what elements print is shown"),
@@ -34,8 +34,8 @@ SLURM = [
     ("#SBATCH --nice", "should be as it stands after #SBATCH"),
 ]
 PBS = [
-    ("-J 0-3", "elements = N"),
-    ("-t 0-3", "elements = N"),
+    ("-J 0-3", "array_tasks = N"),
+    ("-t 0-3", "array_tasks = N"),
     ("-o /tmp/x", "what elements print is shown"),
     ("-e /tmp/x", "what elements print is shown"),
     ("-V", "[environment]"),

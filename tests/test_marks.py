@@ -234,7 +234,7 @@ def test_no_lock_is_a_link(recorded: Path, tmp_path: Path) -> None:
 
 
 def scratch(tmp_path: Path, name: str, path: Path | str) -> Path:
-    return projects.make(tmp_path / name, projects.CONFIG + f'[store]\nwork = "{path}"\n')
+    return projects.make(tmp_path / name, projects.CONFIG + f'[store]\nwork_folder = "{path}"\n')
 
 
 def test_two_projects_may_execute_in_one_folder_elsewhere(tmp_path: Path, theirs: Path) -> None:
@@ -256,7 +256,7 @@ def test_runs_execute_elsewhere_and_what_died_there_is_recorded_and_removed(
     monkeypatch.setenv("MY_SCRATCH", str(theirs))
     project = simulate(f"pwd >> '{tmp_path}/places'\n{held(4)}")
     with (project.folder / "sierra.toml").open("a") as file:
-        file.write('[store]\nwork = "$MY_SCRATCH"\n')
+        file.write('[store]\nwork_folder = "$MY_SCRATCH"\n')
     before = files(theirs)
     asked = project.start("run", "size=1,2,3,4", "-j", "2", "--no-figures")
     project.until_executed(4, asked)

@@ -18,7 +18,7 @@ from tests import pbs, projects
 from tests.clusters import Slurm
 
 ALL = ClusterTable(
-    elements=7,
+    array_tasks=7,
     cpus=99,
     memory=8_000_000_000,
     wall=3600.0,
@@ -58,7 +58,7 @@ def assert_about(words: str, table: Sequence[Meaning], settings: str) -> None:
         ("Invalid feature specification", "constraint"),
         ("Memory specification can not be satisfied", "partition memory"),
         ("Invalid generic resource (gres) specification", "gpus partition"),
-        ("Invalid job array specification", "elements"),
+        ("Invalid job array specification", "array_tasks"),
         ("unrecognized option '--nonsense'", "directives"),
     ],
 )
@@ -78,8 +78,8 @@ def test_slurm_s_words_are_about_these_settings(words: str, settings: str) -> No
             "partition cpus memory gpus constraint wall elements",
         ),
         ("Job exceeds queue resource limits MSG=cannot satisfy queue max walltime requirement", "partition wall"),
-        ("illegal -J value", "elements"),
-        ("Array job exceeds server or queue size limit", "elements"),
+        ("illegal -J value", "array_tasks"),
+        ("Array job exceeds server or queue size limit", "array_tasks"),
         ("Unknown resource type  Resource_List.mempo", "gpus constraint directives"),
         ("Unknown resource: ngpus", "gpus constraint directives"),
     ],

@@ -614,7 +614,7 @@ def test_it_is_a_scheduler_over_slurm(wrapper: clusters.Slurm) -> None:
 
 CLUSTER = f"""
 [runners.pbs]
-elements = 3
+array_tasks = 3
 python = "{sys.executable}"
 """
 WAITS = """
@@ -674,7 +674,7 @@ def test_what_somebody_deletes_ends_the_session(server: pbs.Server, tmp_path: Pa
 def test_a_batch_is_answered_though_an_element_is_deleted(server: pbs.Server, tmp_path: Path) -> None:
     gate = tmp_path / "gate"
     simulator = projects.SIMULATOR + WAITS.format(gate=str(gate))
-    table = CLUSTER + 'cancelled = "again"\n'
+    table = CLUSTER + 'cancelled = "resubmit"\n'
     root = projects.make(tmp_path / HOSTILE, projects.CONFIG + table, simulator=simulator)
     words = (projects.SIERRA, "run", "population_size.Log8", "--on", "pbs", "--no-figures")
     server.waiting()
@@ -688,7 +688,7 @@ def test_a_batch_is_answered_though_an_element_is_deleted(server: pbs.Server, tm
     out, err = asked.communicate(timeout=200)
     assert asked.returncode == 0, err
     assert "8 runs: 8 executed, 0 reused" in out
-    jobs = sierra.open(root).sql("SELECT element, job FROM attempts WHERE state = 'finished' ORDER BY element").to_pylist()
+    jobs = sierra.open(root).sql("SELECT array_task, job FROM attempts WHERE state = 'finished' ORDER BY array_task").to_pylist()
     assert jobs == [
         {"element": 0, "job": f"{number}[0].pbs1"},
         {"element": 1, "job": f"{number + 1}.pbs1"},
@@ -725,7 +725,7 @@ def test_runs_see_the_devices_that_a_hook_of_pbs_has_set(
     hooked.chmod(0o755)
     made = simulate('printf "t,v\\n1,$CUDA_VISIBLE_DEVICES\\n" > swarm.csv')
     config = made.folder / "sierra.toml"
-    config.write_text(config.read_text() + f'[runners.pbs]\nelements = 1\npython = "{hooked}"\n')
+    config.write_text(config.read_text() + f'[runners.pbs]\narray_tasks = 1\npython = "{hooked}"\n')
     project = sierra.open(made.folder)
     assert project.run("size=1", runs=1, runner="pbs", figures=False).failed == 0
     assert project.sql("SELECT v FROM swarm").to_pylist() == [{"v": "GPU-1f"}]

@@ -63,7 +63,7 @@ def sent(project: Simulated) -> list[list[int]]:
 
 def elements(project: Simulated) -> dict[int, int]:
     """The runs of each element, as they were executed."""
-    rows = project.sql("SELECT element, sum(runs) AS runs FROM attempts GROUP BY element ORDER BY element")
+    rows = project.sql("SELECT array_task, sum(runs) AS runs FROM attempts GROUP BY element ORDER BY array_task")
     return {row["element"]: int(row["runs"]) for row in rows}
 
 
@@ -92,7 +92,7 @@ def test_the_first_and_the_last_run_tell_how_the_others_are_dealt_out(
     assert elements(project) == {0: 2, 1: 22}
     is_whole(project)
     joined = "attempts a JOIN executions USING (attempt) JOIN runs r USING (run)"
-    pair = project.sql(f"SELECT r.size, r.number FROM {joined} WHERE a.element = 0 ORDER BY 1")
+    pair = project.sql(f"SELECT r.size, r.number FROM {joined} WHERE a.array_task = 0 ORDER BY 1")
     assert [tuple(row.values()) for row in pair] == [(1, 0), (2, 11)]
     again = project.quick("run", "size=1,2", "--runs", "24", "--on", runner, "--no-figures")
     assert "go first" not in again.stderr
@@ -105,7 +105,7 @@ def test_runs_with_values_that_were_never_timed_go_first(simulate: Callable[...,
     assert done.returncode == 0, done.stderr
     assert "runs with these values were never timed: 2 runs of 28 go first" in done.stderr
     joined = "attempts a JOIN executions USING (attempt) JOIN runs r USING (run)"
-    pair = project.sql(f"SELECT r.size, r.number FROM {joined} WHERE a.element = 0 ORDER BY 1")
+    pair = project.sql(f"SELECT r.size, r.number FROM {joined} WHERE a.array_task = 0 ORDER BY 1")
     assert [tuple(row.values()) for row in pair] == [(30, 0), (60, 7)]
 
 
@@ -114,7 +114,7 @@ def test_long_runs_get_many_elements(simulate: Callable[..., Simulated], slurm: 
     monkeypatch.setattr(sizing, "ELEMENT_S", 1.0)
     assert asked(project).missing == 0
     took = (
-        "SELECT avg(epoch(e.ended) - epoch(e.started)) AS s FROM executions e JOIN attempts USING (attempt) WHERE element = 0"
+        "SELECT avg(epoch(e.ended) - epoch(e.started)) AS s FROM executions e JOIN attempts USING (attempt) WHERE array_task = 0"
     )
     [first] = project.sql(took)
     assert first["s"] > 0.4

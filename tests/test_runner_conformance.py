@@ -23,7 +23,7 @@ from sierra.testing.runners import Ordeal
 from tests import clusters, pbs
 from tests.waiting import until
 
-TABLE: dict[str, Any] = {"elements": 2, "cpus": 2}
+TABLE: dict[str, Any] = {"array_tasks": 2, "cpus": 2}
 
 
 def local(slots: int) -> Runner:

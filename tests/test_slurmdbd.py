@@ -46,7 +46,7 @@ def project(
 
 
 def test_the_default_qos_is_kept_to(project: Callable[[str], Simulated]) -> None:
-    asked = project("elements = 30")
+    asked = project("array_tasks = 30")
     told = asked.ask(*ASKED, "-n", "--explain").stdout
     assert re.search(r"^elements +4 +the jobs that the site allows \(MaxSubmitJobsPerUser of QOS small\)$", told, re.MULTILINE)
     assert re.search(r"^longest wall +1200 +the site allows no more: MaxWall of QOS small$", told, re.MULTILINE)
@@ -61,7 +61,7 @@ def test_the_default_qos_is_kept_to(project: Callable[[str], Simulated]) -> None
 
 def test_accounting_has_good_work_as_completed(project: Callable[[str], Simulated], request: pytest.FixtureRequest) -> None:
     cluster: Accounted = request.getfixturevalue("cluster")
-    asked = project("elements = 4")
+    asked = project("array_tasks = 4")
     for runs in ("10", "20", "30"):
         done = asked.ask("run", "size=1", "--runs", runs, "--on", "slurm", "--no-figures")
         assert done.returncode == 0, done.stderr
@@ -75,7 +75,7 @@ def test_accounting_has_good_work_as_completed(project: Callable[[str], Simulate
 
 
 def test_another_qos_has_other_limits(project: Callable[[str], Simulated]) -> None:
-    told = project('elements = 30\nqos = "normal"').ask(*ASKED, "-n", "--explain").stdout
+    told = project('array_tasks = 30\nqos = "normal"').ask(*ASKED, "-n", "--explain").stdout
     assert re.search(r"^elements +30 +as sierra.toml says$", told, re.MULTILINE)
     assert re.search(r"^longest wall +3600 +the site allows no more: MaxTime of partition debug$", told, re.MULTILINE)
 
@@ -85,7 +85,7 @@ def test_a_site_that_takes_fewer_than_it_said_gets_them_by_and_by(
 ) -> None:
     cluster: Accounted = request.getfixturevalue("cluster")
     held = cluster.command("sbatch", "--parsable", "--hold", "--array=0-2", "--output=/dev/null", "--wrap=true")
-    asked = project("elements = 4")
+    asked = project("array_tasks = 4")
     process = asked.start(*ASKED)
     asked.until_executed(1, process)
     cluster.command("scancel", held)

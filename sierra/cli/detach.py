@@ -34,7 +34,9 @@ def lines(left: Sequence[Any], batch: str) -> list[str]:
     from sierra.util.hashing import short
     from sierra.util.text import counted
 
-    told = [f"session {one.session}: {counted(one.elements, 'element')} in {named(one.jobs)} on {one.runner}" for one in left]
+    told = [
+        f"session {one.session}: {counted(one.array_tasks, 'array task')} in {named(one.jobs)} on {one.runner}" for one in left
+    ]
     return [*told, f"sierra attach {short(batch)} goes on with it, sierra cancel {short(batch)} ends it"]
 
 

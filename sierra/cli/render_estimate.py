@@ -30,7 +30,7 @@ def _lines(proposal: Estimate) -> Iterator[str]:
     from sierra.cli.progress import duration
     from sierra.util.text import counted
 
-    elements, runs = counted(proposal.elements, "element"), counted(proposal.longest, "run")
+    elements, runs = counted(proposal.array_tasks, "array task"), counted(proposal.longest, "run")
     cores = counted(proposal.cpus, "core")
     wall = "the site's time" if proposal.wall_s is None else duration(proposal.wall_s)
     yield f"on {proposal.runner} ({proposal.scheduler}): {elements} of up to {runs}, each {cores} for {wall}"

@@ -38,7 +38,7 @@ def tell(project: Project, summary: Summary, more: Mapping[str, Any] | None, *, 
 
 
 def _left(one: Standing) -> dict[str, Any]:
-    names = ("session", "runner", "scheduler", "jobs", "elements", "runs", "since")
+    names = ("session", "runner", "scheduler", "jobs", "array_tasks", "runs", "since")
     return {name: getattr(one, name) for name in names}
 
 

@@ -16,7 +16,7 @@ MEMORY = 'use memory = "8 GB"'
 WALL = "use wall = SECONDS"
 PARTITION = 'use partition = "…"'
 ACCOUNT = 'use account = "…"'
-ONE_NODE = "an element is one task on one node; elements = N says how many there are, cpus = N how many cores each has"
+ONE_NODE = "an array task runs on one node; array_tasks = N says how many there are, cpus = N how many cores each has"
 NAMED = "SIERRA finds its jobs again by the name that it gives them"
 LOGS = "what elements print is shown where it matters, and removed with the session"
 WAITS = "SIERRA has elements wait itself, for one small task that tries the nodes out"
@@ -35,7 +35,7 @@ SLURM: Mapping[str, str] = {
     "account": ACCOUNT,
     "qos": 'use qos = "…"',
     "constraint": 'use constraint = "…"',
-    "array": "elements = N says how many elements there are",
+    "array": "array_tasks = N says how many array tasks there are",
     "nodes": ONE_NODE,
     "ntasks": ONE_NODE,
     "ntasks-per-core": ONE_NODE,
@@ -75,8 +75,8 @@ FLAGS = "HIOQVWhksuv"
 PBS: Mapping[str, str] = {
     "q": PARTITION,
     "A": ACCOUNT,
-    "J": "elements = N says how many elements there are",
-    "t": "elements = N says how many elements there are",
+    "J": "array_tasks = N says how many array tasks there are",
+    "t": "array_tasks = N says how many array tasks there are",
     "N": NAMED,
     "o": LOGS,
     "e": LOGS,

@@ -49,7 +49,7 @@ SETTINGS: Mapping[int | str, str] = {
     **dict.fromkeys(("queue", "partitions"), "partition"),
     **dict.fromkeys(("time", "walltime", "time_limit"), "wall"),
     **dict.fromkeys(("ncpus", "ppn", "ntasks", "cpus_per_task", "cores", "procs"), "cpus"),
-    **dict.fromkeys(("nodes", "array", "jobs"), "elements"),
+    **dict.fromkeys(("nodes", "array", "jobs", "elements"), "array_tasks"),
     **dict.fromkeys(("gres", "ngpus", "gpu"), "gpus"),
     **dict.fromkeys(("features", "select"), "constraint"),
     "project": "account",
@@ -345,7 +345,7 @@ class ClusterTable(Table):
     scheduler: str | None = Field(
         None, description="`slurm`, `pbs`, or one that is installed; where absent, the one that the table is called after"
     )
-    elements: PositiveInt | None = Field(
+    array_tasks: PositiveInt | None = Field(
         None, description="shares of a batch, each executed by one task; where absent, so many that each takes 5 to 10 minutes"
     )
     cpus: PositiveInt = Field(1, description="cores of an element: so many of its runs execute at a time")
@@ -368,9 +368,9 @@ class ClusterTable(Table):
         description="folder on the node for runs, as in `$TMPDIR/x`, made in one that is there; where absent, $SLURM_TMPDIR, "
         "$TMPDIR or /tmp",
     )
-    cancelled: Literal["stop", "again"] = Field(
+    cancelled: Literal["stop", "resubmit"] = Field(
         "stop",
-        description="what to do when somebody else cancels an element: `stop` the session, or submit it `again`",
+        description="what to do when somebody else cancels an element: `stop` the session, or `resubmit` it",
     )
     attempts: PositiveInt = Field(
         3, description="times that a run is begun, the last one alone, or an element without any, before it has failed"
@@ -394,7 +394,9 @@ class Source(Table):
         "record",
         description="changes that git has no commit of: count, are an error, or neither count nor execute (a checkout does)",
     )
-    large: Size = Field(50_000_000, description="an untracked file of more bytes is an error, a number or as in `50 MB`")
+    max_untracked: Size = Field(
+        50_000_000, description="an untracked file of more bytes is an error, a number or as in `50 MB`"
+    )
 
 
 class StoreTable(Table):
@@ -405,7 +407,7 @@ class StoreTable(Table):
         description="whether the bytes of files that become tables are kept too, so that changed [outputs] and [success] "
         "execute nothing again",
     )
-    work: Annotated[str, AfterValidator(_elsewhere)] | None = Field(
+    work_folder: Annotated[str, AfterValidator(_elsewhere)] | None = Field(
         None,
         description="where runs of this machine execute: a folder for each project is made in it; `~` and variables as in "
         "`$SCRATCH` are filled in; in the store where absent",
@@ -413,13 +415,13 @@ class StoreTable(Table):
 
     def place(self) -> Path | None:
         """Return the folder where runs execute, or None for the store's. Raises Missing for a variable that is not set."""
-        if self.work is None:
+        if self.work_folder is None:
             return None
-        filled = Path(os.path.expandvars(self.work))
+        filled = Path(os.path.expandvars(self.work_folder))
         with contextlib.suppress(RuntimeError):  # the user does not exist
             filled = filled.expanduser()
         if not filled.is_absolute() or "$" in str(filled):
-            raise Missing(f"[store] work: {self.work!r} is {str(filled)!r} here, and no absolute path; set the variable")
+            raise Missing(f"[store] work: {self.work_folder!r} is {str(filled)!r} here, and no absolute path; set the variable")
         return filled
 
 

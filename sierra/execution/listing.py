@@ -123,7 +123,7 @@ def _on_clusters(store: Store) -> dict[str, list[dict[str, Any]]]:
     for paths in sessions.submitted(store.paths):
         with contextlib.suppress(Damaged):  # it belongs to another version of SIERRA, which must continue it
             if one := submitted(paths):
-                told = {name: getattr(one, name) for name in ("session", "runner", "jobs", "elements", "runs", "since")}
+                told = {name: getattr(one, name) for name in ("session", "runner", "jobs", "array_tasks", "runs", "since")}
                 found.setdefault(one.batch, []).append(told)
     return found
 
@@ -169,15 +169,15 @@ NONDETERMINISM = """
 SELECT run, executions, results, verdict, programs FROM nondeterminism
 WHERE run = $r OR run IN (SELECT run FROM batch_runs WHERE batch = $b) ORDER BY run
 """
-TOLD = "a.element, a.job, a.node, a.started, a.ended, a.runs, a.interrupted_runs, a.state, a.error"
+TOLD = "a.array_task, a.job, a.node, a.started, a.ended, a.runs, a.interrupted_runs, a.state, a.error"
 ATTEMPTS_OF_BATCH = f"""
-SELECT session, {TOLD} FROM attempts a WHERE batch = $b ORDER BY state = 'finished', element, started
+SELECT session, {TOLD} FROM attempts a WHERE batch = $b ORDER BY state = 'finished', array_task, started
 """  # noqa: S608 - of our own parts
 """Attempts at the elements of a batch on clusters; those that were cut off come first."""
 ATTEMPTS_OF_RUN = f"""
 WITH mine AS (SELECT attempt FROM executions WHERE run = $r AND (execution = $e OR $e IS NULL))
 SELECT session, {TOLD}, attempt IN (SELECT attempt FROM mine) AS executed
-FROM attempts a SEMI JOIN (SELECT session, element FROM attempts SEMI JOIN mine USING (attempt)) USING (session, element)
+FROM attempts a SEMI JOIN (SELECT session, array_task FROM attempts SEMI JOIN mine USING (attempt)) USING (session, array_task)
 ORDER BY started
 """  # noqa: S608 - of our own parts
 """Attempts at the elements that executed a run, and whether each attempt executed this run."""

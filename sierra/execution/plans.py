@@ -212,7 +212,7 @@ def _source(project: LoadedProject, own: Sequence[str]) -> source.Source:
         paths=wanted.paths,
         without=own,
         dirty=wanted.dirty,
-        large=wanted.large,
+        large=wanted.max_untracked,
         memory=store.files if store.format.is_file() else None,
     )
 

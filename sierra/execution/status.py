@@ -45,7 +45,7 @@ class Standing:
     """Name and version of the scheduler."""
     jobs: tuple[str, ...]
     """Ids of the jobs, as far as they are known."""
-    elements: int
+    array_tasks: int
     runs: int
     since: datetime
     done: int = 0
@@ -140,7 +140,7 @@ def submitted(paths: SessionPaths) -> Standing | None:
         runner=made.runner,
         scheduler=made.version,
         jobs=tuple(one.job for one in sent if one.job is not None),
-        elements=len(made.counts),
+        array_tasks=len(made.counts),
         runs=made.runs,
         since=datetime.fromtimestamp(since, UTC),
         cancelled=paths.cancelled.exists(),

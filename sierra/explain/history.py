@@ -103,10 +103,10 @@ FROM happened GROUP BY ALL ORDER BY executions DESC, execution
 """
 CUT = """
 WITH mine AS (
-    SELECT DISTINCT a.session, a.element FROM attempts a JOIN executions e USING (attempt) SEMI JOIN wanted USING (run)
+    SELECT DISTINCT a.session, a.array_task FROM attempts a JOIN executions e USING (attempt) SEMI JOIN wanted USING (run)
 )
 SELECT session, count(*) AS times, sum(interrupted_runs)::INT AS interrupted, list(DISTINCT error ORDER BY error) AS errors
-FROM attempts SEMI JOIN mine USING (session, element) WHERE state = 'cut off' AND interrupted_runs > 0 GROUP BY session
+FROM attempts SEMI JOIN mine USING (session, array_task) WHERE state = 'cut off' AND interrupted_runs > 0 GROUP BY session
 """
 COPIED = """
 SELECT e.session, count(*) AS copies, count(*) FILTER (NOT same) AS other, min(execution) AS execution

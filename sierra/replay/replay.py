@@ -188,7 +188,7 @@ def unrecorded(
         raise UsageError("--keep leaves folders in the store; ask without --no-record")
     if runners.find(options.runner, project.config.runners)(options.slots).stays:
         raise UsageError(f"what {options.runner!r} executes is found again by the record; ask without --no-record")
-    own = project.config.store.model_copy(update={"work": None})  # the temporary store is in that folder already
+    own = project.config.store.model_copy(update={"work_folder": None})  # the temporary store is in that folder already
     inner = replace(project, config=project.config.model_copy(update={"store": own}))
     with store.beside(project.config.store.place()) as other:
         return replay(inner, other, prefix, options, observer)

@@ -129,11 +129,11 @@ pids = 500
 [source]
 paths = ["sim.py", "controllers"]
 dirty = "record"
-large = "50 MB"
+max_untracked = "50 MB"
 
 [store]
 raw = true
-work = "$SCRATCH"
+work_folder = "$SCRATCH"
 
 [determinism]
 probe = true
@@ -177,7 +177,7 @@ measure = "time_to"
 threshold = 1.0
 
 [runners.slurm]
-elements = 20
+array_tasks = 20
 cpus = 4
 memory = "8 GiB"
 wall = 3600.0

@@ -4,7 +4,7 @@
 .sierra/work/mark           the id of the store that owns these sessions
 .sierra/work/<session>/     a session: its name has 16 hexadecimal digits, and the process that made it signed `owner.0`
     elsewhere               the path of the folder where its runs execute, if it is not this one
-PATH/<id>/mark              the id of the store whose runs execute here: `[store] work = "PATH"`, which many stores may share
+PATH/<id>/mark              the id of the store whose runs execute here: `[store] work_folder = "PATH"`, which many stores may share
 PATH/<id>/<session>/mark    the id of the session
 
 Stores that are older than marks get them when something executes next. A work folder that is a symbolic link may lead
@@ -33,7 +33,7 @@ SIGNED = {"pid", "where"}
 """The fields that an owner file has at least."""
 MOST = 1 << 16
 """The limit on the bytes that are read from a mark."""
-ADVICE = 'remove the link; to execute runs elsewhere, write in sierra.toml: [store] work = "PATH"'
+ADVICE = 'remove the link; to execute runs elsewhere, write in sierra.toml: [store] work_folder = "PATH"'
 
 
 def identity(store: StorePaths) -> str:

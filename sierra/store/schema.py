@@ -141,7 +141,7 @@ RECORDED = {
             ("attempt", ID, "the attempt's id"),
             ("session", ID, "the asking that it was for"),
             ("batch", ID, "the batch"),
-            ("element", INT, "the element: it has every n-th run of the asking"),
+            ("array_task", INT, "the index of the array task: it has every n-th run of the session"),
             ("scheduler", TEXT, "what started it, with its version"),
             ("job", TEXT, "the scheduler's id of the job, or of this task of it"),
             ("node", TEXT, "host name of the node"),

@@ -55,7 +55,7 @@ def main() -> None:
         return
     with clusters.folder() as folder, clusters.Slurm(folder, nodes=1, cpus=2) as cluster:
         os.environ.update(cluster.environment, XDG_CACHE_HOME=str(folder / "cache"))
-        asked(clustered(folder / "first", "elements = 1\ncpus = 2\n"), 4)  # a day's first batch has nodes looked at before
+        asked(clustered(folder / "first", "array_tasks = 1\ncpus = 2\n"), 4)  # a day's first batch has nodes looked at before
         if arguments.slow:
             many(folder, 100 * arguments.runs)
             return
@@ -69,7 +69,7 @@ def main() -> None:
 def packed(folder: Path, runs: int) -> None:
     """A batch of runs that do nothing, on two slots, against one job that loops over them."""
     for elements, cpus in ((1, 2), (2, 1)):
-        here = clustered(folder / f"{elements}x{cpus}", f"elements = {elements}\ncpus = {cpus}\n")
+        here = clustered(folder / f"{elements}x{cpus}", f"array_tasks = {elements}\ncpus = {cpus}\n")
         taken = [(*asked(here, runs), *(looped(folder, script, runs) for script in (LOOP, BARE))) for _ in range(TIMES)]
         ours, whole, loop, bare = (statistics.median(times) for times in zip(*taken, strict=True))
         say(f"{runs} runs of true, {elements} x {cpus} cores / xargs -P2, with folders", ours, loop, "at most 1.5")

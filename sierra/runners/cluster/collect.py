@@ -314,7 +314,7 @@ class Collector:
             "attempt": begun.attempt,
             "session": self._session.root.name,
             "batch": self._made.batch,
-            "element": track.element,
+            "array_task": track.element,
             "scheduler": self._made.version,
             "job": begun.job,
             "node": begun.node,

@@ -66,7 +66,7 @@ class Estimate:
     scheduler: str
     """Name of the scheduler, with its version if that is known."""
     runs: int
-    elements: int
+    array_tasks: int
     longest: int
     """Number of runs of the largest element."""
     cpus: int
@@ -118,7 +118,7 @@ def propose(
         runner=name,
         scheduler=version or scheduler,
         runs=count,
-        elements=sized.elements,
+        array_tasks=sized.elements,
         longest=math.ceil((count - len(sized.first)) / sized.elements),
         cpus=table.cpus,
         wall_s=sized.wall_s,
@@ -145,7 +145,7 @@ def _site(scheduler: str, table: ClusterTable, notes: list[str]) -> tuple[str | 
 
 def _settings(sized: Size, times: Times | None, table: ClusterTable, bounds: Bounds) -> list[Setting]:
     """Return all requested settings, and the site's limits."""
-    values: dict[str, float | None] = {"elements": sized.elements, "wall": sized.wall_s}
+    values: dict[str, float | None] = {"array_tasks": sized.elements, "wall": sized.wall_s}
     found = [Setting(name, values.get(name), why) for name, why in sized.why]
     if times:
         took = f"{min(times.each):.3g} to {max(times.each):.3g} s, {times.mean:.3g} s in the mean"

@@ -76,4 +76,4 @@ def _device(folder: Path) -> int:
 
 def _told(table: ClusterTable) -> object:
     """Return the settings of a cluster's table that affect which nodes are used and what they offer."""
-    return json.loads(table.model_dump_json(exclude={"elements", "attempts", "wall", "cancelled"}))
+    return json.loads(table.model_dump_json(exclude={"array_tasks", "attempts", "wall", "cancelled"}))

@@ -5,7 +5,7 @@ may come. So one procedure handles two copies of a task, a requeue, a lost node,
 unreachable controller and a submitting process that was killed: read what is recorded, ask what is alive, and submit again what
 is missing.
 
-If somebody other than SIERRA cancels an element, the session ends, unless the project sets `cancelled = "again"`. An element
+If somebody other than SIERRA cancels an element, the session ends, unless the project sets `cancelled = "resubmit"`. An element
 that has executed all of its runs is never cancelled.
 
 An element that is gone while runs are missing is submitted again as long as it makes progress. If it ends `attempts` times in a
@@ -477,7 +477,7 @@ class Cluster:
         more = "" if sure or self._table.wall is not None else unknown
         self._note(
             f"{job} was cancelled, and not by SIERRA{more} ({what}): all of the session ends now; ask again to execute what is "
-            f'missing, or set cancelled = "again" in {table}'
+            f'missing, or set cancelled = "resubmit" in {table}'
         )
         self.stop()
 

@@ -50,13 +50,13 @@ def size(count: int, times: Times | None, table: ClusterTable, bounds: Bounds, *
     if table.wall is not None and bounds.wall_s is not None and table.wall > bounds.wall_s:
         where = bounds.whose.get("wall_s", "the site's")
         raise ConfigError(f"wall = {table.wall:g} s is more than the site allows, {bounds.wall_s:g} s ({where}); ask for less")
-    first = _first(count, times) if waits and table.elements is None and count > UNKNOWN else ()
+    first = _first(count, times) if waits and table.array_tasks is None and count > UNKNOWN else ()
     seconds, how = (times.mean, times.how) if times else (None, "")
     elements, why = elements_of(count - len(first), seconds, table, bounds, before=bool(first), how=how)
     expected = longest(times.each, elements, table.cpus) if times else None
     spare = SPARE_OF_ESTIMATE if times and times.new else SPARE
     wall, told = _wall(expected, spare, table, bounds, waits=waits)
-    return Size(elements, wall, expected, (("elements", why), ("wall", told)), first)
+    return Size(elements, wall, expected, (("array_tasks", why), ("wall", told)), first)
 
 
 def longest(each: Sequence[float], elements: int, cpus: int) -> float:
@@ -93,8 +93,8 @@ def _whose(bounds: Bounds, name: str) -> str:
 
 
 def _elements(count: int, seconds: float | None, table: ClusterTable, how: str) -> tuple[int, str]:
-    if table.elements is not None:
-        return min(table.elements, count), "as sierra.toml says" if table.elements <= count else "there are no more runs"
+    if table.array_tasks is not None:
+        return min(table.array_tasks, count), "as sierra.toml says" if table.array_tasks <= count else "there are no more runs"
     if seconds is None:
         return min(UNKNOWN, count), "nobody knows yet how long runs take"
     wanted = math.ceil(count * seconds / table.cpus / ELEMENT_S)

@@ -35,7 +35,7 @@ def _meaning(words: str, means: str, *settings: str) -> Meaning:
 SLURM = (
     _meaning(r"DependencyNeverSatisfied", "the small task that tries nodes out has not ended well"),
     _meaning(r"JobHeldAdmin", "an administrator holds it"),
-    _meaning(r"accounting/QOS policy", "it allows less", *PLACE, *SIZE, "wall", "elements"),
+    _meaning(r"accounting/QOS policy", "it allows less", *PLACE, *SIZE, "wall", "array_tasks"),
     _meaning(r"memory specification|MaxMemPerLimit", "no node has so much memory", "partition", "memory"),
     _meaning(r"PartitionTimeLimit|time limit is invalid", "the partition does not allow so much time", "partition", "wall"),
     _meaning(
@@ -55,7 +55,7 @@ SLURM = (
     _meaning(r"qos", "no quality of service of yours", "qos", "account"),
     _meaning(r"BadConstraints|feature", "no node has these features", "constraint"),
     _meaning(r"generic resource|gres|gpu", "no node has such processors", "gpus", "partition"),
-    _meaning(r"job array", "so long an array is not allowed", "elements"),
+    _meaning(r"job array", "so long an array is not allowed", "array_tasks"),
     _meaning(r"licen[sc]e|reservation|option|wckey|cluster", "what the directives say", *DIRECTIVES),
 )
 PBS = (
@@ -63,11 +63,11 @@ PBS = (
     _meaning(r"unauthori[sz]ed|not authori[sz]ed|access .*denied|no permission", "not open to you", "partition", "account"),
     _meaning(r"account", "not an account of yours", "account"),
     _meaning(r"walltime", "not so much time", "partition", "wall"),
-    _meaning(r"-J value|array", "such an array is not allowed", "elements"),
+    _meaning(r"-J value|array", "such an array is not allowed", "array_tasks"),
     _meaning(
         r"resource limits|can never run|enough total nodes|feasible|cannot satisfy|too many|exceeds",
         "no node, or no place in the queue, has all of that",
-        *("partition", *SIZE, "wall", "elements"),
+        *("partition", *SIZE, "wall", "array_tasks"),
     ),
     _meaning(r"unknown resource|illegal attribute|option", "no such thing here", "gpus", "constraint", *DIRECTIVES),
 )
