@@ -69,7 +69,7 @@ def test_attempts_say_where_and_with_what_runs_were_executed(tmp_path: Path, slu
     root = projects.make(tmp_path / "project", projects.CONFIG + CLUSTER + "cpus = 2\nmemory = '100 MB'\n")
     assert projects.quick(root, "run", "population_size.Log8", "--on", "slurm").returncode == 0
     found = rows(sierra.open(root), "SELECT * FROM attempts ORDER BY array_task")
-    assert [row["element"] for row in found] == [0, 1, 2]
+    assert [row["array_task"] for row in found] == [0, 1, 2]
     assert [row["runs"] for row in found] == [3, 3, 2]
     for row in found:
         assert row["scheduler"].startswith("slurm ")

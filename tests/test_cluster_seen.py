@@ -142,7 +142,7 @@ def test_show_says_where_runs_were_executed_and_how_often_that_was_cut_off(waiti
     done = waiting.project.end_of(asking)
     assert done.returncode == 0, done.stderr
     shown = json.loads(waiting.project.quick("show", waiting.batch(), "--json").stdout)["attempts"]
-    assert [(one["element"], one["state"]) for one in shown] == [(0, "cut off"), *((n, "finished") for n in range(3))]
+    assert [(one["array_task"], one["state"]) for one in shown] == [(0, "cut off"), *((n, "finished") for n in range(3))]
     [execution] = waiting.project.sql(
         "SELECT run, execution FROM executions JOIN attempts a USING (attempt) WHERE a.array_task = 0 ORDER BY run LIMIT 1"
     )

@@ -63,8 +63,8 @@ def sent(project: Simulated) -> list[list[int]]:
 
 def elements(project: Simulated) -> dict[int, int]:
     """The runs of each element, as they were executed."""
-    rows = project.sql("SELECT array_task, sum(runs) AS runs FROM attempts GROUP BY element ORDER BY array_task")
-    return {row["element"]: int(row["runs"]) for row in rows}
+    rows = project.sql("SELECT array_task, sum(runs) AS runs FROM attempts GROUP BY array_task ORDER BY array_task")
+    return {row["array_task"]: int(row["runs"]) for row in rows}
 
 
 def is_whole(project: Simulated) -> None:
