@@ -26,11 +26,11 @@ if TYPE_CHECKING:
     from sierra.containers.images import Contents, Image
     from sierra.containers.images.listing import Known
     from sierra.design.experiments import Heed
-    from sierra.execution.execute import Summary
     from sierra.execution.executor import RunOptions
     from sierra.execution.observer import Observer
     from sierra.execution.plans import Plan
     from sierra.execution.status import Standing
+    from sierra.execution.summary import Summary
     from sierra.execution.takeover import Cancelled
     from sierra.explain.diff.compare import Comparison
     from sierra.explain.why import Why

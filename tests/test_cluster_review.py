@@ -26,7 +26,7 @@ import pytest
 import sierra
 from sierra.config.project_file import ClusterTable
 from sierra.errors import ConfigError, Full, Missing, SierraError
-from sierra.execution.execute import Summary
+from sierra.execution.summary import Summary
 from sierra.execution.observer import Progress
 from sierra.execution.sessions import Session
 from sierra.project import Project

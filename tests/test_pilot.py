@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 import sierra
-from sierra.execution.execute import Summary
+from sierra.execution.summary import Summary
 from sierra.runners.cluster import calibrate, sizing
 from sierra.runners.cluster.result_log import Started
 from tests.batches import packed

@@ -20,7 +20,7 @@ from hypothesis import strategies as st
 
 import sierra
 from sierra.errors import QueryError
-from sierra.execution.execute import Summary
+from sierra.execution.summary import Summary
 from sierra.ingest.model import Reading, Shape, Written
 from sierra.ingest.read import read
 from sierra.ingest.recorder import Recorder

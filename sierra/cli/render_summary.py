@@ -11,8 +11,8 @@ import typer
 from sierra.errors import Missing
 
 if TYPE_CHECKING:
-    from sierra.execution.execute import Summary
     from sierra.execution.status import Standing
+    from sierra.execution.summary import Summary
     from sierra.project import Project
 
 COUNTED = ("runs", "succeeded", "failed")

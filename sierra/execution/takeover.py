@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 from sierra.errors import Missing, NotFound, SierraError
-from sierra.execution import listing, sessions
+from sierra.execution import sessions, summary
 from sierra.execution.attach import Attached, attach
-from sierra.execution.execute import SHOWN_REASONS, Counted, Failure, Summary
 from sierra.execution.observer import Observer, Relay, Tally
 from sierra.execution.sessions import Session
 from sierra.execution.status import Standing, counted, named, submitted
+from sierra.execution.summary import Summary
 from sierra.runners import schedulers
 from sierra.runners.cluster import submission
 from sierra.runners.cluster.submission import Submission
@@ -66,7 +64,15 @@ def follow(store: Store, prefix: str, observer: Observer) -> Summary:
         left += [row.session] if told[-1].left else []
     if not told:
         raise SierraError("; ".join(busy))
-    return _summary(store, rows[0].batch, told, left, busy)
+    return summary.of_recorded(
+        store,
+        rows[0].batch,
+        executed=sum(one.executed for one in told),
+        failed=sum(one.failed for one in told),
+        interrupted=told[-1].interrupted,
+        detached=tuple(left),
+        notes=(*busy, *(note for one in told for note in one.notes)),
+    )
 
 
 def cancel(store: Store, prefix: str, observer: Observer) -> list[Cancelled]:
@@ -98,40 +104,6 @@ def _tally(store: Store, row: Standing, observer: Observer) -> Tally:
     """Return the tally of one session; runs that are recorded count as reused."""
     before, failed = counted(store, [row.session])[row.session]
     return Tally(observer, row.runs, before, failed)
-
-
-def _summary(store: Store, batch: str, told: list[Attached], left: list[str], busy: list[str]) -> Summary:
-    """Return the state of a batch as the summary of a session."""
-    shown = listing.show(store, batch)
-    counts = tuple(
-        Counted({axis: row[axis] for axis in shown["axes"]}, row["runs"], row["succeeded"], row["failed"])
-        for row in shown["experiments"]
-    )
-    good, failed = sum(one.succeeded for one in counts), sum(one.failed for one in counts)
-    executed = sum(one.executed for one in told)
-    return Summary(
-        batch=batch,
-        query=shown["sessions"][-1]["query"] if shown["sessions"] else shown["query"],
-        experiments=len(shown["experiments"]),
-        runs=shown["runs"],
-        executed=executed,
-        reexecuted=0,
-        reused=max(0, good - executed + sum(one.failed for one in told)),
-        failed=failed,
-        missing=max(0, shown["runs"] - good - failed),
-        interrupted=told[-1].interrupted,
-        detached=tuple(left),
-        counts=counts,
-        failures=tuple(_failure(store, row) for row in shown["failures"][:SHOWN_REASONS]),
-        notes=tuple(dict.fromkeys((*busy, *(note for one in told for note in one.notes)))),
-    )
-
-
-def _failure(store: Store, row: Mapping[str, Any]) -> Failure:
-    [last] = store.rows("SELECT status, log_tail FROM executions WHERE run = $r ORDER BY lamport DESC LIMIT 1", r=row["run"])
-    return Failure(
-        row["runs"], last["status"], row["reason"], row["run"], row["values"], row["number"], last["log_tail"] or None
-    )
 
 
 def _cancel(store: Store, row: Standing, observer: Observer) -> Cancelled:
