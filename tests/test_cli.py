@@ -447,7 +447,7 @@ def test_on_a_terminal_ids_are_short_and_tables_no_wider_than_it(
     table = said.partition("\nsessions:\n")[2].partition("\n\n")[0].splitlines()
     assert max(map(len, table)) <= 80
     assert "in --json)" in table[-1]
-    spec = said.partition("\nrecipe:\n")[2].partition("\n\n")[0].splitlines()
+    spec = said.partition("\nspec:\n")[2].partition("\n\n")[0].splitlines()
     assert max(len(line) for line in spec if len(line.split()) > 2) <= 80
     assert any(line.startswith(" " * 13 + '"') for line in spec), "a long value goes on below its beginning"
 

@@ -233,7 +233,7 @@ def test_another_image_makes_runs_new_and_its_packages_are_named(root: Path, bat
     text = explained(root)
     assert "the image was ../new.tar (sha256:" in text
     assert "other packages in it: libc6 2.36-10 → 2.36-9 (dpkg), zlib 3 gone (dpkg), tzdata 1 new (dpkg)" in text
-    assert sierra.open(root).why(batches["new"]).again[1].startswith("the image was ")
+    assert sierra.open(root).why(batches["new"]).next_run[1].startswith("the image was ")
 
 
 def test_why_tells_what_is_other_in_the_image(root: Path, batches: Mapping[str, str]) -> None:

@@ -48,7 +48,7 @@ def test_runs_that_were_executed_again_without_a_replay_are_found_too(tmp_path: 
     config = project.root / "sierra.toml"
     config.write_text(config.read_text().replace("[outputs.swarm]", "[outputs.other]"))
     again = sierra.open(project.root).run("population_size=1", figures=False)
-    assert (again.batch, again.executed, again.again) == (batch, 2, 2)
+    assert (again.batch, again.executed, again.reexecuted) == (batch, 2, 2)
     assert [row["nondeterministic"] for row in project.batches] == [2]
     assert [row["verdict"] for row in project.show(batch)["nondeterminism"]] == [None, None]
 
@@ -61,7 +61,7 @@ def test_other_programs_are_no_lack_of_determinism(tmp_path: Path) -> None:
     project = sierra.open(root)
     project.run("population_size=1", figures=False)
     program.write_text("#!/bin/sh\nprintf 'tick,v\\n0,2\\n' > out.csv\n")
-    assert project.run("population_size=1", figures=False).again == 2
+    assert project.run("population_size=1", figures=False).reexecuted == 2
     assert [row["nondeterministic"] for row in project.batches] == [0]
 
 

@@ -182,7 +182,7 @@ def _event(
 
 def _began(rows: Sequence[Mapping[str, Any]], judged: Mapping[str, Any] | None) -> datetime | None:
     """Return the time of the first action of a session without a record."""
-    return min((row["started"] for row in rows), default=judged["all_judgements"] if judged else None)
+    return min((row["started"] for row in rows), default=judged["judged_at"] if judged else None)
 
 
 def _more(snapshot: Snapshot) -> dict[str, list[str]]:

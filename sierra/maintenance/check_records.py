@@ -280,7 +280,7 @@ def _results(records: Records) -> Iterator[Finding]:
     bad = []
     for execution, result, members in records.each(RESULTS.format(executions=records.raw("executions"))):
         odd = any("\\" in member for member in members or ())  # a name that is not UTF-8 was sorted by its bytes
-        preimage = {"sierra": "result", "format": 1, "batch_runs": members or []}
+        preimage = {"sierra": "result", "format": 1, "members": members or []}
         if not odd and sha256(canonical_plain(preimage)) != result:
             bad.append(execution)
     if bad := _unless_broken(records, bad):
