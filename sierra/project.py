@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from sierra.maintenance.remove import Removal
     from sierra.maintenance.repair import Repair
     from sierra.provenance.source.sharing import Shared
+    from sierra.query.request import QueryRequest
     from sierra.replay.verdicts import Replay, Tolerances
     from sierra.runners.cluster.estimate import Estimate
     from sierra.store.export import Listing, Outcome
@@ -98,9 +99,8 @@ class Project:
 
         A prefix of a recorded batch's id instead of a query plans that batch with the recorded code and inputs.
         """
-        from sierra.design.experiments import deaf
-        from sierra.execution import plans, stored_plan
-        from sierra.explain.changes import respelled
+        from sierra.execution import stored_plan
+        from sierra.query import request as requests
         from sierra.store.store import PREFIX
 
         [word] = query if len(query) == 1 else ("",)
@@ -110,8 +110,16 @@ class Project:
                     f"batch {word} is executed as it was recorded; without --runs, --controller, --scenario, --set"
                 )
             return stored_plan.plan(self._loaded, self.store, word, contained=engine)
-        asked = plans.ask(self._loaded, query, runs=runs, controller=controller, scenario=scenario, sets=sets)
-        plan = plans.plan(self._loaded, asked, engine=engine, heed=heed or deaf)
+        request = requests.request(query, runs=runs, controller=controller, scenario=scenario, sets=sets)
+        return self.resolve(request, engine=engine, heed=heed)
+
+    def resolve(self, request: QueryRequest, *, engine: str | None = None, heed: Heed | None = None) -> Plan:
+        """Return the plan of a query request: see `plan`."""
+        from sierra.design.experiments import deaf
+        from sierra.execution import plans
+        from sierra.explain.changes import respelled
+
+        plan = plans.plan(self._loaded, request, engine=engine, heed=heed or deaf)
         store = self.stored()
         return replace(plan, notes=(*plan.notes, *respelled(plan, store))) if store else plan
 

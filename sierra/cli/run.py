@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections import Counter
 from dataclasses import asdict
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -12,6 +13,7 @@ import typer
 from sierra.cli import complete
 
 if TYPE_CHECKING:
+    from sierra.design.experiments import Heed
     from sierra.execution.plans import Plan
     from sierra.project import Project
 
@@ -25,7 +27,7 @@ def run(
             metavar="QUERY",
             autocompletion=complete.criteria,
             help="Criteria, one for each axis. The name of a query in sierra.toml stands for its own. "
-            "Or the beginning of a batch's id: what is missing of it, with the code of then.",
+            "Or the prefix of a batch's id: its missing runs execute with the recorded code. Or a FILE.json with a request.",
         ),
     ],
     runs: Annotated[int | None, typer.Option("--runs", metavar="N", help="Runs per experiment.")] = None,
@@ -76,6 +78,7 @@ def run(
       sierra run population_size=4 --set "//arena/@size=20"
       sierra run scalability noise=0,0.1 --dry-run --explain
       sierra run 774d
+      sierra run query.json
       sierra run population_size.Log8 --on slurm --detach
       sierra run population_size.Log8 --on slurm --dry-run --explain
     """
@@ -84,17 +87,20 @@ def run(
     from sierra.cli.progress import planning, watching
     from sierra.config import user
     from sierra.query.grammar import setting
+    from sierra.query.request import SUFFIX
 
     project = open_project.project()
-    plan = project.plan(
-        *query,
-        runs=runs,
-        controller=controller,
-        scenario=scenario,
-        sets=[setting(text) for text in sets or ()],
-        engine=engine,
-        heed=planning(agreed=yes, quiet=as_json),
-    )
+    asked: dict[str, Any] = {
+        "runs": runs,
+        "controller": controller,
+        "scenario": scenario,
+        "sets": [setting(text) for text in sets or ()],
+    }
+    heed = planning(agreed=yes, quiet=as_json)
+    if query[0].endswith(SUFFIX):
+        plan = _from_file(project, query, asked, engine=engine, heed=heed)
+    else:
+        plan = project.plan(*query, **asked, engine=engine, heed=heed)
     if not dry_run:
         _check_log(plan)
     told: dict[str, Any] = {}
@@ -126,6 +132,26 @@ def run(
     render_summary.tell(project, summary, more if as_json else None, detached=detach)
 
 
+def _from_file(project: Project, query: list[str], asked: dict[str, Any], *, engine: str | None, heed: Heed) -> Plan:
+    """Return the plan of the request in a file. Print a note if the file names another batch than the request makes now."""
+    from sierra.cli.output import note
+    from sierra.errors import UsageError
+    from sierra.query import request
+    from sierra.util.hashing import short
+
+    if len(query) > 1 or any(asked.values()):
+        raise UsageError(
+            f"{query[0]} is a whole request; give no criteria, --runs, --controller, --scenario or --set beside it"
+        )
+    found = request.read(Path(query[0]))
+    plan = project.resolve(found.request, engine=engine, heed=heed)
+    if found.batch not in (None, plan.batch.id):
+        inside = Path(query[0]).resolve().is_relative_to(project.root)
+        hint = " (the file counts as its code: keep it elsewhere, or let git ignore it)" if inside else ""
+        note(f"the project is not as it was when {query[0]} was written{hint}: that was batch {short(found.batch)}")
+    return plan
+
+
 def _preview(project: Project, plan: Plan, *, explain: bool, as_json: bool) -> dict[str, Any]:
     """Print the runs that would execute, and with `explain` the reasons."""
     from sierra.cli import render_status
@@ -134,6 +160,7 @@ def _preview(project: Project, plan: Plan, *, explain: bool, as_json: bool) -> d
     from sierra.execution.reuse import foreseen
     from sierra.execution.reuse import states as states_of
     from sierra.explain.changes import other_programs, why_new
+    from sierra.query.request import KEY
     from sierra.util.hashing import short
 
     store = project.stored()
@@ -145,6 +172,7 @@ def _preview(project: Project, plan: Plan, *, explain: bool, as_json: bool) -> d
     todo = len(missing) - len(there)
     reasons = Counter(status.ON_CLUSTER if run in there else state.why for run, state in states.items())
     told: dict[str, Any] = {
+        KEY: plan.request.model_dump(mode="json", exclude_defaults=True),
         "batch": plan.batch.id,
         "query": plan.text,
         "experiments": len(plan.batch.experiments),

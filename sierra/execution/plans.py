@@ -17,7 +17,7 @@ from sierra.containers.engines.base import PROJECT, Engine
 from sierra.containers.images import Image
 from sierra.design.expand import Expansion, Files
 from sierra.design.experiments import Heed, deaf, design, mentions
-from sierra.errors import ConfigError, Missing, QueryError, UsageError
+from sierra.errors import ConfigError, Missing, QueryError
 from sierra.execution import commands
 from sierra.execution.checkout import Checkout, programs_in
 from sierra.ingest.context import Context
@@ -26,6 +26,7 @@ from sierra.provenance import environment, referenced_files, source, versions
 from sierra.provenance.change_guard import ChangeGuard, seen
 from sierra.provenance.program import Programs
 from sierra.query import grammar
+from sierra.query.request import QueryRequest
 from sierra.store.layout import CONFIG, DRAWN, FIGURES, LOCK, PYPROJECT, STORE, ProjectPaths, StorePaths
 from sierra.store.schema import RESERVED, check_name
 from sierra.util.text import few
@@ -48,6 +49,7 @@ class Plan:
     """A resolved query with everything that its results depend on, before anything executes."""
 
     project: LoadedProject
+    request: QueryRequest
     query: Query
     text: str
     batch: Batch
@@ -78,23 +80,13 @@ class Plan:
         return Checkout(self.project.root, self.batch.spec, manifest, used, content, mounted)
 
 
-def ask(
-    project: LoadedProject,
-    words: Sequence[str],
-    *,
-    runs: int | None = None,
-    controller: str | None = None,
-    scenario: str | None = None,
-    sets: Sequence[tuple[str, str]] = (),
-) -> Query:
-    """Return the query for these words: criteria, or the name of a query in `sierra.toml`, which stands for its criteria.
+def resolve(project: LoadedProject, request: QueryRequest) -> Query:
+    """Return the query of a request, with the project's defaults; a name of a query in `sierra.toml` stands for its criteria.
 
-    `sets` are pairs of an XPath and a value. Raises QueryError, UsageError.
+    Raises QueryError.
     """
     project.check_written()
-    if runs is not None and runs < 1:
-        raise UsageError(f"{runs} runs per experiment; ask for 1 or more")
-    config = project.config
+    config, words = project.config, request.criteria
     names = [word for word in words if word in config.queries]
     if len(names) > 1:
         raise QueryError(f"{names[0]!r} and {names[1]!r} are queries of their own; ask for one, with more criteria if need be")
@@ -109,22 +101,23 @@ def ask(
     spelled = [part for word in words for part in (named.criteria if named and word in names else (word,))]
     return Query(
         criteria=grammar.parse_all(spelled),
-        runs=runs or (named and named.runs) or config.runs,
-        controller=controller or (named and named.controller) or None,
-        scenario=scenario or (named and named.scenario) or None,
-        sets=tuple(Set(path, value, why=f"--set {path}") for path, value in sets),
+        runs=request.runs or (named and named.runs) or config.runs,
+        controller=request.controller or (named and named.controller) or None,
+        scenario=request.scenario or (named and named.scenario) or None,
+        sets=tuple(Set(one.xpath, one.value, why=f"--set {one.xpath}") for one in request.overrides),
         base_seed=config.seed.base,
     )
 
 
-def plan(project: LoadedProject, asked: Query, *, engine: str | None = None, heed: Heed = deaf) -> Plan:
-    """Resolve a query into a plan. `engine` replaces the project's engine; `heed` receives the progress of planning.
+def plan(project: LoadedProject, request: QueryRequest, *, engine: str | None = None, heed: Heed = deaf) -> Plan:
+    """Resolve a requested query into a plan. `engine` replaces the project's engine; `heed` receives the progress of planning.
 
     Executes nothing, except that it asks a Python for its path, the loader for libraries, and an engine for its image. Writes
     nothing, except that git writes the source's tree.
 
     Raises an error for a mistake in project, query, template, source or programs.
     """
+    query = resolve(project, request)
     config, root = project.config, project.root
     _check_names(project)
     template = templates.read(root / config.template)
@@ -147,7 +140,7 @@ def plan(project: LoadedProject, asked: Query, *, engine: str | None = None, hee
     if box:
         data = isolation.data(data, box, root)
     spec = RunSpec(config.platform, command, variables, code.tree, image.id if image else None, isolation.host_access(box))
-    designed = design(asked, config, platform, template, heed)
+    designed = design(query, config, platform, template, heed)
     expansion = Expansion(designed, template, platform, spec)
     batch = expansion.batch(heed)
     used = programs_in(spec, code.manifest, root, data)
@@ -156,8 +149,9 @@ def plan(project: LoadedProject, asked: Query, *, engine: str | None = None, hee
     uncounted = referenced_files.uncounted(_set_by(designed), root / config.template, root, held, used)
     return Plan(
         project=project,
-        query=asked,
-        text=" ".join(grammar.text(criterion) for criterion in asked.criteria),
+        request=request,
+        query=query,
+        text=" ".join(grammar.text(criterion) for criterion in query.criteria),
         batch=batch,
         inputs=expansion,
         source=code,

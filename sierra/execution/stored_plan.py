@@ -27,6 +27,7 @@ from sierra.provenance import environment
 from sierra.provenance.change_guard import seen
 from sierra.provenance.program import NOTHING
 from sierra.query import grammar
+from sierra.query.request import repeated
 from sierra.store.files import INPUT_FOLDER, Taken, contents, recorded
 from sierra.store.store import Snapshot, Store
 from sierra.util.fs import inside
@@ -193,6 +194,7 @@ def plan(project: LoadedProject, store: Store, prefix: str, *, contained: str | 
     text = last["query"] or row["query"]
     return Plan(
         project=project,
+        request=repeated(row, len(batch.experiments[0].runs)),
         query=Query(
             grammar.parse_all(text.split()),
             len(batch.experiments[0].runs),

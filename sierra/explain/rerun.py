@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Container
-from typing import Any
 
 from sierra.config.project_file import LoadedProject
 from sierra.errors import SierraError
@@ -13,7 +12,7 @@ from sierra.execution.plans import Plan
 from sierra.execution.reuse import foreseen, states
 from sierra.execution.status import ON_CLUSTER, claimed
 from sierra.explain.changes import other_programs, why_other
-from sierra.query import grammar
+from sierra.query.request import repeated
 from sierra.store.store import Store
 from sierra.util.hashing import short
 
@@ -41,6 +40,4 @@ def _runs(count: int) -> str:
 def _plan(project: LoadedProject, store: Store, batch: str) -> Plan:
     [row] = store.rows("SELECT * FROM batches WHERE batch = $b", b=batch)
     [last] = store.rows("SELECT max(number) + 1 AS runs FROM batch_runs WHERE batch = $b", b=batch)
-    asked: dict[str, Any] = {name: row[name] for name in ("controller", "scenario") if name not in row["axes"]}
-    sets = [grammar.setting(text) for text in row["overrides"]]
-    return plans.plan(project, plans.ask(project, row["query"].split(), runs=last["runs"], sets=sets, **asked))
+    return plans.plan(project, repeated(row, last["runs"]))

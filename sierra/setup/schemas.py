@@ -16,12 +16,16 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
+from pydantic import TypeAdapter
+
 from sierra.config.project_file import Project
 from sierra.platforms.base import SHIPPED
+from sierra.query.request import QueryRequest, RequestFile
 from sierra.store.schema import DERIVED, RECORDED, Table, sql
 from sierra.util import entry_points
 
 TOML = "sierra.toml.schema.json"
+QUERY = "query.schema.json"
 STORE = "store.sql"
 WIDTH = 118
 INTRODUCTION = """\
@@ -219,6 +223,13 @@ def json_schema() -> Mapping[str, Any]:
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": "sierra.toml", **schema}
 
 
+def query_schema() -> str:
+    """Return the JSON Schema of the file that `sierra run FILE.json` takes: a request, alone or in the JSON of a dry run."""
+    either = TypeAdapter(QueryRequest | RequestFile).json_schema()
+    whole = {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": "query.json", **either}
+    return json.dumps(whole, indent=2, ensure_ascii=False) + "\n"
+
+
 def toml_schema() -> str:
     """Return the JSON Schema of `sierra.toml` as text."""
     return json.dumps(json_schema(), indent=2, ensure_ascii=False) + "\n"
@@ -236,7 +247,7 @@ def tables() -> Mapping[str, Table]:
 
 def generated() -> Mapping[str, str]:
     """Return the content of the files of `schemas/`, by name."""
-    return {TOML: toml_schema(), STORE: sql()}
+    return {TOML: toml_schema(), QUERY: query_schema(), STORE: sql()}
 
 
 def write(folder: Path) -> None:

@@ -4,7 +4,7 @@
 .sierra/work/mark           the id of the store that owns these sessions
 .sierra/work/<session>/     a session: its name has 16 hexadecimal digits, and the process that made it signed `owner.0`
     elsewhere               the path of the folder where its runs execute, if it is not this one
-PATH/<id>/mark              the id of the store that executes runs here; `PATH` is `[store] work_folder`; many stores may share it
+PATH/<id>/mark              the id of the store that executes runs here; `PATH` is `[store] work_folder`, for many stores
 PATH/<id>/<session>/mark    the id of the session
 
 Stores that are older than marks get them when something executes next. A work folder that is a symbolic link may lead

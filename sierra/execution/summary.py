@@ -1,0 +1,191 @@
+"""Summaries: the state of a batch after a session, counted from the store."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from collections.abc import Set as AbstractSet
+from dataclasses import dataclass
+from typing import Any
+
+from sierra.execution import listing
+from sierra.execution.plans import Plan, out_of_reach
+from sierra.model import Batch
+from sierra.store.store import Store
+
+SHOWN_REASONS = 10
+
+
+@dataclass(frozen=True, slots=True)
+class Failure:
+    """Runs without a successful execution that share one reason; with the first of these runs and the end of its log."""
+
+    count: int
+    status: str
+    reason: str
+    run: str
+    experiment: Mapping[str, Any]
+    number: int
+    log: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class Counted:
+    """One experiment of the batch: its values, and the numbers of its runs, successful runs and failed runs."""
+
+    values: Mapping[str, Any]
+    runs: int
+    succeeded: int
+    failed: int
+
+
+@dataclass(frozen=True, slots=True)
+class Summary:
+    """Result of a query's execution. `failed` and `missing` are numbers of runs without a successful execution."""
+
+    batch: str
+    query: str
+    experiments: int
+    runs: int
+    executed: int
+    reexecuted: int
+    """Number of executed runs that had been executed before."""
+    reused: int
+    failed: int
+    missing: int
+    interrupted: bool
+    awaited: int = 0
+    """Number of the reused runs that another session executed at the same time."""
+    reevaluated: int = 0
+    """Number of runs that were not executed but evaluated again, because [outputs] or [success] have changed."""
+    detached: tuple[str, ...] = ()
+    """Ids of sessions on a cluster that continue without this process."""
+    counts: tuple[Counted, ...] = ()
+    """Numbers of runs by experiment, in the batch's order."""
+    failures: tuple[Failure, ...] = ()
+    """Failures by reason, most frequent first; at most `SHOWN_REASONS`."""
+    notes: tuple[str, ...] = ()
+    figures: tuple[str, ...] = ()
+    figure_error: str | None = None
+    """Reason why no figure could be written (a full disk, a file in the way); the results themselves are recorded."""
+
+
+def of_session(
+    plan: Plan,
+    store: Store,
+    runs: int,
+    *,
+    executed: AbstractSet[str] = frozenset(),
+    reexecuted: AbstractSet[str] = frozenset(),
+    awaited: AbstractSet[str] = frozenset(),
+    reevaluated: AbstractSet[str] = frozenset(),
+    failed: AbstractSet[str] = frozenset(),
+    missing: AbstractSet[str] = frozenset(),
+    tried: AbstractSet[str] = frozenset(),
+    interrupted: bool = False,
+    detached: tuple[str, ...] = (),
+    notes: tuple[str, ...] = (),
+) -> Summary:
+    """Return the summary of a session that executed some runs.
+
+    The arguments are sets of run ids. Runs that are neither `failed` nor `missing` are successful. Runs that are `missing` were
+    not `executed`. `tried` are the unsuccessful runs that failed, now or earlier.
+    """
+    failures = tuple(_failures(plan, store, failed)) if failed else ()
+    if failures:
+        none_good = len(failed | missing) == runs
+        notes += tuple(out_of_reach(plan, None if none_good else [failure.log or "" for failure in failures]))
+    return Summary(
+        batch=plan.batch.id,
+        query=plan.text,
+        experiments=len(plan.batch.experiments),
+        runs=runs,
+        executed=len(executed),
+        reexecuted=len(reexecuted),
+        reused=runs - len(executed | failed) - len(missing),
+        awaited=len(awaited),
+        reevaluated=len(reevaluated),
+        failed=len(failed),
+        missing=len(missing),
+        interrupted=interrupted,
+        detached=detached,
+        counts=tuple(_counts(plan.batch, failed | missing if failed else missing, tried)),
+        failures=failures,
+        notes=(*plan.notes, *dict.fromkeys(notes)),
+    )
+
+
+def _counts(batch: Batch, bad: AbstractSet[str], tried: AbstractSet[str]) -> Iterator[Counted]:
+    for experiment in batch.experiments:
+        runs = {run.id for run in experiment.runs}
+        yield Counted(experiment.values, len(runs), len(runs - bad), len(runs & tried))
+
+
+REASONS = """
+WITH last AS (
+    SELECT run, arg_max(status, lamport) AS status, coalesce(arg_max(reason, lamport), '') AS reason,
+           nullif(arg_max(coalesce(log_tail, ''), lamport), '') AS log
+    FROM executions JOIN failed USING (run) GROUP BY run
+)
+SELECT count(*), arg_min(status, place), reason, arg_min(run, place), arg_min(log, place)
+FROM last JOIN failed USING (run) GROUP BY reason ORDER BY count(*) DESC, min(place) LIMIT $most
+"""
+
+
+def _failures(plan: Plan, store: Store, failed: AbstractSet[str]) -> Iterator[Failure]:
+    """Yield the failures of a batch by reason."""
+    import pyarrow as pa
+
+    ordered = [run for run in plan.batch.runs if run.id in failed]
+    places = {run.id: run for run in reversed(ordered)}
+    with store.snapshot() as snapshot:
+        snapshot.register("failed", pa.table({"run": list(places), "place": range(len(places), 0, -1)}))
+        snapshot.views.make(("executions",))
+        for count, status, reason, run, log in snapshot.run(REASONS, {"most": SHOWN_REASONS}):
+            first = places[run]
+            values = plan.batch.experiments[first.experiment].values
+            yield Failure(count, status, reason, run, values, first.number, log)
+
+
+def of_recorded(
+    store: Store,
+    batch: str,
+    *,
+    executed: int,
+    failed: int,
+    interrupted: bool,
+    detached: tuple[str, ...],
+    notes: tuple[str, ...],
+) -> Summary:
+    """Return the summary of a recorded batch after some of its runs were followed on a cluster.
+
+    `executed` is the number of runs that ended meanwhile; `failed` of these failed.
+    """
+    shown = listing.show(store, batch)
+    counts = tuple(
+        Counted({axis: row[axis] for axis in shown["axes"]}, row["runs"], row["succeeded"], row["failed"])
+        for row in shown["experiments"]
+    )
+    succeeded, unsuccessful = sum(one.succeeded for one in counts), sum(one.failed for one in counts)
+    return Summary(
+        batch=batch,
+        query=shown["sessions"][-1]["query"] if shown["sessions"] else shown["query"],
+        experiments=len(shown["experiments"]),
+        runs=shown["runs"],
+        executed=executed,
+        reexecuted=0,
+        reused=max(0, succeeded - executed + failed),
+        failed=unsuccessful,
+        missing=max(0, shown["runs"] - succeeded - unsuccessful),
+        interrupted=interrupted,
+        detached=detached,
+        counts=counts,
+        failures=tuple(_failure(store, row) for row in shown["failures"][:SHOWN_REASONS]),
+        notes=tuple(dict.fromkeys(notes)),
+    )
+
+
+def _failure(store: Store, row: Mapping[str, Any]) -> Failure:
+    [last] = store.rows("SELECT status, log_tail FROM executions WHERE run = $r ORDER BY lamport DESC LIMIT 1", r=row["run"])
+    return Failure(
+        row["runs"], last["status"], row["reason"], row["run"], row["values"], row["number"], last["log_tail"] or None
+    )

@@ -1,0 +1,99 @@
+"""Query requests: research queries as programs and files hand them in.
+
+`sierra run FILE.json` reads one, the JSON of a dry run contains one, and a recorded batch is repeated from one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, Field, PositiveInt, ValidationError
+
+from sierra.errors import Missing, UsageError
+from sierra.query.grammar import setting
+
+SUFFIX = ".json"
+KEY = "request"
+"""The key of a request in the JSON of a dry run."""
+
+
+class _Model(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class Override(_Model):
+    """A value that is set in the template of all runs."""
+
+    xpath: str = Field(min_length=1, description="XPath 1.0 of the attributes or elements")
+    value: str = Field(description="the new value; may contain {expressions}")
+
+
+class QueryRequest(_Model):
+    """A research query: criteria, and the settings that all experiments share."""
+
+    criteria: tuple[str, ...] = Field(min_length=1, description="a criterion for each axis, or names of queries in sierra.toml")
+    runs: PositiveInt | None = Field(None, description="runs per experiment; the project's number if absent")
+    controller: str | None = Field(None, description="name of the controller; the project's if absent")
+    scenario: str | None = Field(None, description="name of the scenario; the project's if absent")
+    overrides: tuple[Override, ...] = Field((), description="values that are set in the template of all runs")
+
+
+class RequestFile(BaseModel):
+    """A file with a request: the JSON of a dry run. Other keys are ignored."""
+
+    model_config = ConfigDict(frozen=True, title="query.json")
+
+    request: QueryRequest = Field(description="the query")
+    batch: str | None = Field(None, description="id of the batch that the query expanded to")
+
+
+def request(
+    criteria: Iterable[str],
+    *,
+    runs: int | None = None,
+    controller: str | None = None,
+    scenario: str | None = None,
+    sets: Iterable[tuple[str, str]] = (),
+) -> QueryRequest:
+    """Return a request; `sets` are pairs of XPath and value. Raises UsageError."""
+    if runs is not None and runs < 1:
+        raise UsageError(f"{runs} runs per experiment; request 1 or more")
+    return QueryRequest(
+        criteria=tuple(criteria),
+        runs=runs,
+        controller=controller,
+        scenario=scenario,
+        overrides=tuple(Override(xpath=path, value=value) for path, value in sets),
+    )
+
+
+def repeated(row: Mapping[str, Any], runs: int) -> QueryRequest:
+    """Return the request that repeats a recorded batch, from its row of `batches` and the number of runs per experiment."""
+    named = {name: row[name] for name in ("controller", "scenario") if name not in row["axes"]}
+    return request(row["query"].split(), runs=runs, sets=map(setting, row["overrides"]), **named)
+
+
+def read(path: Path) -> RequestFile:
+    """Return the request in a JSON file, alone or in the JSON of a dry run. Raises Missing, UsageError."""
+    try:
+        text = path.read_bytes()
+    except OSError as error:
+        raise Missing(f"{path}: cannot be read: {error.strerror}") from error
+    try:
+        return RequestFile.model_validate_json(text)
+    except ValidationError as error:
+        if any(one["loc"][:1] == (KEY,) and one["type"] != "missing" for one in error.errors()):
+            raise UsageError(f"{path}: {_reason(error)}") from error
+    try:
+        return RequestFile(request=QueryRequest.model_validate_json(text), batch=None)
+    except ValidationError as error:
+        raise UsageError(f"{path}: {_reason(error)}") from error
+
+
+def _reason(error: ValidationError) -> str:
+    first = error.errors()[0]
+    place = ".".join(str(part) for part in first["loc"])
+    more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
+    return f"{place}: {first['msg'].lower()}{more}" if place else f"{first['msg'].lower()}{more}"
