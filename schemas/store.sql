@@ -121,7 +121,7 @@ CREATE TABLE isolations (
     "network" VARCHAR,  -- none, host, or not isolated where none was asked for and can't be had
     "devices" VARCHAR[],  -- devices of the host that runs could use; gpu for NVIDIA's
     "mounts" VARCHAR,  -- files and folders of the host that runs could read, as JSON: path inside, path outside
-    "limits_requested" VARCHAR,  -- limits that the engine was to enforce, as JSON: memory in bytes, cpus, pids
+    "limits_asked" VARCHAR,  -- limits that the engine was to enforce, as JSON: memory in bytes, cpus, pids
     "limits_enforced" VARCHAR,  -- those that it does enforce here; others are ignored, but for memory: the worker watches over it
     "argv" VARCHAR[]  -- the command that starts a container, but for what is a run's own
 );

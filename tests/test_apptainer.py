@@ -231,7 +231,7 @@ def test_what_an_administrator_gives_to_all_containers_is_not_there(
 def test_limits_that_hold_and_those_that_were_asked_for_are_recorded(tmp_path: Path, busybox: Path) -> None:
     folder = containers.make(tmp_path / "project", busybox, ENGINE, "cpus = 1.0", "pids = 60")
     said = says(folder, *RUN)
-    [row] = rows(folder, "SELECT limits_requested, limits_enforced, rootless FROM isolations")
-    assert row["limits_requested"] == '{"cpus": 1.0, "pids": 60}'
-    assert ("LIMIT IGNORED" in said) == (row["limits_enforced"] != row["limits_requested"])
+    [row] = rows(folder, "SELECT limits_asked, limits_enforced, rootless FROM isolations")
+    assert row["limits_asked"] == '{"cpus": 1.0, "pids": 60}'
+    assert ("LIMIT IGNORED" in said) == (row["limits_enforced"] != row["limits_asked"])
     assert row["rootless"] == (os.geteuid() != 0)

@@ -138,7 +138,7 @@ def test_the_image_and_how_it_was_contained_are_shown(root: Path, batches: Mappi
     isolation = shown["isolation"] if kind == "execution" else shown["isolations"][0]
     assert (isolation["engine"], isolation["version"], isolation["mode"]) == ("podman", "podman 1, runc 1", "run")
     assert isolation["limits_enforced"] == {"cpus": 1.0, "pids": 50}
-    assert isolation["limits_requested"] == {"cpus": 1.0, "memory": 64_000_000, "pids": 50}
+    assert isolation["limits_asked"] == {"cpus": 1.0, "memory": 64_000_000, "pids": 50}
     text = succeed(root, "show", identity)
     for words in (shown["image"]["image"], "2 of dpkg", "COPY old", "nothing beyond it", "one for each run", "cpus 1, pids 50"):
         assert words in text
@@ -233,7 +233,7 @@ def test_another_image_makes_runs_new_and_its_packages_are_named(root: Path, bat
     text = explained(root)
     assert "the image was ../new.tar (sha256:" in text
     assert "other packages in it: libc6 2.36-10 → 2.36-9 (dpkg), zlib 3 gone (dpkg), tzdata 1 new (dpkg)" in text
-    assert sierra.open(root).why(batches["new"]).next_run[1].startswith("the image was ")
+    assert sierra.open(root).why(batches["new"]).next_run.differences[0].startswith("the image was ")
 
 
 def test_why_tells_what_is_other_in_the_image(root: Path, batches: Mapping[str, str]) -> None:

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 import sierra
 from sierra.errors import ConfigError, Missing
 from sierra.execution import reuse
+from sierra.execution.reasons import ChangeReason, Reason
 from sierra.explain import changes
 from sierra.provenance import programs, source
 from sierra.provenance.source.capture import SWHID, Source
@@ -321,8 +322,8 @@ def test_changed_programs_execute_again_and_the_reason_is_told(tmp_path: Path) -
     assert project.run("n=1", figures=False).reused == 2
     program(Path(simulator), "#!/bin/sh\necho v > out.csv; echo 2 >> out.csv\n")
     planned = project.plan("n=1")
-    whys = {state.why for state in reuse.states(planned, project.store).values()}
-    assert whys == {"executed with other programs"}
+    whys = {state.change for state in reuse.states(planned, project.store).values()}
+    assert whys == {Reason(ChangeReason.PROGRAMS)}
     assert project.run("n=1", figures=False).executed == 2
     assert project.sql("SELECT DISTINCT v FROM out").column(0).to_pylist() == [2]
 

@@ -99,7 +99,7 @@ def test_a_failure_is_why_it_was_executed_again(root: Path, tmp_path: Path) -> N
     )
     batch = ask(root)
     said = why(root, batch)
-    assert [(one["runs"], one["reason"]) for one in said["effective"]] == [(4, "none is good; the last one: exit status 3")]
+    assert [(one["runs"], one["reason"]) for one in said["effective"]] == [(4, "no execution succeeded; the last one: exit status 3")]
     assert said["next_run"] == ["4 runs: failed: exit status 3"]
     flag.unlink()
     ask(root)
@@ -131,9 +131,9 @@ def test_a_good_execution_with_other_programs_than_were_last_asked_for_is_stale(
     (root.parent / "sim").write_text("#!/bin/sh\nexit 1\n")
     ask(root, "population_size=1", runs=1)
     [standing] = why(root, batch)["effective"]
-    assert not standing["counts"]
+    assert not standing["is_effective"]
     assert standing["reason"].startswith(
-        "stale: the last good one was executed otherwise than the batch was last asked for: sim: "
+        "stale: the last successful execution differs from the batch's last session: sim: "
     )
 
 
@@ -152,7 +152,7 @@ def test_other_rules_are_why_where_the_bytes_are_not_kept(root: Path) -> None:
     batch = ask(root, "population_size=1")
     (root / "sierra.toml").write_text(projects.CONFIG + '[success]\nmarker = "swarm.csv"\ncontains = "coverage"\n')
     assert ask(root, "population_size=1") == batch
-    assert causes(why(root, batch))[1].startswith("judged by other rules before: [outputs] and [success]: ")
+    assert causes(why(root, batch))[1].startswith("evaluated by other rules before: [outputs] and [success]: ")
 
 
 def test_a_finding_is_why(root: Path) -> None:
@@ -187,7 +187,7 @@ def test_a_project_that_cannot_be_asked_any_more_says_why(root: Path) -> None:
     batch = ask(root)
     (root / "arena.xml").unlink()
     [line] = why(root, batch)["next_run"]
-    assert line.startswith("cannot be asked again as it is: ")
+    assert line.startswith("the query cannot be repeated as it is: ")
     assert "arena.xml" in line
 
 
@@ -199,8 +199,8 @@ def test_what_was_set_is_asked_for_again_as_it_was(root: Path) -> None:
 def test_people_read_it_too(root: Path) -> None:
     batch = ask(root)
     said = projects.quick(root, "why", batch).stdout
-    assert "asked (batch" in said
+    assert "submitted (batch" in said
     assert "4 runs executed, 0 reused" in said
-    assert "asking again now:\n  4 runs: reused" in said
+    assert "if the query is repeated now:\n  4 runs: reused" in said
     ended = projects.quick(root, "why", "ffff")
     assert (ended.returncode, ended.stdout, ended.stderr.count("\n")) == (2, "", 1)

@@ -156,12 +156,15 @@ def _preview(project: Project, plan: Plan, *, explain: bool, as_json: bool) -> d
     """Print the runs that would execute, and with `explain` the reasons."""
     from sierra.cli import render_status
     from sierra.cli.output import table
+    from sierra.cli.render_reasons import PREVIEW, text
     from sierra.execution import status
+    from sierra.execution.reasons import ChangeReason, Reason
     from sierra.execution.reuse import foreseen
     from sierra.execution.reuse import states as states_of
     from sierra.explain.changes import other_programs, why_new
     from sierra.query.request import KEY
     from sierra.util.hashing import short
+    from sierra.util.text import counted
 
     store = project.stored()
     states = foreseen(plan, store, states_of(plan, store))
@@ -170,7 +173,8 @@ def _preview(project: Project, plan: Plan, *, explain: bool, as_json: bool) -> d
     there = missing & status.claimed(store).keys() if store and missing else set()
     now = status.seen(store, there) if store and there else []
     todo = len(missing) - len(there)
-    reasons = Counter(status.ON_CLUSTER if run in there else state.why for run, state in states.items())
+    on_cluster = Reason(ChangeReason.ON_CLUSTER)
+    reasons = Counter(on_cluster if run in there else state.change for run, state in states.items())
     told: dict[str, Any] = {
         KEY: plan.request.model_dump(mode="json", exclude_defaults=True),
         "batch": plan.batch.id,
@@ -182,11 +186,11 @@ def _preview(project: Project, plan: Plan, *, explain: bool, as_json: bool) -> d
         "to_judge": anew,
         "on_clusters": len(there),
         "clusters": [asdict(one) for one in now],
-        "reasons": dict(reasons),
+        "reasons": {text(reason, PREVIEW): count for reason, count in reasons.most_common()},
         "notes": list(plan.notes),
-        "new_because": why_new(plan, store) if explain and reasons["new"] else [],
+        "new_because": why_new(plan, store) if explain and reasons[Reason(ChangeReason.NEW)] else [],
     }
-    if explain and store and reasons["executed with other programs"]:
+    if explain and store and reasons[Reason(ChangeReason.PROGRAMS)]:
         told["other_programs"] = other_programs(plan, store)
     if as_json:
         return told
@@ -199,8 +203,8 @@ def _preview(project: Project, plan: Plan, *, explain: bool, as_json: bool) -> d
     ]
     table([*axes, "runs", "to execute"], rows, right=["runs", "to execute"])
     if explain:
-        for reason, count in reasons.most_common():
-            print(f"{count} runs: {reason}")
+        for reason, number in told["reasons"].items():
+            print(f"{counted(number, 'run')}: {reason}")
         for line in (*told["new_because"], *told.get("other_programs", ())):
             print(f"  {line}")
     else:

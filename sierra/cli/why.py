@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -43,20 +43,28 @@ def why(
 
     answer = project().why(prefix)
     if as_json:
-        print_json(
-            {
-                "kind": answer.found.kind,
-                "id": answer.found.id,
-                **{name: value for name, value in asdict(answer).items() if name != "found"},
-            }
-        )
+        print_json(_answer(answer))
     else:
         _print(answer)
+
+
+def _answer(answer: Why) -> dict[str, Any]:
+    from sierra.cli.render_reasons import EFFECTIVE, HISTORY, next_run, text
+
+    shown = asdict(answer)
+    for event, told in zip(answer.history, shown["history"], strict=True):
+        for cause, row in zip(event.causes, told["causes"], strict=True):
+            row |= {"change": cause.reason.kind, "reason": text(cause.reason, HISTORY)}
+    for one, row in zip(answer.effective, shown["effective"], strict=True):
+        row |= {"change": one.reason.kind, "reason": text(one.reason, EFFECTIVE)}
+    found = shown.pop("found")
+    return {"kind": found["kind"], "id": found["id"], **shown, "next_run": next_run(answer.next_run)}
 
 
 def _print(answer: Why) -> None:
     from sierra.cli import render_status
     from sierra.cli.output import readable
+    from sierra.cli.render_reasons import EFFECTIVE, next_run, text
     from sierra.util.hashing import short
 
     many = f": {_runs(answer.runs)}" if answer.found.kind in ("batch", "experiment") else ""
@@ -75,18 +83,18 @@ def _print(answer: Why) -> None:
         _print_event(event, answer, because=event.batch not in told)
         told.add(event.batch)
     if idle:
-        print(f"asked again {idle} time{'s' * (idle > 1)}: nothing of it was executed")
+        print(f"submitted again {idle} time{'s' * (idle > 1)}: nothing of it was executed")
     if not answer.history:
         print("it was never executed")
-    print("what counts:")
+    print("effective executions:")
     for one in answer.effective[:LINES]:
-        print(f"  batch {short(one.batch)}: {_standing(one)}{readable(one.reason)}")
+        print(f"  batch {short(one.batch)}: {_standing(one)}{readable(text(one.reason, EFFECTIVE))}")
     if len(answer.effective) > LINES:
         print(f"  and {len(answer.effective) - LINES} more (--json has them all)")
     for line in render_status.lines(answer.clusters):
         print(line)
-    print("asking again now:")
-    for line in answer.next_run:
+    print("if the query is repeated now:")
+    for line in next_run(answer.next_run):
         print(f"  {readable(line)}")
 
 
@@ -100,6 +108,7 @@ def _standing(one: EffectiveRuns) -> str:
 
 def _print_event(event: Event, answer: Why, *, because: bool) -> None:
     from sierra.cli.output import cell, readable
+    from sierra.cli.render_reasons import HISTORY, text
     from sierra.util.hashing import short
 
     many = answer.runs > 1
@@ -107,7 +116,7 @@ def _print_event(event: Event, answer: Why, *, because: bool) -> None:
     reused = f", {event.reused} reused" if event.reused is not None and answer.found.kind == "batch" else ""
     counts = f"{_runs(event.executed)} " * many + "executed" + failed * bool(event.failed) + reused
     unended = "" if event.ended else ", and did not come to its end"
-    what = "asked" if event.kind == "session" else event.kind
+    what = "submitted" if event.kind == "session" else event.kind
     print(f"{cell(event.when)} {what} (batch {short(event.batch)}): {counts}{unended}")
     for cause in event.causes[:LINES]:
         which = (
@@ -115,7 +124,7 @@ def _print_event(event: Event, answer: Why, *, because: bool) -> None:
             if many
             else f"execution {short(cause.execution)}"
         )
-        print(f"  {which}: {readable(cause.reason)}")
+        print(f"  {which}: {readable(text(cause.reason, HISTORY))}")
         if cause.new and because:
             for line in answer.new_because.get(event.batch, ()):
                 print(f"    {readable(line)}")

@@ -50,10 +50,10 @@ def other_host_access(was: Sequence[str], now: Sequence[str]) -> list[str]:
 
 def limits(row: Mapping[str, Any]) -> dict[str, dict[str, float]]:
     """Return the limits in a row of `isolations`: all requested ones, divided into enforced, watched and ignored ones."""
-    asked, enforced = (json.loads(row[name]) for name in ("limits_requested", "limits_enforced"))
+    asked, enforced = (json.loads(row[name]) for name in ("limits_asked", "limits_enforced"))
     left = {name: limit for name, limit in asked.items() if name not in enforced}
     return {
-        "limits_requested": asked,
+        "limits_asked": asked,
         "limits_enforced": enforced,
         "limits_watched": {name: limit for name, limit in left.items() if name in WATCHED},
         "limits_ignored": {name: limit for name, limit in left.items() if name not in WATCHED},
@@ -158,7 +158,7 @@ class Isolation:
             "network": "host" if box.network else "none" if able.isolated else "not isolated",
             "devices": [*box.devices, *(["gpu"] if box.gpu else [])],
             "mounts": json.dumps({mount.target: mount.source for mount in mounts}, sort_keys=True),
-            "limits_requested": json.dumps(box.limits, sort_keys=True),
+            "limits_asked": json.dumps(box.limits, sort_keys=True),
             "limits_enforced": json.dumps({name: box.limits[name] for name in sorted(self.enforced)}),
             "argv": [word.replace("\0", "{run}") for word in said.argv],
         }

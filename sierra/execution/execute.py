@@ -15,7 +15,8 @@ from sierra import runners
 from sierra.execution import records, recover
 from sierra.execution.executor import Executor, RunOptions
 from sierra.execution.plans import Plan, context, versioned
-from sierra.execution.reuse import FAILED, is_answered, states
+from sierra.execution.reasons import FAILED
+from sierra.execution.reuse import is_answered, states
 from sierra.execution.sessions import Session
 from sierra.execution.summary import Summary, of_session
 from sierra.ingest.consistency import find_odd

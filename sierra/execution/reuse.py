@@ -7,18 +7,17 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from sierra.execution.plans import Plan, context
+from sierra.execution.reasons import FAILED, PROGRAMS, REUSED, RULES, WORTH, ChangeReason, Reason
 from sierra.ingest.rejudge import foresee
 from sierra.store.store import Snapshot, Store
 
-FAILED, OTHER_RULES, OTHER_PROGRAMS, GOOD = range(4)
-"""Worth of a recorded execution for a session; a greater number is better."""
 MANY = 4
 """Ratio of executions to runs above which the query selects these runs only; that is fast, and takes memory."""
 
 
 @dataclass(frozen=True, slots=True)
 class State:
-    """Recorded state of a run: the worth of its best execution; None without an execution."""
+    """Recorded state of a run: the place of its best execution in `WORTH`; None without an execution."""
 
     worth: int | None = None
     reason: str | None = None
@@ -34,24 +33,19 @@ class State:
 
     @property
     def succeeded(self) -> bool:
-        return self.worth == GOOD
+        return self.worth == REUSED
 
     @property
-    def why(self) -> str:
+    def change(self) -> Reason:
         """Return the reason why the run is executed or reused."""
-        match self.worth:
-            case _ if self.anew:
-                return "[outputs] or [success] have changed: judged anew from the record, not executed"
-            case None:
-                return "new"
-            case 0:
-                return f"failed: {self.reason}"
-            case 1:
-                return "[outputs] or [success] have changed" + (f", and {self.lack}" if self.lack else "")
-            case 2:
-                return "executed with other programs"
-            case _:
-                return "reused"
+        if self.anew:
+            return Reason(ChangeReason.REEVALUATED)
+        if self.worth is None:
+            return Reason(ChangeReason.NEW)
+        kind = WORTH[self.worth]
+        if kind is ChangeReason.FAILED:
+            return Reason(kind, self.reason or "")
+        return Reason(kind, self.lack or "") if kind is ChangeReason.RULES else Reason(kind)
 
     def after(self, worth: int, reason: str | None, failed: int, judgements: int) -> State:
         """Return this state with one more execution, which was evaluated `judgements` times."""
@@ -94,7 +88,7 @@ def states(plan: Plan, asked: Store | Snapshot | None) -> dict[str, State]:
 
 def foreseen(plan: Plan, store: Store | None, found: Mapping[str, State]) -> dict[str, State]:
     """Return these states with the effect of evaluating executions again by changed rules."""
-    bad = [run for run, state in found.items() if state.worth in (FAILED, OTHER_RULES)]
+    bad = [run for run, state in found.items() if state.worth in (FAILED, RULES)]
     if store is None or not bad:
         return dict(found)
     now = context(plan)
@@ -117,8 +111,8 @@ THOSE = (
     "OR batch NOT IN (SELECT batch FROM batches))"
 )
 EACH = f"""
-SELECT run, CASE WHEN status <> 'ok' THEN {FAILED} WHEN ingest_rules <> $ingest_rules THEN {OTHER_RULES}
-    WHEN programs <> $programs THEN {OTHER_PROGRAMS} ELSE {GOOD} END AS worth,
+SELECT run, CASE WHEN status <> 'ok' THEN {FAILED} WHEN ingest_rules <> $ingest_rules THEN {RULES}
+    WHEN programs <> $programs THEN {PROGRAMS} ELSE {REUSED} END AS worth,
     CASE WHEN worth = {FAILED} THEN reason END, CASE WHEN worth = {FAILED} THEN lamport ELSE 0 END, {{count}}
 {THOSE}
 """

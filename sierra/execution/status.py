@@ -28,8 +28,6 @@ from sierra.util.fs import read_record
 AT_ONCE = 8
 """Parallel queries to schedulers; one that cannot be reached takes long to fail."""
 PROBED = "nodes are tried out first"
-ON_CLUSTER = "on a cluster now: followed, not executed again"
-"""Text for runs that were submitted before, when the query is repeated."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
+from sierra.execution.reasons import ChangeReason, Reason
 from sierra.explain.diff.environment import other_programs, other_rules
 from sierra.explain.diff.operands import make_runs
 from sierra.store.files import Place
@@ -26,7 +27,7 @@ class EffectiveRuns:
     batch: str
     runs: int
     is_effective: bool
-    reason: str
+    reason: Reason
     run: str
     """Id of one of the runs."""
     execution: str | None
@@ -58,14 +59,14 @@ def standings(snapshot: Snapshot, batches: list[str]) -> Iterator[EffectiveRuns]
         snapshot.run("DROP TABLE standing")
 
 
-def _why(snapshot: Snapshot, row: dict[str, Any]) -> str:
+def _why(snapshot: Snapshot, row: dict[str, Any]) -> Reason:
     if row["counts"]:
-        return "the last good one with the programs and by the rules of the batch's last asking"
+        return Reason(ChangeReason.REUSED)
     if not row["tried"]:
-        return "never executed"
+        return Reason(ChangeReason.NEVER)
     if not row["good"]:
-        return f"none is good; the last one: {row['reason']}"
-    return f"stale: the last good one was executed otherwise than the batch was last asked for: {_other(snapshot, row)}"
+        return Reason(ChangeReason.FAILED, row["reason"] or "")
+    return Reason(ChangeReason.STALE, _other(snapshot, row))
 
 
 def _other(snapshot: Snapshot, row: dict[str, Any]) -> str:

@@ -12,8 +12,9 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
 
-from sierra.execution.reuse import FAILED, GOOD, OTHER_PROGRAMS, OTHER_RULES
+from sierra.execution.reasons import FAILED, PROGRAMS, REUSED, RULES, WORTH, ChangeReason, Reason
 from sierra.explain.diff.environment import other_programs, other_rules
+from sierra.model import Purpose
 from sierra.store.store import Snapshot
 from sierra.util.hashing import short
 from sierra.util.text import few
@@ -26,7 +27,7 @@ class Cause:
     """Reason for some executions."""
 
     executions: int
-    reason: str
+    reason: Reason
     execution: str
     """Id of one of the executions."""
     run: str
@@ -128,7 +129,7 @@ def tell(snapshot: Snapshot, batches: Sequence[str]) -> list[Event]:
     snapshot.views.make(
         ("executions", "all_judgements", "findings", "sessions", "replays", "batch_runs", "attempts", "duplicates")
     )
-    snapshot.run(EXECUTED, {"failed": FAILED, "rules": OTHER_RULES, "programs": OTHER_PROGRAMS, "good": GOOD})
+    snapshot.run(EXECUTED, {"failed": FAILED, "rules": RULES, "programs": PROGRAMS, "good": REUSED})
     rows = snapshot.sql(CAUSES).to_pylist()
     judged = {row["session"]: row for row in snapshot.sql(JUDGED).to_pylist()}
     sessions_of = [*(row["session"] for row in rows), *judged]
@@ -206,27 +207,21 @@ def _cause(snapshot: Snapshot, row: Mapping[str, Any], replay: Mapping[str, Any]
     return Cause(row["executions"], _why(snapshot, row, replay), row["execution"], row["run"], new)
 
 
-def _why(snapshot: Snapshot, row: Mapping[str, Any], replay: Mapping[str, Any] | None) -> str:
-    if row["purpose"] != "run":
+def _why(snapshot: Snapshot, row: Mapping[str, Any], replay: Mapping[str, Any] | None) -> Reason:
+    if row["purpose"] != Purpose.RUN:
         of = f" of {replay['kind']} {short(replay['target'])}: {replay['verdict']}" if replay else ", which was not ended"
-        return f"a {row['purpose']}{of}"
-    match row["worth"]:
-        case None if row["beside"]:
-            return "another asking was executing it at the time, which this one did not know"
-        case None:
-            return "new"
-        case 0 if row["doubted"]:
-            return f"the last one was found to be no good: {row['reason']}"
-        case 0:
-            return f"the last one failed: {row['reason']}"
-        case 1:
-            changes = other_rules(snapshot, [row["was_rules"]], [row["ingest_rules"]])
-            return f"judged by other rules before: {_lines(changes)}"
-        case 2:
-            changes = other_programs(snapshot, [row["was_programs"]], [row["programs"]])
-            return f"executed with other programs before: {_lines(changes)}"
+        return Reason(ChangeReason.REPLAY, of)
+    if row["worth"] is None:
+        return Reason(ChangeReason.CONCURRENT if row["beside"] else ChangeReason.NEW)
+    match WORTH[row["worth"]]:
+        case ChangeReason.FAILED:
+            return Reason(ChangeReason.FINDING if row["doubted"] else ChangeReason.FAILED, row["reason"] or "")
+        case ChangeReason.RULES:
+            return Reason(ChangeReason.RULES, _lines(other_rules(snapshot, [row["was_rules"]], [row["ingest_rules"]])))
+        case ChangeReason.PROGRAMS:
+            return Reason(ChangeReason.PROGRAMS, _lines(other_programs(snapshot, [row["was_programs"]], [row["programs"]])))
         case _:
-            return f"another asking had just executed it ({short(row['prior'])}), which this one did not know"
+            return Reason(ChangeReason.JUST_EXECUTED, short(row["prior"]))
 
 
 def _lines(changes: Iterator[Any]) -> str:

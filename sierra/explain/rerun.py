@@ -4,37 +4,51 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Container
+from dataclasses import dataclass
 
 from sierra.config.project_file import LoadedProject
 from sierra.errors import SierraError
 from sierra.execution import plans
 from sierra.execution.plans import Plan
+from sierra.execution.reasons import ChangeReason, Reason
 from sierra.execution.reuse import foreseen, states
-from sierra.execution.status import ON_CLUSTER, claimed
+from sierra.execution.status import claimed
 from sierra.explain.changes import other_programs, why_other
 from sierra.query.request import repeated
 from sierra.store.store import Store
-from sierra.util.hashing import short
 
 
-def again(project: LoadedProject, store: Store, batch: str, runs: Container[str] | None) -> list[str]:
-    """Return the effect of repeating the query on these runs (None: on all), one line each. Executes nothing."""
+@dataclass(frozen=True, slots=True)
+class NextRun:
+    """The effect of repeating a batch's query now."""
+
+    batch: str
+    """Id of the batch whose query it is."""
+    error: str = ""
+    """Reason why the query cannot be repeated as it is."""
+    other_batch: str = ""
+    """Id of the batch that the query makes now, if that is another one."""
+    differences: tuple[str, ...] = ()
+    """Differences that make it another batch, or, for the same batch, the programs that differ; one line each."""
+    reasons: tuple[tuple[int, Reason], ...] = ()
+    """Numbers of runs by the reason why they would be executed or reused."""
+
+
+def next_run(project: LoadedProject, store: Store, batch: str, runs: Container[str] | None) -> NextRun:
+    """Return the effect of repeating the query on these runs (None: on all). Executes nothing."""
     try:
         plan = _plan(project, store, batch)
     except SierraError as error:
-        return [f"cannot be asked again as it is: {error}"]
+        return NextRun(batch, error=str(error))
     if plan.batch.id != batch:
-        because = [f"other runs, those of batch {short(plan.batch.id)}, since:", *why_other(plan, store, batch)]
-        return [*because, f"(sierra run {short(batch)} asks for these, with the code of then)"]
+        return NextRun(batch, other_batch=plan.batch.id, differences=tuple(why_other(plan, store, batch)))
     found = {run: state for run, state in foreseen(plan, store, states(plan, store)).items() if runs is None or run in runs}
     there = {} if all(state.succeeded for state in found.values()) else claimed(store)
-    counted = Counter(ON_CLUSTER if run in there and not state.succeeded else state.why for run, state in found.items())
-    lines = [f"{_runs(count)}: {why}" for why, count in counted.most_common()]
-    return [*lines, *(other_programs(plan, store) if counted["executed with other programs"] else [])]
-
-
-def _runs(count: int) -> str:
-    return "1 run" if count == 1 else f"{count} runs"
+    on_cluster = Reason(ChangeReason.ON_CLUSTER)
+    counted = Counter(on_cluster if run in there and not state.succeeded else state.change for run, state in found.items())
+    programs = other_programs(plan, store) if counted[Reason(ChangeReason.PROGRAMS)] else ()
+    reasons = tuple((count, reason) for reason, count in counted.most_common())
+    return NextRun(batch, differences=tuple(programs), reasons=reasons)
 
 
 def _plan(project: LoadedProject, store: Store, batch: str) -> Plan:

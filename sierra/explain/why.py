@@ -11,7 +11,7 @@ from sierra.execution.status import seen
 from sierra.explain import diff
 from sierra.explain.effective import EffectiveRuns, standings
 from sierra.explain.history import Event, tell
-from sierra.explain.rerun import again
+from sierra.explain.rerun import NextRun, next_run
 from sierra.store.files import where
 from sierra.store.store import Found, Snapshot, Store
 from sierra.util.hashing import short
@@ -42,7 +42,7 @@ class Why:
     new_because: Mapping[str, tuple[str, ...]]
     """Lines by batch with new runs: the batch that it is compared with, and the differences."""
     effective: tuple[EffectiveRuns, ...]
-    next_run: tuple[str, ...]
+    next_run: NextRun
     """Effect of repeating the query on these runs."""
     clusters: tuple[OnCluster, ...] = ()
     """Sessions on clusters with some of these runs."""
@@ -70,7 +70,7 @@ def why(project: LoadedProject, store: Store, prefix: str) -> Why:
         tuple(history),
         because,
         stands,
-        tuple(again(project, store, batches[0], only)),
+        next_run(project, store, batches[0], only),
         tuple(seen(store, these)),
     )
 

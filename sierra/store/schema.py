@@ -185,7 +185,7 @@ RECORDED = {
             ("network", TEXT, "none, host, or not isolated where none was asked for and can't be had"),
             ("devices", LIST, "devices of the host that runs could use; gpu for NVIDIA's"),
             ("mounts", TEXT, "files and folders of the host that runs could read, as JSON: path inside, path outside"),
-            ("limits_requested", TEXT, "limits that the engine was to enforce, as JSON: memory in bytes, cpus, pids"),
+            ("limits_asked", TEXT, "limits that the engine was to enforce, as JSON: memory in bytes, cpus, pids"),
             (
                 "limits_enforced",
                 TEXT,

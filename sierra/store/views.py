@@ -159,7 +159,11 @@ class Views:
 
     def _records(self, name: str, files: list[str], *, older: bool) -> str:
         """Return the relation of records in these files; `older`: no file has the later columns."""
-        return records(name, files) if older else read_parquet(files, union=name in LATER)
+        source = records(name, files) if older else read_parquet(files, union=name in LATER)
+        if name not in LATER:
+            return source
+        later = ", ".join(f"{column} AS {column}" for column in LATER[name])  # DuckDB refuses columns that no file has
+        return f"(SELECT * REPLACE ({later}) FROM {source})"
 
     def _experiments(self, files: list[str]) -> str:
         """Return the relation of axis values: unchanged for one batch, with numbers split from texts for all batches."""
