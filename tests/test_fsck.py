@@ -55,9 +55,9 @@ def test_a_sound_store_is_sound(recorded: Path) -> None:
 
 def test_where_something_is_damaged_the_next_step_is_named(root: Path) -> None:
     segment = segment_with(root, "batch_runs")
-    (segment / "members.parquet").write_bytes(b"")
+    (segment / "batch_runs.parquet").write_bytes(b"")
     said = projects.quick(root, "fsck").stdout
-    assert f"damaged: segments/{segment.name}/members.parquet: " in said
+    assert f"damaged: segments/{segment.name}/batch_runs.parquet: " in said
     assert said.splitlines()[-1].startswith("sierra fsck --repair puts aside what is damaged")
     assert "--repair puts" not in projects.quick(root, "fsck", "--repair").stdout
 
@@ -256,7 +256,7 @@ def test_rows_that_were_never_read_are_missed_and_executed_again(root: Path) -> 
     seal(folder)
     [finding] = [finding for finding in fsck(root).findings if not finding.kind.fine]
     assert (finding.kind, finding.path) == (Kind.LOST, "output.swarm")
-    assert f"(swarm.csv: {row['rows']}, not {row['counted']})" in finding.what
+    assert f"(swarm.csv: {row['rows']}, not {row['counted_rows']})" in finding.what
     assert any("1 executions are lost" in line for line in repaired(root))
     assert fsck(root).sound
 
@@ -429,7 +429,7 @@ def test_declarations_that_are_damaged_take_no_execution_with_them(
 )
 def test_what_says_that_there_is_a_batch_is_recorded_again(root: Path, tables: Sequence[str]) -> None:
     """Each of the tables in the segment of another batch."""
-    folders = [path.parent for path in root.glob(".sierra/segments/*/members.parquet")]
+    folders = [path.parent for path in root.glob(".sierra/segments/*/batch_runs.parquet")]
     folders.sort(key=lambda folder: ((folder / "blobs.parquet").exists(), folder.name))  # what nobody else has comes last
     for table in tables:
         folder = next(one for one in folders if (one / f"{table}.parquet").exists())
