@@ -621,9 +621,9 @@ def test_nodes_say_themselves_that_they_lack_a_device(contained: Callable[..., P
 DIES = """
 import os, sierra
 from sierra.runners.base import schedulers
-from tests.test_cluster_review import Here
+from tests.integration.clusters.test_silent_failures import Here
 
-schedulers.SHIPPED["here"] = "tests.test_cluster_review:Here"
+schedulers.SHIPPED["here"] = "tests.integration.clusters.test_silent_failures:Here"
 Here.submit = lambda self, request: os._exit(9)
 sierra.open(".").run("size=1,2,3", runs=8, runner="here", figures=False)
 """

@@ -20,7 +20,7 @@ from sierra.platforms.argos import ArgosOptions
 from sierra.setup import schemas
 from tests import projects
 
-FOLDER = Path(__file__).parent.parent / "schemas"
+FOLDER = Path(__file__).parents[3] / "schemas"
 EXAMPLE = Path(sierra.__file__).parent / "setup" / "examples" / "swarm" / "sierra.toml"
 MODELS = {model.__name__: model for model in project_file.Table.__subclasses__() if model.__module__ == project_file.__name__}
 

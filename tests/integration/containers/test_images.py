@@ -28,7 +28,7 @@ from tests.projects import quick
 from tests.waiting import PATIENCE_S, until
 
 pytestmark = [pytest.mark.real, pytest.mark.slow]
-RECIPES = Path(__file__).parents[1] / "containers"
+RECIPES = Path(__file__).parents[3] / "containers"
 LAYERS = [
     made.layer(
         ("bin/tool", "1"), ("bin/link -> tool", ""), ("etc/", ""), ("etc/gone", "1"), ("etc/deep/file", "1"), ("all/one", "1"),

@@ -17,7 +17,7 @@ from sierra.containers.engines import capabilities
 from sierra.containers.engines.base import Capabilities
 from sierra.maintenance.findings import Kind
 from tests import containers, images, projects, stores
-from tests.test_fsck import seal
+from tests.unit.maintenance.test_fsck import seal
 
 pytestmark = [pytest.mark.real, pytest.mark.slow]
 LIMITS = '[limits]\nmemory = "64 MB"\n'

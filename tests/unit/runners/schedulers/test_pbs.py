@@ -29,7 +29,7 @@ from tests import clusters, pbs, projects
 from tests.conftest import Simulated
 from tests.waiting import until
 
-DATA = Path(__file__).parent / "data" / "pbs"
+DATA = Path(__file__).parents[3] / "data" / "pbs"
 HOSTILE = "a'; echo foo"
 SHAPES = [(0, 1, 2), (4,), (3, 7, 9, 10)]
 NAME = "sierra-0123abcd"

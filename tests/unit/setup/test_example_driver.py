@@ -21,7 +21,7 @@ from typing import Any
 import pytest
 from lxml import etree
 
-EXAMPLE = Path(__file__).parents[1] / "sierra" / "setup" / "examples" / "swarm"
+EXAMPLE = Path(__file__).parents[3] / "sierra" / "setup" / "examples" / "swarm"
 TOML = tomllib.loads((EXAMPLE / "sierra.toml").read_text("utf-8"))
 TEMPLATE = (EXAMPLE / "template.xml").read_text("utf-8")
 SEEDS = (11, 12)

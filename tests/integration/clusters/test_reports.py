@@ -17,7 +17,7 @@ from sierra.runners.schedulers.base import State, Task
 from tests.batches import packed
 from tests.clusters import Slurm
 from tests.conftest import Simulated
-from tests.test_cluster_cli import QUERY, WAITS, Waiting, until
+from tests.integration.clusters.test_commands import QUERY, WAITS, Waiting, until
 
 
 @pytest.fixture

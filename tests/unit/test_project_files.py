@@ -15,7 +15,7 @@ import yaml
 
 import sierra
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
 LOCK = (ROOT / "requirements.lock").read_text("utf-8")
 WORKER = (ROOT / "sierra" / "worker" / "worker.py").read_text("utf-8")

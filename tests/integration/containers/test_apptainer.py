@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from tests import containers
+from tests.integration.containers.test_podman import ENDED, ENDS, RUN, TOLD, isolated, rows, says, what_is_told
 from tests.projects import SIERRA
-from tests.test_containers import ENDED, ENDS, RUN, TOLD, isolated, rows, says, what_is_told
 from tests.waiting import PATIENCE_S, until
 
 pytestmark = pytest.mark.real
