@@ -1,4 +1,4 @@
-"""What accounting allows a user of SLURM, by what sacctmgr says; `integration/clusters/test_slurm_accounting` has a real one."""
+"""What accounting allows a user of SLURM, by what sacctmgr says; see also `integration/clusters/test_slurm_accounting`."""
 
 from __future__ import annotations
 
