@@ -19,7 +19,7 @@ import pytest
 from hypothesis import settings
 
 from sierra.store.store import Store
-from tests import clusters, projects, stores
+from tests import clusters, projects, stores, tiers
 from tests.waiting import PATIENCE_S, until
 
 # A shell that starts the tests in the background makes them, and all that they start, ignore these.
@@ -30,6 +30,11 @@ for number in (signal.SIGQUIT, signal.SIGHUP, signal.SIGTERM):
 settings.register_profile("here", deadline=None)
 settings.register_profile("ci", deadline=None, derandomize=True, print_blob=True)
 settings.load_profile("ci" if os.environ.get("CI") else "here")
+
+
+@pytest.hookimpl(tryfirst=True)  # before pytest selects by marks
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    tiers.add_marks(items)
 
 
 @pytest.fixture(autouse=True, scope="session")

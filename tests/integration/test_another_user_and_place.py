@@ -60,7 +60,6 @@ def test_a_second_checkout_has_the_same_ids_and_replays_identically(recorded: tu
     assert (code, said["batch"], said["executed"], said["reused"]) == (0, batch, 0, 4)
 
 
-@pytest.mark.slow
 def test_without_the_store_a_second_checkout_gives_the_same_batch_and_the_same_results(
     recorded: tuple[Path, str], tmp_path: Path
 ) -> None:
@@ -72,7 +71,7 @@ def test_without_the_store_a_second_checkout_gives_the_same_batch_and_the_same_r
     assert sierra.open(second).sql(results).equals(sierra.open(root).sql(results))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_an_old_commit_replays_in_a_second_checkout_that_has_gone_on(recorded: tuple[Path, str], tmp_path: Path) -> None:
     root, batch = recorded
     (root / "sim.py").write_text(projects.SIMULATOR.replace("count * tick", "count * tick + 1"))

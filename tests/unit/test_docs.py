@@ -124,6 +124,7 @@ def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("page", EXECUTED, ids=name_of)
 def test_the_commands_of_a_page_run_and_print_what_it_shows(
     page: Path, project: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -150,6 +150,7 @@ def test_setting_a_number_to_itself_in_another_spelling_makes_the_same_runs(tmp_
     assert same.batch.id == opened.plan("montecarlo.C2").batch.id
 
 
+@pytest.mark.integration
 def test_new_runs_that_only_another_spelling_of_a_number_makes_are_told(tmp_path: Path) -> None:
     """Both spellings are kept, since a simulator may tell an int from a double."""
     folder = projects.make(tmp_path / "p")
@@ -162,6 +163,7 @@ def test_new_runs_that_only_another_spelling_of_a_number_makes_are_told(tmp_path
     assert "is written" not in projects.quick(folder, "run", "noise=0.0,0.5", "-n").stderr
 
 
+@pytest.mark.integration
 def test_another_spelling_that_makes_the_same_runs_is_not_told(tmp_path: Path) -> None:
     folder = projects.make(tmp_path / "p", template=projects.TEMPLATE.replace("0.1", "0.0"))
     assert projects.quick(folder, "run", "noise=0", "--no-figures").returncode == 0

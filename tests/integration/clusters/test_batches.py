@@ -52,7 +52,6 @@ def completed(slurm: Slurm, project: Project) -> None:
     assert {state for job in jobs for state in slurm.states(job).values()} == {"COMPLETED"}
 
 
-@pytest.mark.slow
 def test_tasks_that_have_done_their_work_are_never_cancelled(simulate: Callable[..., Simulated], slurm: Slurm) -> None:
     """The last run of an element is recorded before its task has ended."""
     made = simulate()
@@ -97,7 +96,7 @@ def test_runs_see_the_devices_that_are_allotted_to_their_slot(simulate: Callable
     assert {(row["slot"], str(row["v"])) for row in found} == {(0, "0"), (1, "1")} or alone
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_code_may_change_while_runs_wait(gated: Gated) -> None:
     asking = gated.ask()
     gated.until_begun(3)
@@ -107,7 +106,7 @@ def test_code_may_change_while_runs_wait(gated: Gated) -> None:
     is_whole(gated.project)
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL, pytest.param(signal.SIGTERM, marks=pytest.mark.nightly)])
 def test_what_is_submitted_lives_on_without_its_submitter(gated: Gated, number: signal.Signals) -> None:
     asking = gated.ask()
     gated.until_begun(3)
@@ -120,7 +119,6 @@ def test_what_is_submitted_lives_on_without_its_submitter(gated: Gated, number: 
     at_rest(gated.slurm, gated.project)
 
 
-@pytest.mark.slow
 def test_a_submitter_that_died_before_it_knew_the_job_finds_it_by_its_name(gated: Gated) -> None:
     asking = gated.ask()
     gated.until_begun(3)
@@ -134,7 +132,7 @@ def test_a_submitter_that_died_before_it_knew_the_job_finds_it_by_its_name(gated
     assert len(gated.begun()) == 8
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_submitter_that_died_before_anything_was_handed_over_is_followed_by_another(gated: Gated) -> None:
     asking = gated.ask()
     gated.until_begun(3)
@@ -149,7 +147,6 @@ def test_a_submitter_that_died_before_anything_was_handed_over_is_followed_by_an
     is_whole(gated.project)
 
 
-@pytest.mark.slow
 def test_two_that_ask_for_the_same_execute_it_once(gated: Gated) -> None:
     first = gated.ask()
     gated.until_begun(3)
@@ -162,7 +159,7 @@ def test_two_that_ask_for_the_same_execute_it_once(gated: Gated) -> None:
     assert len(gated.begun()) == 8
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("which", ["one element", "all"])
 def test_what_somebody_cancels_ends_the_session(gated: Gated, which: str) -> None:
     asking = gated.ask()
@@ -179,7 +176,7 @@ def test_what_somebody_cancels_ends_the_session(gated: Gated, which: str) -> Non
     is_whole(gated.project)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_what_somebody_cancels_while_nobody_follows_is_not_submitted_again_either(gated: Gated) -> None:
     asking = gated.ask()
     gated.until_told(3)
@@ -196,7 +193,7 @@ def test_what_somebody_cancels_while_nobody_follows_is_not_submitted_again_eithe
     is_whole(gated.project)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_probe_that_somebody_cancels_ends_the_session(gated: Gated, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))  # so that there is a probe
     gated.slurm.command("scontrol", "update", f"nodename={','.join(gated.slurm.names)}", "state=drain", "reason=test")
@@ -212,7 +209,7 @@ def test_a_probe_that_somebody_cancels_ends_the_session(gated: Gated, monkeypatc
     at_rest(gated.slurm, gated.project)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("which", ["one element", "all"])
 def test_what_somebody_cancels_is_submitted_again_where_the_project_wants_that(gated: Gated, which: str) -> None:
     config = gated.root / "sierra.toml"
@@ -229,7 +226,6 @@ def test_what_somebody_cancels_is_submitted_again_where_the_project_wants_that(g
     at_rest(gated.slurm, gated.project)
 
 
-@pytest.mark.slow
 def test_a_node_that_loses_power_costs_what_was_in_flight(gated: Gated) -> None:
     asking = gated.ask()
     gated.until_begun(3)
@@ -244,7 +240,7 @@ def test_a_node_that_loses_power_costs_what_was_in_flight(gated: Gated) -> None:
     at_rest(gated.slurm, gated.project)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_two_copies_of_an_element_are_one_result_and_a_comparison(gated: Gated) -> None:
     asking = gated.ask()
     gated.until_begun(3)
@@ -265,7 +261,6 @@ def test_two_copies_of_an_element_are_one_result_and_a_comparison(gated: Gated) 
     assert "executed twice" in told
 
 
-@pytest.mark.slow
 def test_a_controller_that_dies_loses_nothing(gated: Gated) -> None:
     asking = gated.ask()
     gated.until_begun(3)
@@ -278,7 +273,7 @@ def test_a_controller_that_dies_loses_nothing(gated: Gated) -> None:
     assert len(gated.begun()) == 8
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("again", ["status", "cancel", "run"])
 def test_what_cannot_be_cancelled_now_is_cancelled_by_whoever_looks_next(gated: Gated, again: str) -> None:
     config = gated.root / "sierra.toml"
@@ -306,7 +301,7 @@ def test_what_cannot_be_cancelled_now_is_cancelled_by_whoever_looks_next(gated: 
     assert len(gated.begun()) == begun + (8 if again == "run" else 0)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_follower_that_cannot_cancel_says_so_and_another_does(gated: Gated) -> None:
     asking = gated.ask()
     gated.until_begun(3)
@@ -324,7 +319,7 @@ def test_a_follower_that_cannot_cancel_says_so_and_another_does(gated: Gated) ->
     at_rest(gated.slurm, gated.project)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_an_element_that_is_requeued_goes_on_where_it_was(gated: Gated) -> None:
     asking = gated.ask()
     gated.until_told(3)
@@ -337,7 +332,7 @@ def test_an_element_that_is_requeued_goes_on_where_it_was(gated: Gated) -> None:
     assert rows(gated.project, "SELECT element, cut FROM attempts WHERE state = 'cut off'") == [{"element": 0, "cut": 1}]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_run_that_outlives_its_element_every_time_has_failed(gated: Gated) -> None:
     config = gated.root / "sierra.toml"
     config.write_text(config.read_text() + 'attempts = 2\ncancelled = "again"\n')
@@ -356,7 +351,7 @@ def test_a_run_that_outlives_its_element_every_time_has_failed(gated: Gated) -> 
     is_whole(gated.project, 2, executions=4)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_jobs_that_end_well_without_having_done_anything_are_not_believed(gated: Gated) -> None:
     lazy = gated.root.with_name("lazy")
     lazy.write_text('#!/bin/sh\ncase "$*" in *--probe*) exec python3 "$@" ;; esac\n')
@@ -380,7 +375,7 @@ def test_a_probe_that_says_nothing_ends_all_before_anything_begins(gated: Gated)
     at_rest(gated.slurm, gated.project)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("line", "words"),
     [
@@ -405,7 +400,7 @@ def test_what_the_site_does_not_have_is_said_in_a_line(gated: Gated, line: str, 
     until(lambda: set(gated.slurm.states().values()) <= {"CANCELLED", "FAILED", "COMPLETED"}, "nothing is left")
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_forgotten_jobs_are_no_lost_runs(tmp_path: Path, require: Callable[..., str], monkeypatch: pytest.MonkeyPatch) -> None:
     from tests import clusters
 
@@ -438,7 +433,6 @@ def test_the_secrets_of_the_submitters_shell_do_not_travel(
     assert not any(b"leak" in text for text in texts)
 
 
-@pytest.mark.slow
 def test_a_replay_on_slurm_of_runs_from_here_is_identical_and_the_other_way_round(tmp_path: Path, slurm: Slurm) -> None:
     root = projects.make(tmp_path / "project", projects.CONFIG + CLUSTER)
     projects.commit(root)
@@ -453,7 +447,7 @@ def test_a_replay_on_slurm_of_runs_from_here_is_identical_and_the_other_way_roun
     at_rest(slurm, project)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_what_has_finished_can_be_recorded_by_a_job_too(gated: Gated) -> None:
     left = projects.quick(gated.root, "run", "population_size.Log8", "--on", "slurm", "--detach")
     assert left.returncode == 0, left.stderr

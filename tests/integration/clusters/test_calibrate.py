@@ -79,7 +79,7 @@ def asked(project: Simulated, say: Callable[[str], None] = lambda text: None) ->
     return here.execute(here.plan("size=1,2", runs=12), runner="slurm", figures=False, say=say)
 
 
-@pytest.mark.parametrize("runner", ["slurm", pytest.param("pbs", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("runner", ["slurm", pytest.param("pbs", marks=pytest.mark.nightly)])
 def test_the_first_and_the_last_run_tell_how_the_others_are_dealt_out(
     simulate: Callable[..., Simulated], slurm: Slurm, runner: str
 ) -> None:
@@ -121,7 +121,7 @@ def test_long_runs_get_many_elements(simulate: Callable[..., Simulated], slurm: 
     is_whole(project)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_run_that_lasts_as_long_as_an_element_tells_enough(waiting: Simulated, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sizing, "ELEMENT_S", 1.0)
     monkeypatch.setattr(calibrate, "ELEMENT_S", 1.0)
@@ -138,7 +138,7 @@ def test_a_run_that_lasts_as_long_as_an_element_tells_enough(waiting: Simulated,
     is_whole(waiting)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_no_node_is_waited_for_for_long(waiting: Simulated, slurm: Slurm, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(calibrate, "PATIENCE_S", 1.0)
     slurm.command("scontrol", "update", f"nodename={','.join(slurm.names)}", "state=drain", "reason=test")
@@ -169,7 +169,7 @@ def test_who_leaves_has_the_others_handed_over(waiting: Simulated, slurm: Slurm)
     is_whole(waiting)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_who_detaches_at_once_has_no_run_go_first(waiting: Simulated, slurm: Slurm) -> None:
     told = waiting.quick(*ASKED, "--detach")
     assert "go first" not in told.stderr
@@ -179,7 +179,7 @@ def test_who_detaches_at_once_has_no_run_go_first(waiting: Simulated, slurm: Slu
     is_whole(waiting)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("between", ["ask", "status"])
 def test_what_a_killed_submitter_held_back_is_handed_over_by_the_next(waiting: Simulated, slurm: Slurm, between: str) -> None:
     process = waiting.start(*ASKED)
@@ -197,7 +197,7 @@ def test_what_a_killed_submitter_held_back_is_handed_over_by_the_next(waiting: S
     is_whole(waiting)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_submitter_may_die_between_dealing_out_and_handing_over(waiting: Simulated, slurm: Slurm) -> None:
     opened(waiting)
     died = subprocess.run([sys.executable, "-c", SECOND], cwd=waiting.folder, check=False, timeout=100)
@@ -210,7 +210,7 @@ def test_a_submitter_may_die_between_dealing_out_and_handing_over(waiting: Simul
     is_whole(waiting)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_what_is_cancelled_while_runs_go_first_goes_no_further(waiting: Simulated, slurm: Slurm) -> None:
     process = waiting.start(*ASKED)
     waiting.until_executed(1, process)
@@ -225,7 +225,7 @@ def test_what_is_cancelled_while_runs_go_first_goes_no_further(waiting: Simulate
     assert waiting.sql("SELECT count(DISTINCT run) AS n FROM executions WHERE status = 'ok'") == [{"n": RUNS}]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_runs_that_fail_tell_nothing(simulate: Callable[..., Simulated], slurm: Slurm) -> None:
     project = simulate("exit 7")
     done = project.quick(*ASKED)
@@ -237,7 +237,7 @@ def test_runs_that_fail_tell_nothing(simulate: Callable[..., Simulated], slurm: 
     assert fast.executed().total() - RUNS <= 2  # both say it in one file
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_controller_that_is_gone_meanwhile_loses_nothing(waiting: Simulated, slurm: Slurm) -> None:
     process = waiting.start(*ASKED)
     waiting.until_executed(1, process)
@@ -251,7 +251,7 @@ def test_a_controller_that_is_gone_meanwhile_loses_nothing(waiting: Simulated, s
     is_whole(waiting)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_first_runs_that_lose_their_node_go_again(waiting: Simulated, slurm: Slurm) -> None:
     process = waiting.start(*ASKED)
     until(lambda: packed(waiting.folder, Started), "the element tells that a run has begun")

@@ -107,7 +107,7 @@ def test_what_was_left_is_followed_to_its_end_by_another(waiting: Waiting) -> No
     assert waiting.project.executed().total() == 6
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_session_is_named_by_the_beginning_of_its_own_id(waiting: Waiting) -> None:
     left = waiting.submit()
     waiting.open()
@@ -115,7 +115,7 @@ def test_a_session_is_named_by_the_beginning_of_its_own_id(waiting: Waiting) -> 
     assert (done.returncode, json.loads(done.stdout)["executed"]) == (0, 6)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_failures_of_what_is_followed_are_told_with_their_logs(waiting: Waiting) -> None:
     script = waiting.project.folder / "sim.sh"
     script.write_text(script.read_text() + "echo the arena is too small >&2; exit 4\n")
@@ -150,7 +150,7 @@ def test_nothing_on_a_cluster_is_said_and_no_error(waiting: Waiting) -> None:
     assert not (waiting.project.folder / ".sierra").exists()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_scheduler_out_of_reach_leaves_the_rest_of_status(waiting: Waiting) -> None:
     waiting.submit()
     done = waiting.project.end_of(waiting.project.start("status", env={**os.environ, **NOWHERE}))
@@ -159,7 +159,7 @@ def test_a_scheduler_out_of_reach_leaves_the_rest_of_status(waiting: Waiting) ->
     assert "Traceback" not in done.stderr
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_what_will_never_begin_is_told_in_the_scheduler_s_words(waiting: Waiting) -> None:
     waiting.submit("size=1", "--runs", "1")
     [job] = waiting.status()[0]["jobs"]
@@ -168,7 +168,7 @@ def test_what_will_never_begin_is_told_in_the_scheduler_s_words(waiting: Waiting
     until(lambda: "never begins: " in waiting.project.quick("status").stdout, "it is held")
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     "command", [("run", *QUERY, "--on", "slurm"), ("attach", "{batch}"), ("status",), ("cancel", "{batch}")]
 )
@@ -190,7 +190,6 @@ def test_what_cannot_be_read_now_is_not_thrown_away(waiting: Waiting, command: t
 # interrupted
 
 
-@pytest.mark.slow
 def test_off_a_terminal_an_interrupt_leaves_what_runs(waiting: Waiting) -> None:
     asking = waiting.follow()
     asking.send_signal(signal.SIGINT)
@@ -201,7 +200,7 @@ def test_off_a_terminal_an_interrupt_leaves_what_runs(waiting: Waiting) -> None:
     assert waiting.alive() == 3
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(("answer", "stays"), [("\n", True), ("d\n", True), ("c\n", False), ("^C", True)])
 def test_on_a_terminal_it_asks_whether_to_detach_or_to_cancel(waiting: Waiting, answer: str, stays: bool) -> None:
     process, said = on_a_terminal(waiting, answer)
@@ -236,7 +235,7 @@ def on_a_terminal(waiting: Waiting, answer: str) -> tuple[int, str]:
 # while another process follows
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_what_another_process_follows_is_not_taken_from_it(waiting: Waiting) -> None:
     asking = waiting.follow()
     [now] = waiting.status()
@@ -251,7 +250,7 @@ def test_what_another_process_follows_is_not_taken_from_it(waiting: Waiting) -> 
     assert waiting.project.end_of(asking).returncode == 0
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_what_another_process_follows_is_cancelled_all_the_same(waiting: Waiting) -> None:
     asking = waiting.follow()
     done = waiting.project.quick("cancel", waiting.batch())
@@ -315,7 +314,7 @@ def test_a_dry_run_shows_the_script_that_is_submitted_then(waiting: Waiting) -> 
     assert abs(told["files"] - len(files)) <= 4, files
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_dry_run_estimates_from_what_runs_took_before(waiting: Waiting) -> None:
     waiting.open()
     first = waiting.project.quick("run", "size=1", "--runs", "1", "--on", "slurm", "--dry-run").stdout

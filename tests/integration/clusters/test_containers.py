@@ -11,7 +11,7 @@ import sierra
 from tests import containers, projects
 from tests.clusters import Slurm
 
-pytestmark = [pytest.mark.slow, pytest.mark.real]
+pytestmark = pytest.mark.real
 CLUSTER = "\n[runners.slurm]\nelements = 2\nattempts = 1\n"
 
 
@@ -36,6 +36,7 @@ def test_a_batch_in_apptainer_on_nodes_is_the_same_as_here(project: Path) -> Non
     assert str(store.replay(batch["batch"]).verdict) == "identical"
 
 
+@pytest.mark.nightly
 def test_one_container_for_all_runs_of_a_slot_works_on_nodes_too(project: Path, tmp_path: Path) -> None:
     python = containers.python(tmp_path)
     config = project / "sierra.toml"

@@ -55,7 +55,7 @@ def test_reasons_are_told_in_short_and_the_most_frequent_first() -> None:
     assert submission.waits([Task("1", 0, State.RUNNING, "Prolog"), Task("1", 1, State.ENDED, "TIMEOUT")]) == ""
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_who_follows_is_told_why_elements_wait(waiting: Waiting) -> None:
     later(waiting)
     asking = waiting.project.start("run", *QUERY, "--on", "slurm", stdin=subprocess.DEVNULL)
@@ -103,7 +103,7 @@ def test_a_dry_run_does_not_propose_what_is_on_a_cluster_already(waiting: Waitin
     assert "#SBATCH" not in again
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_dry_run_speaks_of_the_probe_where_there_will_be_one(
     waiting: Waiting, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
@@ -130,7 +130,7 @@ def test_how_many_runs_went_at_a_time_is_what_was_asked_for_there(waiting: Waiti
     ]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_show_says_where_runs_were_executed_and_how_often_that_was_cut_off(waiting: Waiting) -> None:
     asking = waiting.follow()
     until(lambda: len(packed(waiting.project.folder, Started)) == 6, "elements tell that runs have begun")

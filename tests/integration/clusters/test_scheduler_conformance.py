@@ -21,13 +21,12 @@ from tests.users import a_user, called_as
 pytestmark = pytest.mark.real
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", ["slurm", "pbs"])
 def test_it_conforms(name: str, slurm: clusters.Slurm, tmp_path: Path) -> None:
     runners.check(schedulers.find(name)(ClusterTable()), tmp_path)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_it_conforms_without_rights(slurm: clusters.Slurm, require: Callable[..., str]) -> None:
     require("useradd")
     with a_user(f"sierra-test-{os.getpid()}", ids=False) as user:

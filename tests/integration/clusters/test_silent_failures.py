@@ -450,7 +450,6 @@ def test_a_copy_is_recorded_once_however_often_it_is_read(clustered: Callable[..
     assert made.rows("SELECT 1 FROM copies c JOIN executions e USING (execution) WHERE c.attempt = e.attempt") == []
 
 
-@pytest.mark.slow
 def test_a_program_that_changes_under_way_has_made_no_result(clustered: Callable[..., Clustered]) -> None:
     made = clustered()
     tool = made.simulated.folder.with_name("tool.sh")

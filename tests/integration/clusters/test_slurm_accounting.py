@@ -12,7 +12,7 @@ from tests.conftest import Simulated
 from tests.slurmdbd import Accounted
 from tests.waiting import until
 
-pytestmark = [pytest.mark.slow, pytest.mark.real]
+pytestmark = pytest.mark.real
 
 ASKED = ("run", "size=1", "--runs", "30", "--on", "slurm", "--no-figures")
 
@@ -59,6 +59,7 @@ def test_the_default_qos_is_kept_to(project: Callable[[str], Simulated]) -> None
     assert used == [{"account": "physics", "qos": "small"}]
 
 
+@pytest.mark.nightly
 def test_accounting_has_good_work_as_completed(project: Callable[[str], Simulated], request: pytest.FixtureRequest) -> None:
     cluster: Accounted = request.getfixturevalue("cluster")
     asked = project("elements = 4")
@@ -74,12 +75,14 @@ def test_accounting_has_good_work_as_completed(project: Callable[[str], Simulate
     assert set(told()) == {"COMPLETED"}
 
 
+@pytest.mark.nightly
 def test_another_qos_has_other_limits(project: Callable[[str], Simulated]) -> None:
     told = project('elements = 30\nqos = "normal"').ask(*ASKED, "-n", "--explain").stdout
     assert re.search(r"^elements +30 +as sierra.toml says$", told, re.MULTILINE)
     assert re.search(r"^longest wall +3600 +the site allows no more: MaxTime of partition debug$", told, re.MULTILINE)
 
 
+@pytest.mark.nightly
 def test_a_site_that_takes_fewer_than_it_said_gets_them_by_and_by(
     project: Callable[[str], Simulated], request: pytest.FixtureRequest
 ) -> None:
@@ -94,6 +97,7 @@ def test_a_site_that_takes_fewer_than_it_said_gets_them_by_and_by(
     assert asked.sql("SELECT count(*) AS n FROM executions WHERE status = 'ok'") == [{"n": 30}]
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("table", "words"),
     [

@@ -47,7 +47,7 @@ def test_a_batch_of_podmans_is_the_same_in_apptainer(tmp_path: Path, busybox: Pa
     assert engines == [{"engine": "apptainer", "network": "none"}, {"engine": "podman", "network": "none"}]
 
 
-@pytest.mark.parametrize("isolation", ["run", pytest.param("worker", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("isolation", ["run", pytest.param("worker", marks=pytest.mark.nightly)])
 def test_runs_are_isolated_as_in_podman(tmp_path: Path, python: Path, isolation: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SECRET", "s3cret")
     monkeypatch.setenv("APPTAINERENV_SECRET", "s3cret")
@@ -58,7 +58,7 @@ def test_runs_are_isolated_as_in_podman(tmp_path: Path, python: Path, isolation:
     assert told == isolated(isolation)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("isolation", ["run", "worker"])
 def test_each_way_to_end_is_told_apart(tmp_path: Path, python: Path, isolation: str) -> None:
     mark = f"61.{os.getpid()}"
@@ -106,7 +106,7 @@ def of(folder: Path, what: str) -> list[int]:
 
 
 @pytest.mark.parametrize(
-    "killed", ["sierra", *(pytest.param(one, marks=pytest.mark.slow) for one in ("clients", "worker", "interrupted"))]
+    "killed", ["sierra", *(pytest.param(one, marks=pytest.mark.nightly) for one in ("clients", "worker", "interrupted"))]
 )
 def test_whatever_is_killed_no_container_is_left(sleeping: tuple[Path, subprocess.Popen[str], str], killed: str) -> None:
     folder, asking, mark = sleeping
@@ -123,7 +123,7 @@ def test_whatever_is_killed_no_container_is_left(sleeping: tuple[Path, subproces
     assert "2 executed" in says(folder, "run", "population_size=1", "--no-figures")
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_what_all_have_lost_is_ended_by_the_next_asking(sleeping: tuple[Path, subprocess.Popen[str], str]) -> None:
     folder, asking, mark = sleeping
     lost = (asking.pid, *of(folder, "worker"))
@@ -185,7 +185,7 @@ def test_what_ran_while_the_file_of_its_image_was_replaced_is_not_the_images(tmp
     assert all(row["status"] == "failed" and "has changed since the runs began" in row["reason"] for row in ended)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_variables_of_a_squashfs_are_those_that_it_sets(tmp_path: Path) -> None:
     containers.furnish(tmp_path / "root", "sh")
     sets = tmp_path / "root" / ".singularity.d" / "env" / "10-docker2singularity.sh"
@@ -203,7 +203,7 @@ def test_the_variables_of_a_squashfs_are_those_that_it_sets(tmp_path: Path) -> N
     assert rows(folder, "SELECT DISTINCT gravity FROM swarm") == [{"gravity": 9.81}]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_what_an_administrator_gives_to_all_containers_is_not_there(
     tmp_path: Path, busybox: Path, apptainer: str, require: Callable[..., str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -227,7 +227,7 @@ def test_what_an_administrator_gives_to_all_containers_is_not_there(
         subprocess.run(["umount", there], check=True)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_limits_that_hold_and_those_that_were_asked_for_are_recorded(tmp_path: Path, busybox: Path) -> None:
     folder = containers.make(tmp_path / "project", busybox, ENGINE, "cpus = 1.0", "pids = 60")
     said = says(folder, *RUN)

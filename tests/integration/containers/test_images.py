@@ -27,7 +27,7 @@ from tests.containers import sleepers
 from tests.projects import quick
 from tests.waiting import PATIENCE_S, until
 
-pytestmark = [pytest.mark.real, pytest.mark.slow]
+pytestmark = pytest.mark.real
 RECIPES = Path(__file__).parents[3] / "containers"
 LAYERS = [
     made.layer(
@@ -110,6 +110,7 @@ def test_two_builds_give_one_image(busybox: Project, storages: Storages) -> None
     assert found.recipe.endswith((busybox.root / BUSYBOX / "Containerfile").read_text())
 
 
+@pytest.mark.nightly
 def test_a_recipe_that_was_edited_since_is_noticed(busybox: Project) -> None:
     with (busybox.root / "sierra.toml").open("a") as file:
         file.write(f'[container]\nimage = "{BUSYBOX}"\n')
@@ -122,7 +123,7 @@ def test_a_recipe_that_was_edited_since_is_noticed(busybox: Project) -> None:
     assert f"{BUSYBOX} has changed since its image was built" in quick(*asking).stderr
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_an_exported_image_is_the_same_elsewhere(busybox: Project, storages: Storages, tmp_path: Path) -> None:
     built = busybox.build_image(BUSYBOX)
     busybox.pin(BUSYBOX)
@@ -151,6 +152,7 @@ def test_a_damaged_archive_does_not_get_into_podman(project: Project, storages: 
     assert list((project.root / ".sierra").glob("images/*")) == []
 
 
+@pytest.mark.nightly
 def test_an_archive_moves_no_tag(project: Project, storages: Storages) -> None:
     tag = "localhost/images-mine:1"
     mine = project.import_image(made.docker_archive(project.root / "mine.tar", LAYERS[:1], tag=tag)).image
@@ -190,6 +192,7 @@ def test_a_tag_that_moved_is_noticed(project: Project, storages: Storages) -> No
     images.verify(project.root, images.pinned(project.root, tag))
 
 
+@pytest.mark.nightly
 def test_a_tag_that_is_gone_can_still_be_run_by_its_id(project: Project, storages: Storages) -> None:
     tag = "localhost/images-gone:1"
     image = project.import_image(made.docker_archive(project.root / "sim.tar", LAYERS), tag).image
@@ -208,6 +211,7 @@ def test_a_tag_that_is_gone_can_still_be_run_by_its_id(project: Project, storage
         images.rootfs(project.root, StorePaths(project.root / ".sierra"), pinned)
 
 
+@pytest.mark.nightly
 def test_a_podman_that_does_not_work_is_no_harm_to_what_does_not_need_it(
     project: Project, storages: Storages, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, require: Callable[..., str]
 ) -> None:
@@ -226,6 +230,7 @@ def test_a_podman_that_does_not_work_is_no_harm_to_what_does_not_need_it(
     assert "\n" not in known.why
 
 
+@pytest.mark.nightly
 def test_an_archive_is_loaded_for_podman_by_its_content(project: Project, storages: Storages) -> None:
     made.oci_archive(project.root / "sim.tar", LAYERS)
     image, store = project.pin("sim.tar").image, StorePaths(project.root / ".sierra")
@@ -233,6 +238,7 @@ def test_an_archive_is_loaded_for_podman_by_its_content(project: Project, storag
     assert engines.find("podman").prepare(image, project.root, store) == image.id
 
 
+@pytest.mark.nightly
 def test_to_identify_an_unchanged_image_starts_no_podman(
     project: Project, storages: Storages, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -265,6 +271,7 @@ def test_layers_come_to_what_podman_makes_of_them(project: Project, storages: St
     assert theirs == ours
 
 
+@pytest.mark.nightly
 def test_a_recipe_that_fails_is_said_in_a_line_and_leaves_nothing(
     project: Project, storages: Storages, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -310,7 +317,7 @@ def test_a_recipe_that_fails_is_said_in_a_line_and_leaves_nothing(
     assert listed.stdout == ""
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_what_is_recorded_of_an_image_goes_with_the_last_run_in_it(busybox: Project) -> None:
     (busybox.root / "sim.sh").write_text('printf "t,v\\n1,2\\n" > "$1/swarm.csv"\n')
     config = projects.CONFIG.replace("python3 sim.py {input}", "sh {project}/sim.sh {output}")
@@ -331,6 +338,7 @@ def test_what_is_recorded_of_an_image_goes_with_the_last_run_in_it(busybox: Proj
     assert project.sql("SELECT count(*) AS n FROM objects").to_pylist() == [{"n": 0}]
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("rootfs", "containerfile"),
     [("setsid sleep {0}1 & sleep {0}2", "FROM scratch\n"), ("", "FROM localhost/sierra/busybox\nRUN sleep {0}1\n")],
@@ -364,6 +372,7 @@ def test_an_interrupted_build_leaves_nothing(
     assert listed.stdout == ""
 
 
+@pytest.mark.nightly
 def test_a_build_that_is_interrupted_as_it_starts_leaves_nothing(busybox: Project) -> None:
     folder = busybox.root / "containers" / "sim"
     folder.mkdir()
@@ -376,6 +385,7 @@ def test_a_build_that_is_interrupted_as_it_starts_leaves_nothing(busybox: Projec
     assert not any(sleepers(f"{mark}4"))
 
 
+@pytest.mark.nightly
 def test_a_full_disk_while_building_is_said(
     project: Project, storages: Storages, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, require: Callable[..., str]
 ) -> None:
@@ -399,6 +409,7 @@ def test_a_full_disk_while_building_is_said(
         subprocess.run(["umount", "-l", str(small)], check=True)
 
 
+@pytest.mark.nightly
 def test_apptainer_builds_another_sif_each_time_and_that_is_noticed(
     project: Project, tmp_path: Path, require: Callable[..., str]
 ) -> None:
@@ -423,7 +434,7 @@ def test_apptainer_builds_another_sif_each_time_and_that_is_noticed(
         images.verify(project.root, found.image)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_recipes_of_python_and_of_the_example_build(
     project: Project, storages: Storages, require: Callable[..., str]
 ) -> None:
@@ -441,6 +452,7 @@ def test_the_recipes_of_python_and_of_the_example_build(
     assert found.program("python3") == "/usr/bin/python3"
 
 
+@pytest.mark.nightly
 def test_the_example_s_image_has_what_is_locked() -> None:
     """So that `make lock` does not leave the recipe behind."""
     lock = set((RECIPES.parent / "requirements.lock").read_text().split())

@@ -270,8 +270,8 @@ def await_none(folder: Path, mark: str, seconds: float = PATIENCE_S / 2) -> None
     [
         *(("run", killed) for killed in ("sierra", "interrupted")),
         ("worker", "sierra"),
-        *(pytest.param("run", killed, marks=pytest.mark.slow) for killed in ("worker", "clients")),
-        *(pytest.param("worker", killed, marks=pytest.mark.slow) for killed in ("worker", "clients", "interrupted")),
+        *(pytest.param("run", killed, marks=pytest.mark.nightly) for killed in ("worker", "clients")),
+        *(pytest.param("worker", killed, marks=pytest.mark.nightly) for killed in ("worker", "clients", "interrupted")),
     ],
     indirect=["sleeping"],
 )
@@ -372,7 +372,7 @@ def test_a_run_that_found_no_room_in_a_container_has_failed(tmp_path: Path, pyth
     assert "no room left in its container: /dev/shm" in ended[0]["reason"]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_run_that_stops_the_worker_in_its_container_is_ended_all_the_same(tmp_path: Path, python: Path) -> None:
     simulator = 'grep -q \'count="1"\' "$1" && kill -STOP $PPID && sleep 100\n' + containers.SIMULATOR
     folder = containers.make(tmp_path / "project", python, 'isolation = "worker"', simulator=simulator)
@@ -442,7 +442,7 @@ def test_another_file_system_below_the_project_is_read_only_too(
         subprocess.run(["umount", folder / "other one"], check=True)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_of_a_mount_also_the_place_of_a_file_counts_and_where_a_link_leads(tmp_path: Path, busybox: Path) -> None:
     writes = 'echo tick,coverage > swarm.csv; echo "0,$(cat /data/latest/map)" >> swarm.csv\n'
     folder = containers.make(tmp_path / "project", busybox, f'mounts = {{ "/data" = "{tmp_path}/maps" }}', simulator=writes)

@@ -19,7 +19,7 @@ from sierra.maintenance.findings import Kind
 from tests import containers, images, projects, stores
 from tests.unit.maintenance.test_fsck import seal
 
-pytestmark = [pytest.mark.real, pytest.mark.slow]
+pytestmark = pytest.mark.real
 LIMITS = '[limits]\nmemory = "64 MB"\n'
 VERSIONS = {"old": {"libc6": "2.36-9", "tzdata": "1"}, "new": {"libc6": "2.36-10", "zlib": "3"}}
 ENFORCED = Capabilities("podman 1, runc 1", enforced=frozenset({"cpus", "pids"}), user="root")
@@ -145,6 +145,7 @@ def test_the_image_and_how_it_was_contained_are_shown(root: Path, batches: Mappi
     assert "IGNORED" not in text
 
 
+@pytest.mark.nightly
 def test_a_limit_that_was_only_ignored_stands_out(root: Path, batches: Mapping[str, str]) -> None:
     text = succeed(root, "show", batches["new"])
     assert [line.split() for line in text.splitlines() if "IGNORED" in line] == [["LIMITS", "IGNORED", "cpus", "1"]]
@@ -159,6 +160,7 @@ def test_what_runs_reach_is_shown(root: Path, batches: Mapping[str, str]) -> Non
     assert "/maps from /" in text
 
 
+@pytest.mark.nightly
 def test_an_execution_in_no_container_is_shown_as_such(root: Path, batches: Mapping[str, str]) -> None:
     """As a replay on the host itself leaves it."""
     one = execution(root, batches["old"])
@@ -197,6 +199,7 @@ def test_isolations_are_compared_by_what_was_enforced(root: Path, batches: Mappi
     }
 
 
+@pytest.mark.nightly
 def test_what_runs_reach_is_compared(root: Path, batches: Mapping[str, str]) -> None:
     found = differences(root, batches["new"], batches["reaching"])
     assert [name for kind, name in found if kind == "image"] == ["reach"]
@@ -204,6 +207,7 @@ def test_what_runs_reach_is_compared(root: Path, batches: Mapping[str, str]) -> 
     assert found["isolation", "network"]["line"] == "network of the container: none → host"
 
 
+@pytest.mark.nightly
 def test_an_execution_in_a_container_is_compared_with_one_in_none(root: Path, batches: Mapping[str, str]) -> None:
     (root / "sierra.toml").write_text((root / "sierra.toml").read_text().partition("[container]")[0])
     plain = ask(root, "population_size=1")
@@ -212,6 +216,7 @@ def test_an_execution_in_a_container_is_compared_with_one_in_none(root: Path, ba
     assert found["isolation", "engine"]["line"] == "contained by: podman 1, runc 1 → none, on the host itself"
 
 
+@pytest.mark.nightly
 def test_what_is_in_an_image_is_compared_as_far_as_it_is_recorded(root: Path, batches: Mapping[str, str]) -> None:
     for path in root.glob(".sierra/segments/*/images.parquet"):
         path.unlink()
@@ -236,6 +241,7 @@ def test_another_image_makes_runs_new_and_its_packages_are_named(root: Path, bat
     assert sierra.open(root).why(batches["new"]).again[1].startswith("the image was ")
 
 
+@pytest.mark.nightly
 def test_why_tells_what_is_other_in_the_image(root: Path, batches: Mapping[str, str]) -> None:
     text = succeed(root, "why", batches["new"])
     assert "image: ../old.tar (sha256:" in text
@@ -243,6 +249,7 @@ def test_why_tells_what_is_other_in_the_image(root: Path, batches: Mapping[str, 
     assert "what runs reach beyond the image: mount /maps is new, network is new" in succeed(root, "why", batches["reaching"])
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("lines", "told"),
     [
@@ -255,6 +262,7 @@ def test_what_runs_reach_makes_them_new(root: Path, lines: list[str], told: str)
     assert f"what runs reach beyond the image has changed: {told}" in explained(root)
 
 
+@pytest.mark.nightly
 def test_mounted_files_that_changed_are_named(root: Path, batches: Mapping[str, str]) -> None:
     assert "1 runs: reused" in explained(root)
     maps = root.parent / "maps"
@@ -263,6 +271,7 @@ def test_mounted_files_that_changed_are_named(root: Path, batches: Mapping[str, 
     assert "{mount}/maps/town: 6b86b273ff recorded" in succeed(root, "why", batches["reaching"])
 
 
+@pytest.mark.nightly
 def test_mounted_files_that_changed_places_count(root: Path) -> None:
     one, other = (root.parent / "maps" / folder / "town" for folder in ("a", "b"))
     assert "1 runs: reused" in explained(root)
@@ -313,6 +322,7 @@ def rows(root: Path, table: str) -> list[dict[str, Any]]:
     return found
 
 
+@pytest.mark.nightly
 def test_what_only_a_removed_batch_needs_goes_and_what_others_need_stays(root: Path, batches: Mapping[str, str]) -> None:
     named = {row["name"]: row for row in rows(root, "images")}
     succeed(root, "rm", batches["reaching"], "--yes")
@@ -329,6 +339,7 @@ def test_what_only_a_removed_batch_needs_goes_and_what_others_need_stays(root: P
     assert rows(root, "images") == rows(root, "isolations") == []
 
 
+@pytest.mark.nightly
 def test_merged_segments_keep_what_is_recorded_of_containers(root: Path) -> None:
     before = {table: sorted(map(str, rows(root, table))) for table in ("images", "isolations")}
     with pytest.MonkeyPatch.context() as patch:

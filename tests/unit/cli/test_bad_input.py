@@ -207,6 +207,7 @@ with open("b", "wb", buffering=0) as file:
 """
 
 
+@pytest.mark.integration
 def test_a_full_disk_ends_the_batch_and_room_completes_it(tmp_path: Path, disk: Callable[[Path, str], Path]) -> None:
     folder = make(disk(tmp_path / "small", "1m"), simulator=FILLS_A_SMALL_DISK)
     ended = sierra(folder, "run", "population_size.Log4", "--no-figures", "-j", "1")

@@ -104,6 +104,7 @@ def test_completion_completes(tmp_path: Path) -> None:
 # run
 
 
+@pytest.mark.integration
 def test_run_answers_with_one_json_object(answer: dict[str, Any]) -> None:
     assert len(answer["batch"]) == 64
     assert {name: answer[name] for name in ("experiments", "runs", "executed", "reused", "failed")} == {
@@ -149,6 +150,7 @@ def test_braces_that_are_no_placeholder_are_written_twice(tmp_path: Path) -> Non
     assert said["words"] == '{output} {"a":{"b":1}}'
 
 
+@pytest.mark.integration
 def test_named_queries_controllers_and_scenarios(tmp_path: Path) -> None:
     simulator = (
         "import sys, xml.etree.ElementTree as ET\n"
@@ -205,6 +207,7 @@ def test_the_project_may_live_in_pyproject_toml(tmp_path: Path) -> None:
 # looking
 
 
+@pytest.mark.integration
 def test_everything_that_reads_can_answer_in_json(answered: Path, answer: dict[str, Any]) -> None:
     [listed] = json.loads(quick(answered, "ls", "--json").stdout)
     assert (listed["batch"], listed["failed"], listed["missing"]) == (answer["batch"], 0, 0)
@@ -224,6 +227,7 @@ def test_people_read_tables(answered: Path, answer: dict[str, Any]) -> None:
     assert "population_size" in quick(answered, "show", answer["batch"]).stdout
 
 
+@pytest.mark.integration
 def test_batches_of_one_query_are_told_apart(tmp_path: Path) -> None:
     config = CONFIG + '[controllers.a]\n[[controllers.a.changes]]\nset = "//swarm/@controller"\nvalue = "a"\n'
     folder = make(tmp_path / "p", 'controller = "a"\n' + config + "[controllers.b]\n")
@@ -338,6 +342,7 @@ def test_sql_reads_from_a_pipe(answered: Path) -> None:
     assert '"nope"' in ended.stderr
 
 
+@pytest.mark.integration
 def test_a_reader_that_leaves_early_is_no_fault(answered: Path) -> None:
     with subprocess.Popen(
         [SIERRA, "sql", "FROM range(1000000)", "-f", "csv"], cwd=answered, stdout=subprocess.PIPE, stderr=subprocess.PIPE
@@ -353,6 +358,7 @@ def test_a_reader_that_leaves_early_is_no_fault(answered: Path) -> None:
 # doctor
 
 
+@pytest.mark.integration
 def test_a_users_own_settings_hold_in_all_projects(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
     file = tmp_path / "config" / "sierra" / "config.toml"
@@ -455,6 +461,7 @@ def test_on_a_terminal_ids_are_short_and_tables_no_wider_than_it(
 # many runs
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("how", [("-n",), ("--json", "-n"), ()])
 def test_very_many_runs_are_not_planned_without_being_asked_for(answered: Path, how: tuple[str, ...]) -> None:
     said = quick(answered, "run", "noise=0:1:500000", *how)

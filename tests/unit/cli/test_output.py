@@ -100,6 +100,7 @@ def test_what_is_safe_already_stays() -> None:
 # ---------------------------------------------------------------- bytes that are no text
 
 
+@pytest.mark.integration
 def test_a_format_that_is_no_text_is_damage(recorded: Path, tmp_path: Path) -> None:
     root = stores.copy(recorded, tmp_path / "project")
     for content in (b"\xff", b"\xff" * 100_000, b"\x1b[2J\n", b""):

@@ -91,7 +91,7 @@ def open_terminal(answered: Path, tmp_path: Path) -> Iterator[Callable[[], Termi
 
 @pytest.mark.parametrize(
     "word",
-    ["exit", "\\q", "\x04", *(pytest.param(word, marks=pytest.mark.slow) for word in ("quit", ".quit", ".exit", "EXIT;"))],
+    ["exit", "\\q", "\x04", *(pytest.param(word, marks=pytest.mark.nightly) for word in ("quit", ".quit", ".exit", "EXIT;"))],
 )
 def test_the_prompt_can_be_left(open_terminal: Callable[[], Terminal], word: str) -> None:
     terminal = open_terminal()
@@ -144,6 +144,7 @@ def test_sigterm_ends_the_prompt(open_terminal: Callable[[], Terminal]) -> None:
     assert terminal.ended() == 130
 
 
+@pytest.mark.integration
 def test_what_was_typed_is_remembered_in_the_state_folder(open_terminal: Callable[[], Terminal], tmp_path: Path) -> None:
     pytest.importorskip("readline")
     terminal = open_terminal()

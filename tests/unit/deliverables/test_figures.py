@@ -128,12 +128,14 @@ def test_each_kind_is_written_in_three_formats(kind: str, tmp_path: Path) -> Non
     assert sorted(paths) == sorted((tmp_path / "new").iterdir())
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("kind", [*KINDS, "heatmap"])
 def test_the_same_data_give_the_same_bytes(kind: str) -> None:
     axes = (SIZES, NAMES) if kind == "heatmap" else (SIZES,)
     assert list(figures.rendered(drawing(kind, axes))) == once(kind)
 
 
+@pytest.mark.integration
 def test_another_process_at_another_time_draws_the_same_bytes() -> None:
     code = (
         "import sys, hashlib, importlib.util as u; s = u.spec_from_file_location('t', sys.argv[1]);"
@@ -146,6 +148,7 @@ def test_another_process_at_another_time_draws_the_same_bytes() -> None:
     assert drawn.stdout == f"{[sha256(data).hexdigest() for kind in KINDS for _, data in once(kind)]}\n"
 
 
+@pytest.mark.integration
 def test_the_users_own_settings_of_matplotlib_change_nothing_and_are_left_alone() -> None:
     import matplotlib as mpl
 
@@ -250,6 +253,7 @@ def test_nothing_that_is_written_lies_outside_or_on_something_else(kind: str, ti
         assert not any(one.overlaps(other) for one in around for other in boxes)
 
 
+@pytest.mark.integration
 def test_thirty_experiments_have_a_colour_bar_and_not_thirty_entries() -> None:
     many = Axis("max_speed", tuple(k / 10 for k in range(30)), unit="m/s")
     lines = said(drawing(axes=(many,))).splitlines()
@@ -334,6 +338,7 @@ def plot_of(shown: Drawing) -> Any:
         return {"timeseries": timeseries.timeseries, "summary": summary.summary}[shown.figure.kind](shown).axes[0]
 
 
+@pytest.mark.integration
 def test_intervals_of_few_runs_do_not_set_the_range_and_are_said_to_be_cut_off() -> None:
     shown = drawing(tables=ragged())
     low, high = plot_of(shown).get_ylim()
@@ -343,6 +348,7 @@ def test_intervals_of_few_runs_do_not_set_the_range_and_are_said_to_be_cut_off()
     assert figures.rendered(shown) == figures.rendered(shown)
 
 
+@pytest.mark.integration
 def test_intervals_that_have_room_or_are_of_most_of_the_runs_are_not_cut_off() -> None:
     for tables in (ragged(n=6), ragged(reach=10.0), {"energy": table(4, 20)}):
         shown = drawing(tables=tables)
@@ -362,6 +368,7 @@ def test_an_experiment_of_few_runs_does_not_set_the_range_of_a_summary() -> None
     assert plot_of(wide).get_ylim() == pytest.approx((9 * (9 / 41) ** 0.05, 41 * (41 / 9) ** 0.05))
 
 
+@pytest.mark.integration
 def test_what_has_no_place_on_a_logarithmic_axis_is_said() -> None:
     means = np.array([0.0, -1.0, 30.0, 40.0])
     lacking = table(4, mean=means, low=means - 1, high=means + 1)
@@ -418,6 +425,7 @@ def test_no_two_lines_differ_by_their_colour_alone(axis: Axis, kind: str) -> Non
     assert len(styles) >= min(len(axis.values), 8)
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("kind", ["stacked", "timeseries"])
 def test_labels_of_many_panels_lie_within_the_figure_and_apart(kind: str) -> None:
     from sierra.deliverables.figures import style, timeseries
@@ -449,6 +457,7 @@ def test_marks_at_zero_do_not_go_below_it() -> None:
     assert min(line.get_transform().transform([(0.0, 20.0)])[0][0] for line in marks) >= zero - 0.01
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("first", [SIZES, Axis("noise", (0.0, 0.5, 1.0, 1.5))])
 @pytest.mark.parametrize("count", [3, 12, 60])
 def test_marks_of_all_groups_lie_within_the_plot(first: Axis, count: int) -> None:
@@ -483,6 +492,7 @@ def test_keys_of_a_figure_that_would_do_nothing_are_refused(keys: Mapping[str, A
         project_file.parse({"template": "t.xml", "figures": {"f": keys}}, "sierra.toml")
 
 
+@pytest.mark.integration
 def test_files_are_named_from_the_working_directory_where_that_is_shorter(simulate: Callable[..., Any]) -> None:
     project = simulate()
     project.quick("run", "size=1,2", "--runs", "2", "--no-figures")
@@ -521,7 +531,7 @@ ODD: Mapping[str, Any] = {
 }
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("case", ODD)
 def test_nothing_odd_in_the_data_keeps_a_figure_from_being_drawn(kind: str, case: str) -> None:

@@ -28,6 +28,7 @@ def _project(root: Path, *, rows: int = 1, ticks: str = "None", config: str = DE
     return sierra.open(projects.make(root, config, simulator=f"ROWS, TICKS = {rows}, {ticks}\n{script}"))
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize(("rows", "ticks"), [(1, "None"), (2, "None"), (2, "lambda floor, row: row")])
 def test_several_rows_at_one_time_have_no_final_value(tmp_path: Path, rows: int, ticks: str) -> None:
     project = _project(tmp_path / "p", rows=rows, ticks=ticks)
@@ -52,6 +53,7 @@ def _explicit(project: Project, batch: str) -> None:
     sierra.open(project.root).draw(batch, "heat")
 
 
+@pytest.mark.integration
 def test_files_that_follow_each_other_in_time_have_the_final_value_of_the_last(tmp_path: Path) -> None:
     project = _project(tmp_path / "p", rows=2, ticks="lambda floor, row: 2 * floor + row")
     summary = project.run("population_size=1")
@@ -59,6 +61,7 @@ def test_files_that_follow_each_other_in_time_have_the_final_value_of_the_last(t
     assert {Path(file).stem for file in summary.figures} == {"floor_heat_summary", "floor_heat_timeseries"}
 
 
+@pytest.mark.integration
 def test_one_file_of_a_glob_in_each_run_is_a_sample(tmp_path: Path) -> None:
     config = projects.CONFIG + '[outputs.floor]\nfile = "floor-12*.csv"\n'
     project = _project(tmp_path / "p", rows=3, config=config)
@@ -119,6 +122,7 @@ def test_a_name_with_brackets_is_declared_as_it_is(tmp_path: Path) -> None:
 METRIC = '[equivalence.heat]\ntable = "floor"\ncolumn = "heat"\nmargin = 1\n'
 
 
+@pytest.mark.integration
 def test_a_metrics_column_that_is_not_there_is_named(tmp_path: Path) -> None:
     project = _project(tmp_path / "p", config=DECLARED + METRIC.replace('"heat"', '"haet"'))
     summary = project.run("population_size=1", figures=False)
@@ -127,6 +131,7 @@ def test_a_metrics_column_that_is_not_there_is_named(tmp_path: Path) -> None:
     assert "Error" not in note
 
 
+@pytest.mark.integration
 def test_several_rows_at_one_time_are_compared_by_no_metric(tmp_path: Path) -> None:
     project = _project(tmp_path / "p", config=DECLARED + METRIC)
     summary = project.run("population_size=1", figures=False)

@@ -44,6 +44,7 @@ def assert_each_once(project: Any, runs: int) -> None:
     assert project.sql("SELECT count(*) AS n, count(DISTINCT run) AS runs FROM swarm") == [{"n": 2 * runs, "runs": runs}]
 
 
+@pytest.mark.integration
 def test_eight_that_ask_the_same_share_the_work_even_where_no_store_is_yet(simulate: Simulate) -> None:
     project = simulate()
     ends = at_once(project, [("size.Log8", "--runs", "10")] * 8)
@@ -54,7 +55,7 @@ def test_eight_that_ask_the_same_share_the_work_even_where_no_store_is_yet(simul
     assert project.sql("SELECT count(*) AS n FROM experiments") == [{"n": 4}]
 
 
-@pytest.mark.slow
+@pytest.mark.integration
 def test_eight_whose_questions_overlap_share_what_is_common(simulate: Simulate) -> None:
     project = simulate()
     some = [
@@ -70,7 +71,7 @@ def test_eight_whose_questions_overlap_share_what_is_common(simulate: Simulate) 
     assert project.sql("SELECT count(*) AS n FROM members") == [{"n": 20 + 40 + 21 + 8}]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_eight_different_ones_do_not_disturb_each_other_and_readers_never_fail(simulate: Simulate) -> None:
     project = simulate()
     assert project.ask("run", "size=99", "--runs", "1", "--no-figures").returncode == 0
@@ -98,6 +99,7 @@ def test_eight_different_ones_do_not_disturb_each_other_and_readers_never_fail(s
     assert_each_once(project, 81)
 
 
+@pytest.mark.integration
 def test_who_asks_meanwhile_always_sees_whole_records(simulate: Simulate) -> None:
     project = simulate(held(21))
     project.ask("run", "size=99", "--runs", "1", "--no-figures")
@@ -128,6 +130,7 @@ def test_what_another_session_has_just_tried_without_success_is_not_tried_again(
     assert all("6 failed" in end.stdout for end in ends)
 
 
+@pytest.mark.integration
 def test_what_another_asking_executes_meanwhile_is_told_from_what_was_there(simulate: Simulate) -> None:
     project = simulate(held(1))
     assert project.ask("run", "size=1", "--runs", "1", "--no-figures").returncode == 0
@@ -163,6 +166,7 @@ def test_a_claim_holds_until_its_session_is_finished(tmp_path: Any) -> None:
     assert sorted(path.name for path in store.work.iterdir()) == ["lock", "mark"]
 
 
+@pytest.mark.integration
 def test_sessions_that_come_and_go_are_never_taken_for_dead(tmp_path: Any) -> None:
     store = StorePaths(tmp_path)
     wrong: list[Any] = []
@@ -229,6 +233,7 @@ main()
 """
 
 
+@pytest.mark.integration
 def test_where_a_file_system_has_no_locks_what_died_is_finished_all_the_same(simulate: Simulate, tmp_path: Path) -> None:
     project = simulate(held(8))
     program = tmp_path / "without_locks.py"

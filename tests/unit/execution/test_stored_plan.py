@@ -21,7 +21,7 @@ if count == 2 and not os.path.exists(sys.argv[2]):
 )
 
 
-@pytest.fixture(params=["git", pytest.param("none", marks=pytest.mark.slow)])
+@pytest.fixture(params=["git", pytest.param("none", marks=pytest.mark.nightly)])
 def half(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[Path, str]:
     """A project with a batch of which two of four runs have failed; they succeed once `mended` is there."""
     config = projects.CONFIG.replace("{input}", f"{{input}} {tmp_path}/mended")
@@ -38,6 +38,7 @@ def state(root: Path, batch: str) -> tuple[int, int]:
     return row["failed"], row["missing"]
 
 
+@pytest.mark.integration
 def test_what_is_missing_is_executed_with_the_code_and_the_inputs_of_then(half: tuple[Path, str]) -> None:
     root, batch = half
     assert state(root, batch) == (2, 0)
@@ -54,6 +55,7 @@ def test_what_is_missing_is_executed_with_the_code_and_the_inputs_of_then(half: 
     assert not list(root.glob(".sierra/work/*/source"))
 
 
+@pytest.mark.integration
 def test_where_nothing_is_missing_nothing_is_executed_and_it_can_be_said_before(half: tuple[Path, str]) -> None:
     root, batch = half
     told = json.loads(projects.quick(root, "run", batch[:8], "-n", "--json").stdout)
@@ -62,6 +64,7 @@ def test_where_nothing_is_missing_nothing_is_executed_and_it_can_be_said_before(
     assert sierra.open(root).run(batch, figures=False).executed == 0
 
 
+@pytest.mark.integration
 def test_what_is_executed_so_is_judged_by_the_rules_of_then(half: tuple[Path, str]) -> None:
     root, batch = half
     (root / "sierra.toml").write_text((root / "sierra.toml").read_text() + '[outputs.never]\nfile = "never.csv"\n')
@@ -69,6 +72,7 @@ def test_what_is_executed_so_is_judged_by_the_rules_of_then(half: tuple[Path, st
     assert (summary.executed, summary.failed) == (2, 0)
 
 
+@pytest.mark.integration
 def test_only_a_batch_is_executed_so_and_nothing_may_be_changed(half: tuple[Path, str]) -> None:
     root, batch = half
     [row] = sierra.open(root).sql("SELECT run FROM runs LIMIT 1").to_pylist()
@@ -81,6 +85,7 @@ def test_only_a_batch_is_executed_so_and_nothing_may_be_changed(half: tuple[Path
         assert (ended.returncode, said in ended.stderr, ended.stderr.count("\n")) == (2, True, 1)
 
 
+@pytest.mark.integration
 def test_a_query_of_that_name_is_meant_first(tmp_path: Path) -> None:
     config = projects.CONFIG + '[queries]\ncafe = { criteria = "population_size=1" }\n'
     root = projects.make(tmp_path / "project", config)
@@ -89,6 +94,7 @@ def test_a_query_of_that_name_is_meant_first(tmp_path: Path) -> None:
     assert project.run("cafe", figures=False).runs == 2
 
 
+@pytest.mark.integration
 def test_what_is_not_committed_neither_counts_nor_executes_where_it_is_to_be_ignored(tmp_path: Path) -> None:
     root = projects.commit(projects.make(tmp_path / "project", projects.CONFIG + '[source]\ndirty = "ignore"\n'))
     committed = sierra.open(root).run("population_size=1", figures=False).batch
@@ -105,6 +111,7 @@ def test_what_is_not_committed_neither_counts_nor_executes_where_it_is_to_be_ign
     assert (root / "sim.py").read_text() == other
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("link", ["path", "editable"])
 def test_what_is_installed_from_the_project_does_not_execute_in_the_place_of_the_recorded(tmp_path: Path, link: str) -> None:
     venv.create(tmp_path / "env", symlinks=True)

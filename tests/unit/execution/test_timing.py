@@ -83,6 +83,7 @@ def test_runs_are_expected_to_take_what_those_with_the_same_values_took(simulate
     assert timing.expected(plan, None, new) is None
 
 
+@pytest.mark.integration
 def test_other_settings_count_only_where_there_are_no_runs_with_these(simulate: Callable[..., Simulated]) -> None:
     made = simulate(SLEEPS.format("speed"))
     project = sierra.open(made.folder)

@@ -35,7 +35,7 @@ def make(tmp_path: Path) -> Make:
     return partial(made, tmp_path / "project")
 
 
-@pytest.fixture(params=["git", pytest.param("none", marks=pytest.mark.slow)])
+@pytest.fixture(params=["git", pytest.param("none", marks=pytest.mark.nightly)])
 def make_either(request: pytest.FixtureRequest, tmp_path: Path) -> Make:
     """Makes a project, in git and outside."""
 
@@ -84,6 +84,7 @@ def executions(root: Path, purpose: str = "run") -> list[dict[str, Any]]:
     return rows
 
 
+@pytest.mark.integration
 def test_a_changed_line_of_code_is_told_with_its_patch_and_with_what_came_of_it(make_either: Make) -> None:
     root = make_either()
     before = ask(root)
@@ -102,6 +103,7 @@ def test_a_changed_line_of_code_is_told_with_its_patch_and_with_what_came_of_it(
     assert {"query", "command", "programs", "inputs", "seed", "environment", "rules"} <= set(said["same"])
 
 
+@pytest.mark.integration
 def test_code_that_changes_no_result_is_said_to_change_none(make_either: Make) -> None:
     root = make_either()
     before = ask(root)
@@ -112,6 +114,7 @@ def test_code_that_changes_no_result_is_said_to_change_none(make_either: Make) -
     assert "commit" not in said["same"]
 
 
+@pytest.mark.integration
 def test_files_that_come_and_go_and_binary_ones_are_named(make_either: Make) -> None:
     root = make_either()
     (root / "old.txt").write_text("a\nb\n")
@@ -126,6 +129,7 @@ def test_files_that_come_and_go_and_binary_ones_are_named(make_either: Make) -> 
     assert "4 files differ: data.bin (binary), kept.txt → moved.txt, new.txt (added, +1 −0), old.txt (removed, +0 −2)" in line
 
 
+@pytest.mark.integration
 def test_commits_between_are_told_and_what_is_not_committed(tmp_path: Path) -> None:
     root = projects.make(tmp_path)
     first(root)
@@ -143,6 +147,7 @@ def test_commits_between_are_told_and_what_is_not_committed(tmp_path: Path) -> N
     assert source["line"].endswith("; 1 commit on, with changes that are not committed")
 
 
+@pytest.mark.integration
 def test_the_same_files_of_another_commit_come_late(tmp_path: Path) -> None:
     root = projects.make(tmp_path)
     first(root)
@@ -153,6 +158,7 @@ def test_the_same_files_of_another_commit_come_late(tmp_path: Path) -> None:
     assert "the same files; 1 commit on" in lines(said, "commit")[0]
 
 
+@pytest.mark.integration
 def test_where_git_has_lost_the_code_the_rest_is_told(tmp_path: Path) -> None:
     root = projects.make(tmp_path)
     first(root)
@@ -168,6 +174,7 @@ def test_where_git_has_lost_the_code_the_rest_is_told(tmp_path: Path) -> None:
     assert any("neither in git nor in the store" in line for line in source["details"])
 
 
+@pytest.mark.integration
 def test_what_was_asked_stands_before_the_input_that_it_makes(make: Make) -> None:
     root = make()
     before = ask(root)
@@ -177,6 +184,7 @@ def test_what_was_asked_stands_before_the_input_that_it_makes(make: Make) -> Non
     assert lines(said, "inputs") == ["input, as asked: //noise: 0.1 → 0.2 (in all 4 runs)"]
 
 
+@pytest.mark.integration
 def test_other_values_and_more_runs_are_told_and_what_both_have_is_compared(make: Make) -> None:
     root = make()
     before = ask(root, "population_size=1,2")
@@ -186,6 +194,7 @@ def test_other_values_and_more_runs_are_told_and_what_both_have_is_compared(make
     assert any("2 runs are in both; of 2 of them the same execution counts" in note for note in said["notes"])
 
 
+@pytest.mark.integration
 def test_where_no_experiment_is_in_both_nothing_is_said_to_be_the_same(make: Make) -> None:
     root = make()
     said = diff(root, ask(root, "population_size=1,2"), ask(root, "population_size=3,4"))
@@ -193,12 +202,14 @@ def test_where_no_experiment_is_in_both_nothing_is_said_to_be_the_same(make: Mak
     assert any("no experiment is in both" in note for note in said["notes"])
 
 
+@pytest.mark.integration
 def test_an_axis_of_one_value_does_not_keep_experiments_apart(make: Make) -> None:
     root = make()
     said = diff(root, ask(root, "population_size=1,2"), ask(root, "population_size=1,2", "noise=0.3"))
     assert lines(said, "inputs") == ["input: //noise: 0.1 → 0.3 (in all 4 runs)"]
 
 
+@pytest.mark.integration
 def test_two_experiments_and_two_runs(make: Make) -> None:
     root = make()
     batch = ask(root)
@@ -214,6 +225,7 @@ def test_two_experiments_and_two_runs(make: Make) -> None:
     assert batch
 
 
+@pytest.mark.integration
 def test_other_base_seeds_are_told(make: Make) -> None:
     root = make()
     before = ask(root)
@@ -223,6 +235,7 @@ def test_other_base_seeds_are_told(make: Make) -> None:
     assert "base seed: 0 → 7" in lines(said, "seed")
 
 
+@pytest.mark.integration
 def test_a_template_that_is_only_written_differently_is_said_to_be(make: Make) -> None:
     root = make()
     before = ask(root)
@@ -232,6 +245,7 @@ def test_a_template_that_is_only_written_differently_is_said_to_be(make: Make) -
     assert "only written differently" in lines(said, "inputs")[0]
 
 
+@pytest.mark.integration
 def test_two_executions_with_other_programs(tmp_path: Path) -> None:
     program = tmp_path / "sim"
     root = projects.make(tmp_path / "project", projects.CONFIG.replace("python3 sim.py", str(program)))
@@ -249,6 +263,7 @@ def test_two_executions_with_other_programs(tmp_path: Path) -> None:
     assert diff(root, one["run"], other["execution"])["differences"] == []
 
 
+@pytest.mark.integration
 def test_a_failure_is_told(make: Make) -> None:
     root = make("import sys, pathlib\nsys.exit(pathlib.Path(sys.argv[1]).read_text().count('count=\"2\"'))\n")
     batch = ask(root)
@@ -257,6 +272,7 @@ def test_a_failure_is_told(make: Make) -> None:
     assert batch
 
 
+@pytest.mark.integration
 def test_other_rules_are_told_by_their_keys(make: Make) -> None:
     root = make()
     before = ask(root, "population_size=1")
@@ -266,6 +282,7 @@ def test_other_rules_are_told_by_their_keys(make: Make) -> None:
     assert "success.contains nothing → fine" in rules["details"]
 
 
+@pytest.mark.integration
 def test_a_replay_is_the_same_as_its_record_but_for_what_is_volatile(make_either: Make) -> None:
     root = make_either(STAMPED, '[outputs.log]\nfile = "log.txt"\nvolatile = ["^# written"]\n')
     ask(root, "population_size=1", runs=1)
@@ -275,6 +292,7 @@ def test_a_replay_is_the_same_as_its_record_but_for_what_is_volatile(make_either
     assert "log.txt: only what is declared volatile differs" in said["notes"]
 
 
+@pytest.mark.integration
 def test_another_host_comes_after_all_that_is_likely_to_matter(tmp_path: Path, require: Callable[..., str]) -> None:
     unshare = require("unshare")
     alone = subprocess.run([unshare, "-r", "--uts", "hostname", "elsewhere"], capture_output=True, check=False)
@@ -307,6 +325,7 @@ def test_what_cannot_be_compared_is_a_usage_error(make: Make) -> None:
         assert (ended.returncode, ended.stdout, ended.stderr.count("\n")) == (2, "", 1)
 
 
+@pytest.mark.integration
 def test_people_get_the_beginning_of_a_long_patch_and_all_of_it_when_they_ask(make: Make) -> None:
     root = make()
     before = ask(root)
@@ -318,6 +337,7 @@ def test_people_get_the_beginning_of_a_long_patch_and_all_of_it_when_they_ask(ma
     assert "+# line 49" in whole
 
 
+@pytest.mark.integration
 def test_inputs_that_the_store_has_lost_are_noted_and_the_rest_is_told(make: Make) -> None:
     root = make()
     before = ask(root)
@@ -330,6 +350,7 @@ def test_inputs_that_the_store_has_lost_are_noted_and_the_rest_is_told(make: Mak
     assert any("not in the store" in note for note in said["notes"])
 
 
+@pytest.mark.integration
 def test_what_was_never_executed_is_not_said_to_be_executed_with_the_same(make: Make) -> None:
     root = make("import sys, time; time.sleep(0.4); sys.exit(1)\n")
     sierra.open(root).run("population_size=1", runs=20, jobs=1, fail_fast=True, figures=False)
@@ -341,6 +362,7 @@ def test_what_was_never_executed_is_not_said_to_be_executed_with_the_same(make: 
     assert any("was never executed, so that no results are compared" in note for note in said["notes"])
 
 
+@pytest.mark.integration
 def test_results_that_are_no_tables_are_told_to_differ(make: Make) -> None:
     root = make("open('picture.bin', 'wb').write(b'\\0one')\n")
     before = ask(root)
@@ -382,6 +404,7 @@ def test_the_interval_of_a_difference_is_the_same_at_any_magnitude(scale: float)
     assert other == pytest.approx((one[0] * scale, one[1] * scale), rel=1e-12)
 
 
+@pytest.mark.integration
 def test_runs_that_left_nothing_but_logs_are_not_said_to_have_the_same_results(make: Make) -> None:
     root = make("print(__import__('time').time_ns())\n")
     ask(root, "population_size=1", runs=2)

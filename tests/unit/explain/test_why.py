@@ -66,6 +66,7 @@ def test_what_is_asked_first_is_new_and_counts(root: Path) -> None:
     assert said["again"] == ["4 runs: reused"]
 
 
+@pytest.mark.integration
 def test_the_file_that_made_runs_new_is_named(root: Path) -> None:
     before = ask(root)
     (root / "sim.py").write_text(projects.SIMULATOR + "# more\n")
@@ -91,6 +92,7 @@ def test_a_grown_batch_says_where_its_runs_come_from(root: Path) -> None:
     assert [(one["runs"], one["counts"]) for one in said["standings"]] == [(6, True)]
 
 
+@pytest.mark.integration
 def test_a_failure_is_why_it_was_executed_again(root: Path, tmp_path: Path) -> None:
     flag = tmp_path / "fail"
     flag.touch()
@@ -147,6 +149,7 @@ def test_other_rules_are_why(root: Path) -> None:
     assert said["story"][1]["other_rules"].startswith("[outputs] and [success]: ")
 
 
+@pytest.mark.integration
 def test_other_rules_are_why_where_the_bytes_are_not_kept(root: Path) -> None:
     (root / "sierra.toml").write_text(projects.CONFIG + "[store]\nraw = false\n")
     batch = ask(root, "population_size=1")
@@ -155,6 +158,7 @@ def test_other_rules_are_why_where_the_bytes_are_not_kept(root: Path) -> None:
     assert causes(why(root, batch))[1].startswith("judged by other rules before: [outputs] and [success]: ")
 
 
+@pytest.mark.integration
 def test_a_finding_is_why(root: Path) -> None:
     few = [seeds.seed(0, number, "") for number in range(2)]
     text = f"'1e5' if seed in {few} else '3ab'"
@@ -165,6 +169,7 @@ def test_a_finding_is_why(root: Path) -> None:
     assert any("was found to be no good" in cause for cause in causes(why(root, a_run(root))))
 
 
+@pytest.mark.integration
 def test_a_replay_is_told_and_does_not_count(root: Path) -> None:
     batch = ask(root)
     sierra.open(root).replay(batch)
@@ -191,6 +196,7 @@ def test_a_project_that_cannot_be_asked_any_more_says_why(root: Path) -> None:
     assert "arena.xml" in line
 
 
+@pytest.mark.integration
 def test_what_was_set_is_asked_for_again_as_it_was(root: Path) -> None:
     batch = ask(root, sets=[("//random[@seed]/following-sibling::noise", "0.5")])
     assert why(root, batch)["again"] == ["4 runs: reused"]

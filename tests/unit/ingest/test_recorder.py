@@ -136,6 +136,7 @@ def test_a_column_has_the_narrowest_type_that_keeps_its_values(tmp_path: Path, t
     assert [repr(row[0]) for row in rows] == [repr(value) for value in values]
 
 
+@pytest.mark.integration
 def test_whole_numbers_that_have_fractions_in_one_run_are_not_rounded(make: Make) -> None:
     project = make("write('v\\n1\\n' if seed % 5 else 'v\\n1.5\\n')\nwrite(f'{seed}', 'seed.txt')")
     run(project, runs=20)
@@ -191,6 +192,7 @@ def test_names_that_sql_finds_hard_are_kept(make: Make) -> None:
             ]
 
 
+@pytest.mark.integration
 def test_outputs_are_called_so_that_sql_knows_them(make: Make) -> None:
     names = ["a-b", "1st", "Runs", "select", "x y", "ü"]
     project = make(f"for name in {names!r}: write(good, name + '.csv')")
@@ -215,6 +217,7 @@ def test_what_is_no_table_is_kept_to_the_byte(make: Make) -> None:
         assert project.store.object(row["sha256"]) == {"a.bin": bytes(range(256)), "notes.txt": b"hello"}[row["path"]]
 
 
+@pytest.mark.integration
 def test_rows_keep_their_order(make: Make) -> None:
     project = make("write('i\\n' + ''.join(f'{i * 7919 % 100003}\\n' for i in range(100003)))")
     summary = run(project, runs=3, jobs=2)
@@ -225,6 +228,7 @@ def test_rows_keep_their_order(make: Make) -> None:
             assert found == [i * 7919 % 100003 for i in range(100003)]
 
 
+@pytest.mark.integration
 def test_rows_of_large_json_files_keep_their_order(tmp_path: Path) -> None:
     lines = b"".join(b'{"i":%d,"s":"%s"}\n' % (i, b"x" * 900) for i in range(40_000))
     _, rows = table(tmp_path, [lines, b'{"i":1,"s":"a"}\n'], "jsonl", columns="i", only="e0")
@@ -240,6 +244,7 @@ TEXTS = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\r\
 COLUMNS = st.one_of(st.lists(each, min_size=1, max_size=6) for each in (FLOATS, INTS, st.integers(-(10**37), 10**37), TEXTS))
 
 
+@pytest.mark.integration
 @settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(values=COLUMNS)
 def test_values_come_back_exactly(tmp_path: Path, values: list[Any]) -> None:
@@ -252,6 +257,7 @@ def test_values_come_back_exactly(tmp_path: Path, values: list[Any]) -> None:
     assert [repr(v) if isinstance(v, float) else v for v in found] == [repr(v) if isinstance(v, float) else v for v in values]
 
 
+@pytest.mark.integration
 @settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(values=COLUMNS)
 def test_values_come_back_exactly_from_json(tmp_path: Path, values: list[Any]) -> None:
@@ -315,7 +321,7 @@ def seeds(count: int) -> list[int]:
     return [seed(0, number) for number in range(count)]
 
 
-@pytest.mark.parametrize("bad", [(0,), (0, 1), pytest.param((3,), marks=pytest.mark.slow)])
+@pytest.mark.parametrize("bad", [(0,), (0, 1), pytest.param((3,), marks=pytest.mark.nightly)])
 @pytest.mark.parametrize("fault", ["text among numbers", "a missing column", "fewer rows", "a last line without its end"])
 def test_wherever_the_faulty_runs_are_they_alone_are_blamed(make: Make, bad: tuple[int, ...], fault: str) -> None:
     chosen = [seeds(4)[number] for number in bad]
@@ -324,6 +330,7 @@ def test_wherever_the_faulty_runs_are_they_alone_are_blamed(make: Make, bad: tup
     assert failed(project) == list(bad)
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("fault", ["text among numbers", "a missing column", "a last line without its end"])
 def test_a_faulty_run_that_was_recorded_first_is_found_by_those_that_follow(make: Make, fault: str) -> None:
     lines = f"if seed == {seeds(1)[0]}:\n    {FAULTS[fault][0]}\nelse:\n    write(good)"
@@ -444,6 +451,7 @@ def test_values_of_parquet_come_back_exactly(tmp_path: Path) -> None:
     assert rows == [(2**63 - 1, 2**64 - 1, 5e-324, "ü\n\"'", [1, 2])] * 2
 
 
+@pytest.mark.integration
 def test_batches_with_other_column_types_are_asked_together(make: Make) -> None:
     project = make("write({1: 'v\\n1\\n', 2: 'v\\n0.1\\n', 3: 'v\\nx\\n', 4: 'v\\n\\n\\n'}[n])")
     for n, kind in ((1, "BIGINT"), (2, "DOUBLE"), (4, "DOUBLE"), (3, "DOUBLE")):
@@ -553,6 +561,7 @@ def test_columns_may_differ_among_siblings_where_the_project_says_so(make: Make,
     assert project.sql("SELECT count(x0) AS x0, count(x1) AS x1 FROM out").to_pylist() == [{"x0": 12, "x1": 3}]
 
 
+@pytest.mark.integration
 def test_an_odd_run_that_is_recorded_first_is_not_the_norm(make: Make) -> None:
     project = make(f"write(good if seed != {seeds(1)[0]} else 'tick,v,w\\n0,1,2\\n1,1,2\\n2,1,2\\n')")
     assert run(project, runs=1).failed == 0
@@ -566,6 +575,7 @@ def test_a_header_that_is_cut_is_noticed_though_each_experiment_has_one_run(make
     assert reasons(project) == ["out.csv: line 1: its last line is cut short (no line feed at its end)"]
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("apart", [False, True])
 @pytest.mark.parametrize("other", ["bad", "true"])
 def test_a_column_of_another_kind_in_one_experiment_is_said_and_spoils_nothing(
@@ -587,6 +597,7 @@ def test_a_column_of_another_kind_in_one_experiment_is_said_and_spoils_nothing(
 TEXTS_LIKE_NUMBERS = "write('t,sha\\n0,%s\\n' % ({} if seed in {} else '3ab'))"
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("apart", [False, True])
 @pytest.mark.parametrize("text", ["1e5", "007", "true"])
 def test_texts_that_look_like_numbers_are_the_same_texts_whenever_they_are_recorded(
@@ -602,6 +613,7 @@ def test_texts_that_look_like_numbers_are_the_same_texts_whenever_they_are_recor
     assert column(project, "sha") == [text, text, *["3ab"] * 6]
 
 
+@pytest.mark.integration
 def test_texts_that_were_read_as_numbers_at_first_come_back_in_every_batch_that_has_them(make: Make) -> None:
     project = make(TEXTS_LIKE_NUMBERS.format("'1e5'", seeds(2)))
     assert run(project, runs=2).failed == 0
@@ -722,6 +734,7 @@ def test_comments_in_a_csv_are_named(make: Make, content: str, said: str) -> Non
     assert said in reason
 
 
+@pytest.mark.integration
 def test_an_empty_column_in_one_experiment_fits_any_in_the_others(make: Make) -> None:
     project = make("write('tick,v,x%d\\n0,%s,1\\n' % (n, '' if n == 3 else 0.5))")
     for n in (3, 1, 2):
@@ -741,6 +754,7 @@ def test_where_columns_may_differ_each_run_keeps_its_own(make: Make) -> None:
     assert rows.to_pylist() == [{"n": 1, "rows": 12, "x0": 12, "x2": 0}, {"n": 3, "rows": 12, "x0": 12, "x2": 12}]
 
 
+@pytest.mark.integration
 def test_where_columns_may_differ_they_are_added_run_by_run(make: Make) -> None:
     project = make(COLUMNS_BY_N, '[outputs.out]\nfile = "out.csv"\nmismatch = "ragged"\n')
     for n in (3, 1, 2):
@@ -791,6 +805,7 @@ def test_a_delimiter_is_found_out_for_each_set_of_columns(tmp_path: Path) -> Non
     assert rows == [(1,)] * 3
 
 
+@pytest.mark.integration
 def test_two_thousand_columns_are_read(tmp_path: Path) -> None:
     content = (",".join(f"c{place}" for place in range(2000)) + "\n" + ",".join(["0.5"] * 2000) + "\n").encode()
     reading, rows = table(tmp_path, [content] * 2)
@@ -840,6 +855,7 @@ def test_more_tables_than_are_made_unasked_are_said(make: Make, noted: Callable[
     ]
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize(("value", "said"), [("n", False), ("float(n)", False), ("7", True)])
 def test_a_column_that_an_axis_hides_is_said_where_its_values_are_others(
     make: Make, noted: Callable[[], list[str]], value: str, said: bool

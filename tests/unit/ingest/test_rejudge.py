@@ -81,6 +81,7 @@ def project(tmp_path: Path) -> Counted:
     return made
 
 
+@pytest.mark.integration
 def test_outputs_that_are_declared_for_the_first_time_execute_nothing(tmp_path: Path) -> None:
     project = Counted(tmp_path / "project", "")
     simulator = project.root / "sim.py"
@@ -100,6 +101,7 @@ def test_outputs_that_are_declared_for_the_first_time_execute_nothing(tmp_path: 
     project.is_sound()
 
 
+@pytest.mark.integration
 def test_a_delimiter_reads_the_same_bytes_again(project: Counted) -> None:
     project.declare(WIDE + 'delimiter = ","\n')
     assert project.ask()["judged"] == RUNS
@@ -114,6 +116,7 @@ def test_a_delimiter_reads_the_same_bytes_again(project: Counted) -> None:
     project.is_sound()
 
 
+@pytest.mark.integration
 def test_columns_of_a_file_without_a_header_are_read_from_the_same_bytes(project: Counted) -> None:
     project.declare(WIDE + 'header = false\ncolumns = ["x", "y"]\ndelimiter = ";"\n')
     assert project.ask()["judged"] == RUNS
@@ -121,6 +124,7 @@ def test_columns_of_a_file_without_a_header_are_read_from_the_same_bytes(project
     assert project.executed == RUNS
 
 
+@pytest.mark.integration
 def test_going_back_to_earlier_rules_judges_nothing(project: Counted) -> None:
     before = project.rows("SELECT * FROM wide ORDER BY ALL")
     project.declare(WIDE + 'delimiter = ","\n')
@@ -134,6 +138,7 @@ def test_going_back_to_earlier_rules_judges_nothing(project: Counted) -> None:
     project.is_sound()
 
 
+@pytest.mark.integration
 def test_what_fails_by_the_new_rules_is_reported_and_executed_only_when_asked_again(project: Counted) -> None:
     project.declare(WIDE + "min_rows = 4\n")
     short = project.value("SELECT count(*) FROM (SELECT run FROM wide GROUP BY run HAVING count(*) = 3)")
@@ -151,6 +156,7 @@ def test_what_fails_by_the_new_rules_is_reported_and_executed_only_when_asked_ag
     assert project.ask()["executed"] == 0
 
 
+@pytest.mark.integration
 def test_what_failed_by_other_rules_is_good_by_the_new_ones(tmp_path: Path) -> None:
     project = Counted(tmp_path / "project", SWARM + '[outputs.missing]\nfile = "missing.csv"\n')
     assert project.ask(1)["failed"] == RUNS
@@ -165,6 +171,7 @@ def test_what_failed_by_other_rules_is_good_by_the_new_ones(tmp_path: Path) -> N
     project.is_sound()
 
 
+@pytest.mark.integration
 def test_what_failed_by_rules_that_judged_anew_is_judged_anew_once_more(project: Counted) -> None:
     project.declare(WIDE + "min_rows = 5\n")
     assert project.ask(1)["failed"] == RUNS
@@ -175,6 +182,7 @@ def test_what_failed_by_rules_that_judged_anew_is_judged_anew_once_more(project:
     project.is_sound()
 
 
+@pytest.mark.integration
 def test_a_failure_that_rules_do_not_explain_is_executed_again(tmp_path: Path) -> None:
     failing = SIMULATOR + "sys.exit(3)\n"
     project = Counted(tmp_path / "project", "", failing)
@@ -187,6 +195,7 @@ def test_a_failure_that_rules_do_not_explain_is_executed_again(tmp_path: Path) -
     assert project.executed == 2 * RUNS
 
 
+@pytest.mark.integration
 def test_a_marker_in_the_log_is_looked_for_in_what_is_recorded(project: Counted) -> None:
     project.declare(WIDE + '[success]\nmarker = "stdout"\ncontains = "done 1"\n')
     answer = project.ask(1)
@@ -194,6 +203,7 @@ def test_a_marker_in_the_log_is_looked_for_in_what_is_recorded(project: Counted)
     assert project.executed == RUNS
 
 
+@pytest.mark.integration
 def test_a_log_that_was_cut_cannot_be_judged(tmp_path: Path) -> None:
     project = Counted(tmp_path / "project", "", SIMULATOR + "print('x' * 3_000_000)\n")
     project.ask(0, "population_size=1", "--runs", "1", "--no-figures")
@@ -203,6 +213,7 @@ def test_a_log_that_was_cut_cannot_be_judged(tmp_path: Path) -> None:
     assert project.executed == 2
 
 
+@pytest.mark.integration
 def test_what_may_differ_between_siblings_executes_nothing(tmp_path: Path) -> None:
     project = Counted(tmp_path / "project", WIDE.replace("ragged", "strict"))
     odd = project.ask(1)["failed"]
@@ -217,6 +228,7 @@ def test_what_may_differ_between_siblings_executes_nothing(tmp_path: Path) -> No
     project.is_sound()
 
 
+@pytest.mark.integration
 def test_what_is_asked_says_what_is_judged_and_what_executes(project: Counted) -> None:
     project.declare(WIDE + 'delimiter = ";"\n')
     assert f"{RUNS} runs: [outputs] or [success] have changed: judged anew from the record" in project.said(
@@ -230,6 +242,7 @@ def test_what_is_asked_says_what_is_judged_and_what_executes(project: Counted) -
     assert f"{RUNS} runs judged anew by other rules, not executed" in told
 
 
+@pytest.mark.integration
 def test_without_the_bytes_the_runs_execute_and_it_is_said_why(tmp_path: Path) -> None:
     project = Counted(tmp_path / "project", "[store]\nraw = false\n" + WIDE)
     project.ask()
@@ -241,6 +254,7 @@ def test_without_the_bytes_the_runs_execute_and_it_is_said_why(tmp_path: Path) -
     assert project.executed == 2 * RUNS
 
 
+@pytest.mark.integration
 def test_rules_that_read_tables_as_before_need_no_bytes(tmp_path: Path) -> None:
     project = Counted(tmp_path / "project", "[store]\nraw = false\n" + WIDE)
     project.ask()
@@ -263,6 +277,7 @@ def test_rules_that_read_tables_as_before_need_no_bytes(tmp_path: Path) -> None:
     project.is_sound()
 
 
+@pytest.mark.integration
 def test_rows_that_are_not_as_many_as_were_recorded_are_not_copied(project: Counted, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sierra.store.again.ROWS", "SELECT o.* REPLACE (m.made AS execution) FROM {files} o, made m LIMIT 5")
     project.declare(WIDE + "min_rows = 1\n")
@@ -271,6 +286,7 @@ def test_rows_that_are_not_as_many_as_were_recorded_are_not_copied(project: Coun
     assert "rows where" in ended.stderr
 
 
+@pytest.mark.integration
 def test_bytes_that_are_dropped_are_said_to_be_and_runs_execute_where_they_are_needed(project: Counted) -> None:
     rows = project.rows("SELECT * EXCLUDE (row) FROM swarm ORDER BY run, row")
     told = project.said("gc", "--raw", "--dry-run")
@@ -293,6 +309,7 @@ def test_bytes_that_are_dropped_are_said_to_be_and_runs_execute_where_they_are_n
     project.is_sound()
 
 
+@pytest.mark.integration
 def test_bytes_of_a_table_that_are_needed_as_those_of_a_file_are_not_dropped(project: Counted) -> None:
     project.declare('[outputs.swarm]\nfile = "swarm.csv"\nformat = "file"\n' + WIDE)
     assert project.ask()["judged"] == RUNS
@@ -303,6 +320,7 @@ def test_bytes_of_a_table_that_are_needed_as_those_of_a_file_are_not_dropped(pro
     project.is_sound()
 
 
+@pytest.mark.integration
 def test_two_sessions_that_judge_at_once_leave_each_row_once(project: Counted) -> None:
     project.declare(WIDE + 'delimiter = ";"\n')
     both = [start(project.root, "run", *ASK, stderr=subprocess.STDOUT) for _ in range(2)]
@@ -315,7 +333,7 @@ def test_two_sessions_that_judge_at_once_leave_each_row_once(project: Counted) -
     project.is_sound()
 
 
-@pytest.mark.slow
+@pytest.mark.integration
 def test_a_session_that_is_killed_while_it_judges_costs_nothing(project: Counted) -> None:
     project.declare(WIDE + 'delimiter = ";"\n')
     before = {path.name for path in (project.root / ".sierra" / "segments").iterdir()}
@@ -339,6 +357,7 @@ def test_a_session_that_is_killed_while_it_judges_costs_nothing(project: Counted
     project.is_sound()
 
 
+@pytest.mark.integration
 def test_a_replay_compares_with_what_counts(project: Counted) -> None:
     project.declare(WIDE + 'delimiter = ";"\n')
     project.ask()
@@ -349,6 +368,7 @@ def test_a_replay_compares_with_what_counts(project: Counted) -> None:
     project.is_sound()
 
 
+@pytest.mark.integration
 def test_removing_an_execution_removes_its_judgements(project: Counted) -> None:
     project.declare(WIDE + 'delimiter = ";"\n')
     project.ask()
@@ -364,6 +384,7 @@ def test_removing_an_execution_removes_its_judgements(project: Counted) -> None:
     project.is_sound()
 
 
+@pytest.mark.integration
 def test_merging_segments_changes_no_row(project: Counted) -> None:
     for config in (WIDE + 'delimiter = ";"\n', WIDE + "min_rows = 1\n", WIDE + "min_rows = 2\n", WIDE + "min_rows = 3\n"):
         project.declare(config)
@@ -381,6 +402,7 @@ def test_merging_segments_changes_no_row(project: Counted) -> None:
     project.is_sound()
 
 
+@pytest.mark.integration
 def test_a_byte_that_is_flipped_in_the_kept_files_is_noticed(project: Counted) -> None:
     path = next(project.root.glob(".sierra/segments/*/output.swarm.parquet")).with_name("objects.parquet")
     content = bytearray(path.read_bytes())

@@ -89,7 +89,7 @@ QUICK = {(fault, threads, count) for fault, threads, count in CASES if count == 
 
 @pytest.mark.parametrize(
     ("fault", "threads", "count"),
-    [pytest.param(*case, marks=() if case in QUICK else pytest.mark.slow) for case in CASES],
+    [pytest.param(*case, marks=() if case in QUICK else pytest.mark.nightly) for case in CASES],
 )
 def test_a_bad_file_among_many_is_blamed_as_it_is_alone(tmp_path: Path, fault: str, threads: int, count: int) -> None:
     alone, nothing = read_files(tmp_path, make(tmp_path, [BAD[fault]]))
@@ -272,12 +272,13 @@ def check_generated(folder: Path, seed: int) -> None:
             assert name not in reading.faults, (seed, content, reading.faults)
 
 
+@pytest.mark.integration
 def test_generated_files_have_the_rows_that_pythons_csv_finds(tmp_path: Path) -> None:
     for seed in range(40):
         check_generated(tmp_path, seed)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("block", [0, 1, *at_night(range(2, 8))])
 def test_thousands_of_generated_files_have_the_rows_that_pythons_csv_finds(tmp_path: Path, block: int) -> None:
     for seed in range(1000 + 150 * block, 1150 + 150 * block):

@@ -28,6 +28,7 @@ def asked(root: Path, simulator: str, config: str = "", runs: int = 3) -> Path:
     return root
 
 
+@pytest.mark.integration
 def test_a_column_that_increases_alike_in_all_runs_is_the_time_and_it_is_said(tmp_path: Path) -> None:
     found, told = times(asked(tmp_path, TIMESTEP))
     assert found == {0, 10, 20, 30, 40}
@@ -38,6 +39,7 @@ def test_a_column_that_increases_alike_in_all_runs_is_the_time_and_it_is_said(tm
     assert ended.stderr.count("is taken for the time") == 1
 
 
+@pytest.mark.integration
 def test_a_column_that_is_declared_or_called_so_is_not_looked_for(tmp_path: Path) -> None:
     root = asked(tmp_path / "called", projects.SIMULATOR)
     assert times(root)[0] == {0, 1, 2, 3, 4}

@@ -53,6 +53,7 @@ def test_a_sound_store_is_sound(recorded: Path) -> None:
     assert (report["sound"], report["findings"], report["executions"]) == (True, [], 12)
 
 
+@pytest.mark.integration
 def test_where_something_is_damaged_the_next_step_is_named(root: Path) -> None:
     segment = segment_with(root, "members")
     (segment / "members.parquet").write_bytes(b"")
@@ -78,7 +79,7 @@ def flip(path: Path, place: int, numbers: random.Random) -> None:
     path.write_bytes(data)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_any_flipped_bit_is_found_and_its_file_is_named(recorded: Path, root: Path) -> None:
     """One bit in a file of each segment at a time, and in one of the store's own."""
     numbers = random.Random(1)
@@ -151,6 +152,7 @@ def test_a_doubled_segment_is_named(root: Path, name: str) -> None:
     assert any(path.startswith(("segments/" + double.name, "segments/" + segment.name)) for path in told)
 
 
+@pytest.mark.integration
 def test_strays_are_named_and_what_is_only_left_is_no_damage(root: Path) -> None:
     (root / ".sierra" / "segments" / "notes.txt").write_text("")
     (root / ".sierra" / "segments" / "link").symlink_to("/tmp")
@@ -172,6 +174,7 @@ def test_what_surrounds_two_askings_may_be_recorded_of_each(root: Path) -> None:
     assert fsck(root).sound
 
 
+@pytest.mark.integration
 def test_what_is_concerned_is_said(root: Path) -> None:
     path = segment_with(root, "executions") / "objects.parquet"
     extend(path)
@@ -241,6 +244,7 @@ def test_a_forged_record_is_found_though_all_hashes_of_files_are_right(root: Pat
     assert {kind for kind, _ in wrong(root)} & {Kind.INCONSISTENT, Kind.LOST}
 
 
+@pytest.mark.integration
 def test_rows_that_were_never_read_are_missed_and_executed_again(root: Path) -> None:
     """As a parser leaves them that stops early: the table has as many rows as the record says, the file had more."""
     folder = segment_with(root, "output.swarm")
@@ -261,6 +265,7 @@ def test_rows_that_were_never_read_are_missed_and_executed_again(root: Path) -> 
     assert fsck(root).sound
 
 
+@pytest.mark.integration
 def test_a_file_that_vanished_is_missed_though_manifest_does_not_list_it(root: Path) -> None:
     for table in ("artifacts", "objects", "output.swarm", "executions"):
         copy = stores.copy(root, root.with_name(table))
@@ -270,6 +275,7 @@ def test_a_file_that_vanished_is_missed_though_manifest_does_not_list_it(root: P
         assert {kind for kind, _ in wrong(copy)} & {Kind.LOST, Kind.INCONSISTENT}, table
 
 
+@pytest.mark.integration
 def test_no_segment_of_several_is_overlooked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """As many as a busy machine records: what one of them lacks is missed."""
     monkeypatch.setattr(recorder, "PENDING_RUNS", 1)
@@ -293,6 +299,7 @@ def test_other_columns_and_what_is_no_parquet_are_named(root: Path) -> None:
     assert sum(kind is Kind.INCONSISTENT and "segments/" in path for kind, path in wrong(root)) >= 2
 
 
+@pytest.mark.integration
 def test_a_bomb_is_refused_and_not_expanded(root: Path) -> None:
     folder = segment_with(root, "objects")
     row = {"sha256": "0" * 64, "part": 0, "size": 1 << 40, "content": bytes(200 << 20)}
@@ -302,6 +309,7 @@ def test_a_bomb_is_refused_and_not_expanded(root: Path) -> None:
     assert any(kind is Kind.INCONSISTENT and path.endswith("objects.parquet") for kind, path in wrong(root))
 
 
+@pytest.mark.integration
 def test_nothing_that_stands_in_files_makes_it_fail(recorded: Path, root: Path) -> None:
     """Any bytes in a file of each segment, each of which is what its MANIFEST and its name say."""
     numbers = random.Random(2)
@@ -328,6 +336,7 @@ def test_a_list_of_sources_that_cannot_be_read_is_said(root: Path) -> None:
     assert (Kind.INCONSISTENT, "sources") in wrong(root)
 
 
+@pytest.mark.integration
 def test_a_source_that_git_lost_is_named_apart(tmp_path: Path) -> None:
     root = projects.commit(projects.make(tmp_path / "project"))
     sierra.open(root).run("population_size=1", runs=1, figures=False)
@@ -355,6 +364,7 @@ def everything(root: Path) -> bytes:
     return b"".join(sorted(stores.state(root).values()))
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize(
     "damages", [(truncate, empty, Path.unlink), (empty, Path.unlink, truncate), (Path.unlink, truncate, empty)]
 )
@@ -367,12 +377,14 @@ def test_what_is_the_same_in_every_store_is_written_again(recorded: Path, root: 
     assert stores.state(root) == stores.state(recorded)
 
 
+@pytest.mark.integration
 def test_a_manifest_is_made_again(recorded: Path, root: Path) -> None:
     truncate(segment_with(root, "executions") / "MANIFEST")
     assert len(repaired(root)) == 1
     assert stores.state(root) == stores.state(recorded)
 
 
+@pytest.mark.integration
 def test_strays_are_put_aside(root: Path) -> None:
     (segment_with(root, "executions") / "more").write_text("mine")
     shutil.copytree(segment_with(root, "executions"), root / ".sierra" / "segments" / "copy")
@@ -381,7 +393,7 @@ def test_strays_are_put_aside(root: Path) -> None:
     assert (root / ".sierra" / "damaged" / "more").read_text() == "mine"
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("tables", [("executions", "objects", "artifacts"), ("output.swarm", "readings", "output.notes")])
 def test_what_was_executed_and_is_lost_is_executed_again_and_nothing_else(root: Path, tables: Sequence[str]) -> None:
     """Each of the tables in what another batch executed; the second batch has files that no other has."""
@@ -407,6 +419,7 @@ def test_what_was_executed_and_is_lost_is_executed_again_and_nothing_else(root: 
     assert fsck(root).sound
 
 
+@pytest.mark.integration
 def test_declarations_that_are_damaged_take_no_execution_with_them(
     simulate: Callable[..., Simulated], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -420,11 +433,12 @@ def test_declarations_that_are_damaged_take_no_execution_with_them(
     assert fsck(root).sound
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize(
     "tables",
     [
         ("blobs", "batches", "experiments"),
-        *(pytest.param(those, marks=pytest.mark.slow) for those in (("members", "recipes", "sources"), ("objects",))),
+        *(pytest.param(those, marks=pytest.mark.nightly) for those in (("members", "recipes", "sources"), ("objects",))),
     ],
 )
 def test_what_says_that_there_is_a_batch_is_recorded_again(root: Path, tables: Sequence[str]) -> None:
@@ -441,6 +455,7 @@ def test_what_says_that_there_is_a_batch_is_recorded_again(root: Path, tables: S
     assert fsck(root).sound
 
 
+@pytest.mark.integration
 def test_files_of_a_source_are_recorded_again_where_only_their_content_is_lost(root: Path) -> None:
     folder = segment_with(root, "blobs")
     content = pq.read_table(folder / "objects.parquet")
@@ -454,6 +469,7 @@ def test_files_of_a_source_are_recorded_again_where_only_their_content_is_lost(r
     assert set(content["sha256"].to_pylist()) <= set(again)
 
 
+@pytest.mark.integration
 def test_a_repair_says_that_bytes_of_tables_are_lost(root: Path) -> None:
     folder = segment_with(root, "output.swarm")
     extend(folder / "objects.parquet")
@@ -461,6 +477,7 @@ def test_a_repair_says_that_bytes_of_tables_are_lost(root: Path) -> None:
     assert fsck(root).sound
 
 
+@pytest.mark.integration
 def test_a_batch_that_is_executing_is_not_in_the_way_of_a_check(simulate: Callable[..., Any]) -> None:
     project = simulate(held(20))
     running = project.start("run", "size=1,2", "--runs", "20", "-j", "2", "--no-figures")

@@ -52,6 +52,7 @@ def segments(root: Path) -> int:
     return len(list(root.glob(".sierra/segments/*")))
 
 
+@pytest.mark.integration
 def test_many_small_segments_become_few_and_every_row_stays(root: Path) -> None:
     before, count = everything(root), segments(root)
     dry = projects.quick(root, "gc", "--dry-run")
@@ -97,6 +98,7 @@ def test_files_that_nothing_refers_to_go_and_unfinished_ones(root: Path) -> None
     assert sierra.open(root).fsck().findings == ()
 
 
+@pytest.mark.integration
 def test_what_a_dead_asking_had_finished_is_recorded(simulate: Callable[..., Any]) -> None:
     project = simulate(held(5))
     running = project.start("run", "size=1", "--runs", "8", "-j", "2", "--no-figures")
@@ -113,7 +115,7 @@ def test_what_a_dead_asking_had_finished_is_recorded(simulate: Callable[..., Any
     assert project.sql("SELECT count(*) AS n FROM executions") == [{"n": 8}]
 
 
-@pytest.mark.slow
+@pytest.mark.integration
 def test_killed_at_any_moment_nothing_is_lost_or_doubled(made: Path, tmp_path: Path) -> None:
     numbers = random.Random(4)
     before = everything(made)
@@ -134,7 +136,7 @@ def test_killed_at_any_moment_nothing_is_lost_or_doubled(made: Path, tmp_path: P
         shutil.rmtree(root)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_beside_a_running_batch_nothing_is_lost(simulate: Callable[..., Any]) -> None:
     project = simulate(r"sleep 0.15; printf 't,v\n1,1\n2,4\n' > swarm.csv")
     for _ in range(2):
@@ -153,6 +155,7 @@ def test_beside_a_running_batch_nothing_is_lost(simulate: Callable[..., Any]) ->
     assert project.sql("SELECT count(*) AS n, sum(v)::INT AS v FROM swarm") == [{"n": 60, "v": 150}]
 
 
+@pytest.mark.integration
 def test_a_reader_keeps_what_it_reads(root: Path) -> None:
     store = sierra.open(root).store
     with store.snapshot() as snapshot:

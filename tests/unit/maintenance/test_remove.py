@@ -73,6 +73,7 @@ def test_without_a_terminal_yes_is_needed(root: Path) -> None:
     assert stores.state(root) == before
 
 
+@pytest.mark.integration
 def test_a_batch_goes_whole_and_what_others_have_stays(root: Path) -> None:
     named = batches(root)
     gone, stays = named["population_size=1,2"], named["population_size=2,3"]
@@ -94,6 +95,7 @@ def test_a_batch_goes_whole_and_what_others_have_stays(root: Path) -> None:
     assert not [path for path in (root / ".sierra" / "work").iterdir() if path.is_dir()]
 
 
+@pytest.mark.integration
 def test_what_stays_is_not_executed_again_and_what_went_is(root: Path) -> None:
     named = batches(root)
     projects.quick(root, "rm", named["population_size=1,2"], "--yes")
@@ -103,6 +105,7 @@ def test_what_stays_is_not_executed_again_and_what_went_is(root: Path) -> None:
     assert sound(root)
 
 
+@pytest.mark.integration
 def test_segments_of_other_batches_are_the_same_bytes(root: Path) -> None:
     named = batches(root)
     gone = named["noise=0.5"]
@@ -113,6 +116,7 @@ def test_segments_of_other_batches_are_the_same_bytes(root: Path) -> None:
     assert sound(root)
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("kind", ["experiment", "run", "execution"])
 def test_of_a_part_what_was_executed_goes_and_the_batch_asks_for_it_again(root: Path, kind: str) -> None:
     batch = batches(root)["noise=0.5"]
@@ -128,6 +132,7 @@ def test_of_a_part_what_was_executed_goes_and_the_batch_asks_for_it_again(root: 
     assert sound(root)
 
 
+@pytest.mark.integration
 def test_batches_named_together_take_what_only_they_share(root: Path) -> None:
     named = batches(root)
     both = [named["population_size=1,2"], named["population_size=2,3"]]
@@ -149,7 +154,7 @@ def test_what_is_not_there_or_ambiguous_is_refused(root: Path) -> None:
     assert stores.state(root) == before
 
 
-@pytest.mark.slow
+@pytest.mark.integration
 def test_killed_at_any_moment_it_is_before_or_after_and_again_finishes_it(recorded: Path, tmp_path: Path) -> None:
     numbers = random.Random(3)
     named = batches(recorded)
@@ -180,6 +185,7 @@ def test_killed_at_any_moment_it_is_before_or_after_and_again_finishes_it(record
     assert 12 in outcomes
 
 
+@pytest.mark.integration
 def test_a_full_disk_loses_nothing(recorded: Path, tmp_path: Path) -> None:
     root = stores.copy(recorded, tmp_path / "project")
     before = stores.state(root)
@@ -191,6 +197,7 @@ def test_a_full_disk_loses_nothing(recorded: Path, tmp_path: Path) -> None:
     assert sound(root)
 
 
+@pytest.mark.integration
 def test_an_executing_batch_is_not_removed_and_another_is(simulate: Callable[..., Any]) -> None:
     project = simulate(held(4))
     assert project.quick("run", "size=1", "--runs", "3", "--no-figures").returncode == 0

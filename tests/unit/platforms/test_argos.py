@@ -742,6 +742,7 @@ changes = [{ add = "//controllers", xml = '<other id="other"><params><wheel_turn
     assert projects.quick(folder, "run", "scenario=more", "speed=1,2", "-n").returncode == 0
 
 
+@pytest.mark.integration
 def test_other_axes_combine_with_the_platforms_own(tmp_path: Path) -> None:
     rows = seen(argos_project(tmp_path / "p"), "population_size.Log2", "length=30,60", "arena=10x10,20x20")
     assert {(row["robots"], row["length"], row["x"]) for row in rows} == {
@@ -912,6 +913,7 @@ def test_libraries_are_below_the_project(folder: str) -> None:
         platform(libraries=[folder])
 
 
+@pytest.mark.integration
 def test_a_library_that_is_built_anew_makes_runs_execute_again_though_git_ignores_it(tmp_path: Path) -> None:
     folder = argos_project(tmp_path / "p")
     subprocess.run(["git", "init", "-q"], cwd=folder, check=True)

@@ -56,6 +56,7 @@ def replayed(root: Path) -> tuple[int, str, str]:
     return ended.returncode, ended.stdout, ended.stderr
 
 
+@pytest.mark.integration
 @compiled
 @pytest.mark.parametrize("place", ["$ORIGIN", "{root}/build"])
 def test_what_was_built_is_found_with_its_libraries(tmp_path: Path, place: str) -> None:
@@ -68,6 +69,7 @@ def test_what_was_built_is_found_with_its_libraries(tmp_path: Path, place: str) 
     assert (program["name"], program["path"]) == ("{project}/build/sim", f"{root}/build/sim")
 
 
+@pytest.mark.integration
 @compiled
 def test_what_was_built_anew_is_said_before_the_verdict(tmp_path: Path) -> None:
     root = made(tmp_path / "p")
@@ -78,6 +80,7 @@ def test_what_was_built_anew_is_said_before_the_verdict(tmp_path: Path) -> None:
     assert "'way' was 0.5 and is 0.75" in out
 
 
+@pytest.mark.integration
 @compiled
 def test_a_recorded_batch_is_not_executed_with_what_was_built_anew_without_a_word(tmp_path: Path) -> None:
     root = made(tmp_path / "p")
@@ -99,6 +102,7 @@ def test_what_is_not_built_is_named(tmp_path: Path) -> None:
     assert f"{root}/build/sim is not there; runs need it, and the recorded source does not hold it" in err
 
 
+@pytest.mark.integration
 def test_the_python_of_a_virtual_environment_in_the_project_sees_what_is_installed_there(tmp_path: Path) -> None:
     root = projects.make(tmp_path / "p", projects.CONFIG.replace("python3", ".venv/bin/python"))
     (root / ".gitignore").write_text(".venv/\n")
@@ -114,6 +118,7 @@ def test_the_python_of_a_virtual_environment_in_the_project_sees_what_is_install
     assert (packages / "installed.py").exists()
 
 
+@pytest.mark.integration
 def test_what_lies_beside_the_project_is_found_from_where_the_project_is(tmp_path: Path) -> None:
     config = projects.CONFIG.replace("python3 sim.py", "python3 ../shared/sim.py")
     root = projects.make(tmp_path / "repository" / "experiments", config)

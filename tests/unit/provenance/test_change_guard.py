@@ -20,7 +20,8 @@ from tests.waiting import PATIENCE_S
 OTHER = r"printf 't,v\n1,1000\n2,4000\n' > swarm.csv"
 
 
-@pytest.mark.parametrize("git", [True, pytest.param(False, marks=pytest.mark.slow)])
+@pytest.mark.integration
+@pytest.mark.parametrize("git", [True, pytest.param(False, marks=pytest.mark.nightly)])
 def test_runs_that_other_code_than_planned_may_have_made_never_count(simulate: Callable[..., Any], git: bool) -> None:
     script = held(1)
     project = simulate(script)
@@ -40,6 +41,7 @@ def test_runs_that_other_code_than_planned_may_have_made_never_count(simulate: C
     assert project.sql("SELECT count(*) AS runs, max(v) AS v FROM swarm WHERE t = 2") == [{"runs": 8, "v": 4}]
 
 
+@pytest.mark.integration
 def test_notes_that_change_while_runs_execute_are_told_how_to_be_no_code(simulate: Callable[..., Any]) -> None:
     project = simulate(held(1))
     (project.folder / "notes.md").write_text("before")
@@ -132,6 +134,7 @@ def test_a_replay_says_nothing_of_programs_that_were_replaced_meanwhile(simulate
     assert (ended.returncode, "3 failed" in ended.stdout, "changed since the runs began" in ended.stdout) == (1, True, True)
 
 
+@pytest.mark.integration
 def test_what_it_says_itself_is_not_written_into_the_code(simulate: Callable[..., Any]) -> None:
     project = simulate(PRINTS)
     ask = (projects.SIERRA, "run", "size=1", "--runs", "3", "--no-figures")

@@ -143,6 +143,7 @@ def test_what_differs_is_told_by_name_the_most_relevant_first(monkeypatch: pytes
     assert list(environment.differing(now, now)) == []
 
 
+@pytest.mark.integration
 def test_it_is_recorded_once_and_as_columns(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MODEL_ZOO", "/models")
     config = projects.CONFIG + '[environment]\nrecord = ["MODEL_ZOO"]\n'

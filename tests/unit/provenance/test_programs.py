@@ -70,6 +70,7 @@ def built(tmp_path: Path, require: Require) -> Built:
     return Built(tmp_path / "built")
 
 
+@pytest.mark.integration
 def test_a_library_that_a_program_loads_is_recorded_and_counts(built: Built, tmp_path: Path) -> None:
     project = make(tmp_path / "p", str(built.program), f"[environment.set]\nLD_LIBRARY_PATH = '{built.library.parent}'\n")
     assert project.run("n=1", figures=False).executed == 1
@@ -363,6 +364,7 @@ pathlib.Path("out.csv").write_text(included.read_text())
 """
 
 
+@pytest.mark.integration
 def test_a_relative_include_that_runs_do_not_find_is_told_what_to_write(tmp_path: Path) -> None:
     project = make(tmp_path / "p", "python3 sim.py {input}", template='<e seed="0" n="0"><include file="parts/arm.xml"/></e>')
     (project.root / "sim.py").write_text(INCLUDES)
@@ -399,6 +401,7 @@ def test_what_is_too_large_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert any("map.pgm" in note and "larger than 1 GB" in note for note in project.run("n=1", figures=False).notes)
 
 
+@pytest.mark.integration
 def test_a_replay_looks_at_the_same_files_and_says_which_has_changed(tmp_path: Path) -> None:
     (tmp_path / "map.pgm").write_text("one")
     project = make(tmp_path / "p", "sh sim.sh", template=f'<e seed="0" n="0"><map>{tmp_path}/map.pgm</map></e>')
@@ -440,6 +443,7 @@ def test_what_is_other_is_told_by_version(tmp_path: Path) -> None:
     assert list(programs.told(before.rows()[:1], NOTHING)) == ["argos3: 4.0.0 (aaaaaaaaaa) recorded, not found"]
 
 
+@pytest.mark.integration
 def test_what_a_batch_and_an_execution_had_around_them_is_shown(tmp_path: Path) -> None:
     """As text at a glance, as JSON whole."""
     project = make(tmp_path / "p", "true")

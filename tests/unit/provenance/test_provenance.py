@@ -314,6 +314,7 @@ def test_a_program_that_is_not_there_is_said(tmp_path: Path) -> None:
         programs.find(("simulator",), {"PATH": "/bin"}, tmp_path)
 
 
+@pytest.mark.integration
 def test_changed_programs_execute_again_and_the_reason_is_told(tmp_path: Path) -> None:
     simulator = program(tmp_path / "bin" / "sim", "#!/bin/sh\necho v > out.csv; echo 1 >> out.csv\n")
     project = make_project(tmp_path / "p", f"{simulator} {{input}}")
@@ -327,6 +328,7 @@ def test_changed_programs_execute_again_and_the_reason_is_told(tmp_path: Path) -
     assert project.sql("SELECT DISTINCT v FROM out").column(0).to_pylist() == [2]
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("link", [False, True])
 def test_a_simulator_outside_the_project_executes_again_when_it_changes(tmp_path: Path, link: bool) -> None:
     script = tmp_path / "shared" / "sim.sh"

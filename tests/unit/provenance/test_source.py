@@ -692,6 +692,7 @@ def test_another_clone_restores_a_clean_tree_from_its_commit(repository: Path, g
     assert restored(dirty, tmp_path / "clone", tmp_path / "yes", {blob: b"only here"}.get)["a.txt"] == "only here"
 
 
+@pytest.mark.integration
 def test_what_was_never_committed_comes_with_push_and_fetch(nested: Path, git: Git, tmp_path: Path) -> None:
     bares = {path: tmp_path / f"{path.replace('/', '-')}.git" for path in (".", "one", "one/two")}
     for path, bare in bares.items():
@@ -746,6 +747,7 @@ def test_a_changed_file_beside_a_submodule_is_named(nested: Path, git: Git, tmp_
         restored(code, tmp_path / "clone", tmp_path / "out")
 
 
+@pytest.mark.integration
 def test_sources_are_pushed_and_fetched_by_command(repository: Path, git: Git, tmp_path: Path) -> None:
     root = projects.commit(projects.make(tmp_path / "project"))
     git("init", "-q", "--bare", str(tmp_path / "bare"))

@@ -18,6 +18,7 @@ def make(folder: Path, simulator: str, more: str = "") -> sierra.Project:
     return sierra.open(projects.make(folder / "project", projects.CONFIG + more, simulator=simulator))
 
 
+@pytest.mark.integration
 def test_other_bytes_in_a_replay_are_a_finding_that_ls_and_show_tell(tmp_path: Path) -> None:
     project = make(tmp_path, NOISY)
     batch = project.run("population_size=1,2", figures=False).batch
@@ -31,6 +32,7 @@ def test_other_bytes_in_a_replay_are_a_finding_that_ls_and_show_tell(tmp_path: P
     assert "nondeterminism:" in projects.quick(project.root, "show", first).stdout
 
 
+@pytest.mark.integration
 def test_what_is_the_same_or_differs_as_declared_is_no_finding(tmp_path: Path) -> None:
     project = make(tmp_path, projects.SIMULATOR)
     project.replay(project.run("population_size=1", figures=False).batch)
@@ -42,6 +44,7 @@ def test_what_is_the_same_or_differs_as_declared_is_no_finding(tmp_path: Path) -
     assert other.sql("SELECT DISTINCT verdict FROM nondeterminism").to_pylist() == [{"verdict": "equal"}]
 
 
+@pytest.mark.integration
 def test_runs_that_were_executed_again_without_a_replay_are_found_too(tmp_path: Path) -> None:
     project = make(tmp_path, NOISY, '[store]\nraw = false\n[outputs.swarm]\nfile = "swarm.csv"\n')  # else judged anew
     batch = project.run("population_size=1", figures=False).batch
@@ -53,6 +56,7 @@ def test_runs_that_were_executed_again_without_a_replay_are_found_too(tmp_path: 
     assert [row["verdict"] for row in project.show(batch)["nondeterminism"]] == [None, None]
 
 
+@pytest.mark.integration
 def test_other_programs_are_no_lack_of_determinism(tmp_path: Path) -> None:
     program = tmp_path / "sim"
     program.write_text("#!/bin/sh\nprintf 'tick,v\\n0,1\\n' > out.csv\n")
@@ -65,6 +69,7 @@ def test_other_programs_are_no_lack_of_determinism(tmp_path: Path) -> None:
     assert [row["nondeterministic"] for row in project.batches] == [0]
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize(
     ("simulator", "said"),
     [
@@ -86,6 +91,7 @@ def test_a_probe_executes_one_run_twice_before_the_batch_and_says_what_came_of_i
     assert not json.loads(projects.quick(project.root, "run", "population_size=1,2", "--json", "--no-figures").stdout)["notes"]
 
 
+@pytest.mark.integration
 def test_a_probe_of_a_run_that_fails_is_none(tmp_path: Path) -> None:
     project = make(tmp_path, "raise SystemExit(3)", PROBE)
     summary = project.run("population_size=1,2", figures=False)

@@ -36,7 +36,7 @@ def make(tmp_path: Path) -> Make:
     )
 
 
-@pytest.fixture(params=["git", pytest.param("none", marks=pytest.mark.slow)])
+@pytest.fixture(params=["git", pytest.param("none", marks=pytest.mark.nightly)])
 def make_either(request: pytest.FixtureRequest, make: Make) -> Make:
     """Makes a project, in git and outside."""
     return lambda *words: projects.commit(make(*words)) if request.param == "git" else make(*words)
@@ -51,6 +51,7 @@ def replay(root: Path, *words: str) -> tuple[int, dict[str, Any]]:
     return ended.returncode, json.loads(ended.stdout) if ended.stdout else {"stderr": ended.stderr}
 
 
+@pytest.mark.integration
 def test_the_same_bytes_are_identical(make_either: Make) -> None:
     root = make_either()
     batch = ask(root)
@@ -60,6 +61,7 @@ def test_the_same_bytes_are_identical(make_either: Make) -> None:
     assert rows == [{"purpose": "replay", "n": 4}, {"purpose": "run", "n": 4}]
 
 
+@pytest.mark.integration
 def test_the_old_source_is_restored_and_nothing_of_the_projects_is_touched(make_either: Make) -> None:
     root = make_either()
     batch = ask(root)
@@ -70,6 +72,7 @@ def test_the_old_source_is_restored_and_nothing_of_the_projects_is_touched(make_
     assert not list(root.glob(".sierra/work/*/source"))
 
 
+@pytest.mark.integration
 def test_an_experiment_a_run_and_an_execution_can_be_replayed_and_fewer_runs(make: Make) -> None:
     root = make()
     batch = ask(root)
@@ -80,6 +83,7 @@ def test_an_experiment_a_run_and_an_execution_can_be_replayed_and_fewer_runs(mak
     assert replay(root, batch, "--runs", "1")[1]["runs"] == 2
 
 
+@pytest.mark.integration
 def test_what_differs_is_named_and_never_counts(make: Make) -> None:
     root = make(NOISY)
     batch = ask(root)
@@ -93,6 +97,7 @@ def test_what_differs_is_named_and_never_counts(make: Make) -> None:
     assert sierra.open(root).sql("SELECT * FROM swarm ORDER BY ALL").equals(before)
 
 
+@pytest.mark.integration
 def test_a_declared_tolerance_is_kept_to_and_what_was_reached_is_said(make: Make) -> None:
     root = make(JITTER, '[outputs.swarm]\nfile = "swarm.csv"\n')
     batch = ask(root)
@@ -103,6 +108,7 @@ def test_a_declared_tolerance_is_kept_to_and_what_was_reached_is_said(make: Make
     assert all(0 < output["rel"] < 1e-12 for output in said["outputs"] if output["verdict"] == "within tolerance")
 
 
+@pytest.mark.integration
 def test_a_date_differs_until_it_is_declared_volatile(make: Make) -> None:
     root = make(STAMPED, '[outputs.log]\nfile = "log.txt"\n')
     batch = ask(root)
@@ -113,6 +119,7 @@ def test_a_date_differs_until_it_is_declared_volatile(make: Make) -> None:
     assert [replay(root, batch)[0], replay(root, batch)[1]["verdict"]] == [0, "equal"]
 
 
+@pytest.mark.integration
 def test_another_program_is_said_before_the_verdict_and_a_missing_one_ends_all(tmp_path: Path) -> None:
     program = tmp_path / "sim"
     program.write_text("#!/bin/sh\nprintf 'tick,v\\n0,1\\n' > out.csv\n")
@@ -129,6 +136,7 @@ def test_another_program_is_said_before_the_verdict_and_a_missing_one_ends_all(t
     assert "is not there" in ended.stderr
 
 
+@pytest.mark.integration
 def test_another_machine_is_said_before_the_verdict(make: Make, monkeypatch: pytest.MonkeyPatch) -> None:
     root = make()
     batch = ask(root)
@@ -142,6 +150,7 @@ def test_another_machine_is_said_before_the_verdict(make: Make, monkeypatch: pyt
     assert libc == f"other machine: libc was {facts['libc']}, is musl 1.2"
 
 
+@pytest.mark.integration
 def test_a_run_that_fails_now_is_failed(make: Make, tmp_path: Path) -> None:
     slow = tmp_path / "slow"
     root = make(f"{projects.SIMULATOR}import os, time\nif os.path.exists({str(slow)!r}):\n    time.sleep(60)\n")
@@ -153,6 +162,7 @@ def test_a_run_that_fails_now_is_failed(make: Make, tmp_path: Path) -> None:
     assert "ran longer than its limit" in said["outputs"][0]["why"]
 
 
+@pytest.mark.integration
 def test_where_the_project_moved_ids_and_verdict_are_the_same(make_either: Make, tmp_path: Path) -> None:
     root = make_either()
     batch = ask(root)
@@ -178,6 +188,7 @@ def declare(root: Path, text: str) -> None:
     (root / "sierra.toml").write_text((root / "sierra.toml").read_text() + text)
 
 
+@pytest.mark.integration
 def test_sums_in_another_order_are_within_a_tolerance(make: Make) -> None:
     root = make(SHUFFLED, DECLARED)
     batch = ask(root)
@@ -218,6 +229,7 @@ def test_a_tolerance_of_a_column_that_is_not_there_is_refused_with_the_nearest_o
     assert not sierra.open(root).sql("SELECT 1 FROM executions WHERE purpose <> 'run'").num_rows
 
 
+@pytest.mark.integration
 def test_columns_that_are_declared_and_not_there_are_said(make: Make) -> None:
     root = make()
     batch = ask(root)
@@ -228,6 +240,7 @@ def test_columns_that_are_declared_and_not_there_are_said(make: Make) -> None:
     ]
 
 
+@pytest.mark.integration
 def test_a_volatile_column_that_differs_is_said_by_name(make: Make) -> None:
     root = make(NOISY, f'{DECLARED}volatile = ["coverage"]\n')
     code, said = replay(root, ask(root))
@@ -236,6 +249,7 @@ def test_a_volatile_column_that_differs_is_said_by_name(make: Make) -> None:
     assert whys == {"only what is declared volatile differs: 'coverage'"}
 
 
+@pytest.mark.integration
 def test_rows_in_another_order_differ_until_their_order_is_declared_to_mean_nothing(make: Make) -> None:
     root = make(UNORDERED, DECLARED)
     batch = ask(root)
@@ -246,6 +260,7 @@ def test_rows_in_another_order_differ_until_their_order_is_declared_to_mean_noth
     assert {one["why"] for one in said["outputs"] if one["verdict"] == "equal"} == {"the same rows in another order"}
 
 
+@pytest.mark.integration
 def test_where_they_part_is_said_in_terms_of_time_and_how_the_difference_grows(make: Make) -> None:
     grows = projects.SIMULATOR.replace("count * tick", "(tick > 2) * tick * __import__('time').time_ns() % 7919 + count * tick")
     root = make(grows, DECLARED)
@@ -257,6 +272,7 @@ def test_where_they_part_is_said_in_terms_of_time_and_how_the_difference_grows(m
     assert [far > 0 for _, far in first["growth"]] == [False, False, False, True, True]
 
 
+@pytest.mark.integration
 def test_stochastic_runs_are_equivalent_where_a_declared_metric_is(make: Make) -> None:
     root = make(STOCHASTIC, f"{DECLARED}{METRIC}margin = 0.5\n")
     batch = sierra.open(root).run("population_size=1,2", runs=8, figures=False).batch
@@ -271,6 +287,7 @@ def test_stochastic_runs_are_equivalent_where_a_declared_metric_is(make: Make) -
     assert rows == [{"metric": "coverage", "n": 8, "equivalent": True}] * 2
 
 
+@pytest.mark.integration
 def test_a_margin_that_is_too_narrow_leaves_them_different_and_says_the_power(make: Make) -> None:
     root = make(STOCHASTIC, f"{DECLARED}{METRIC}margin = 1e-6\n")
     batch = ask(root)
@@ -280,6 +297,7 @@ def test_a_margin_that_is_too_narrow_leaves_them_different_and_says_the_power(ma
     assert "power 0.00" in ended.stdout
 
 
+@pytest.mark.integration
 def test_equivalence_is_of_whole_experiments_and_never_hides_what_failed(make: Make) -> None:
     root = make(STOCHASTIC, f"{DECLARED}{METRIC}margin = 0.5\n")
     batch = ask(root)
@@ -293,6 +311,7 @@ def test_equivalence_is_of_whole_experiments_and_never_hides_what_failed(make: M
     assert replay(root, batch)[1]["verdict"] == "failed"
 
 
+@pytest.mark.integration
 def test_a_metric_of_what_is_not_there_judges_nothing(make: Make) -> None:
     root = make(STOCHASTIC, DECLARED + METRIC.replace('"coverage"', '"x"') + "margin = 0.5\n")
     code, said = replay(root, ask(root))
@@ -300,6 +319,7 @@ def test_a_metric_of_what_is_not_there_judges_nothing(make: Make) -> None:
     assert said["notes"][0].startswith("[equivalence]: output 'swarm'")
 
 
+@pytest.mark.integration
 def test_a_metric_that_the_replay_has_no_value_of_is_reported(make: Make, tmp_path: Path) -> None:
     twice = f"list(range(5)) * (1 + __import__('os').path.exists({str(tmp_path / 'flag')!r}))"
     simulator = STOCHASTIC.replace("range(5)", twice)
@@ -311,6 +331,7 @@ def test_a_metric_that_the_replay_has_no_value_of_is_reported(make: Make, tmp_pa
     assert any("[equivalence]" in note and "the replay has no value of it" in note for note in said["notes"])
 
 
+@pytest.mark.integration
 def test_verdicts_are_also_written_as_junit(make: Make, tmp_path: Path) -> None:
     root = make(NOISY)
     batch = ask(root)
@@ -326,6 +347,7 @@ def test_verdicts_are_also_written_as_junit(make: Make, tmp_path: Path) -> None:
     assert (ended.returncode, "there is no folder" in ended.stderr) == (3, True)
 
 
+@pytest.mark.integration
 def test_the_restored_source_and_the_runs_folders_are_kept_where_asked(make_either: Make) -> None:
     root = make_either()
     batch = ask(root)
@@ -335,6 +357,7 @@ def test_the_restored_source_and_the_runs_folders_are_kept_where_asked(make_eith
     assert ask(root) == batch, "what is kept is no part of the project's source"
 
 
+@pytest.mark.integration
 def test_where_and_in_what_to_execute_can_be_said(make: Make) -> None:
     root = make()
     batch = ask(root)
@@ -420,6 +443,7 @@ def test_whole_numbers_and_fractions_are_compared_exactly_and_flags_are_no_numbe
     assert of(pa.array([None], pa.bool_()), pa.array([None], pa.int64())) is Verdict.EQUAL
 
 
+@pytest.mark.integration
 def test_an_experiment_of_several_batches_is_replayed_as_it_stands_in_one(make: Make) -> None:
     root = make()
     for query in ("population_size=4", "population_size=1,2,4", "population_size=4,5"):
@@ -429,6 +453,7 @@ def test_an_experiment_of_several_batches_is_replayed_as_it_stands_in_one(make: 
         assert (code, said["verdict"], said["experiments"][0]["values"]) == (0, "identical", {"population_size": 4})
 
 
+@pytest.mark.integration
 def test_runs_of_which_nothing_is_compared_are_not_said_to_be_the_same(make: Make) -> None:
     only_logs = "import sys, time\nprint(time.time_ns())\n"
     root = make(only_logs + "if b'count=\"2\"' in open(sys.argv[1], 'rb').read(): open('x.txt', 'w').write('x')\n")
@@ -439,6 +464,7 @@ def test_runs_of_which_nothing_is_compared_are_not_said_to_be_the_same(make: Mak
     assert (code, said["notes"]) == (0, ["2 of 4 runs left nothing but logs, which are not compared"])
 
 
+@pytest.mark.integration
 def test_a_program_that_git_ignores_is_executed_as_it_is_now_and_said_to_be_another(tmp_path: Path) -> None:
     root = projects.make(tmp_path / "project", projects.CONFIG.replace("python3 sim.py", "build/sim"))
     program = root / "build" / "sim"
@@ -455,6 +481,7 @@ def test_a_program_that_git_ignores_is_executed_as_it_is_now_and_said_to_be_anot
     assert (code, said["notes"][0].startswith("other programs: {project}/build/sim: ")) == (1, True)
 
 
+@pytest.mark.integration
 def test_a_python_environment_in_the_project_is_the_one_that_replays(tmp_path: Path) -> None:
     root = projects.make(tmp_path / "project", projects.CONFIG.replace("python3", ".venv/bin/python"))
     venv.create(root / ".venv", symlinks=True)
@@ -467,6 +494,7 @@ def test_a_python_environment_in_the_project_is_the_one_that_replays(tmp_path: P
     assert (code, said["verdict"], said["notes"]) == (0, "identical", [])
 
 
+@pytest.mark.integration
 def test_rows_that_the_store_has_lost_are_not_taken_for_a_result(make: Make) -> None:
     root = make(NOISY)
     batch = ask(root)
@@ -477,6 +505,7 @@ def test_rows_that_the_store_has_lost_are_not_taken_for_a_result(make: Make) -> 
     assert "2 of 5 rows of 'swarm' are in the store" in ended.stderr
 
 
+@pytest.mark.integration
 def test_the_same_bytes_are_not_identical_where_the_record_lacks_rows_of_them(make: Make) -> None:
     root = make()
     batch = ask(root)
@@ -494,6 +523,7 @@ def test_the_same_bytes_are_not_identical_where_the_record_lacks_rows_of_them(ma
     assert "the same bytes, but of its 5 rows the recorded table has 4 (see sierra fsck)" in json.dumps(said)
 
 
+@pytest.mark.integration
 def test_runs_that_are_left_out_are_counted_beside_the_verdict(make: Make) -> None:
     root = make(projects.SIMULATOR + "if count == 2 and seed % 2 == 0: sys.exit(7)\n")
     batch = ask(root, "population_size=1,2", "montecarlo.C4")
@@ -544,6 +574,7 @@ def test_an_input_that_a_strangers_store_names_outside_is_refused(make: Make, na
     assert {*root.parent.rglob("*"), index} == before
 
 
+@pytest.mark.integration
 def test_what_is_brought_to_a_restored_source_stays_in_it(make: Make, tmp_path: Path) -> None:
     (tmp_path / "shared").mkdir()
     (tmp_path / "shared" / "map.csv").write_text("x")

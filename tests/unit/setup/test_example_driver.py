@@ -79,6 +79,7 @@ def test_the_same_input_gives_the_same_bytes() -> None:
     assert outputs(asked, threads=1) == outputs(asked, threads=2)
 
 
+@pytest.mark.integration
 def test_another_seed_gives_another_run() -> None:
     assert outputs(made(SEEDS[0], population_size=2)) != outputs(made(SEEDS[1], population_size=2))
 
@@ -92,6 +93,7 @@ def test_a_row_is_written_per_tick_and_a_pose_per_robot_and_second() -> None:
         assert values == sorted(values)
 
 
+@pytest.mark.integration
 def test_more_robots_cover_more_and_collide_more() -> None:
     coverage = [final("coverage", population_size=size) for size in (1, 2, 4, 8)]
     assert all(more > 1.2 * fewer for fewer, more in pairwise(coverage))

@@ -64,6 +64,7 @@ def test_one_simulator_and_one_template_are_enough(folder: Path) -> None:
     assert len(effective(folder)) <= 10
 
 
+@pytest.mark.integration
 def test_the_next_command_that_is_said_gives_a_plot_from_any_folder_of_the_project(folder: Path) -> None:
     said = json.loads(quick(folder, "init", "--json").stdout)["next"]
     assert said == "sierra run population_size.Log8 -n"
@@ -73,6 +74,7 @@ def test_the_next_command_that_is_said_gives_a_plot_from_any_folder_of_the_proje
     assert any(figure.endswith(".png") for figure in json.loads(ended.stdout)["figures"])
 
 
+@pytest.mark.integration
 def test_no_heavy_library_is_loaded(folder: Path) -> None:
     program = (
         "import sys; from pathlib import Path; from sierra.setup.init import answers, wizard;"
@@ -89,6 +91,7 @@ def test_of_several_scripts_the_one_that_can_be_started_is_the_simulator(folder:
     assert written(folder)["command"] == "python3 sim.py {input}"
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize(("name", "command"), [("run.sh", "./run.sh {input}"), ("build/a sim", "'./build/a sim' {input}")])
 def test_a_program_is_found_here_and_where_it_is_built(tmp_path: Path, name: str, command: str) -> None:
     program = tmp_path / name
@@ -103,6 +106,7 @@ def test_a_program_is_found_here_and_where_it_is_built(tmp_path: Path, name: str
     assert quick(tmp_path, "run", "population_size.Log2", "--runs", "1", "--no-figures").returncode == 0
 
 
+@pytest.mark.integration
 def test_names_may_hold_blanks_and_quotes(tmp_path: Path) -> None:
     folder = tmp_path / "a 'folder'"
     folder.mkdir()
@@ -233,6 +237,7 @@ def test_a_template_may_be_named_from_here_as_the_shell_completes_it(folder: Pat
         (folder / "sierra.toml").unlink()
 
 
+@pytest.mark.integration
 def test_what_the_command_names_of_the_project_is_found_from_where_runs_start(folder: Path) -> None:
     (folder / "conf" / "maps").mkdir(parents=True)
     (folder / "conf" / "a.ini").write_text("")
@@ -245,6 +250,7 @@ def test_what_the_command_names_of_the_project_is_found_from_where_runs_start(fo
     assert quick(folder / "conf", "run", "population_size.Log1", "--runs", "1", "--no-figures").returncode == 0
 
 
+@pytest.mark.integration
 def test_a_module_of_the_project_is_found_from_where_runs_start(folder: Path) -> None:
     (folder / "src" / "swarm").mkdir(parents=True)
     (folder / "sim.py").rename(folder / "src" / "swarm" / "__main__.py")
@@ -272,6 +278,7 @@ def test_a_command_that_is_hardly_meant_is_written_with_a_note(folder: Path, com
     assert ended.stderr.count("\n") == 1
 
 
+@pytest.mark.integration
 def test_json_says_what_was_written_and_what_to_do_next(folder: Path) -> None:
     code, said = answering(folder, words=("init", "--json"))
     assert code == 0
@@ -310,6 +317,7 @@ def test_notes_are_left_out_of_the_code_that_is_proposed(folder: Path) -> None:
     assert '# paths = ["CMakeLists.txt", "sim.py"]  # not LICENSE, README.md, notes.txt, poster.pdf\n' in text
 
 
+@pytest.mark.integration
 def test_what_is_source_is_asked_where_there_is_what_hardly_is(folder: Path) -> None:
     (folder / "results").mkdir()
     code, _ = answering(folder, "", "", "", "", "nope", "2")
@@ -320,11 +328,13 @@ def test_what_is_source_is_asked_where_there_is_what_hardly_is(folder: Path) -> 
 # Questions
 
 
+@pytest.mark.integration
 def test_enter_takes_what_was_found(folder: Path) -> None:
     assert answering(folder, "", "", "", "")[0] == 0
     assert written(folder)["variables"] == {"population_size": "//swarm/@count"}
 
 
+@pytest.mark.integration
 def test_several_templates_and_simulators_are_offered_by_number(folder: Path) -> None:
     (folder / "other.xml").write_text('<a count="3" seed="1"/>')
     (folder / "other.py").write_text(SIMULATOR)
@@ -336,12 +346,14 @@ def test_several_templates_and_simulators_are_offered_by_number(folder: Path) ->
     assert written(folder)["command"] == "python3 other.py {input}"
 
 
+@pytest.mark.integration
 def test_where_nothing_is_found_it_is_asked(tmp_path: Path) -> None:
     (tmp_path / "arena.conf").write_text(TEMPLATE)
     assert answering(tmp_path, "arena.conf", "true {input}", "", "")[0] == 0
     assert written(tmp_path)["template"] == "arena.conf"
 
 
+@pytest.mark.integration
 def test_a_wrong_answer_is_said_in_the_words_of_the_option_and_asked_again(folder: Path) -> None:
     wrong = {
         "--template": ["nope.xml", "sim.py"],
@@ -357,6 +369,7 @@ def test_a_wrong_answer_is_said_in_the_words_of_the_option_and_asked_again(folde
     assert written(folder)["variables"] == {"population_size": "//swarm/@count"}
 
 
+@pytest.mark.integration
 def test_variables_are_asked_for_until_an_empty_answer_and_found_ones_stay(folder: Path) -> None:
     assert answering(folder, "", "", "", "noise_level=//noise", "1", "")[0] == 0
     assert written(folder)["variables"] == {
@@ -366,6 +379,7 @@ def test_variables_are_asked_for_until_an_empty_answer_and_found_ones_stay(folde
     }
 
 
+@pytest.mark.integration
 def test_a_variable_that_was_found_may_be_refused_or_called_otherwise(folder: Path) -> None:
     assert answering(folder, "", "", "", "-population_size", "noise=//noise", "")[0] == 0
     assert written(folder)["variables"] == {"noise": "//noise"}
@@ -375,6 +389,7 @@ def test_a_variable_that_was_found_may_be_refused_or_called_otherwise(folder: Pa
     assert "seed" not in written(folder)
 
 
+@pytest.mark.integration
 def test_without_an_answer_nothing_is_written(folder: Path) -> None:
     code, said = answering(folder, "", "")
     assert code == 130

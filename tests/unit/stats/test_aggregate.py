@@ -73,6 +73,7 @@ def trimmed_interval(x: np.ndarray[Any, Any]) -> tuple[float, float]:
     return center - half, center + half
 
 
+@pytest.mark.integration
 @settings(max_examples=25, deadline=None)
 @given(st.lists(NUMBERS, min_size=2, max_size=40))
 def test_all_statistics_are_those_of_numpy_and_scipy(values: list[float]) -> None:
@@ -94,6 +95,7 @@ def test_all_statistics_are_those_of_numpy_and_scipy(values: list[float]) -> Non
 SCALES = st.sampled_from([-1020, -1000, -700, 0, 700, 1000])
 
 
+@pytest.mark.integration
 @settings(max_examples=25, deadline=None)
 @given(st.lists(st.integers(-1000, 1000), min_size=2, max_size=20), SCALES)
 def test_statistics_have_all_their_digits_at_any_magnitude(values: list[int], power: int) -> None:
@@ -115,6 +117,7 @@ def test_statistics_have_all_their_digits_at_any_magnitude(values: list[int], po
         assert found[name] / scale == pytest.approx(value, rel=1e-12, abs=1e-10), name
 
 
+@pytest.mark.integration
 @settings(max_examples=25, deadline=None)
 @given(st.lists(st.integers(0, 2**20), min_size=2, max_size=20), st.sampled_from([1e6, 1e9, 1e12]))
 def test_a_large_mean_takes_no_digits_from_the_standard_deviation(values: list[int], offset: float) -> None:
@@ -138,6 +141,7 @@ def test_whiskers_and_iqm_of_one_huge_value_are_those_of_the_others() -> None:
     assert (found["median"], found["iqm"]) == pytest.approx((3e-200, 3e-200), rel=1e-12)
 
 
+@pytest.mark.integration
 @given(st.floats(allow_nan=False, allow_infinity=False), st.integers(2, 12))
 @settings(max_examples=25, deadline=None)
 def test_values_that_are_all_the_same_are_their_own_mean(value: float, n: int) -> None:
@@ -313,6 +317,7 @@ def test_resampling_does_not_fill_what_is_missing() -> None:
         assert table["missing"].to_pylist() == [0, 1, 0]
 
 
+@pytest.mark.integration
 @settings(max_examples=25, deadline=None)
 @given(st.lists(st.tuples(st.integers(0, 1000), NUMBERS), min_size=2, max_size=20, unique_by=lambda p: p[0]), st.data())
 def test_linear_interpolation_is_that_of_numpy(points: list[tuple[int, float]], data: st.DataObject) -> None:
@@ -337,6 +342,7 @@ def interpolated(points: list[tuple[float, float | None]], grid: list[float]) ->
     return np.interp(grid, t, v, left=np.nan, right=np.nan).tolist()
 
 
+@pytest.mark.integration
 @settings(max_examples=25, deadline=None)
 @given(
     st.lists(

@@ -15,6 +15,7 @@ from sierra.stats import equivalence, student_t
 VALUES = st.lists(st.floats(-10, 10).map(lambda x: round(x, 3)), min_size=2, max_size=40)
 
 
+@pytest.mark.integration
 @given(VALUES, st.floats(0.01, 20), st.sampled_from([0.01, 0.05, 0.1]))
 def test_the_p_value_is_that_of_scipys_two_one_sided_tests(values: list[float], margin: float, alpha: float) -> None:
     tested = equivalence.test(values, margin, alpha)
@@ -26,6 +27,7 @@ def test_the_p_value_is_that_of_scipys_two_one_sided_tests(values: list[float], 
     assert tested.low <= tested.difference <= tested.high
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize(("n", "margin"), [(10, 1.0), (20, 0.7), (40, 0.5)])
 def test_the_power_is_about_what_simulation_shows(n: int, margin: float) -> None:
     draw = random.Random(1)
@@ -54,6 +56,7 @@ def test_the_power_of_three_pairs_is_not_that_of_the_central_approximation() -> 
     assert equivalence.power(3.0, student_t.quantile(0.95, 2), 2) == pytest.approx(0.436, abs=5e-4)
 
 
+@pytest.mark.integration
 def test_three_pairs_are_shown_to_be_equivalent_as_often_as_the_power_says() -> None:
     draw, t = random.Random(3), student_t.quantile(0.95, 2)
     samples = [[draw.gauss(0, 1) for _ in range(3)] for _ in range(4000)]
@@ -75,6 +78,7 @@ def test_what_overflows_is_not_shown_to_be_equivalent() -> None:
     assert 0 <= tested.power < 0.05
 
 
+@pytest.mark.integration
 def test_what_is_a_margin_apart_is_rarely_taken_for_the_same() -> None:
     draw = random.Random(2)
     samples = [[draw.gauss(1, 1) for _ in range(20)] for _ in range(2000)]

@@ -44,6 +44,7 @@ def two(tmp_path_factory: pytest.TempPathFactory) -> tuple[Project, list[str]]:
     return _made(tmp_path_factory.mktemp("two") / "p", CELLS, "population_size=1", "population_size=2")
 
 
+@pytest.mark.integration
 def test_the_numbers_of_a_batch_are_numbers_whatever_another_holds(two: tuple[Project, list[str]]) -> None:
     project, (numbers, texts) = two
     assert project.sql("SELECT max(v) AS m FROM t", within=numbers).to_pylist() == [{"m": 1000.0}]
@@ -71,6 +72,7 @@ def test_that_a_column_is_not_of_one_type_is_said(two: tuple[Project, list[str]]
     assert projects.quick(project.root, "sql", "SELECT run FROM runs").stderr == ""
 
 
+@pytest.mark.integration
 def test_texts_in_one_experiment_of_a_batch_leave_the_numbers_of_others_alone(tmp_path: Path) -> None:
     project, [batch] = _made(tmp_path / "p", CELLS, "population_size=1,2")
     assert project.sql("SELECT max(v) AS m FROM t", within=batch).to_pylist() == [{"m": 100000.0}]
@@ -83,6 +85,7 @@ def test_texts_in_one_experiment_of_a_batch_leave_the_numbers_of_others_alone(tm
     ]
 
 
+@pytest.mark.integration
 def test_axes_of_a_batch_keep_their_type_whatever_another_batch_has(tmp_path: Path) -> None:
     config = projects.CONFIG.replace('noise = "//noise"\n', 'noise = "//noise"\nname = "//name"\n')
     template = projects.TEMPLATE.replace("<noise>", "<name>x</name><noise>")
@@ -171,6 +174,7 @@ def test_columns_differ_in_case_alone_or_are_called_as_the_texts_of_others(tmp_p
     assert rows == [(1, None, "mine", None), (None, "x", None, 3)]
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("kind", ["csv", "jsonl", "parquet"])
 def test_whole_numbers_beside_fractions_of_other_runs_keep_all_digits(tmp_path: Path, kind: str) -> None:
     script = (

@@ -55,6 +55,7 @@ def leaves_rows(snapshot: Snapshot) -> None:
     next(iter(snapshot.each("SELECT * FROM range(1000000)", {})))
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("before", [is_asked, sets, makes, goes_wrong, leaves_rows])
 def test_a_question_finds_nothing_of_the_one_before(store: Store, before: Callable[[Snapshot], None]) -> None:
     with store.snapshot() as snapshot:

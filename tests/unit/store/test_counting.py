@@ -26,6 +26,7 @@ def good(project: Project, batch: str) -> list[int]:
     return [row["good"] for row in project.show(batch)["experiments"]]
 
 
+@pytest.mark.integration
 def test_a_stricter_rule_counts_everywhere(tmp_path: Path) -> None:
     project = sierra.open(projects.make(tmp_path, simulator=SAYS))
     first = project.run("population_size=1", runs=8, figures=False)
@@ -42,6 +43,7 @@ def test_a_stricter_rule_counts_everywhere(tmp_path: Path) -> None:
     assert project.statistics(second.batch, "swarm", "coverage").to_pylist()[0]["n"] == passed
 
 
+@pytest.mark.integration
 def test_an_earlier_program_counts_again_when_it_is_back(tmp_path: Path) -> None:
     program = tmp_path / "outside" / "sim"
     program.parent.mkdir()
@@ -66,6 +68,7 @@ def test_an_earlier_program_counts_again_when_it_is_back(tmp_path: Path) -> None
     assert sierra.open(root).statistics(again.batch, "out", "v").to_pylist()[0]["mean"] == 1
 
 
+@pytest.mark.integration
 def test_a_run_of_two_experiments_stands_at_both_points(tmp_path: Path) -> None:
     same = '[variables.idle]\nchanges = [{ set = "//swarm/@count", value = "{7 + 0 * idle}" }]\n'
     project = sierra.open(projects.make(tmp_path, projects.CONFIG + same))
@@ -83,6 +86,7 @@ def test_values_that_make_no_difference_are_said(tmp_path: Path) -> None:
     assert not any("same runs" in note for note in project.plan("montecarlo.C2").notes)
 
 
+@pytest.mark.integration
 def test_a_run_of_several_batches_is_there_once(tmp_path: Path) -> None:
     project = sierra.open(projects.make(tmp_path))
     project.run("population_size=1,2", figures=False)
@@ -93,6 +97,7 @@ def test_a_run_of_several_batches_is_there_once(tmp_path: Path) -> None:
     assert sum(row["rows"] for row in rows.to_pylist()) == 40
 
 
+@pytest.mark.integration
 def test_what_was_ragged_fails_when_it_is_to_be_strict(tmp_path: Path) -> None:
     ragged = '[outputs.swarm]\nfile = "swarm.csv"\nmismatch = "ragged"\n'
     simulator = projects.SIMULATOR.replace("range(5)", "range(5 + (seed % 5 == 0))")
@@ -109,6 +114,7 @@ def test_how_time_is_called_executes_nothing_again(tmp_path: Path) -> None:
     assert sierra.open(root).run("population_size=1", figures=False).executed == 0
 
 
+@pytest.mark.integration
 def test_a_library_that_git_ignores_executes_again_where_a_variable_names_it(tmp_path: Path) -> None:
     config = projects.CONFIG + '[environment]\nset = { PLUGINS = "{project}/build" }\n'
     root = projects.make(tmp_path, config)
@@ -122,6 +128,7 @@ def test_a_library_that_git_ignores_executes_again_where_a_variable_names_it(tmp
     assert (second.batch, second.executed) == (first.batch, 2)
 
 
+@pytest.mark.integration
 def test_code_in_a_folder_called_figures_is_code(tmp_path: Path) -> None:
     root = projects.make(tmp_path)
     first = sierra.open(root).run("population_size=1")
@@ -131,6 +138,7 @@ def test_code_in_a_folder_called_figures_is_code(tmp_path: Path) -> None:
     assert sierra.open(root).run("population_size=1", figures=False).executed == 2
 
 
+@pytest.mark.integration
 def test_statistics_over_time_and_over_runs(tmp_path: Path) -> None:
     project = sierra.open(projects.make(tmp_path))
     batch = project.run("population_size=1,2", runs=4, figures=False).batch
@@ -144,6 +152,7 @@ def test_statistics_over_time_and_over_runs(tmp_path: Path) -> None:
         project.statistics(batch, "swarm", "coverage", measure="last")
 
 
+@pytest.mark.integration
 def test_a_table_that_is_no_curve_is_said_not_to_be_drawn(tmp_path: Path) -> None:
     simulator = projects.SIMULATOR.replace("print(tick, count", "print(tick, 0, sep=',', file=file); print(tick, count")
     summary = sierra.open(projects.make(tmp_path, simulator=simulator)).run("population_size=1")
@@ -151,6 +160,7 @@ def test_a_table_that_is_no_curve_is_said_not_to_be_drawn(tmp_path: Path) -> Non
     assert any("swarm" in note and "same time" in note for note in summary.notes)
 
 
+@pytest.mark.integration
 def test_one_batch_can_be_asked_alone(tmp_path: Path) -> None:
     project = sierra.open(projects.make(tmp_path))
     first = project.run("population_size=1,2", figures=False).batch
@@ -163,6 +173,7 @@ def test_one_batch_can_be_asked_alone(tmp_path: Path) -> None:
     assert '"runs": 4' in shown.stdout
 
 
+@pytest.mark.integration
 def test_programs_are_there_once(tmp_path: Path) -> None:
     project = sierra.open(projects.make(tmp_path))
     for runs in (1, 2, 3):
@@ -179,6 +190,7 @@ def test_a_project_in_a_folder_that_git_ignores_is_outside_git(tmp_path: Path) -
     assert project.sql("SELECT DISTINCT vcs FROM sources").to_pylist() == [{"vcs": "none"}]
 
 
+@pytest.mark.integration
 def test_a_csv_whose_header_is_numbers_is_said_to_have_none(tmp_path: Path) -> None:
     simulator = projects.SIMULATOR.replace('print("tick,coverage", file=file)', "pass")
     root = projects.make(tmp_path, simulator=simulator)
@@ -194,6 +206,7 @@ def test_a_text_where_the_template_has_a_number_is_said(tmp_path: Path) -> None:
     assert any("'1-8'" in note and "the template has 1" in note for note in plan.notes)
 
 
+@pytest.mark.integration
 def test_explain_names_the_program_that_has_changed(tmp_path: Path) -> None:
     program = tmp_path / "sim"
     root = projects.make(tmp_path / "project", projects.CONFIG.replace("python3 sim.py", str(program)))
@@ -205,6 +218,7 @@ def test_explain_names_the_program_that_has_changed(tmp_path: Path) -> None:
     assert re.search(r"sim: [0-9a-f]{10} recorded, [0-9a-f]{10} found", said)
 
 
+@pytest.mark.integration
 def test_before_anything_executes_again_the_reason_is_said(tmp_path: Path) -> None:
     program = tmp_path / "sim"
     root = projects.make(tmp_path / "project", projects.CONFIG.replace("python3 sim.py", f"{program} {{project}}/sim.py"))
@@ -230,6 +244,7 @@ def test_runs_that_write_no_table_are_said_to(tmp_path: Path) -> None:
     assert any("no run wrote a table" in note for note in summary.notes)
 
 
+@pytest.mark.integration
 def test_a_figure_whose_columns_are_misspelt_is_said(tmp_path: Path) -> None:
     wrong = (
         '[outputs.swarm]\nfile = "swarm.csv"\ntime = "tik"\n[figures.a]\ncolumn = "coverage"\n[figures.b]\ncolumn = "coverge"\n'

@@ -85,6 +85,7 @@ def refused(ended: subprocess.CompletedProcess[str], code: int, *said: str) -> N
 # the listing
 
 
+@pytest.mark.integration
 def test_a_run_s_files_are_listed_with_kind_size_and_hash(project: Path) -> None:
     run = first_run(project)["run"]
     files = {file["path"]: file for file in listed(project, run)}
@@ -120,6 +121,7 @@ def test_files_of_whatever_an_id_names(project: Path, kind: str, runs: int) -> N
 # one file
 
 
+@pytest.mark.integration
 def test_one_file_goes_to_standard_output_byte_for_byte(project: Path) -> None:
     run = first_run(project)
     from tests.projects import SIERRA
@@ -148,6 +150,7 @@ def test_a_table_whose_bytes_differ_has_the_same_values_and_says_so(project: Pat
     assert next(csv.reader(io.StringIO(said.partition("\n")[2]))) == ['a "quoted", one', "1"]
 
 
+@pytest.mark.integration
 def test_a_table_is_written_as_the_run_wrote_it_where_its_bytes_are_kept(tmp_path: Path) -> None:
     folder = make(tmp_path / "project", simulator=SIMULATOR)
     assert quick(folder, "run", "population_size=1", "--runs", "1", "--no-figures").returncode == 0
@@ -166,6 +169,7 @@ def test_a_table_is_written_as_the_run_wrote_it_where_its_bytes_are_kept(tmp_pat
     assert hashlib.sha256(content).hexdigest() == files["output/said.jsonl"]["sha256"]
 
 
+@pytest.mark.integration
 def test_a_path_as_it_is_listed_means_that_file_alone(tmp_path: Path) -> None:
     simulator = "open('stdout', 'w').write('mine'); open('a[b]', 'w').write('brackets'); print('log')\n"
     folder = make(tmp_path / "project", simulator=simulator)
@@ -175,6 +179,7 @@ def test_a_path_as_it_is_listed_means_that_file_alone(tmp_path: Path) -> None:
         assert quick(folder, "files", run, path).stdout == content
 
 
+@pytest.mark.integration
 def test_what_names_no_file_or_several_is_said(project: Path) -> None:
     run = first_run(project)["run"]
     refused(quick(project, "files", run, "nope.csv"), 2, "no recorded file 'nope.csv'", "'output/swarm.csv'")
@@ -200,6 +205,7 @@ def test_a_batch_is_written_into_a_folder_by_experiment_and_number(project: Path
     assert found == {}
 
 
+@pytest.mark.integration
 def test_several_files_of_one_table_and_a_run_of_two_experiments_are_all_written(tmp_path: Path) -> None:
     simulator = (
         "import pathlib\n"
@@ -263,6 +269,7 @@ def test_a_link_in_the_folder_is_not_followed(project: Path, tmp_path: Path) -> 
     assert list(elsewhere.iterdir()) == []
 
 
+@pytest.mark.integration
 def test_paths_that_a_stranger_recorded_stay_in_the_folder(tmp_path: Path) -> None:
     folder = make(tmp_path / "project")
     assert quick(folder, "run", "population_size=1", "--runs", "1", "--no-figures").returncode == 0
@@ -307,6 +314,7 @@ def _damage(folder: Path, digest: str) -> None:
         pq.write_table(table.set_column(3, table.schema.field(3), pa.array(contents, pa.large_binary())), path)
 
 
+@pytest.mark.integration
 def test_a_damaged_file_is_said_and_all_else_is_written(tmp_path: Path) -> None:
     folder = make(tmp_path / "project", simulator=SIMULATOR)
     assert quick(folder, "run", "population_size=1", "--no-figures").returncode == 0
@@ -321,6 +329,7 @@ def test_a_damaged_file_is_said_and_all_else_is_written(tmp_path: Path) -> None:
     refused(quick(folder, "files", run, STDOUT), 1, "stdout: the store has other content")
 
 
+@pytest.mark.integration
 def test_a_table_that_is_not_what_was_recorded_is_not_written(tmp_path: Path) -> None:
     folder = make(tmp_path / "project", CONFIG, simulator=SIMULATOR)
     assert quick(folder, "run", "population_size=1", "--no-figures").returncode == 0
@@ -352,6 +361,7 @@ def test_a_store_that_cannot_be_read_is_one_line(tmp_path: Path) -> None:
     refused(quick(folder, "files", run), 1, "the store cannot be read")
 
 
+@pytest.mark.integration
 def test_a_failed_run_gives_the_files_of_its_last_execution(tmp_path: Path) -> None:
     folder = make(tmp_path / "project", simulator=SIMULATOR)
     for _ in range(2):
@@ -368,6 +378,7 @@ def test_a_failed_run_gives_the_files_of_its_last_execution(tmp_path: Path) -> N
     assert "1 runs have no execution that counts; these files are from their last one" in ended.stdout
 
 
+@pytest.mark.integration
 def test_a_great_file_and_a_cut_log(tmp_path: Path) -> None:
     simulator = SIMULATOR + "print('x' * 3_000_000)\n"
     folder = make(tmp_path / "project", CONFIG + '[environment]\nset = { GREAT = "1" }\n', simulator=simulator)
@@ -384,6 +395,7 @@ def test_a_great_file_and_a_cut_log(tmp_path: Path) -> None:
 # show
 
 
+@pytest.mark.integration
 def test_show_names_a_run_s_files_and_how_to_get_them(project: Path) -> None:
     run = first_run(project)["run"]
     said = quick(project, "show", run).stdout
@@ -392,6 +404,7 @@ def test_show_names_a_run_s_files_and_how_to_get_them(project: Path) -> None:
     assert len(json.loads(quick(project, "show", run, "--json").stdout)["files"]) == 8
 
 
+@pytest.mark.integration
 def test_show_groups_failures_by_their_reason(tmp_path: Path) -> None:
     folder = make(tmp_path / "project", simulator=SIMULATOR)
     ask = ("run", "population_size=1,91,92,96", "--runs", "3", "--no-figures")
@@ -404,6 +417,7 @@ def test_show_groups_failures_by_their_reason(tmp_path: Path) -> None:
     assert [(failure["reason"], failure["runs"]) for failure in failures] == [("exit status 3", 6), ("exit status 4", 3)]
 
 
+@pytest.mark.integration
 def test_show_says_ten_reasons_at_most(tmp_path: Path) -> None:
     simulator = "import os, sys\nsys.exit(1 + int(os.environ['SIERRA_SEED']) % 200)\n"
     folder = make(tmp_path / "project", simulator=simulator)
@@ -415,6 +429,7 @@ def test_show_says_ten_reasons_at_most(tmp_path: Path) -> None:
     assert f"and {reasons - 10} more reasons" in said
 
 
+@pytest.mark.integration
 def test_columns_of_axes_stand_in_the_order_of_the_query(tmp_path: Path) -> None:
     folder = make(tmp_path / "project", simulator=SIMULATOR)
     for ask in (("noise=0,1", "population_size=1,2"), ("population_size=1,2", "noise=0,1")):

@@ -53,6 +53,7 @@ def test_work_that_is_a_link_to_somebody_elses_folder_is_refused(
     assert files(theirs) == before
 
 
+@pytest.mark.integration
 def test_work_may_be_a_link_to_an_empty_folder_which_is_the_stores_own_from_then_on(tmp_path: Path) -> None:
     (tmp_path / "scratch").mkdir()
     one, two = projects.make(tmp_path / "one"), projects.make(tmp_path / "two")
@@ -81,6 +82,7 @@ def test_a_link_that_leads_nowhere_or_to_a_file_is_refused(tmp_path: Path) -> No
     assert not (tmp_path / "nowhere").exists()
 
 
+@pytest.mark.integration
 def test_what_lies_among_sessions_and_is_none_is_left_and_named(recorded: Path, tmp_path: Path, theirs: Path) -> None:
     root = stores.copy(recorded, tmp_path / "project")
     work = root / ".sierra" / "work"
@@ -95,6 +97,7 @@ def test_what_lies_among_sessions_and_is_none_is_left_and_named(recorded: Path, 
     assert found == ["work/0123456789abcdef", "work/fedcba9876543210", "work/thesis"]
 
 
+@pytest.mark.integration
 def test_a_store_of_before_there_were_marks_goes_on(tmp_path: Path, simulate: Callable[..., Simulated]) -> None:
     project = simulate(held(4))
     asked = project.start("run", "size=1,2,3,4", "-j", "2", "--no-figures")
@@ -142,6 +145,7 @@ def test_a_folder_that_is_no_store_stays_as_it_is(
         assert (ended.returncode, ended.stderr.count("\n")) == (3, 1)
 
 
+@pytest.mark.integration
 def test_of_what_a_repair_put_aside_only_segments_are_removed(recorded: Path, tmp_path: Path, theirs: Path) -> None:
     root = stores.copy(recorded, tmp_path / "project")
     shutil.copytree(theirs, root / ".sierra" / "theirs")
@@ -192,6 +196,7 @@ def died(root: Path, theirs: Path, **fields: object) -> Path:
     return session
 
 
+@pytest.mark.integration
 def test_no_journal_has_a_folder_outside_its_session_read_or_removed(recorded: Path, tmp_path: Path, theirs: Path) -> None:
     root = stores.copy(recorded, tmp_path / "project")
     session = died(root, theirs)
@@ -201,6 +206,7 @@ def test_no_journal_has_a_folder_outside_its_session_read_or_removed(recorded: P
     assert not session.exists()
 
 
+@pytest.mark.integration
 def test_no_session_that_died_gives_the_store_a_file_from_elsewhere(recorded: Path, tmp_path: Path) -> None:
     root = stores.copy(recorded, tmp_path / "project")
     secret = tmp_path / "secret"
@@ -216,6 +222,7 @@ def test_no_session_that_died_gives_the_store_a_file_from_elsewhere(recorded: Pa
     assert secret.read_text() == "do not publish\n"
 
 
+@pytest.mark.integration
 def test_no_lock_is_a_link(recorded: Path, tmp_path: Path) -> None:
     root = stores.copy(recorded, tmp_path / "project")
     thesis = tmp_path / "thesis"
@@ -237,6 +244,7 @@ def scratch(tmp_path: Path, name: str, path: Path | str) -> Path:
     return projects.make(tmp_path / name, projects.CONFIG + f'[store]\nwork = "{path}"\n')
 
 
+@pytest.mark.integration
 def test_two_projects_may_execute_in_one_folder_elsewhere(tmp_path: Path, theirs: Path) -> None:
     before = files(theirs)
     roots = [scratch(tmp_path, name, theirs) for name in ("one", "two")]
@@ -250,6 +258,7 @@ def test_two_projects_may_execute_in_one_folder_elsewhere(tmp_path: Path, theirs
     assert more == sorted([*ids, *(f"{one}/mark" for one in ids)])
 
 
+@pytest.mark.integration
 def test_runs_execute_elsewhere_and_what_died_there_is_recorded_and_removed(
     tmp_path: Path, theirs: Path, simulate: Callable[..., Simulated], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -285,6 +294,7 @@ def test_what_a_session_says_of_elsewhere_is_removed_only_with_the_mark(recorded
         assert not session.exists()
 
 
+@pytest.mark.integration
 def test_elsewhere_may_be_another_disk_which_a_link_may_not_lead_to(tmp_path: Path, disk: Callable[[Path, str], Path]) -> None:
     other = disk(tmp_path / "other", "16m")
     root = scratch(tmp_path, "project", other / "made")

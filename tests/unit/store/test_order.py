@@ -116,6 +116,7 @@ def found(root: Path) -> set[Any]:
     return {statistics["mean"], *values, *within}
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize(("number", "by"), [(1, DAYS), (2, -DAYS)], ids=["ahead before", "behind now"])
 def test_the_later_asking_counts_whatever_its_clock_said(root: Path, number: int, by: timedelta) -> None:
     rewrite(root, later(number, by))
@@ -128,6 +129,7 @@ def test_the_later_asking_counts_whatever_its_clock_said(root: Path, number: int
     assert found(root) == {3}
 
 
+@pytest.mark.integration
 def test_figures_show_what_was_executed_last(root: Path) -> None:
     def drawn() -> dict[str, bytes]:
         paths = sierra.open(root).run("population_size=1").figures
@@ -162,6 +164,7 @@ def test_of_two_sessions_with_one_number_that_with_the_greater_id_is_the_later(r
     assert found(root) == {sessions[max(sessions)]}, "the first asking found 1, and the second one 2"
 
 
+@pytest.mark.integration
 def test_old_records_are_ordered_by_time_and_come_before_all_others(root: Path) -> None:
     rewrite(root, later(1, DAYS))
     rewrite(root, as_before, LATER)
@@ -173,6 +176,7 @@ def test_old_records_are_ordered_by_time_and_come_before_all_others(root: Path) 
     assert [number >= 0 for number in numbers(root, "sessions")] == [False, False, True]
 
 
+@pytest.mark.integration
 def test_old_records_and_new_ones_are_merged_and_sound(root: Path) -> None:
     rewrite(root, as_before, LATER)
     store = root / ".sierra" / "format"
@@ -188,6 +192,7 @@ def test_old_records_and_new_ones_are_merged_and_sound(root: Path) -> None:
     assert found(root) == {3}
 
 
+@pytest.mark.integration
 def test_batches_are_listed_in_the_order_in_which_they_were_asked_for(root: Path) -> None:
     rewrite(root, later(2, DAYS))
     last = sierra.open(root).run("population_size=2", figures=False).batch
@@ -196,6 +201,7 @@ def test_batches_are_listed_in_the_order_in_which_they_were_asked_for(root: Path
     assert sierra.open(root).batches[-1]["batch"] != last
 
 
+@pytest.mark.integration
 def test_a_session_has_a_greater_number_than_all_that_it_can_see(root: Path) -> None:
     store = sierra.open(root).paths.store
     one, two = Session(StorePaths(store)), Session(StorePaths(store))

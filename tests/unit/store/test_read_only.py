@@ -50,6 +50,7 @@ def test_a_store_that_cannot_be_written_is_read(readonly: Path, words: tuple[str
     assert "damaged" not in done.stdout
 
 
+@pytest.mark.integration
 def test_a_replay_needs_no_store_that_can_be_written(readonly: Path) -> None:
     batch = sierra.open(readonly).batches[0]["batch"]
     refused = projects.quick(readonly, "replay", batch)
@@ -60,6 +61,7 @@ def test_a_replay_needs_no_store_that_can_be_written(readonly: Path) -> None:
     assert "identical" in done.stdout
 
 
+@pytest.mark.integration
 def test_a_replay_that_is_not_recorded_leaves_the_store_as_it_was(
     recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -84,6 +86,7 @@ def alone(recorded: Path, tmp_path: Path) -> Path:
     return tmp_path / "alone"
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("words", [*READING, ("figures", "{batch}")], ids=lambda words: words[0])
 def test_a_store_without_a_project_is_read(recorded: Path, alone: Path, words: tuple[str, ...]) -> None:
     (alone / "below").mkdir()
@@ -107,6 +110,7 @@ def test_where_neither_is_the_message_is_the_same_as_ever(tmp_path: Path) -> Non
     assert "no sierra.toml" in done.stderr
 
 
+@pytest.mark.integration
 def test_outputs_are_as_they_were_declared_where_no_project_says_so(tmp_path: Path) -> None:
     config = projects.CONFIG + '[outputs.swarm]\nfile = "swarm.csv"\ntime = "tick"\nunits = { coverage = "m" }\n'
     root = projects.make(tmp_path / "project", config)

@@ -88,6 +88,7 @@ def _sql() -> Iterator[tuple[Path, str]]:
         yield from ((path, text) for text in _texts(path))
 
 
+@pytest.mark.integration
 def test_no_module_but_the_door_names_a_function_that_reads_files() -> None:
     found = {(path.relative_to(PACKAGE), text) for path, text in _sql() if path != DOOR and READS.search(text)}
     assert found == set()
@@ -120,6 +121,7 @@ NAMES = st.text(st.sampled_from("ab0*?[]{}!=\\'\" \n~-^,%#ü"), min_size=1, max_
 )
 
 
+@pytest.mark.integration
 @settings(deadline=None, max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(folder=NAMES, names=st.sets(NAMES, min_size=1, max_size=4))
 @example(folder="v=7", names={"robot[0]", "robot0", "robot[!1]", "robot*"})
@@ -200,16 +202,18 @@ def _check(root: Path, names: tuple[str, ...]) -> None:
     assert {one.verdict for one in project.replay(summary.batch, runs=1).experiments} == {"identical"}
 
 
+@pytest.mark.integration
 def test_odd_names_of_outputs_change_nothing(tmp_path: Path) -> None:
     _check(tmp_path / "p", ("robot0", *ODD_NAMES))
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("folder", ["v=7/p", "[x]"])
 def test_odd_names_of_folders_change_nothing(tmp_path: Path, folder: str) -> None:
     _check(tmp_path / folder, ("robot0", "robot[0]"))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("folder", ODD_FOLDERS)
 def test_more_odd_names_of_folders_change_nothing(tmp_path: Path, folder: str) -> None:
     _check(tmp_path / folder, ("robot0", "robot[0]"))

@@ -207,6 +207,7 @@ def test_runs_that_batches_share_are_counted_once(project: Project) -> None:
     ]
 
 
+@pytest.mark.integration
 def test_axes_of_all_batches_are_columns_and_types_meet(project: Project) -> None:
     run(project, "n=1", "k=0.5,1.5")
     run(project, "k=7")
@@ -260,6 +261,7 @@ def test_the_axes_of_other_batches_rename_nothing_in_one_batch(project: Project)
     ]
 
 
+@pytest.mark.integration
 def test_the_last_good_execution_with_the_last_programs_counts(project: Project, tmp_path: Path) -> None:
     simulator = tmp_path / "sim"
     project = _with_program(project, simulator, 1)

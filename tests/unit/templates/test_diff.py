@@ -54,6 +54,7 @@ def test_nothing_is_loaded_and_nothing_expanded() -> None:
     assert told("<a/>", hostile) in ([("//a", "changed", "", "&x;")], [("in.xml", "writing", None, None)])
 
 
+@pytest.mark.integration
 def test_a_large_file_in_which_all_differs_is_not_too_much_work() -> None:
     boxes = [[f'<box><body position="{n * k}"/></box>' for n in range(1, 3000)] for k in (1, 2)]
     texts = [f"<a>{''.join(each)}</a>" for each in boxes]
@@ -73,6 +74,7 @@ ELEMENTS = st.recursive(
 )
 
 
+@pytest.mark.integration
 @given(ELEMENTS, ELEMENTS)
 def test_each_path_selects_what_it_is_about_and_nothing_else(one: str, other: str) -> None:
     before, after = f"<root>{one}</root>", f"<root>{other}</root>"
@@ -86,6 +88,7 @@ def test_each_path_selects_what_it_is_about_and_nothing_else(one: str, other: st
             assert len(trees[1].xpath(spot.path)) == 1
 
 
+@pytest.mark.integration
 @given(ELEMENTS, ELEMENTS)
 def test_something_is_told_where_the_documents_differ_and_nothing_where_not(one: str, other: str) -> None:
     found = told(one, other)

@@ -758,7 +758,7 @@ def test_a_path_that_would_be_evaluated_for_ever_is_refused(path: str, monkeypat
     assert str(caught.value).startswith(f"{path} takes more than 1 s of computing in template.xml; use a path")
 
 
-@pytest.mark.slow
+@pytest.mark.integration
 def test_the_command_line_names_such_a_path_in_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sierra.templates.xpath_trial.LIMIT_S", 1)
     wide = "//*[count(//*[count(//*[count(//*)>0])>0])>0]/@c"

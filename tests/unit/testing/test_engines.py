@@ -54,7 +54,7 @@ def test_none_conforms(tmp_path: Path) -> None:
 
 
 @pytest.mark.real
-@pytest.mark.slow
+@pytest.mark.integration
 @pytest.mark.parametrize("name", ["podman", "apptainer"])
 def test_it_conforms(name: str, archive: Path, tmp_path: Path, require: Callable[..., str]) -> None:
     require(name)
@@ -62,7 +62,7 @@ def test_it_conforms(name: str, archive: Path, tmp_path: Path, require: Callable
 
 
 @pytest.mark.real
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("name", "user"),
     [("podman", True), ("podman", False), ("apptainer", False)],

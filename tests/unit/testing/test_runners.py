@@ -39,7 +39,7 @@ def test_local_conforms(tmp_path: Path) -> None:
 
 
 @pytest.mark.real
-@pytest.mark.slow
+@pytest.mark.integration
 @pytest.mark.parametrize("name", ["slurm", "pbs"])
 def test_a_cluster_conforms(name: str, slurm: clusters.Slurm, tmp_path: Path, require: Callable[..., str]) -> None:
     require("qsub")
@@ -57,7 +57,7 @@ def server(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.M
     made.end()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("server", ["openpbs", "torque"], indirect=True)
 def test_pbs_conforms(server: pbs.Server, tmp_path: Path) -> None:
     (tmp_path / "trials").mkdir()
@@ -159,13 +159,13 @@ class Hasty(Deaf):
     [
         (Leaking, conformance.gives_exactly_the_jobs_environment, "variables are not the job's"),
         (Splitting, conformance.gives_what_the_job_has, "became|other|unpack|is another"),
-        pytest.param(Lenient, conformance.keeps_the_time_limit, "does not come to an end", marks=pytest.mark.slow),
+        pytest.param(Lenient, conformance.keeps_the_time_limit, "does not come to an end", marks=pytest.mark.nightly),
         (Repeating, conformance.executes_each_job_once, "14 results of 7 executions"),
         (Hopeful, conformance.tells_how_each_ended, "exit status 3 became"),
         (Careless, conformance.keeps_what_runs_leave, "not as it is told of"),
         (Slow, conformance.looks_at_once, "a look took"),
-        pytest.param(Deaf, conformance.ends_when_stopped, "does not come to an end", marks=pytest.mark.slow),
-        pytest.param(Hasty, conformance.ends_when_stopped, "runs on", marks=pytest.mark.slow),
+        pytest.param(Deaf, conformance.ends_when_stopped, "does not come to an end", marks=pytest.mark.nightly),
+        pytest.param(Hasty, conformance.ends_when_stopped, "runs on", marks=pytest.mark.nightly),
     ],
 )
 def test_the_suite_notices(
@@ -191,7 +191,7 @@ class Forgetful(Cluster):
         super().resume(session, {})
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("server", ["openpbs"], indirect=True)
 @pytest.mark.parametrize(
     ("runner", "claim", "complaint"),

@@ -200,6 +200,7 @@ def test_what_is_damaged_is_executed_again(folder: Folder, tmp_path: Path) -> No
     assert Counter(event.result.execution for event in folder.events(Ended)) == Counter(run0=1, run1=2, run2=1)
 
 
+@pytest.mark.integration
 def test_a_killed_element_leaves_nothing_running_and_loses_only_what_was_in_flight(folder: Folder, tmp_path: Path) -> None:
     log = tmp_path / "executed"
     folder.deal(many(40, f"sleep 0.0$((${{#NAME}} * 7)); echo $NAME >> '{log}'; echo 1 > out"))
@@ -295,7 +296,7 @@ def requeues(folder: Folder, script: str) -> Path:
     return called
 
 
-@pytest.mark.slow
+@pytest.mark.integration
 def test_an_element_whose_time_is_nearly_over_has_itself_begun_anew(folder: Folder) -> None:
     called = requeues(folder, "kill -TERM $PPID")
     folder.deal([job("quick", "true"), job("long", f"[ -e '{called}' ] || exec sleep 60")])
@@ -310,7 +311,7 @@ def test_an_element_whose_time_is_nearly_over_has_itself_begun_anew(folder: Fold
     assert len(called.read_text().splitlines()) == 1
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_what_the_scheduler_does_not_begin_anew_goes_on_as_long_as_it_may(folder: Folder) -> None:
     called = requeues(folder, "echo not allowed here >&2; exit 1")
     folder.deal([job("quick", "true"), job("long", f"until [ -e '{called}' ]; do sleep 0.1; done; sleep 1")])
@@ -319,7 +320,7 @@ def test_what_the_scheduler_does_not_begin_anew_goes_on_as_long_as_it_may(folder
     assert sorted(folder.ended()) == ["long", "quick"]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("why", ["nothing got on", "it is cancelled"])
 def test_an_element_is_not_begun_anew_where_that_leads_nowhere(folder: Folder, why: str) -> None:
     called = requeues(folder, "exit 0")
@@ -344,7 +345,7 @@ def test_a_cancelled_session_begins_nothing_more(folder: Folder) -> None:
     assert folder.ended() == {}
 
 
-@pytest.mark.slow
+@pytest.mark.integration
 def test_nothing_large_is_packed_once_the_session_is_cancelled(folder: Folder) -> None:
     script = folder.root / "array_task.py"
     slow = "def _write(self, data, at):\n        time.sleep(len(data) / 1e7)\n        return self._written(data, at)\n\n"
@@ -666,6 +667,7 @@ def packed(tmp_path_factory: pytest.TempPathFactory) -> Pack:
     return folder.packs()[0]
 
 
+@pytest.mark.integration
 @given(data=st.data())
 @settings(max_examples=200)
 def test_a_damaged_pack_says_only_what_was_written(
@@ -742,6 +744,7 @@ def cpu_of_children() -> float:
     return used.ru_utime + used.ru_stime
 
 
+@pytest.mark.integration
 def test_an_element_costs_little_beside_its_worker(folder: Folder, tmp_path: Path) -> None:
     folder.deal(many(300, "true"))
     began = cpu_of_children()
@@ -760,6 +763,7 @@ def test_an_element_costs_little_beside_its_worker(folder: Folder, tmp_path: Pat
     assert whole < 2.5 * (cpu_of_children() - began) + 2
 
 
+@pytest.mark.integration
 def test_an_element_whose_runs_are_long_is_idle(folder: Folder) -> None:
     folder.deal(many(2, "sleep 5"))
     process = folder.start()

@@ -368,7 +368,7 @@ def test_a_program_that_is_stopped_and_heeds_nothing_is_killed(execute: Callable
     assert (end["stopped"], end["signal"]) == ("timeout", signal.SIGKILL)
 
 
-@pytest.mark.slow
+@pytest.mark.integration
 def test_a_run_that_stands_still_is_told_of_once_and_again_when_it_does_so_again(start: Callable[..., Worker]) -> None:
     worker = start()
     worker.send(shell("kill -STOP $$; sleep 4; kill -STOP $$; echo x > x"), {"end": True})
@@ -567,7 +567,7 @@ SPARSE = "truncate -s 1T x"
 """Leaves what takes many minutes to read."""
 
 
-@pytest.mark.slow
+@pytest.mark.integration
 def test_a_worker_whose_starter_is_gone_reads_no_large_output(start: Callable[..., Worker], mark: str) -> None:
     worker = start()
     worker.send(shell(SPARSE))
@@ -680,7 +680,7 @@ def test_a_second_worker_goes_on_in_the_same_folder(start: Callable[..., Worker]
     assert [stdout(end) for end in worker.events("end")] == ["one\n", "two\n"]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_ten_thousand_runs_stay_linear_and_small(start: Callable[..., Worker]) -> None:
     worker = start(2)
     count = 10_000

@@ -346,6 +346,7 @@ def test_what_is_no_sound_image_is_refused(project: Project, what: str) -> None:
     assert_refused(project, "sim.tar", *words)
 
 
+@pytest.mark.integration
 def test_a_bomb_is_not_unpacked(project: Project, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(oci, "LEAST_BOUND", 1 << 20)
     made.oci_archive(project.root / "sim.tar", [made.layer(("zeros", bytes(64 << 20)))])
@@ -541,6 +542,7 @@ def bytes_read() -> int:
     return int(line.split()[1])
 
 
+@pytest.mark.integration
 def test_to_verify_an_unchanged_file_reads_nothing_of_it(project: Project) -> None:
     path = made.docker_archive(project.root / "sim.tar", [made.layer(("big", os.urandom(30_000_000)))])
     os.utime(path)

@@ -35,7 +35,7 @@ SHAPES = [(0, 1, 2), (4,), (3, 7, 9, 10)]
 NAME = "sierra-0123abcd"
 
 
-@pytest.fixture(params=["openpbs", pytest.param("torque", marks=pytest.mark.slow)])
+@pytest.fixture(params=["openpbs", pytest.param("torque", marks=pytest.mark.nightly)])
 def server(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[pbs.Server]:
     """A PBS that commands on the PATH speak to; home is a folder of its own."""
     home = tmp_path / "home"
@@ -590,6 +590,7 @@ def test_elements_that_are_damaged_are_not_guessed(said: str) -> None:
     assert qstat.element({"id": "1[0].pbs1", **record}) is None
 
 
+@pytest.mark.integration
 @given(st.text())
 def test_no_text_is_too_odd_to_be_read(text: str) -> None:
     list(qstat.tasks(list(qstat.text_records(f"Job Id: 1.pbs1\n{text}\nJob Id: 2[1].pbs1\n    job_state = {text}"))))
@@ -598,12 +599,12 @@ def test_no_text_is_too_odd_to_be_read(text: str) -> None:
 # what every scheduler holds to
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_it_is_a_scheduler(server: pbs.Server, tmp_path: Path) -> None:
     runners.check(Pbs(ClusterTable()), tmp_path / "shared")
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.real
 def test_it_is_a_scheduler_over_slurm(wrapper: clusters.Slurm) -> None:
     with clusters.folder() as folder:
@@ -638,7 +639,7 @@ def sent(root: Path) -> list[str]:
     return [json.loads(file.read_text())["job"] or "" for file in root.glob(".sierra/work/*/sent/0.json")]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("which", ["one element", "all", "all while they wait"])
 def test_what_somebody_deletes_ends_the_session(server: pbs.Server, tmp_path: Path, which: str) -> None:
     gate = tmp_path / "gate"
@@ -670,7 +671,7 @@ def test_what_somebody_deletes_ends_the_session(server: pbs.Server, tmp_path: Pa
     assert sierra.open(root).sql("SELECT count(*) AS n FROM runs WHERE status = 'ok'").to_pylist() == [{"n": 10}]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_batch_is_answered_though_an_element_is_deleted(server: pbs.Server, tmp_path: Path) -> None:
     gate = tmp_path / "gate"
     simulator = projects.SIMULATOR + WAITS.format(gate=str(gate))
@@ -699,7 +700,7 @@ def test_a_batch_is_answered_though_an_element_is_deleted(server: pbs.Server, tm
     until(ended(Pbs(ClusterTable()), re.findall("-N (.*)", text)[0]), "no task is left")
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @openpbs
 def test_an_element_whose_time_was_over_says_so_where_pbs_does_not(server: pbs.Server, tmp_path: Path) -> None:
     gate = tmp_path / "gate"
@@ -716,7 +717,7 @@ def test_an_element_whose_time_was_over_says_so_where_pbs_does_not(server: pbs.S
     assert re.search(r"submitted again: element: asked to end after \d s \(walltime of 3 s exceeded\)", err)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_runs_see_the_devices_that_a_hook_of_pbs_has_set(
     server: pbs.Server, simulate: Callable[..., Simulated], tmp_path: Path
 ) -> None:
@@ -736,6 +737,7 @@ def test_runs_see_the_devices_that_a_hook_of_pbs_has_set(
 # SLURM's wrapper
 
 
+@pytest.mark.integration
 @pytest.mark.real
 def test_slurms_wrapper_executes_what_is_asked_for(
     wrapper: clusters.Slurm, ask: Callable[..., Request], monkeypatch: pytest.MonkeyPatch
@@ -755,6 +757,7 @@ def test_slurms_wrapper_executes_what_is_asked_for(
     assert sorted(path.name for path in request.folder.iterdir()) == ["logs", f"{NAME}.pbs"]
 
 
+@pytest.mark.integration
 @pytest.mark.real
 def test_over_slurm_elements_are_told_and_cancelled(wrapper: clusters.Slurm, ask: Callable[..., Request]) -> None:
     scheduler = Pbs(ClusterTable())
@@ -771,6 +774,7 @@ def test_over_slurm_elements_are_told_and_cancelled(wrapper: clusters.Slurm, ask
     until(ended(scheduler))
 
 
+@pytest.mark.integration
 @pytest.mark.real
 def test_what_the_wrappers_qstat_says_is_read_and_its_qdel_ends_it(
     wrapper: clusters.Slurm, ask: Callable[..., Request]
@@ -785,6 +789,7 @@ def test_what_the_wrappers_qstat_says_is_read_and_its_qdel_ends_it(
     wrapper.until(job, "CANCELLED")
 
 
+@pytest.mark.integration
 @pytest.mark.real
 @pytest.mark.parametrize(
     ("table", "words"),

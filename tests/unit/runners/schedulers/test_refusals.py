@@ -92,6 +92,7 @@ def test_what_nobody_knows_is_told_as_it_is() -> None:
     assert about("slurm is tired", SLURM, ALL, lambda: ["partition debug"]) == "slurm is tired"
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize(
     ("table", "words"),
     [
@@ -99,12 +100,12 @@ def test_what_nobody_knows_is_told_as_it_is() -> None:
         pytest.param(
             'constraint = "slow"',
             r"Invalid feature specification: .*; asked for: constraint = 'slow'; the site has",
-            marks=pytest.mark.slow,
+            marks=pytest.mark.nightly,
         ),
         pytest.param(
             'partition = "closed"',
             r"account.*: not open to the account; asked for: partition = 'closed'; the site has partition closed",
-            marks=pytest.mark.slow,
+            marks=pytest.mark.nightly,
         ),
         ('memory = "1 TB"', r"Memory specification.*; asked for: memory = 1000 GB; the site has"),
     ],
@@ -120,6 +121,7 @@ def test_what_slurm_refuses_is_told_with_what_was_asked_for_and_what_there_is(
     assert SITE in line or "closed" in table
 
 
+@pytest.mark.integration
 def test_status_tells_the_same_of_what_was_left(tmp_path: Path, slurm: Slurm) -> None:
     root = projects.make(tmp_path / "project", f"{projects.CONFIG}[runners.slurm]\ncpus = 99\n")
     assert projects.sierra(root, "run", "noise=1", "--on", "slurm", "--detach").returncode == 0

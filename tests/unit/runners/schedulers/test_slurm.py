@@ -305,12 +305,14 @@ def test_a_host_without_slurm_is_said(monkeypatch: pytest.MonkeyPatch, request_o
 # with a cluster
 
 
+@pytest.mark.integration
 @pytest.mark.real
 def test_it_says_its_version(slurm: clusters.Slurm) -> None:
     word, number = scheduler().version().split()
     assert (word, number.count(".")) == ("slurm", 2)
 
 
+@pytest.mark.integration
 @pytest.mark.real
 def test_what_the_site_allows_is_known(slurm: clusters.Slurm) -> None:
     bounds = scheduler().bounds()
@@ -322,6 +324,7 @@ def test_what_the_site_allows_is_known(slurm: clusters.Slurm) -> None:
         scheduler(partition="nope").bounds()
 
 
+@pytest.mark.integration
 @pytest.mark.real
 def test_elements_execute_each_with_its_index(slurm: clusters.Slurm, request_of: Callable[..., Request]) -> None:
     request = request_of('echo "$PWD" "$@"; echo trouble >&2', 0, 1, 2, 5)
@@ -334,6 +337,7 @@ def test_elements_execute_each_with_its_index(slurm: clusters.Slurm, request_of:
         assert log.read_text() == f"{request.folder} {task.element}\ntrouble\n"
 
 
+@pytest.mark.integration
 @pytest.mark.real
 def test_one_element_is_an_array_too(slurm: clusters.Slurm, request_of: Callable[..., Request]) -> None:
     request = request_of('echo "$@"', 3)
@@ -342,6 +346,7 @@ def test_one_element_is_an_array_too(slurm: clusters.Slurm, request_of: Callable
     assert (task.job, task.element) == (job, 3)
 
 
+@pytest.mark.integration
 @pytest.mark.real
 def test_what_is_asked_for_is_had(slurm: clusters.Slurm, request_of: Callable[..., Request]) -> None:
     table = {"cpus": 3, "memory": 100 << 20, "wall": 90.0, "partition": "debug", "constraint": "fast", "gpus": 1}
@@ -352,6 +357,7 @@ def test_what_is_asked_for_is_had(slurm: clusters.Slurm, request_of: Callable[..
     assert "Requeue=1" in told
 
 
+@pytest.mark.integration
 @pytest.mark.real
 def test_a_site_may_be_told_more(slurm: clusters.Slurm, request_of: Callable[..., Request]) -> None:
     request = request_of("sleep 60")
@@ -363,6 +369,7 @@ def test_a_site_may_be_told_more(slurm: clusters.Slurm, request_of: Callable[...
     assert "nowhere" not in told
 
 
+@pytest.mark.integration
 @pytest.mark.real
 def test_modules_are_loaded_before_anything(slurm: clusters.Slurm, request_of: Callable[..., Request]) -> None:
     request = request_of("echo began")
@@ -374,6 +381,7 @@ def test_modules_are_loaded_before_anything(slurm: clusters.Slurm, request_of: C
     assert "began" not in log
 
 
+@pytest.mark.integration
 @pytest.mark.real
 def test_nothing_of_the_callers_environment_goes_along(
     slurm: clusters.Slurm, request_of: Callable[..., Request], monkeypatch: pytest.MonkeyPatch
@@ -401,6 +409,7 @@ def test_nothing_of_the_callers_environment_goes_along(
     assert not [name for name in seen.keys() - known if not name.startswith(slurms)]
 
 
+@pytest.mark.integration
 @pytest.mark.real
 def test_the_callers_variables_for_slurm_change_nothing(
     slurm: clusters.Slurm, request_of: Callable[..., Request], monkeypatch: pytest.MonkeyPatch
@@ -426,6 +435,7 @@ def test_the_callers_variables_for_slurm_change_nothing(
     until(scheduler(), request.name, ended)
 
 
+@pytest.mark.integration
 @pytest.mark.real
 def test_jobs_of_other_names_are_not_seen_nor_cancelled(slurm: clusters.Slurm, request_of: Callable[..., Request]) -> None:
     first, second = request_of("sleep 60", 0, name="sierra-a"), request_of("sleep 60", 0, name="sierra-b")
@@ -437,6 +447,7 @@ def test_jobs_of_other_names_are_not_seen_nor_cancelled(slurm: clusters.Slurm, r
     assert scheduler().look("sierra-c") == ()
 
 
+@pytest.mark.integration
 @pytest.mark.real
 def test_some_elements_are_cancelled_or_all(slurm: clusters.Slurm, request_of: Callable[..., Request]) -> None:
     request = request_of("sleep 60", *range(16))
@@ -453,6 +464,7 @@ def test_some_elements_are_cancelled_or_all(slurm: clusters.Slurm, request_of: C
     scheduler().cancel("sierra-never", [0])
 
 
+@pytest.mark.integration
 @pytest.mark.real
 def test_a_cancelled_element_may_end_what_it_does(slurm: clusters.Slurm, request_of: Callable[..., Request]) -> None:
     request = request_of("trap 'echo asked; exit' TERM; echo began; while :; do sleep 0.05; done")
@@ -464,6 +476,7 @@ def test_a_cancelled_element_may_end_what_it_does(slurm: clusters.Slurm, request
     assert {"began", "asked"} < {*log.read_text().splitlines()}
 
 
+@pytest.mark.integration
 @pytest.mark.real
 @pytest.mark.parametrize(
     ("table", "elements", "words"),
@@ -490,6 +503,7 @@ def test_what_is_refused_is_said_in_its_words(
     assert ended([*(scheduler().look(request.name) or ()), Task("", None, State.ENDED)])
 
 
+@pytest.mark.integration
 @pytest.mark.real
 @pytest.mark.parametrize(
     ("table", "reason"),
@@ -509,6 +523,7 @@ def test_what_never_begins_is_stuck(
     assert [task.reason.startswith(reason) for task in seen if task.state == State.STUCK]
 
 
+@pytest.mark.integration
 @pytest.mark.real
 def test_what_is_held_by_an_administrator_is_stuck_and_what_its_user_holds_waits(
     slurm: clusters.Slurm, request_of: Callable[..., Request]
@@ -526,6 +541,7 @@ def test_what_is_held_by_an_administrator_is_stuck_and_what_its_user_holds_waits
     assert "held" in task.reason.lower()
 
 
+@pytest.mark.integration
 @pytest.mark.real
 def test_what_must_come_after_another_waits_for_it(slurm: clusters.Slurm, request_of: Callable[..., Request]) -> None:
     first = scheduler().submit(request_of("sleep 1", name="sierra-first"))
@@ -534,6 +550,7 @@ def test_what_must_come_after_another_waits_for_it(slurm: clusters.Slurm, reques
     assert {task.reason for task in seen} == {"COMPLETED"}
 
 
+@pytest.mark.integration
 @pytest.mark.real
 def test_what_comes_after_a_failure_never_begins(slurm: clusters.Slurm, request_of: Callable[..., Request]) -> None:
     folder = request_of().folder
@@ -545,6 +562,7 @@ def test_what_comes_after_a_failure_never_begins(slurm: clusters.Slurm, request_
     assert not [*folder.glob("begun*")]
 
 
+@pytest.mark.integration
 @pytest.mark.real
 def test_a_task_comes_back_that_lost_its_node(slurm: clusters.Slurm, request_of: Callable[..., Request]) -> None:
     request = request_of('echo "began $SLURM_RESTART_COUNT"; test -n "$SLURM_RESTART_COUNT" || sleep 60')
@@ -574,7 +592,7 @@ def small(require: Callable[..., str], monkeypatch: pytest.MonkeyPatch) -> Itera
 
 
 @pytest.mark.real
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_controller_that_is_gone_means_that_nothing_is_known(
     small: clusters.Slurm, request_of: Callable[..., Request]
 ) -> None:
@@ -596,7 +614,7 @@ def test_a_controller_that_is_gone_means_that_nothing_is_known(
 
 
 @pytest.mark.real
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_what_ended_long_ago_is_forgotten(small: clusters.Slurm, request_of: Callable[..., Request]) -> None:
     request = request_of()
     scheduler().submit(request)
@@ -604,6 +622,7 @@ def test_what_ended_long_ago_is_forgotten(small: clusters.Slurm, request_of: Cal
     until(scheduler(), request.name, lambda seen: not seen, seconds=200)
 
 
+@pytest.mark.integration
 @pytest.mark.real
 def test_what_is_held_after_it_could_not_be_launched_is_stuck(
     small: clusters.Slurm, request_of: Callable[..., Request]
@@ -617,6 +636,7 @@ def test_what_is_held_after_it_could_not_be_launched_is_stuck(
     until(scheduler(), request.name, ended)
 
 
+@pytest.mark.integration
 @pytest.mark.real
 def test_a_full_queue_is_said_at_once(small: clusters.Slurm, request_of: Callable[..., Request]) -> None:
     assert scheduler().bounds().array == 4

@@ -168,6 +168,7 @@ def limited(
 ASKED = ("run", "size=1", "--runs", "40", "--on", "slurm", "--no-figures")
 
 
+@pytest.mark.integration
 def test_a_dry_run_keeps_to_what_accounting_allows_and_says_whose_limit_it_is(limited: Callable[[str], Simulated]) -> None:
     told = limited("elements = 30").quick(*ASKED, "-n", "--explain").stdout
     for line in (
@@ -180,6 +181,7 @@ def test_a_dry_run_keeps_to_what_accounting_allows_and_says_whose_limit_it_is(li
         assert re.search(f"^{line}$", told, re.MULTILINE), told
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize(
     ("table", "words"),
     [
@@ -201,7 +203,7 @@ def test_what_accounting_does_not_allow_is_one_line_before_anything_is_lost(
     assert project.work() == []
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_site_that_allows_one_job_at_a_time_has_nodes_tried_out_first(
     simulate: Callable[..., Simulated], slurm: Slurm, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

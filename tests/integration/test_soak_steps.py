@@ -14,8 +14,6 @@ from tests.soak.faults import Action
 from tests.soak.steps import Place, Wanted, undisturbed
 from tests.tiers import at_night
 
-pytestmark = pytest.mark.slow
-
 KILLED = (
     "driver os.mkdir .sierra 1",
     "driver os.rename .sierra/format 1",
@@ -79,23 +77,26 @@ def place(tmp_path: Path) -> Place:
     return Place(tmp_path, Random(1), " two  blanks ")
 
 
-@pytest.mark.parametrize("point", [*KILLED[::3], *at_night(set(KILLED) - set(KILLED[::3]))])
+@pytest.mark.parametrize("point", [*KILLED[1::12], *at_night(set(KILLED) - set(KILLED[1::12]))])
 def test_a_kill_at_any_point_of_a_run_loses_nothing(place: Place, wanted: Wanted, point: str) -> None:
     assert "not reached" not in steps.fault_at_a_point(place, wanted, point, "kill")
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(("point", "action"), REFUSED)
 def test_an_operation_that_is_refused_loses_nothing(place: Place, wanted: Wanted, point: str, action: Action) -> None:
     assert "not reached" not in steps.fault_at_a_point(place, wanted, point, action)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(("command", "point"), TIDYING)
 def test_a_kill_while_the_store_is_rewritten_loses_nothing(place: Place, wanted: Wanted, command: str, point: str) -> None:
     done = steps.fault_in_maintenance(place, wanted, (command, "--yes"), point, "kill")
     assert "not reached" not in done
 
 
-@pytest.mark.parametrize("seed", [0, *at_night((1, 2))])
+@pytest.mark.nightly
+@pytest.mark.parametrize("seed", [0, 1, 2])
 @pytest.mark.parametrize(
     "step", [steps.flipped_bit, steps.fuzzed_calls, steps.fuzzed_settings, steps.full_disk, steps.many_at_once]
 )
@@ -105,6 +106,7 @@ def test_the_store_stays_sound_after(
     require("the right to mount a disk", there="left out" not in step(Place(tmp_path, Random(seed)), wanted))
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("days", [-400, 2])
 def test_a_clock_that_was_wrong_decides_nothing(place: Place, wanted: Wanted, days: int, require: Any) -> None:
     require("faketime")
