@@ -202,6 +202,7 @@ def test_what_apptainer_fails_at_is_one_line(complaint: str, remedy: str, preten
     assert "\n" not in trouble
 
 
+@pytest.mark.integration
 def test_apptainer_works_where_nothing_can_be_remembered(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, require: Callable[..., str]
 ) -> None:
