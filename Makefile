@@ -5,6 +5,7 @@ SHELL = /bin/sh
 # Where Python is told to keep no bytecode, every command would compile all that it imports.
 unexport PYTHONDONTWRITEBYTECODE
 BIN = .venv/bin
+PYTEST = $(BIN)/python -m pytest --numprocesses $(WORKERS) --dist worksteal
 WORKERS = 2
 MINUTES = 10
 UV = uv==0.13.8
@@ -21,10 +22,10 @@ LOCKED = --no-compile --only-binary :all: --require-hashes --requirement require
 
 .DEFAULT_GOAL = help
 .DELETE_ON_ERROR:
-.PHONY: help install demo test slow nightly soak check format bench schemas docs lock system dist clean
+.PHONY: help install demo test integration nightly soak check format bench schemas docs lock system dist clean
 
 help: ## list the targets
-	@sed -n 's/^\([a-z]*\):.*## /\1	/p' Makefile | expand -t 10
+	@sed -n 's/^\([a-z-]*\):.*## /\1	/p' Makefile | expand -t 14
 
 install: .venv/installed ## make .venv: the locked packages, and this project, editable
 	@:
@@ -44,14 +45,14 @@ demo: install ## copy the example to ./demo, unless it is there, and run a query
 	test -e demo || $(BIN)/sierra init --example swarm demo
 	cd demo && ../$(BIN)/sierra run population_size.Log8 --runs 10
 
-test: install ## all tests but the slow ones; more at once with WORKERS=8
-	$(BIN)/python -m pytest --numprocesses $(WORKERS) --dist worksteal -m "not slow and not nightly"
+test: install ## run the tests that need no cluster, container or network; more at once with WORKERS=8
+	$(PYTEST) -m "not integration and not nightly"
 
-slow: install ## the tests that take long
-	$(BIN)/python -m pytest --numprocesses $(WORKERS) --dist worksteal -m "slow and not nightly"
+integration: install ## run a real case of each part: podman, apptainer, SLURM, PBS, and what takes longer
+	$(PYTEST) -m "integration and not nightly"
 
-nightly: install ## the tests that take too long for each change, and ten minutes of soak
-	$(BIN)/python -m pytest --numprocesses $(WORKERS) --dist worksteal -m nightly
+nightly: install ## run the tests that take too long for each change, and ten minutes of soak
+	$(PYTEST) -m nightly
 	$(BIN)/python -m tests.soak --minutes $(MINUTES)
 
 soak: install ## random faults for MINUTES=10, from SEED on (STEPS=1 ONLY=… take one again); see tests/soak

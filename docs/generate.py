@@ -2,7 +2,7 @@
 
     python docs/generate.py [FOLDER]
 
-`tests/test_docs.py` compares the pages with what this script gives now.
+`tests/unit/test_docs.py` compares the pages with what this script gives now.
 """
 
 from __future__ import annotations

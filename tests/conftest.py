@@ -9,6 +9,7 @@ import os
 import shutil
 import signal
 import subprocess
+import sys
 from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -18,7 +19,7 @@ import pytest
 from hypothesis import settings
 
 from sierra.store.store import Store
-from tests import clusters, projects, stores
+from tests import clusters, projects, stores, tiers
 from tests.waiting import PATIENCE_S, until
 
 # A shell that starts the tests in the background makes them, and all that they start, ignore these.
@@ -29,6 +30,11 @@ for number in (signal.SIGQUIT, signal.SIGHUP, signal.SIGTERM):
 settings.register_profile("here", deadline=None)
 settings.register_profile("ci", deadline=None, derandomize=True, print_blob=True)
 settings.load_profile("ci" if os.environ.get("CI") else "here")
+
+
+@pytest.hookimpl(tryfirst=True)  # before pytest selects by marks
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    tiers.add_marks(items)
 
 
 @pytest.fixture(autouse=True, scope="session")
@@ -55,6 +61,14 @@ def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
         patch.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
+        yield
+
+
+@pytest.fixture(autouse=True, scope="session")
+def direct_python() -> Iterator[None]:
+    """`python3` is the interpreter itself: a version manager's script before it on the PATH takes longer than a simulator."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("PATH", f"{Path(sys.base_prefix, 'bin')}{os.pathsep}{os.environ['PATH']}")
         yield
 
 

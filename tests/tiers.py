@@ -1,11 +1,27 @@
-"""Tiers of tests: `make test`, `make slow`, and `make nightly` for what takes too long for each change."""
+"""Tiers of tests: `make test`, `make integration` and `make nightly`.
+
+A test's tier is that of its folder. A mark on a test, a parameter or a file puts it into a later one: `integration` for what
+needs a cluster, containers or many processes, or takes longer than a second; `nightly` for what takes too long for each change.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
+from pathlib import Path
 from typing import Any
 
 import pytest
+
+INTEGRATION, NIGHTLY = "integration", "nightly"
+HERE = Path(__file__).parent
+
+
+def add_marks(items: Iterable[pytest.Item]) -> None:
+    """Mark each test with the tier of its folder, unless it has a mark of its own."""
+    for item in items:
+        folder = item.path.relative_to(HERE).parts[0] if item.path.is_relative_to(HERE) else ""
+        if folder in (INTEGRATION, NIGHTLY) and not any(item.iter_markers(NIGHTLY)):
+            item.add_marker(folder)
 
 
 def at_night(values: Iterable[Any]) -> list[Any]:

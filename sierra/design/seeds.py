@@ -17,7 +17,7 @@ bits of the seed, so that neighbouring numbers get unrelated seeds. It is not a 
 
 Sources: Black and Rogaway, "Ciphers with Arbitrary Finite Domains" (2002), for walking the cycle; Knuth, "The Art of
 Computer Programming" 3, section 6.4, for the factor, 2³² over the golden ratio. Golden seeds in
-`tests/test_seeds.py` pin the format.
+`tests/unit/design/test_seeds.py` pin the format.
 """
 
 from __future__ import annotations

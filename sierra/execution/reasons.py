@@ -1,0 +1,50 @@
+"""Reasons why runs are executed, reused or effective. The command line gives them words (`sierra.cli.render_reasons`)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+
+class ChangeReason(StrEnum):
+    """The kinds of reasons."""
+
+    NEW = "new"
+    """No execution of the run was known."""
+    FAILED = "failed"
+    """The last execution failed."""
+    FINDING = "finding"
+    """A problem was found in the last execution after it was recorded."""
+    RULES = "rules"
+    """[outputs] or [success] have changed."""
+    PROGRAMS = "programs"
+    """The last successful execution used other programs."""
+    REUSED = "reused"
+    """A recorded execution is effective."""
+    REEVALUATED = "reevaluated"
+    """A recorded execution is evaluated again by changed rules."""
+    ON_CLUSTER = "on cluster"
+    """A cluster executes the run now."""
+    CONCURRENT = "concurrent"
+    """Two sessions executed the run at the same time."""
+    JUST_EXECUTED = "just executed"
+    """Another session had executed the run just before."""
+    REPLAY = "replay"
+    """The run was executed for a replay."""
+    NEVER = "never"
+    """The run was never executed."""
+    STALE = "stale"
+    """The last successful execution used other programs or rules than the batch's last session."""
+
+
+@dataclass(frozen=True, slots=True)
+class Reason:
+    """A reason, and its details in one line: an error, or what has changed."""
+
+    kind: ChangeReason
+    detail: str = ""
+
+
+WORTH = (ChangeReason.FAILED, ChangeReason.RULES, ChangeReason.PROGRAMS, ChangeReason.REUSED)
+"""How useful a recorded execution is for a session, from the least to the most; SQL uses the positions."""
+FAILED, RULES, PROGRAMS, REUSED = range(len(WORTH))

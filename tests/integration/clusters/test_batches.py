@@ -1,0 +1,460 @@
+"""Batches on a real SLURM: they are answered as on this machine, whatever befalls the cluster meanwhile."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+import sierra
+from sierra.project import Project
+from sierra.runners.cluster.result_log import Ended
+from sierra.worker import processes
+from tests import projects
+from tests.batches import CLUSTER, Gated, at_rest, ended, is_whole, packed, rows
+from tests.clusters import Slurm
+from tests.conftest import Simulated
+from tests.waiting import until
+
+
+@pytest.fixture
+def gated(tmp_path: Path, slurm: Slurm) -> Iterator[Gated]:
+    made = Gated.make(tmp_path / "project", slurm)
+    yield made
+    made.close()
+
+
+def test_a_batch_on_slurm_is_what_it_is_here(tmp_path: Path, slurm: Slurm) -> None:
+    here = projects.make(tmp_path / "here")
+    there = projects.make(tmp_path / "there", projects.CONFIG + CLUSTER)
+    done = projects.sierra(there, "run", "population_size.Log8", "--on", "slurm")
+    assert done.returncode == 0, done.stderr
+    assert projects.quick(here, "run", "population_size.Log8").returncode == 0
+    results = "SELECT run, result FROM executions ORDER BY run"
+    assert rows(sierra.open(there), results) == rows(sierra.open(here), results)
+    is_whole(sierra.open(there))
+    at_rest(slurm, sierra.open(there))
+    completed(slurm, sierra.open(there))
+    [session] = rows(sierra.open(there), "SELECT runner, executed, failed, missing FROM sessions")
+    assert session == {"runner": "slurm", "executed": 8, "failed": 0, "missing": 0}
+
+
+def completed(slurm: Slurm, project: Project) -> None:
+    """SLURM says of every task of a project that it has ended well, and so do attempts."""
+    attempts = rows(project, "SELECT job, state, error FROM attempts")
+    jobs = {row["job"].partition("_")[0] for row in attempts}
+    assert {(row["state"], row["error"]) for row in attempts} == {("finished", None)}
+    assert {state for job in jobs for state in slurm.states(job).values()} == {"COMPLETED"}
+
+
+def test_tasks_that_have_done_their_work_are_never_cancelled(simulate: Callable[..., Simulated], slurm: Slurm) -> None:
+    """The last run of an element is recorded before its task has ended."""
+    made = simulate()
+    config = made.folder / "sierra.toml"
+    config.write_text(config.read_text() + "[runners.slurm]\narray_tasks = 4\n")
+    for value in range(6):
+        done = made.quick("run", f"size={value}", "--runs", "8", "--on", "slurm", "--no-figures")
+        assert done.returncode == 0, done.stderr
+    at_rest(slurm, sierra.open(made.folder))
+    completed(slurm, sierra.open(made.folder))
+
+
+def test_attempts_say_where_and_with_what_runs_were_executed(tmp_path: Path, slurm: Slurm) -> None:
+    root = projects.make(tmp_path / "project", projects.CONFIG + CLUSTER + "cpus = 2\nmemory = '100 MB'\n")
+    assert projects.quick(root, "run", "population_size.Log8", "--on", "slurm").returncode == 0
+    found = rows(sierra.open(root), "SELECT * FROM attempts ORDER BY array_task")
+    assert [row["array_task"] for row in found] == [0, 1, 2]
+    assert [row["runs"] for row in found] == [3, 3, 2]
+    for row in found:
+        assert row["scheduler"].startswith("slurm ")
+        assert row["node"] in slurm.names
+        assert (row["cpus"], row["state"], row["interrupted_runs"], row["error"]) == (2, "finished", 0, None)
+    joined = "executions e JOIN attempts a USING (attempt) JOIN environments v ON v.environment = e.environment"
+    same = f"SELECT count(*) AS n FROM {joined} WHERE v.host = a.node AND e.host = a.node"
+    assert rows(sierra.open(root), same) == [{"n": 8}]
+
+
+def test_runs_see_the_devices_that_are_allotted_to_their_slot(simulate: Callable[..., Simulated], slurm: Slurm) -> None:
+    made = simulate('printf "t,v,w\\n1,$CUDA_VISIBLE_DEVICES,$ROCR_VISIBLE_DEVICES\\n" > swarm.csv; sleep 1')
+    config = made.folder / "sierra.toml"
+    text = config.read_text() + '[environment.set]\nROCR_VISIBLE_DEVICES = "7"\n'
+    config.write_text(text + "[runners.slurm]\narray_tasks = 1\ncpus = 2\ngpus = 2\n")
+    project = sierra.open(made.folder)
+    before = project.plan("size=1,2,3,4", runs=1).batch.id
+    summary = project.run("size=1,2,3,4", runs=1, runner="slurm", figures=False)
+    assert (summary.failed, summary.executed, summary.batch) == (0, 4, before)
+    [attempt] = rows(project, "SELECT gpus, allocation FROM attempts")
+    assert attempt["gpus"] == json.loads(attempt["allocation"])["CUDA_VISIBLE_DEVICES"] == "0,1"
+    found = rows(project, "SELECT slot, v, w FROM swarm JOIN executions USING (run)")
+    alone = len(os.sched_getaffinity(0)) == 1
+    assert {row["w"] for row in found} == {7}
+    assert {(row["slot"], str(row["v"])) for row in found} == {(0, "0"), (1, "1")} or alone
+
+
+@pytest.mark.nightly
+def test_code_may_change_while_runs_wait(gated: Gated) -> None:
+    asking = gated.ask()
+    gated.until_begun(3)
+    (gated.root / "sim.py").write_text("raise SystemExit(1)\n")
+    gated.open()
+    ended(asking)
+    is_whole(gated.project)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL, pytest.param(signal.SIGTERM, marks=pytest.mark.nightly)])
+def test_what_is_submitted_lives_on_without_its_submitter(gated: Gated, number: signal.Signals) -> None:
+    asking = gated.ask()
+    gated.until_begun(3)
+    asking.send_signal(number)
+    ended(asking, -9 if number == signal.SIGKILL else 130)
+    gated.open()
+    ended(gated.ask())
+    is_whole(gated.project)
+    assert len(gated.begun()) == 8
+    at_rest(gated.slurm, gated.project)
+
+
+def test_a_submitter_that_died_before_it_knew_the_job_finds_it_by_its_name(gated: Gated) -> None:
+    asking = gated.ask()
+    gated.until_begun(3)
+    asking.kill()
+    asking.communicate()
+    [sent] = gated.root.glob(".sierra/work/*/sent/0.json")
+    sent.write_text(sent.read_text().replace(f'"job": "{gated.job()}"', '"job": null'))
+    gated.open()
+    ended(gated.ask())
+    is_whole(gated.project)
+    assert len(gated.begun()) == 8
+
+
+@pytest.mark.nightly
+def test_a_submitter_that_died_before_anything_was_handed_over_is_followed_by_another(gated: Gated) -> None:
+    asking = gated.ask()
+    gated.until_begun(3)
+    asking.kill()
+    asking.communicate()
+    gated.slurm.command("scancel", gated.job())
+    at_rest(gated.slurm, gated.project)
+    for file in [*gated.root.glob(".sierra/work/*/sent/*"), *gated.root.glob(".sierra/work/*/results/*")]:
+        file.unlink()
+    gated.open()
+    ended(gated.ask())
+    is_whole(gated.project)
+
+
+def test_two_that_ask_for_the_same_execute_it_once(gated: Gated) -> None:
+    first = gated.ask()
+    gated.until_begun(3)
+    second = gated.ask()
+    time.sleep(2)
+    gated.open()
+    ended(first)
+    ended(second)
+    is_whole(gated.project)
+    assert len(gated.begun()) == 8
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("which", ["one element", "all"])
+def test_what_somebody_cancels_ends_the_session(gated: Gated, which: str) -> None:
+    asking = gated.ask()
+    gated.until_begun(3)
+    job = gated.job()
+    gated.slurm.command("scancel", f"{job}_1" if which == "one element" else job)
+    told = ended(asking, 130)
+    assert f"slurm job {job} was cancelled, and not by SIERRA" in told
+    assert "submitted again" not in told
+    assert len(gated.begun()) == 3
+    at_rest(gated.slurm, gated.project)
+    gated.open()
+    ended(gated.ask())
+    is_whole(gated.project)
+
+
+@pytest.mark.nightly
+def test_what_somebody_cancels_while_nobody_follows_is_not_submitted_again_either(gated: Gated) -> None:
+    asking = gated.ask()
+    gated.until_told(3)
+    gated.until_begun(3)
+    asking.kill()
+    asking.communicate()
+    job = gated.job()
+    gated.slurm.command("scancel", job)
+    at_rest(gated.slurm, gated.project)
+    assert "was cancelled, and not by SIERRA" in ended(gated.ask(), 130)
+    assert len(gated.begun()) == 3
+    gated.open()
+    ended(gated.ask())
+    is_whole(gated.project)
+
+
+@pytest.mark.nightly
+def test_a_probe_that_somebody_cancels_ends_the_session(gated: Gated, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))  # so that there is a probe
+    gated.slurm.command("scontrol", "update", f"nodename={','.join(gated.slurm.names)}", "state=drain", "reason=test")
+    asking = gated.ask()
+    listed = ("squeue", "-h", "-t", "PENDING", "-o", "%F %j")
+    until(lambda: " probe-" in gated.slurm.command(*listed), "the probe waits")
+    [probe] = [line.split()[0] for line in gated.slurm.command(*listed).splitlines() if " probe-" in line]
+    gated.slurm.command("scancel", probe)
+    told = ended(asking, 130)
+    gated.slurm.command("scontrol", "update", f"nodename={','.join(gated.slurm.names)}", "state=resume")
+    assert f"slurm job {probe} was cancelled, and not by SIERRA" in told
+    assert gated.begun() == []
+    at_rest(gated.slurm, gated.project)
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("which", ["one element", "all"])
+def test_what_somebody_cancels_is_submitted_again_where_the_project_wants_that(gated: Gated, which: str) -> None:
+    config = gated.root / "sierra.toml"
+    config.write_text(config.read_text() + 'cancelled = "resubmit"\n')
+    asking = gated.ask()
+    gated.until_begun(3)
+    job = gated.job()
+    gated.slurm.command("scancel", f"{job}_1" if which == "one element" else job)
+    gated.slurm.until(job, "CANCELLED", element=1)
+    gated.open()
+    told = ended(asking)
+    assert "submitted again" in told or which == "one element"
+    is_whole(gated.project)
+    at_rest(gated.slurm, gated.project)
+
+
+def test_a_node_that_loses_power_costs_what_was_in_flight(gated: Gated) -> None:
+    asking = gated.ask()
+    gated.until_begun(3)
+    node = gated.node()
+    gated.slurm.power_cut(node)
+    gated.slurm.declare_down(node)
+    gated.open()
+    gated.slurm.release_requeued()
+    ended(asking)
+    is_whole(gated.project)
+    gated.slurm.start_node(node)
+    at_rest(gated.slurm, gated.project)
+
+
+@pytest.mark.nightly
+def test_two_copies_of_an_element_are_one_result_and_a_comparison(gated: Gated) -> None:
+    asking = gated.ask()
+    gated.until_begun(3)
+    node = gated.node()
+    gated.slurm.kill_slurmd(node)
+    gated.slurm.declare_down(node)
+    gated.slurm.release_requeued()
+    gated.until_begun(4)
+    twice = min(run for run in gated.begun() if gated.begun().count(run) > 1)
+    gated.open(twice)
+    until(lambda: [end.result.run for end in packed(gated.root, Ended)].count(twice) == 2, "both copies have ended")
+    gated.open()
+    told = ended(asking)
+    is_whole(gated.project)
+    [copies] = rows(gated.project, "SELECT count(*) AS n, bool_and(same) AS same FROM duplicates")
+    assert copies["n"] > 0
+    assert copies["same"]
+    assert "executed twice" in told
+
+
+def test_a_controller_that_dies_loses_nothing(gated: Gated) -> None:
+    asking = gated.ask()
+    gated.until_begun(3)
+    gated.slurm.kill_controller(saved=True)
+    time.sleep(12)
+    gated.slurm.start_controller()
+    gated.open()
+    ended(asking)
+    is_whole(gated.project)
+    assert len(gated.begun()) == 8
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("again", ["status", "cancel", "run"])
+def test_what_cannot_be_cancelled_now_is_cancelled_by_whoever_looks_next(gated: Gated, again: str) -> None:
+    config = gated.root / "sierra.toml"
+    config.write_text(config.read_text().replace("array_tasks = 3", 'array_tasks = 8\ndirectives = ["--exclusive"]'))
+    ended(gated.ask("population_size.Log8", "--detach"))
+    gated.until_begun(3)
+    gated.slurm.kill_controller(saved=True)
+    begun = len(gated.begun())
+    assert begun == 3, "others wait for a node"
+    done = projects.quick(gated.root, "cancel", gated.project.status()[0].session)
+    assert done.returncode == 3
+    assert done.stderr.splitlines()[-1].startswith("sierra: slurm cannot be reached, so that jobs of session ")
+    [session] = [path for path in (gated.root / ".sierra" / "work").iterdir() if path.is_dir()]
+    until(lambda: not processes.marked({f"SIERRA_SESSION={session.name}".encode()}), "what runs ends by itself")
+    gated.slurm.start_controller()
+    if again == "run":
+        gated.open()
+        ended(gated.ask())
+        is_whole(gated.project)
+    else:
+        done = projects.quick(gated.root, again, session.name)
+        assert done.returncode == 0, done.stderr
+        assert not session.exists()
+    until(lambda: not {"PENDING", "RUNNING"} & set(gated.slurm.states().values()), "no job is left")
+    assert len(gated.begun()) == begun + (8 if again == "run" else 0)
+
+
+@pytest.mark.nightly
+def test_a_follower_that_cannot_cancel_says_so_and_another_does(gated: Gated) -> None:
+    asking = gated.ask()
+    gated.until_begun(3)
+    gated.slurm.kill_controller(saved=True)
+    [session] = [path for path in (gated.root / ".sierra" / "work").iterdir() if path.is_dir()]
+    (session / "cancelled").touch()  # as who chooses to cancel has it
+    told = ended(asking, 3)
+    assert "are not cancelled yet" in told.splitlines()[-1]
+    gated.slurm.start_controller()
+    assert projects.quick(gated.root, "status").returncode == 0
+    assert not session.exists()
+    gated.open()
+    ended(gated.ask())
+    is_whole(gated.project)
+    at_rest(gated.slurm, gated.project)
+
+
+@pytest.mark.nightly
+def test_an_element_that_is_requeued_goes_on_where_it_was(gated: Gated) -> None:
+    asking = gated.ask()
+    gated.until_told(3)
+    job = gated.job()
+    gated.slurm.command("scontrol", "requeue", f"{job}_0")
+    gated.slurm.release_requeued()
+    gated.open()
+    ended(asking)
+    is_whole(gated.project)
+    assert rows(gated.project, "SELECT array_task, interrupted_runs FROM attempts WHERE state = 'cut off'") == [{"array_task": 0, "interrupted_runs": 1}]
+
+
+@pytest.mark.nightly
+def test_a_run_that_outlives_its_element_every_time_has_failed(gated: Gated) -> None:
+    config = gated.root / "sierra.toml"
+    config.write_text(config.read_text() + 'attempts = 2\ncancelled = "resubmit"\n')
+    asking = gated.ask("population_size=1", "--runs", "2")
+    for count in (2, 4):
+        gated.until_told(count)
+        gated.slurm.command("scancel", "--me")
+        until(lambda: not {"RUNNING", "PENDING"} & set(gated.slurm.states().values()), "it is cancelled")
+    told = ended(asking, 1)
+    assert "cut off 2 times" in told
+    reasons = rows(gated.project, "SELECT status, reason FROM executions")
+    assert [row["status"] for row in reasons] == ["failed", "failed"]
+    assert all("cut off 2 times while it ran" in row["reason"] for row in reasons)
+    gated.open()
+    ended(gated.ask("population_size=1", "--runs", "2"))
+    is_whole(gated.project, 2, executions=4)
+
+
+@pytest.mark.nightly
+def test_jobs_that_end_well_without_having_done_anything_are_not_believed(gated: Gated) -> None:
+    lazy = gated.root.with_name("lazy")
+    lazy.write_text('#!/bin/sh\ncase "$*" in *--probe*) exec python3 "$@" ;; esac\n')
+    lazy.chmod(0o755)
+    config = gated.root / "sierra.toml"
+    config.write_text(config.read_text() + f'python = "{lazy}"\nattempts = 2\n')
+    told = ended(gated.ask(), 3)
+    assert "was executed 2 times and ended before any run had: COMPLETED" in told
+    config.write_text(config.read_text().replace(f'python = "{lazy}"\n', ""))
+    gated.open()
+    ended(gated.ask())
+    is_whole(gated.project)
+
+
+def test_a_probe_that_says_nothing_ends_all_before_anything_begins(gated: Gated) -> None:
+    config = gated.root / "sierra.toml"
+    config.write_text(config.read_text() + 'python = "true"\n')
+    told = ended(gated.ask(), 3)
+    assert "nodes can't execute this, and say nothing (COMPLETED)" in told
+    assert gated.begun() == []
+    at_rest(gated.slurm, gated.project)
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ('partition = "nowhere"', "partition"),
+        ('python = "/no/python3"', "/no/python3"),
+        ("wall = 1e9", "more than the site allows"),
+        ("cpus = 4000", "cpus = 4000"),
+        ('scratch = "/nowhere/runs"', "scratch = /nowhere/runs: there is no folder to make it in"),
+    ],
+)
+def test_what_the_site_does_not_have_is_said_in_a_line(gated: Gated, line: str, words: str) -> None:
+    config = gated.root / "sierra.toml"
+    config.write_text(config.read_text() + f"{line}\nattempts = 1\n")
+    asking = gated.ask()
+    _, err = asking.communicate(timeout=200)
+    assert asking.returncode in (2, 3)
+    assert words in err
+    assert len([text for text in err.splitlines() if text.startswith("sierra:")]) == 1, err
+    assert rows(gated.project, "SELECT * FROM executions") == []
+    assert [path for path in gated.root.glob(".sierra/work/*") if path.is_dir()] == []
+    assert gated.begun() == []
+    until(lambda: set(gated.slurm.states().values()) <= {"CANCELLED", "FAILED", "COMPLETED"}, "nothing is left")
+
+
+@pytest.mark.nightly
+def test_forgotten_jobs_are_no_lost_runs(tmp_path: Path, require: Callable[..., str], monkeypatch: pytest.MonkeyPatch) -> None:
+    from tests import clusters
+
+    clusters.needed(require)
+    root = projects.make(tmp_path / "project", projects.CONFIG + CLUSTER)
+    with clusters.folder() as folder, Slurm(folder, settings={"MinJobAge": "2"}) as cluster:
+        monkeypatch.setenv("SLURM_CONF", cluster.environment["SLURM_CONF"])
+        done = projects.quick(root, "run", "population_size.Log8", "--on", "slurm", "--detach")
+        assert done.returncode == 0, done.stderr
+        until(lambda: not cluster.states(), "the controller has forgotten the jobs", 90)
+        done = projects.quick(root, "run", "population_size.Log8", "--on", "slurm")
+        assert done.returncode == 0, done.stderr
+    is_whole(sierra.open(root))
+    assert rows(sierra.open(root), "SELECT count(*) AS n FROM attempts") == [{"n": 3}]
+
+
+def test_the_secrets_of_the_submitters_shell_do_not_travel(
+    tmp_path: Path, slurm: Slurm, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("MY_SECRET_THING", "leak")
+    look = "[open(f'/proc/{p}/environ').read() for p in ('self', os.getppid())]"
+    simulator = f"import os, pathlib\npathlib.Path('env.txt').write_text(repr({look}))\n"
+    root = projects.make(tmp_path / "project", projects.CONFIG + CLUSTER, simulator=simulator)
+    assert projects.quick(root, "run", "population_size=1", "--on", "slurm").returncode == 0
+    project = sierra.open(root)
+    texts = [
+        project.store.object(row["sha256"]) for row in rows(project, "SELECT sha256 FROM artifacts WHERE path = 'env.txt'")
+    ]
+    assert texts
+    assert not any(b"leak" in text for text in texts)
+
+
+def test_a_replay_on_slurm_of_runs_from_here_is_identical_and_the_other_way_round(tmp_path: Path, slurm: Slurm) -> None:
+    root = projects.make(tmp_path / "project", projects.CONFIG + CLUSTER)
+    projects.commit(root)
+    here = projects.quick(root, "run", "population_size=1,2")
+    assert here.returncode == 0, here.stderr
+    there = projects.quick(root, "run", "population_size=4,8", "--on", "slurm")
+    assert there.returncode == 0, there.stderr
+    project = sierra.open(root)
+    first, second = (one["batch"] for one in project.batches)
+    assert str(project.replay(first, runner="slurm").verdict) == "identical"
+    assert str(project.replay(second, runner="local").verdict) == "identical"
+    at_rest(slurm, project)
+
+
+@pytest.mark.nightly
+def test_what_has_finished_can_be_recorded_by_a_job_too(gated: Gated) -> None:
+    left = projects.quick(gated.root, "run", "population_size.Log8", "--on", "slurm", "--detach")
+    assert left.returncode == 0, left.stderr
+    [batch] = gated.project.batches
+    gated.open()
+    log = gated.root.with_name("attach.log")
+    wrapped = f"cd {gated.root} && SLURM_CONF={os.environ['SLURM_CONF']} {projects.SIERRA} attach {batch['batch']}"
+    gated.slurm.command("sbatch", "--wait", "-o", str(log), "--wrap", wrapped)
+    assert "8 executed" in log.read_text()
+    is_whole(gated.project)

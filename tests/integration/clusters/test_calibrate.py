@@ -1,0 +1,275 @@
+"""Runs that go first, on a real SLURM, where nobody knows how long runs take."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+import sierra
+from sierra.execution.summary import Summary
+from sierra.runners.cluster import calibrate, sizing
+from sierra.runners.cluster.result_log import Started
+from tests.batches import packed
+from tests.clusters import Slurm
+from tests.conftest import Simulated
+from tests.observers import Observing
+from tests.waiting import until
+
+PRINTS = r"printf 't,v\n1,1\n2,4\n' > swarm.csv"
+ASKED = ("run", "size=1,2", "--runs", "12", "--on", "slurm", "--no-figures")
+RUNS = 24
+SECOND = """
+import os, sys, sierra
+from sierra.runners.schedulers.slurm import Slurm
+
+submit = Slurm.submit
+
+def once(self, request):
+    if 0 not in request.elements:
+        os._exit(9)
+    return submit(self, request)
+
+Slurm.submit = once
+sierra.open(".").run("size=1,2", runs=12, runner="slurm", figures=False)
+"""
+"""A submitter that dies when it is about to hand over what comes after the first runs."""
+
+
+@pytest.fixture
+def waiting(simulate: Callable[..., Simulated], slurm: Slurm, tmp_path: Path) -> Simulated:
+    """A project whose runs end once there is a gate."""
+    return simulate(f'while [ ! -e "{tmp_path}/gate" ]; do sleep 0.02; done; {PRINTS}')
+
+
+def opened(project: Simulated) -> None:
+    project.folder.with_name("gate").touch()
+
+
+def sent(project: Simulated) -> list[list[int]]:
+    """The elements of each job that was handed over, while the session is there."""
+    [session] = project.work()
+    files = sorted((session / "sent").glob("*.json"), key=lambda file: int(file.stem))
+    return [json.loads(file.read_text())["elements"] for file in files]
+
+
+def elements(project: Simulated) -> dict[int, int]:
+    """The runs of each element, as they were executed."""
+    rows = project.sql("SELECT array_task, sum(runs) AS runs FROM attempts GROUP BY array_task ORDER BY array_task")
+    return {row["array_task"]: int(row["runs"]) for row in rows}
+
+
+def is_whole(project: Simulated) -> None:
+    """Every run was executed once, and is good."""
+    assert project.sql("SELECT count(*) AS n FROM executions WHERE status = 'ok'") == [{"n": RUNS}]
+    assert sorted(project.executed().values()) == [1] * RUNS
+    assert project.work() == []
+
+
+def asked(project: Simulated, say: Callable[[str], None] = lambda text: None) -> Summary:
+    """The batch, answered in this process."""
+    here = sierra.open(project.folder)
+    return here.execute(here.plan("size=1,2", runs=12), runner="slurm", figures=False, observer=Observing(notice=say))
+
+
+@pytest.mark.parametrize("runner", ["slurm", pytest.param("pbs", marks=pytest.mark.nightly)])
+def test_the_first_and_the_last_run_tell_how_the_others_are_dealt_out(
+    simulate: Callable[..., Simulated], slurm: Slurm, runner: str
+) -> None:
+    project = simulate()
+    first = project.quick("run", "size=1,2", "--runs", "12", "--on", runner, "--no-figures")
+    assert first.returncode == 0, first.stderr
+    assert "nobody knows yet how long runs take: 2 runs of 24 go first" in first.stderr
+    assert re.search(r"the runs that went first took [\d.]+ s: the other 22 runs become 1 element \(", first.stderr)
+    assert elements(project) == {0: 2, 1: 22}
+    is_whole(project)
+    joined = "attempts a JOIN executions USING (attempt) JOIN runs r USING (run)"
+    pair = project.sql(f"SELECT r.size, r.number FROM {joined} WHERE a.array_task = 0 ORDER BY 1")
+    assert [tuple(row.values()) for row in pair] == [(1, 0), (2, 11)]
+    again = project.quick("run", "size=1,2", "--runs", "24", "--on", runner, "--no-figures")
+    assert "go first" not in again.stderr
+
+
+def test_runs_with_values_that_were_never_timed_go_first(simulate: Callable[..., Simulated], slurm: Slurm) -> None:
+    project = simulate()
+    project.quick("run", "size=1,2", "--runs", "2", "--no-figures")
+    done = project.quick("run", "size=1,2,30,60", "--runs", "8", "--on", "slurm", "--no-figures")
+    assert done.returncode == 0, done.stderr
+    assert "runs with these values were never timed: 2 runs of 28 go first" in done.stderr
+    joined = "attempts a JOIN executions USING (attempt) JOIN runs r USING (run)"
+    pair = project.sql(f"SELECT r.size, r.number FROM {joined} WHERE a.array_task = 0 ORDER BY 1")
+    assert [tuple(row.values()) for row in pair] == [(30, 0), (60, 7)]
+
+
+def test_long_runs_get_many_elements(simulate: Callable[..., Simulated], slurm: Slurm, monkeypatch: pytest.MonkeyPatch) -> None:
+    project = simulate(f"sleep 0.4; {PRINTS}")
+    monkeypatch.setattr(sizing, "ELEMENT_S", 1.0)
+    assert asked(project).missing == 0
+    took = (
+        "SELECT avg(epoch(e.ended) - epoch(e.started)) AS s FROM executions e JOIN attempts USING (attempt) WHERE array_task = 0"
+    )
+    [first] = project.sql(took)
+    assert first["s"] > 0.4
+    assert len(elements(project)) - 1 == min(math.ceil((RUNS - 2) * first["s"]), RUNS - 2)
+    is_whole(project)
+
+
+@pytest.mark.nightly
+def test_a_run_that_lasts_as_long_as_an_element_tells_enough(waiting: Simulated, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sizing, "ELEMENT_S", 1.0)
+    monkeypatch.setattr(calibrate, "ELEMENT_S", 1.0)
+    said: list[str] = []
+
+    def say(text: str) -> None:
+        said.append(text)
+        if "become 22 elements" in text:
+            opened(waiting)
+
+    asked(waiting, say)
+    assert any("a run that went first has not ended within 1 s" in text for text in said)
+    assert elements(waiting) == {0: 2, **dict.fromkeys(range(1, 23), 1)}
+    is_whole(waiting)
+
+
+@pytest.mark.nightly
+def test_no_node_is_waited_for_for_long(waiting: Simulated, slurm: Slurm, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(calibrate, "PATIENCE_S", 1.0)
+    slurm.command("scontrol", "update", f"nodename={','.join(slurm.names)}", "state=drain", "reason=test")
+    said: list[str] = []
+
+    def say(text: str) -> None:
+        said.append(text)
+        if "go first: the other 22 runs become 16 elements" in text:
+            slurm.command("scontrol", "update", f"nodename={','.join(slurm.names)}", "state=resume")
+            opened(waiting)
+
+    asked(waiting, say)
+    assert any("no node was to be had within 1 s" in text for text in said)
+    assert len(elements(waiting)) == 17
+    is_whole(waiting)
+
+
+def test_who_leaves_has_the_others_handed_over(waiting: Simulated, slurm: Slurm) -> None:
+    process = waiting.start(*ASKED)
+    waiting.until_executed(1, process)
+    process.send_signal(signal.SIGINT)
+    told = waiting.end_of(process)
+    assert told.returncode == 130
+    assert "nobody waits for the runs that go first: the other 22 runs become 16 elements" in told.stderr
+    assert sent(waiting) == [[0], list(range(1, 17))]
+    opened(waiting)
+    assert waiting.quick(*ASKED).returncode == 0
+    is_whole(waiting)
+
+
+@pytest.mark.nightly
+def test_who_detaches_at_once_has_no_run_go_first(waiting: Simulated, slurm: Slurm) -> None:
+    told = waiting.quick(*ASKED, "--detach")
+    assert "go first" not in told.stderr
+    assert sent(waiting) == [list(range(16))]
+    opened(waiting)
+    assert waiting.quick(*ASKED).returncode == 0
+    is_whole(waiting)
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("between", ["ask", "status"])
+def test_what_a_killed_submitter_held_back_is_handed_over_by_the_next(waiting: Simulated, slurm: Slurm, between: str) -> None:
+    process = waiting.start(*ASKED)
+    waiting.until_executed(1, process)
+    process.kill()
+    waiting.end_of(process)
+    assert sent(waiting) == [[0]]
+    if between == "status":
+        told = json.loads(waiting.quick("status", "--json").stdout)
+        assert sent(waiting) == [[0], list(range(1, 17))], told
+    opened(waiting)
+    done = waiting.quick(*ASKED)
+    assert done.returncode == 0, done.stderr
+    assert len(elements(waiting)) == {"ask": 2, "status": 17}[between]
+    is_whole(waiting)
+
+
+@pytest.mark.nightly
+def test_a_submitter_may_die_between_dealing_out_and_handing_over(waiting: Simulated, slurm: Slurm) -> None:
+    opened(waiting)
+    died = subprocess.run([sys.executable, "-c", SECOND], cwd=waiting.folder, check=False, timeout=100)
+    assert died.returncode == 9
+    [session] = waiting.work()
+    assert json.loads((session / "submission.json").read_text())["counts"] == [2, 22]
+    (session / "sent" / "1.json").unlink()  # as if it had died before it wrote that too
+    done = waiting.quick(*ASKED)
+    assert done.returncode == 0, done.stderr
+    is_whole(waiting)
+
+
+@pytest.mark.nightly
+def test_what_is_cancelled_while_runs_go_first_goes_no_further(waiting: Simulated, slurm: Slurm) -> None:
+    process = waiting.start(*ASKED)
+    waiting.until_executed(1, process)
+    [batch] = {row["batch"] for row in json.loads(waiting.quick("status", "--json").stdout)}
+    assert waiting.quick("cancel", batch[:10]).returncode == 0
+    assert waiting.end_of(process).returncode == 130
+    assert waiting.executed().total() == 1
+    assert waiting.work() == []
+    opened(waiting)
+    until(lambda: set(slurm.states().values()) <= {"CANCELLED", "COMPLETED", "FAILED"}, "nothing runs")
+    assert waiting.quick(*ASKED).returncode == 0
+    assert waiting.sql("SELECT count(DISTINCT run) AS n FROM executions WHERE status = 'ok'") == [{"n": RUNS}]
+
+
+@pytest.mark.nightly
+def test_runs_that_fail_tell_nothing(simulate: Callable[..., Simulated], slurm: Slurm) -> None:
+    project = simulate("exit 7")
+    done = project.quick(*ASKED)
+    assert done.returncode == 1
+    assert "the runs that went first have failed: the other 22 runs become 16 elements" in done.stderr
+    assert sorted(project.executed().values()) == [1] * RUNS
+    fast = simulate("exit 7", name="fast")
+    assert fast.quick(*ASKED, "--fail-fast").returncode == 1
+    assert fast.executed().total() - RUNS <= 2  # both say it in one file
+
+
+@pytest.mark.nightly
+def test_a_controller_that_is_gone_meanwhile_loses_nothing(waiting: Simulated, slurm: Slurm) -> None:
+    process = waiting.start(*ASKED)
+    waiting.until_executed(1, process)
+    slurm.kill_controller(saved=True)
+    opened(waiting)
+    until(lambda: len(sent(waiting)) == 2, "the others are dealt out")
+    time.sleep(1)  # nobody takes them
+    slurm.start_controller()
+    done = waiting.end_of(process, 100)
+    assert done.returncode == 0, done.stderr
+    is_whole(waiting)
+
+
+@pytest.mark.nightly
+def test_first_runs_that_lose_their_node_go_again(waiting: Simulated, slurm: Slurm) -> None:
+    process = waiting.start(*ASKED)
+    until(lambda: packed(waiting.folder, Started), "the element tells that a run has begun")
+    [node] = slurm.command("squeue", "-h", "-r", "-t", "RUNNING", "-o", "%N").split()
+    slurm.power_cut(node)
+    slurm.declare_down(node)
+    opened(waiting)
+    slurm.release_requeued()
+    assert waiting.end_of(process, 100).returncode == 0
+    assert waiting.sql("SELECT count(*) AS n FROM executions WHERE status = 'ok'") == [{"n": RUNS}]
+    assert waiting.executed().total() == RUNS + 1
+
+
+def test_a_dry_run_says_that_runs_go_first(simulate: Callable[..., Simulated], slurm: Slurm) -> None:
+    project = simulate()
+    told = project.quick(*ASKED, "-n", "--explain")
+    assert re.search(r"^first runs +2 +nobody knows yet how long runs take: these tell$", told.stdout, re.MULTILINE)
+    assert "#SBATCH --array=1-16" in told.stdout
+    few = project.quick("run", "size=1,2", "--runs", "8", "--on", "slurm", "-n", "--explain")
+    assert "first runs" not in few.stdout

@@ -1,0 +1,362 @@
+"""Clusters as their users meet them: what is submitted is left, found again, followed and cancelled from any shell."""
+
+from __future__ import annotations
+
+import json
+import os
+import pty
+import re
+import select
+import signal
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from sierra.runners.cluster.result_log import Ended, Started
+from sierra.worker import array_task
+from tests import projects
+from tests.batches import packed
+from tests.clusters import Slurm
+from tests.conftest import Simulated
+from tests.waiting import PATIENCE_S, until
+
+QUERY = ("size=1,2,3", "--runs", "2")
+WAITS = """
+while [ ! -e "{gate}" ] && [ ! -e "{gate}.$SIERRA_RUN_ID" ]; do sleep 0.02; done
+printf 't,v\\n1,1\\n2,4\\n' > swarm.csv
+"""
+NOWHERE = {"SLURM_CONF": "/nowhere/slurm.conf"}
+
+
+class Waiting:
+    """A project whose runs end once a gate is open, and the cluster that it has."""
+
+    def __init__(self, simulated: Simulated, gate: Path, slurm: Slurm) -> None:
+        self.project, self.gate, self.slurm = simulated, gate, slurm
+
+    def open(self) -> None:
+        self.gate.touch()
+
+    def submit(self, *words: str) -> dict[str, Any]:
+        """Submit, and leave it; what was left."""
+        done = self.project.quick("run", *(words or QUERY), "--on", "slurm", "--detach", "--json")
+        assert done.returncode == 0, done.stderr
+        [left] = json.loads(done.stdout)["detached"]
+        found: dict[str, Any] = left
+        return found
+
+    def follow(self, *words: str, **more: Any) -> subprocess.Popen[str]:
+        """Ask and follow, begun; all three elements have begun a run."""
+        asking = self.project.start("run", *QUERY, "--on", "slurm", "--no-figures", *words, **more)
+        self.project.until_executed(3, asking)
+        return asking
+
+    def status(self) -> list[dict[str, Any]]:
+        done = self.project.quick("status", "--json")
+        assert done.returncode == 0, done.stderr
+        found: list[dict[str, Any]] = json.loads(done.stdout)
+        return found
+
+    def batch(self) -> str:
+        [row] = self.project.sql("SELECT batch FROM batches")
+        return str(row["batch"])[:8]
+
+    def alive(self) -> int:
+        """How many tasks the cluster has, with those that are about to have ended."""
+        return sum(state in ("PENDING", "RUNNING", "COMPLETING") for state in self.slurm.states().values())
+
+    def good(self) -> int:
+        return len(self.project.sql("SELECT DISTINCT run FROM executions WHERE status = 'ok'"))
+
+
+@pytest.fixture
+def waiting(simulate: Callable[..., Simulated], tmp_path: Path, slurm: Slurm) -> Waiting:
+    gate = tmp_path / "gate"
+    project = simulate(WAITS.format(gate=gate))
+    config = project.folder / "sierra.toml"
+    config.write_text(config.read_text() + "[runners.slurm]\narray_tasks = 3\n")
+    return Waiting(project, gate, slurm)
+
+
+# leaving and coming back
+
+
+def test_detached_it_returns_at_once_and_says_how_to_go_on(waiting: Waiting) -> None:
+    done = waiting.project.ask("run", *QUERY, "--on", "slurm", "--detach")
+    batch = waiting.batch()
+    assert done.returncode == 0
+    assert "6 runs: 0 executed, 0 reused, 6 to come" in done.stdout
+    assert re.search(r"^session [0-9a-f]{16}: 3 elements in job \d+ on slurm$", done.stdout, re.MULTILINE)
+    assert f"sierra attach {batch}" in done.stdout
+    assert f"sierra cancel {batch}" in done.stdout
+
+
+def test_what_was_left_is_followed_to_its_end_by_another(waiting: Waiting) -> None:
+    waiting.submit()
+    waiting.open()
+    done = waiting.project.quick("attach", waiting.batch())
+    assert done.returncode == 0, done.stderr
+    assert "6 runs: 6 executed, 0 reused\n" in done.stdout
+    assert "figures:" in done.stdout
+    assert waiting.status() == []
+    again = waiting.project.quick("run", *QUERY)
+    assert "6 runs: 0 executed, 6 reused" in again.stdout
+    assert waiting.project.executed().total() == 6
+
+
+@pytest.mark.nightly
+def test_a_session_is_named_by_the_beginning_of_its_own_id(waiting: Waiting) -> None:
+    left = waiting.submit()
+    waiting.open()
+    done = waiting.project.quick("attach", left["session"][:6], "--json", "--no-figures")
+    assert (done.returncode, json.loads(done.stdout)["executed"]) == (0, 6)
+
+
+@pytest.mark.nightly
+def test_failures_of_what_is_followed_are_told_with_their_logs(waiting: Waiting) -> None:
+    script = waiting.project.folder / "sim.sh"
+    script.write_text(script.read_text() + "echo the arena is too small >&2; exit 4\n")
+    waiting.submit()
+    waiting.open()
+    done = waiting.project.quick("attach", waiting.batch())
+    assert done.returncode == 1
+    assert "exit status 4" in done.stdout
+    assert "the arena is too small" in done.stdout
+
+
+def test_status_says_how_it_stands_and_records_what_has_finished(waiting: Waiting) -> None:
+    left = waiting.submit()
+    until(lambda: len(packed(waiting.project.folder, Started)) == 3, "elements tell that runs have begun")
+    [now] = waiting.status()
+    assert {name: now[name] for name in left} == left
+    assert (now["done"], now["running"], now["queued"], now["attended"]) == (0, 3, 0, None)
+    waiting.open()
+    until(lambda: waiting.alive() == 0, "the jobs end")
+    [now] = waiting.status()
+    assert (now["done"], now["failed"], now["ended"]) == (6, 0, True)
+    assert waiting.good() == 6
+    assert waiting.project.work() == []
+    late = waiting.project.quick("attach", waiting.batch())
+    assert late.returncode == 2
+    assert "is on a cluster now; sierra status shows what is, sierra ls what is recorded" in late.stderr
+
+
+def test_nothing_on_a_cluster_is_said_and_no_error(waiting: Waiting) -> None:
+    done = waiting.project.quick("status")
+    assert (done.returncode, done.stdout) == (0, "nothing is on a cluster\n")
+    assert not (waiting.project.folder / ".sierra").exists()
+
+
+@pytest.mark.nightly
+def test_a_scheduler_out_of_reach_leaves_the_rest_of_status(waiting: Waiting) -> None:
+    waiting.submit()
+    done = waiting.project.end_of(waiting.project.start("status", env={**os.environ, **NOWHERE}))
+    assert done.returncode == 0
+    assert "unreachable" in done.stdout
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.nightly
+def test_what_will_never_begin_is_told_in_the_scheduler_s_words(waiting: Waiting) -> None:
+    waiting.submit("size=1", "--runs", "1")
+    [job] = waiting.status()[0]["jobs"]
+    waiting.project.until_executed(1)
+    waiting.slurm.command("scontrol", "requeuehold", job)
+    until(lambda: "never begins: " in waiting.project.quick("status").stdout, "it is held")
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize(
+    "command", [("run", *QUERY, "--on", "slurm"), ("attach", "{batch}"), ("status",), ("cancel", "{batch}")]
+)
+def test_what_cannot_be_read_now_is_not_thrown_away(waiting: Waiting, command: tuple[str, ...]) -> None:
+    waiting.submit()
+    waiting.open()
+    until(lambda: waiting.alive() == 0, "the jobs end")
+    [folder] = waiting.project.work()
+    later = folder / "results" / "0.a.pack"
+    later.write_bytes(array_task.line_of({"event": "start", "when": 1}))
+    done = waiting.project.quick(*(word.format(batch=waiting.batch()) for word in command))
+    assert done.returncode == (0 if command == ("status",) else 1)
+    assert "another version of SIERRA" in done.stderr
+    later.unlink()
+    assert waiting.project.quick("run", *QUERY, "--on", "slurm", "--no-figures").returncode == 0
+    assert (waiting.good(), waiting.project.executed().total()) == (6, 6)
+
+
+# interrupted
+
+
+def test_off_a_terminal_an_interrupt_leaves_what_runs(waiting: Waiting) -> None:
+    asking = waiting.follow()
+    asking.send_signal(signal.SIGINT)
+    done = waiting.project.end_of(asking)
+    assert done.returncode == 130
+    assert "[D/c]" not in done.stderr
+    assert f"sierra attach {waiting.batch()}" in done.stdout
+    assert waiting.alive() == 3
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize(("answer", "stays"), [("\n", True), ("d\n", True), ("c\n", False), ("^C", True)])
+def test_on_a_terminal_it_asks_whether_to_detach_or_to_cancel(waiting: Waiting, answer: str, stays: bool) -> None:
+    process, said = on_a_terminal(waiting, answer)
+    assert process == 130, said
+    assert "detach or cancel? [D/c]" in said
+    assert ("sierra attach" in said) == stays
+    assert (waiting.alive() > 0) == stays
+    assert len(waiting.project.work()) == stays
+
+
+def on_a_terminal(waiting: Waiting, answer: str) -> tuple[int, str]:
+    """Follow on a terminal, interrupt once runs have begun, and answer (or interrupt again); exit code, and what was said."""
+    terminal, theirs = pty.openpty()
+    asking = waiting.project.start("run", *QUERY, "--on", "slurm", "--no-figures", stdin=theirs, stdout=theirs, stderr=theirs)
+    os.close(theirs)
+    said, interrupted, answered = "", False, False
+    while select.select([terminal], [], [], PATIENCE_S)[0]:
+        try:
+            said += os.read(terminal, 65536).decode()
+        except OSError:  # it has ended
+            break
+        if not interrupted and "running" in said:
+            asking.send_signal(signal.SIGINT)
+            interrupted = True
+        elif not answered and "[D/c]" in said:
+            answered = True
+            asking.send_signal(signal.SIGINT) if answer == "^C" else os.write(terminal, answer.encode())
+    os.close(terminal)
+    return asking.wait(PATIENCE_S), said
+
+
+# while another process follows
+
+
+@pytest.mark.nightly
+def test_what_another_process_follows_is_not_taken_from_it(waiting: Waiting) -> None:
+    asking = waiting.follow()
+    [now] = waiting.status()
+    assert f"process {asking.pid} on " in now["attended"]
+    done = waiting.project.quick("attach", waiting.batch())
+    assert done.returncode == 1
+    assert f"is followed by process {asking.pid} on " in done.stderr
+    detached = waiting.project.quick("run", *QUERY, "--on", "slurm", "--detach")
+    assert detached.returncode == 0
+    assert "6 runs are executed by other processes already" in detached.stderr
+    waiting.open()
+    assert waiting.project.end_of(asking).returncode == 0
+
+
+@pytest.mark.nightly
+def test_what_another_process_follows_is_cancelled_all_the_same(waiting: Waiting) -> None:
+    asking = waiting.follow()
+    done = waiting.project.quick("cancel", waiting.batch())
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.endswith("0 runs kept, 6 not executed\n")
+    followed = waiting.project.end_of(asking)
+    assert followed.returncode == 130
+    assert "6 runs: 0 executed, 0 reused, 6 not executed" in followed.stdout
+    assert waiting.alive() == 0
+
+
+# cancelling
+
+
+def test_cancelling_keeps_what_had_finished(waiting: Waiting) -> None:
+    left = waiting.submit()
+    waiting.project.until_executed(3)
+    for run in waiting.project.executed():
+        waiting.gate.with_name(f"gate.{run}").touch()
+    until(lambda: len(packed(waiting.project.folder, Ended)) == 3, "elements tell that runs have ended")
+    waiting.project.until_executed(6)
+    done = waiting.project.quick("cancel", waiting.batch())
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == f"session {left['session']}: 3 runs kept, 3 not executed\n"
+    assert (waiting.alive(), waiting.good(), waiting.project.work()) == (0, 3, [])
+    waiting.open()
+    again = waiting.project.quick("run", *QUERY, "--on", "slurm", "--no-figures")
+    assert "6 runs: 3 executed, 3 reused" in again.stdout
+
+
+@pytest.mark.parametrize("command", ["attach", "cancel"])
+def test_an_id_that_nothing_on_a_cluster_has_is_an_error(waiting: Waiting, command: str) -> None:
+    waiting.open()
+    waiting.project.quick("run", "size=1", "--runs", "1", "--no-figures")
+    for named in (waiting.batch(), "abcdef"):
+        done = waiting.project.quick(command, named)
+        assert done.returncode == 2
+        assert named in done.stderr
+
+
+# before anything is submitted
+
+
+def test_a_dry_run_shows_the_script_that_is_submitted_then(waiting: Waiting) -> None:
+    waiting.project.quick("status")
+    told = json.loads(waiting.project.quick("run", *QUERY, "--on", "slurm", "--detach", "-n", "--json").stdout)["proposal"]
+    assert not (waiting.project.folder / ".sierra").exists()
+    assert waiting.alive() == 0
+    left = waiting.submit()
+    session, [job] = left["session"], left["jobs"]
+    expected = told["script"].replace("sierra-SESSION", f"sierra-{session[:8]}").replace("SESSION", session)
+    submitted = waiting.slurm.command("scontrol", "write", "batch_script", job, "-").splitlines()
+    beside = ("#SBATCH --dependency=", "#SBATCH --kill-on-invalid-dep=")
+    assert [line for line in submitted if line and not line.startswith(beside)] == expected.splitlines()
+    [folder] = waiting.project.work()
+    probed = json.loads((folder / "submission.json").read_text())["probed"]
+    assert any("a dependency in the script" in note for note in told["notes"]) == probed
+    assert (told["array_tasks"], told["runs"]) == (left["array_tasks"], left["runs"])
+    waiting.project.until_executed(3)
+    files = [path for path in folder.rglob("*") if path.is_file()]
+    assert abs(told["files"] - len(files)) <= 4, files
+
+
+@pytest.mark.nightly
+def test_a_dry_run_estimates_from_what_runs_took_before(waiting: Waiting) -> None:
+    waiting.open()
+    first = waiting.project.quick("run", "size=1", "--runs", "1", "--on", "slurm", "--dry-run").stdout
+    assert "core-hours: nobody knows yet how long runs take" in first
+    assert "nobody knows yet how many bytes" in first
+    waiting.project.quick("run", "size=1", "--runs", "1", "--no-figures")
+    later = waiting.project.quick("run", *QUERY, "--on", "slurm", "--dry-run", "--explain").stdout
+    assert "on slurm (slurm " in later
+    assert "3 elements of up to 2 runs, each 1 core for 10:00" in later
+    assert re.search(r"core-hours: about [\d.e-]+, at most 0\.5 ", later)
+    assert re.search(r"^elements +3 +as sierra.toml says$", later, re.MULTILINE)
+    assert re.search(r"^wall +600 +6 times what is expected, at least 10 minutes$", later, re.MULTILINE)
+    told = r"^time of a run +[\d.]+ to [\d.]+ s, [\d.]+ s in the mean +1 of 3 experiments were timed, the others are estimated"
+    assert re.search(told, later, re.MULTILINE)
+    assert "#SBATCH --array=0-2" in later
+
+
+@pytest.mark.parametrize("cluster", ["slurm", "pbs"])
+def test_a_dry_run_needs_no_scheduler_but_says_what_it_does_not_know(tmp_path: Path, cluster: str) -> None:
+    root = projects.make(tmp_path / "project")
+    tools = tmp_path / "bin"
+    tools.mkdir()
+    for program in ("python3", "git", "sh"):
+        (tools / program).symlink_to(subprocess.check_output(["which", program], text=True).strip())
+    done = projects.sierra(root, "run", "population_size.Log8", "--on", cluster, "-n", environment={"PATH": str(tools)})
+    assert done.returncode == 0, done.stderr
+    assert f"on {cluster} ({cluster}): 8 elements of up to 1 run," in done.stdout
+    assert "what the site allows is not known" in done.stderr
+
+
+# what is asked for wrongly
+
+
+def test_what_is_executed_here_cannot_be_left(tmp_path: Path) -> None:
+    done = projects.quick(projects.make(tmp_path / "project"), "run", "population_size.Log8", "--detach")
+    assert done.returncode == 2
+    assert "'local'" in done.stderr
+
+
+def test_a_runner_that_is_not_there_is_an_error_that_names_those_that_are(tmp_path: Path) -> None:
+    root = projects.make(tmp_path / "project", projects.CONFIG + '[runners.big]\nscheduler = "slurm"\n')
+    for more in ((), ("--dry-run",)):
+        done = projects.quick(root, "run", "population_size.Log8", "--on", "bog", *more)
+        assert done.returncode == 2
+        assert "unknown runner 'bog'; known are local, slurm, pbs, big" in done.stderr

@@ -1,0 +1,64 @@
+"""Runs in containers on the nodes of a real SLURM: the same as here, from the same image, checked on the node."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+import sierra
+from tests import containers, projects
+from tests.clusters import Slurm
+
+pytestmark = pytest.mark.real
+CLUSTER = "\n[runners.slurm]\narray_tasks = 2\nattempts = 1\n"
+
+
+@pytest.fixture
+def project(tmp_path: Path, slurm: Slurm, require: Callable[..., str]) -> Path:
+    require("busybox-static, as /bin/busybox", there=containers.BUSYBOX.exists())
+    require("mksquashfs")
+    require("apptainer")
+    folder = containers.make(tmp_path / "project", containers.busybox(tmp_path), 'engine = "apptainer"')
+    with (folder / "sierra.toml").open("a") as file:
+        file.write(CLUSTER)
+    return folder
+
+
+def test_a_batch_in_apptainer_on_nodes_is_the_same_as_here(project: Path) -> None:
+    there = projects.quick(project, "run", "population_size=1,2", "--on", "slurm")
+    assert there.returncode == 0, there.stderr
+    store = sierra.open(project)
+    nodes = "SELECT count(*) AS n FROM executions e JOIN attempts a USING (attempt) JOIN isolations i USING (isolation)"
+    assert store.sql(f"{nodes} WHERE e.status = 'ok' AND i.engine = 'apptainer' AND e.host = a.node").to_pylist() == [{"n": 4}]
+    [batch] = store.batches
+    assert str(store.replay(batch["batch"]).verdict) == "identical"
+
+
+@pytest.mark.nightly
+def test_one_container_for_all_runs_of_a_slot_works_on_nodes_too(project: Path, tmp_path: Path) -> None:
+    python = containers.python(tmp_path)
+    config = project / "sierra.toml"
+    config.write_text(
+        config.read_text().replace("busybox.tar", python.name).replace("[container]", '[container]\nisolation = "worker"')
+    )
+    assert projects.quick(project, "image", "pin").returncode == 0
+    done = projects.quick(project, "run", "population_size=1,2", "--on", "slurm")
+    assert done.returncode == 0, done.stderr
+    modes = "SELECT DISTINCT mode FROM executions JOIN isolations USING (isolation)"
+    assert sierra.open(project).sql(modes).to_pylist() == [{"mode": "worker"}]
+
+
+def test_an_image_that_is_another_on_the_node_never_runs(project: Path, slurm: Slurm, tmp_path: Path) -> None:
+    held = tmp_path / "python"
+    change = f'echo x >> "$(ls {project}/.sierra/images/*/rootfs.sqfs)"'
+    held.write_text(f'#!/bin/sh\ncase "$*" in *--probe*) ;; *) {change} ;; esac\nexec python3 "$@"\n')
+    held.chmod(0o755)
+    with (project / "sierra.toml").open("a") as file:
+        file.write(f'python = "{held}"\n')
+    done = projects.quick(project, "run", "population_size=1,2", "--on", "slurm")
+    assert done.returncode == 3, done.stderr
+    assert "the image: " in done.stderr
+    assert "is another than on the host that submitted" in done.stderr
+    assert sierra.open(project).sql("SELECT * FROM executions").to_pylist() == []

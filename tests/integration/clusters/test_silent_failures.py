@@ -1,0 +1,724 @@
+"""What could go silently wrong on a cluster, each as a claim: mostly over a scheduler that misbehaves when it is told to."""
+
+from __future__ import annotations
+
+import contextlib
+import gzip
+import hashlib
+import itertools
+import os
+import pty
+import re
+import select
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar
+
+import pytest
+
+import sierra
+from sierra.config.project_file import ClusterTable
+from sierra.errors import ConfigError, Full, Missing, SierraError
+from sierra.execution.summary import Summary
+from sierra.execution.observer import Progress
+from sierra.execution.sessions import Session
+from sierra.project import Project
+from sierra.runners import schedulers
+from sierra.runners.cluster import collect, runner
+from sierra.runners.cluster.result_log import Attempt, Pack
+from sierra.runners.schedulers.base import Bounds, Request, State, Task
+from sierra.store.layout import user_apptainer
+from sierra.store.store import Store
+from sierra.worker import worker
+from tests import containers, projects
+from tests.clusters import Slurm
+from tests.conftest import Simulated
+from tests.observers import Observing
+from tests.users import a_user, called_as
+from tests.waiting import PATIENCE_S, until
+
+QUERY = ("size=1,2,3",)
+CLUSTER = "\n[runners.here]\narray_tasks = 1\n"
+PRINTS = r"printf 't,v\n1,1\n2,4\n' > swarm.csv"
+
+
+class Here:
+    """A scheduler whose only node is this host, and that can be told to misbehave."""
+
+    name = "here"
+    tasks: ClassVar[list[tuple[str, str, int, subprocess.Popen[bytes]]]] = []
+    requests: ClassVar[list[Request]] = []
+    numbers: ClassVar[Iterator[int]] = itertools.count(1)
+    full: ClassVar[int] = 0
+    """How many more submissions it has no room for, of all but the first element."""
+    walls: ClassVar[list[float | None]] = []
+    """What each element may take, in seconds, by job."""
+    word: ClassVar[str] = "ENDED"
+    """How it says that elements ended."""
+    tells: ClassVar[dict[str, bool]] = {"CANCELLED": True}
+    """Whether an element was cancelled, by the word for its end; of other words it does not know that."""
+    cancelled: ClassVar[Callable[[], None] | None] = None
+    """What is done instead of ending what is cancelled."""
+
+    held: ClassVar[int] = 0
+    """How many more jobs it cannot begin, but for probes."""
+    stuck: ClassVar[set[str]] = set()
+
+    def __init__(self, table: ClusterTable) -> None:
+        self._table = table
+
+    forgets: ClassVar[bool] = False
+    requeue: ClassVar[tuple[str, ...]] = ()
+
+    def version(self) -> str:
+        return "here 1"
+
+    def bounds(self) -> Bounds:
+        return Bounds()
+
+    def script(self, request: Request) -> str:
+        return ""
+
+    def submit(self, request: Request) -> str:
+        if Here.full and request.elements[-1] > 0:
+            Here.full -= 1
+            raise Full("there is no room")
+        Here.walls.append(self._table.wall)
+        return self.start(request)
+
+    @staticmethod
+    def start(request: Request) -> str:
+        job = str(next(Here.numbers))
+        Here.requests.append(request)
+        begins = not Here.held or request.name.startswith("probe-")
+        if not begins:
+            Here.held -= 1
+            Here.stuck.add(job)
+        for element in request.elements:
+            environment = {"PATH": os.environ["PATH"], "TMPDIR": str(request.folder)}
+            with (request.logs / f"{job}_{element}.out").open("wb") as log:
+                argv = (*request.command, str(element)) if begins else ("sleep", "60")
+                process = subprocess.Popen(argv, stdout=log, stderr=log, env=environment, start_new_session=True)
+            Here.tasks.append((request.name, job, element, process))
+        return job
+
+    def look(self, name: str) -> tuple[Task, ...] | None:
+        found = [(job, element, *Here.state(job, process)) for called, job, element, process in Here.tasks if called == name]
+        return tuple(Task(*one, cancelled=Here.tells.get(one[-1])) for one in found)
+
+    @staticmethod
+    def state(job: str, process: subprocess.Popen[bytes]) -> tuple[State, str]:
+        if process.poll() is not None:
+            return State.ENDED, "CANCELLED" if job in Here.stuck else Here.word
+        return (State.STUCK, "launch failed requeued held") if job in Here.stuck else (State.RUNNING, "")
+
+    def explain(self, words: str) -> str:
+        return words
+
+    def cancel(self, name: str, elements: Sequence[int] | None = None) -> None:
+        if Here.cancelled is not None:
+            Here.cancelled()
+            return
+        for called, _, element, process in Here.tasks:
+            if called == name and (elements is None or element in elements):
+                process.terminate()
+
+
+def cut_off(process: subprocess.Popen[bytes]) -> None:
+    """Take its node away from an element, unless it has ended: it may, at any time, and be waited for by who looks."""
+    if process.poll() is None:
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+
+
+@dataclass
+class Clustered:
+    """A project that has this cluster."""
+
+    simulated: Simulated
+    gate: Path
+
+    @property
+    def project(self) -> Project:
+        return sierra.open(self.simulated.folder)
+
+    def session(self) -> Path:
+        [found] = self.simulated.work()
+        return found
+
+    def rows(self, text: str) -> list[dict[str, Any]]:
+        return self.simulated.sql(text)
+
+
+@pytest.fixture
+def here(monkeypatch: pytest.MonkeyPatch) -> Iterator[type[Here]]:
+    monkeypatch.setitem(schedulers.SHIPPED, "here", f"{__name__}:Here")
+    monkeypatch.setattr(Here, "full", 0)
+    monkeypatch.setattr(Here, "word", "ENDED")
+    monkeypatch.setattr(Here, "cancelled", None)
+    monkeypatch.setattr(Here, "held", 0)
+    for name, seconds in (("FIRST_POLL_S", 0.1), ("LAST_POLL_S", 1.0), ("QUIET_S", 0.1)):  # it knows all at once
+        monkeypatch.setattr(runner, name, seconds)
+    yield Here
+    for _, _, _, process in Here.tasks:
+        cut_off(process)
+        process.wait()
+    Here.tasks.clear()
+    Here.requests.clear()
+    Here.walls.clear()
+
+
+@pytest.fixture
+def clustered(simulate: Callable[..., Simulated], here: type[Here], tmp_path: Path) -> Callable[..., Clustered]:
+    def make(script: str = PRINTS, *, elements: int = 1) -> Clustered:
+        made = simulate(script.replace("{gate}", str(tmp_path / "gate")))
+        config = made.folder / "sierra.toml"
+        config.write_text(config.read_text() + CLUSTER.replace("1", str(elements)))
+        return Clustered(made, tmp_path / "gate")
+
+    return make
+
+
+WAITS = 'while [ ! -e "{gate}" ] && [ ! -e "{gate}.$SIERRA_RUN_ID" ]; do sleep 0.02; done; ' + PRINTS
+
+
+# leaving
+
+
+def test_who_detaches_on_a_terminal_is_not_asked_whether_to(simulate: Callable[..., Simulated], slurm: Slurm) -> None:
+    project = simulate()
+    terminal, theirs = pty.openpty()
+    process = project.start(
+        "run", *QUERY, "--runs", "1", "--on", "slurm", "--detach", stdin=theirs, stdout=theirs, stderr=theirs
+    )
+    os.close(theirs)
+    said = ""
+    while "[D/c]" not in said and select.select([terminal], [], [], PATIENCE_S)[0]:
+        try:
+            said += os.read(terminal, 65536).decode()
+        except OSError:  # it has ended
+            break
+    os.close(terminal)
+    assert "detach or cancel?" not in said
+    assert process.wait(PATIENCE_S) == 0
+
+
+# nothing is thrown away
+
+
+def test_a_session_whose_scheduler_is_not_installed_here_is_kept(
+    clustered: Callable[..., Clustered], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = clustered(WAITS)
+    made.project.run(*QUERY, runs=1, runner="here", detach=True, figures=False)
+    session = made.session()
+    with monkeypatch.context() as patch:
+        patch.delitem(schedulers.SHIPPED, "here")
+        with pytest.raises(ConfigError, match="scheduler"):
+            made.project.attach(session.name, figures=False)
+        made.project.status()
+    assert (session / "submission.json").exists()
+    made.gate.touch()
+    assert made.project.attach(session.name, figures=False).missing == 0
+
+
+def test_what_ends_while_it_is_cancelled_is_kept(clustered: Callable[..., Clustered], monkeypatch: pytest.MonkeyPatch) -> None:
+    made = clustered(WAITS)
+    submit, look = Here.submit, Here.look
+
+    def late_to_heed(self: Here, request: Request) -> str:
+        script = request.folder / "array_task.py"
+        text, found = re.subn(r"(?m)^SYNC_S = .*$", "SYNC_S = 600.0", script.read_text())
+        assert found == 1
+        script.write_text(text)
+        return submit(self, request)
+
+    monkeypatch.setattr(Here, "submit", late_to_heed)
+    made.project.run(*QUERY, runs=1, runner="here", detach=True, figures=False)
+    made.simulated.until_executed(1)
+    monkeypatch.setattr(collect, "READ_S", 60.0)
+    monkeypatch.setattr(Here, "cancelled", made.gate.touch)
+
+    def late(self: Here, name: str) -> tuple[Task, ...] | None:
+        until(lambda: all(process.poll() is not None for *_, process in Here.tasks))
+        return look(self, name)
+
+    monkeypatch.setattr(Here, "look", late)
+    [done] = made.project.cancel(made.session().name)
+    assert (done.kept, done.missing) == (3, 0)
+
+
+def test_what_another_user_has_submitted_is_theirs(require: Callable[..., str]) -> None:
+    require("root, to be another user", there=os.geteuid() == 0)
+    require("useradd")
+    with a_user(f"sierra-test-{os.getpid()}", ids=False) as user:
+        store = Store.create(user.home / "store").paths
+        session = Session(store)
+        session.paths.submission.write_text("{}")
+        session.leave()
+        session.close()
+        store.work_lock.chmod(0o666)
+
+        def check() -> None:
+            assert Session.adopted(store, session.paths) is None
+
+        called_as(user, check)
+
+
+def test_half_of_a_session_that_is_removed_is_no_submission(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    session = Session(Store.create(tmp_path / "store").paths)
+    for number in range(8):
+        (session.paths.root / f"folder{number}").mkdir()
+    session.paths.submission.write_text("{}")
+
+    def killed(folder: str) -> None:
+        raise SystemExit
+
+    with monkeypatch.context() as patch:
+        patch.setattr(worker, "remove", killed)
+        with pytest.raises(SystemExit):
+            session.close()
+    assert session.paths.root.exists()
+    assert not session.paths.submission.exists()
+
+
+def test_what_cannot_be_read_is_cancelled_all_the_same(clustered: Callable[..., Clustered]) -> None:
+    from sierra.worker import array_task
+
+    made = clustered(WAITS)
+    made.project.run(*QUERY, runs=1, runner="here", detach=True, figures=False)
+    made.simulated.until_executed(1)
+    session = made.session()
+    (session / "results" / "0.other.pack").write_bytes(array_task.line_of({"event": "end", "told": "otherwise"}))
+    with pytest.raises(SierraError, match="another version"):
+        made.project.cancel(session.name)
+    until(lambda: all(process.poll() is not None for *_, process in Here.tasks))
+    assert session.exists()
+
+
+# what is executed, and how often
+
+
+def test_a_site_without_room_makes_no_run_fail(clustered: Callable[..., Clustered], monkeypatch: pytest.MonkeyPatch) -> None:
+    which = 'if [ "$SIERRA_RUN_ID" = "$(cat "{gate}.which")" ] && [ ! -e "{gate}" ]; then touch "{gate}"; sleep 60; fi; '
+    made = clustered(which + PRINTS, array_tasks=2)
+    made.gate.with_name("gate.which").write_text(made.project.plan(*QUERY, runs=1).batch.runs[1].id)
+    monkeypatch.setattr(runner, "FULL_S", 0.1)
+    monkeypatch.setattr(Here, "full", 5)
+    cut: list[subprocess.Popen[bytes]] = []
+
+    def watch(progress: Progress) -> None:
+        if made.gate.exists() and not cut:
+            cut.append(Here.tasks[-1][-1])
+            cut_off(cut[0])
+
+    summary = made.project.run(*QUERY, runs=1, runner="here", observer=Observing(watch), figures=False)
+    assert cut
+    assert (summary.failed, summary.executed) == (0, 3), summary.failures
+
+
+def test_where_a_guess_at_their_time_was_too_short_elements_are_given_more(
+    clustered: Callable[..., Clustered], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = clustered(WAITS)
+    first = made.project.plan("size=1", runs=1).batch.runs[0].id
+    made.gate.with_name(f"gate.{first}").touch()
+    made.project.run("size=1", runs=1, figures=False)
+    monkeypatch.setattr(Here, "word", "TIMEOUT")
+
+    def watch(progress: Progress) -> None:
+        begun = [process for name, *_, process in Here.tasks if name.startswith("sierra-")]
+        if not progress.running or begun[-1].poll() is not None:
+            return
+        if len(begun) < 3:
+            cut_off(begun[-1])
+        else:
+            made.gate.touch()
+
+    summary = made.project.run("size=2", runs=1, runner="here", observer=Observing(watch), figures=False)
+    assert (summary.executed, summary.failed) == (1, 0), summary.failures
+    least, *longer = [
+        wall for wall, request in zip(Here.walls, Here.requests, strict=True) if request.name.startswith("sierra-")
+    ]
+    assert least is not None
+    assert longer == [2 * least, 4 * least]
+
+
+def test_a_scheduler_that_is_asked_for_the_jobs_that_lived_sees_those_with_more_time(
+    clustered: Callable[..., Clustered], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = clustered(WAITS, array_tasks=2)
+    made.gate.touch()
+    made.project.run("size=1", runs=1, figures=False)
+    made.gate.unlink()
+    monkeypatch.setattr(Here, "word", "TIMEOUT")
+    submit, look = Here.submit, Here.look
+    looks: Counter[int] = Counter()
+    """How often it was asked for the elements, by how many there were."""
+
+    def forgets(self: Here, request: Request) -> str:
+        self.__dict__.pop(request.name, None)
+        return submit(self, request)
+
+    def remembers(self: Here, name: str) -> tuple[Task, ...]:
+        alive = self.__dict__.get(name)
+        tasks = [task for task in look(self, name) or () if not alive or task.job in alive]
+        self.__dict__[name] = {task.job for task in tasks if task.state is not State.ENDED}
+        looks[len(Here.tasks)] += name.startswith("sierra-")
+        return tuple(tasks)
+
+    monkeypatch.setattr(Here, "submit", forgets)
+    monkeypatch.setattr(Here, "look", remembers)
+
+    def watch(progress: Progress) -> None:
+        sent = [process for name, *_, process in Here.tasks if name.startswith("sierra-")]
+        if progress.running == 2 and len(sent) == 2:
+            cut_off(sent[0])
+        elif len(sent) > 2 and looks[len(Here.tasks)] > 10:
+            made.gate.touch()
+
+    summary = made.project.run("size=2", runs=2, runner="here", observer=Observing(watch), figures=False)
+    assert (summary.executed, summary.failed) == (2, 0), summary.failures
+    assert [request.elements for request in Here.requests if request.name.startswith("sierra-")] == [(0, 1), (0,)]
+
+
+def test_what_could_not_be_begun_is_submitted_again_and_that_is_said(
+    clustered: Callable[..., Clustered], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Here, "held", 1)
+    said: list[str] = []
+    made = clustered()
+    summary = made.project.execute(made.project.plan(*QUERY, runs=1), runner="here", observer=Observing(notice=said.append), figures=False)
+    assert (summary.executed, summary.failed) == (3, 0)
+    assert "1 element is submitted again: launch failed requeued held (CANCELLED)" in said
+
+
+def gives_back(project: Project) -> Callable[[Progress], None]:
+    """Has another session claim a run of the query's, and give it back once that is waited for."""
+    other = Session(Store.create(project.paths.store).paths)
+    other.claim({project.plan(*QUERY, runs=1).batch.runs[0].id})
+
+    def watch(progress: Progress) -> None:
+        if progress.elsewhere:
+            other.close()
+
+    return watch
+
+
+def test_what_others_give_back_is_executed_too(clustered: Callable[..., Clustered]) -> None:
+    made = clustered()
+    project = made.project
+    summary = project.run(*QUERY, runs=1, runner="here", observer=Observing(gives_back(project)), figures=False)
+    assert (summary.executed, summary.failed, summary.missing) == (3, 0, 0)
+    assert made.simulated.work() == []
+
+
+def test_what_is_said_of_a_job_before_is_not_of_what_was_given_back(
+    clustered: Callable[..., Clustered], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Here, "word", "FAILED")
+    made = clustered("sleep 3; " + PRINTS, array_tasks=2)
+    project = made.project
+    summary = project.run(*QUERY, runs=1, runner="here", observer=Observing(gives_back(project)), figures=False)
+    handed_over = [request.elements for request in Here.requests if request.name.startswith("sierra-")]
+    assert handed_over == [(0, 1), (0,)]
+    assert (summary.executed, summary.failed, summary.missing) == (3, 0, 0)
+
+
+def test_a_copy_is_recorded_once_however_often_it_is_read(clustered: Callable[..., Clustered]) -> None:
+    made = clustered(WAITS)
+    project = made.project
+    project.run(*QUERY, runs=1, runner="here", detach=True, figures=False)
+    Here.start(Here.requests[-1])
+    made.simulated.until_executed(2)
+    [first] = set(made.simulated.executed())
+    made.gate.with_name(f"gate.{first}").touch()
+    made.simulated.until_executed(4)
+    until(lambda: project.status() and made.rows("SELECT * FROM duplicates"), "the copy is recorded")
+    for _ in range(3):
+        project.status()
+    assert made.rows("SELECT count(*) AS n FROM duplicates") == [{"n": 1}]
+    made.gate.touch()
+    project.attach(made.session().name, figures=False)
+    assert made.rows(f"SELECT count(*) AS n FROM duplicates WHERE run = '{first}'") == [{"n": 1}]
+    assert made.rows("SELECT 1 FROM duplicates c JOIN executions e USING (execution) WHERE c.attempt = e.attempt") == []
+
+
+def test_a_program_that_changes_under_way_has_made_no_result(clustered: Callable[..., Clustered]) -> None:
+    made = clustered()
+    tool = made.simulated.folder.with_name("tool.sh")
+    tool.write_text(WAITS.replace("{gate}", str(made.gate)))
+    config = made.simulated.folder / "sierra.toml"
+    config.write_text(config.read_text().replace('"sim.sh"', '"../tool.sh"'))
+
+    def watch(progress: Progress) -> None:
+        if progress.running and not made.gate.exists():
+            tool.with_name("new").write_text(PRINTS.replace("4", "5"))
+            tool.with_name("new").replace(tool)
+            made.gate.touch()
+
+    with pytest.raises(SierraError, match="is another than on the host that submitted"):
+        made.project.run(*QUERY, runs=1, runner="here", observer=Observing(watch), figures=False)
+    assert made.rows("SELECT * FROM executions") == []
+
+
+# replays
+
+
+@pytest.mark.parametrize(("tells", "ended"), [({"FAILED": False}, False), ({}, True)])
+def test_what_the_scheduler_knows_nobody_cancelled_is_submitted_again(
+    clustered: Callable[..., Clustered], monkeypatch: pytest.MonkeyPatch, tells: dict[str, bool], ended: bool
+) -> None:
+    """SLURM says FAILED of an element that a requeue has asked to end, if that ended late."""
+    monkeypatch.setattr(Here, "word", "FAILED")
+    monkeypatch.setattr(Here, "tells", tells)
+    made = clustered(WAITS)
+    made.project.run(*QUERY, runs=1, runner="here", detach=True, figures=False)
+    made.simulated.until_executed(1)
+    [process] = [process for name, _, _, process in Here.tasks if not name.startswith("probe-")]
+    process.terminate()
+    process.wait()
+    made.gate.touch()
+    summary = made.project.attach(made.session().name, figures=False)
+    assert (summary.interrupted, summary.missing > 0) == (ended, ended)
+
+
+def test_a_replay_that_is_cancelled_from_elsewhere_is_no_verdict(clustered: Callable[..., Clustered]) -> None:
+    made = clustered(WAITS)
+    made.gate.touch()
+    batch = made.project.run(*QUERY, runs=1, figures=False).batch
+    made.gate.unlink()
+
+    def watch(progress: Progress) -> None:
+        if progress.running and (made.session() / "submission.json").exists():
+            (made.session() / "cancelled").touch()
+
+    answer = made.project.replay(batch, runner="here", observer=Observing(watch))
+    assert answer.interrupted
+    assert made.rows("SELECT * FROM replays") == []
+
+
+def test_what_a_replay_leaves_is_kept_from_another_file_system(
+    clustered: Callable[..., Clustered], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = clustered()
+    batch = made.project.run(*QUERY, runs=1, figures=False).batch
+    if Path("/dev/shm").stat().st_dev == made.simulated.folder.stat().st_dev:
+        pytest.skip("needs two file systems")
+    monkeypatch.setattr(tempfile, "tempdir", "/dev/shm")
+    answer = made.project.replay(batch, runner="here", keep=True)
+    assert answer.kept is not None
+    assert len(list(answer.kept.glob("*/output/swarm.csv"))) == 3
+
+
+# code
+
+
+def test_what_git_ignores_and_nobody_names_is_said_to_be_missing(clustered: Callable[..., Clustered]) -> None:
+    made = clustered('cat "$1/built" > /dev/null && ' + PRINTS)
+    folder = made.simulated.folder
+    config = folder / "sierra.toml"
+    config.write_text(config.read_text().replace('"{input}"]', '"{project}/built"]').replace('sim.sh"', 'sim.sh", "{project}"'))
+    for name in ("built", "big.npy", "maps/a", "__pycache__/b.pyc", "environment/pyvenv.cfg"):
+        (folder / name).parent.mkdir(exist_ok=True)
+        (folder / name).write_text("")
+    (folder / ".gitignore").write_text("built\n*.npy\nmaps/\n__pycache__/\nenvironment/\n")
+    projects.commit(folder)
+    said: list[str] = []
+    summary = made.project.execute(made.project.plan(*QUERY, runs=1), runner="here", observer=Observing(notice=said.append), figures=False)
+    assert (summary.executed, summary.failed) == (3, 0)
+    [note] = [text for text in said if "ignores" in text]
+    assert note.startswith("git ignores big.npy, maps/ in the project: nodes have of these only what the command")
+
+
+def test_what_changes_before_it_is_copied_for_nodes_is_named(clustered: Callable[..., Clustered]) -> None:
+    made = clustered()
+    log = made.simulated.folder / "asked.log"
+    log.write_text("")
+    projects.commit(made.simulated.folder)
+    plan = made.project.plan(*QUERY, runs=1)
+    log.write_text("note: …\n")
+    words = r"changed while they were being copied for the cluster: asked\.log \(where these are no code, write paths = "
+    with pytest.raises(Missing, match=words):
+        made.project.execute(plan, runner="here", figures=False)
+    assert made.project.run(*QUERY, runs=1, runner="here", figures=False).executed == 3
+
+
+def test_the_program_that_was_checked_is_the_one_that_executes(clustered: Callable[..., Clustered]) -> None:
+    made = clustered('tr "\\0" "\\n" < /proc/$$/cmdline | head -n 1 > called; ' + PRINTS)
+    assert '["sh", "sim.sh"' in (made.simulated.folder / "sierra.toml").read_text()
+    summary = made.project.run(*QUERY, runs=1, runner="here", figures=False)
+    assert (summary.executed, summary.failed) == (3, 0)
+    digest = hashlib.sha256(f"{shutil.which('sh')}\n".encode()).hexdigest()
+    assert made.rows("SELECT DISTINCT sha256 FROM artifacts WHERE path = 'called'") == [{"sha256": digest}]
+
+
+# containers
+
+
+@pytest.fixture
+def contained(here: type[Here], tmp_path: Path, require: Callable[..., str]) -> Callable[..., Project]:
+    require("busybox-static, as /bin/busybox", there=containers.BUSYBOX.exists())
+    require("mksquashfs")
+    require("apptainer")
+
+    def make(image: Callable[[Path], Path], *more: str) -> Project:
+        folder = containers.make(tmp_path / "project", image(tmp_path), 'engine = "apptainer"', *more)
+        with (folder / "sierra.toml").open("a") as file:
+            file.write(CLUSTER + "attempts = 1\n")
+        return sierra.open(folder)
+
+    return make
+
+
+def test_what_is_mounted_is_there_on_nodes_too(contained: Callable[..., Project], tmp_path: Path) -> None:
+    (tmp_path / "maps").mkdir()
+    (tmp_path / "maps" / "map").write_text("5\n")
+    project = contained(containers.busybox, f'mounts = {{ "/data" = "{tmp_path}/maps" }}')
+    summary = project.run("population_size=1", runner="here", figures=False)
+    assert (summary.executed, summary.failed) == (2, 0)
+
+
+def test_links_in_what_is_mounted_are_what_they_say_on_nodes_too(contained: Callable[..., Project], tmp_path: Path) -> None:
+    (tmp_path / "maps" / "old").mkdir(parents=True)
+    (tmp_path / "maps" / "latest").symlink_to("old")
+    (tmp_path / "maps" / "gone").symlink_to("nowhere")
+    project = contained(containers.busybox, f'mounts = {{ "/data" = "{tmp_path}/maps" }}')
+    summary = project.run("population_size=1", runner="here", figures=False)
+    assert (summary.executed, summary.failed) == (2, 0)
+
+
+@pytest.mark.parametrize("isolation", ["run", "worker"])
+def test_nothing_of_sierra_is_needed_on_nodes_by_containers(contained: Callable[..., Project], isolation: str) -> None:
+    project = contained(containers.python, f'isolation = "{isolation}"')
+    project.run("population_size=1", runner="here", detach=True, figures=False)
+    [jobs] = project.paths.store.glob("work/*/elements/0.jobs")
+    told = gzip.decompress(jobs.read_bytes()).decode()
+    for only_here in (Path(worker.__file__).parent, user_apptainer()):
+        assert f"{only_here}/" not in told
+    assert project.attach(jobs.parent.parent.name, figures=False).failed == 0
+
+
+def test_nodes_say_themselves_that_they_lack_a_device(contained: Callable[..., Project]) -> None:
+    if Path("/proc/driver/nvidia").exists():
+        pytest.skip("there is a driver of NVIDIA's here")
+    project = contained(containers.busybox, "gpu = true")
+    with pytest.raises(Missing, match=r"\[container\] gpu: /proc/driver/nvidia: No such file"):
+        project.run("population_size=1", runner="here", figures=False)
+    assert project.store.rows("SELECT * FROM executions") == []
+
+
+# what is held back until first runs tell how long runs take
+
+
+DIES = """
+import os, sierra
+from sierra.runners.base import schedulers
+from tests.integration.clusters.test_silent_failures import Here
+
+schedulers.SHIPPED["here"] = "tests.integration.clusters.test_silent_failures:Here"
+Here.submit = lambda self, request: os._exit(9)
+sierra.open(".").run("size=1,2,3", runs=8, runner="here", figures=False)
+"""
+"""A submitter that dies when it is about to hand over the first runs."""
+PACKS = '"${gate%/*}"/*/.sierra/work/*/results/*.pack'
+TOLD = f'gate="{{gate}}"; until grep -aqs "start.*$SIERRA_EXECUTION" {PACKS}; do sleep 0.02; done; '
+"""Waits until the element has told that the run has begun."""
+KILLS = 'case "$(cat "{gate}.which")" in *$SIERRA_RUN_ID*) ' + TOLD + "kill -9 $(ps -o ppid= $PPID);; esac; " + PRINTS
+
+
+@pytest.fixture
+def untold(clustered: Callable[..., Clustered]) -> Callable[..., Clustered]:
+    """A project whose runs go first, as nobody knows how long they take."""
+
+    def make(script: str, settings: str = "") -> Clustered:
+        made = clustered(script)
+        config = made.simulated.folder / "sierra.toml"
+        config.write_text(config.read_text().replace("array_tasks = 1\n", settings))
+        return made
+
+    return make
+
+
+def ask(made: Clustered, **how: Any) -> Summary:
+    project = made.project
+    return project.execute(project.plan(*QUERY, runs=8), runner="here", figures=False, **how)
+
+
+def refuse(monkeypatch: pytest.MonkeyPatch) -> None:
+    submit = Here.submit
+
+    def refused(self: Here, request: Request) -> str:
+        if request.elements[-1] > 0:
+            raise ConfigError("no such array")
+        return submit(self, request)
+
+    monkeypatch.setattr(Here, "submit", refused)
+
+
+def test_who_leaves_hears_what_is_refused_and_nothing_is_cancelled(
+    untold: Callable[..., Clustered], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = untold(WAITS)
+    said: list[str] = []
+
+    def watch(progress: Progress) -> None:
+        if progress.running and made.simulated.executed():
+            os.kill(os.getpid(), signal.SIGINT)
+
+    with monkeypatch.context() as patch:
+        refuse(patch)
+        ask(made, observer=Observing(watch, said.append))
+    assert any("no such array" in text for text in said)
+    made.gate.touch()
+    assert made.project.attach(made.session().name, figures=False).missing == 0
+    assert sorted(made.simulated.executed().values()) == [1] * 24
+
+
+def test_what_a_dead_submitter_had_not_handed_over_is_given_back_where_it_is_refused(
+    untold: Callable[..., Clustered], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = untold(PRINTS)
+    died = subprocess.run([sys.executable, "-c", DIES], cwd=made.simulated.folder, check=False, timeout=100)
+    assert died.returncode == 9
+    assert made.session().exists()
+
+    def refused(self: Here, request: Request) -> str:
+        raise ConfigError("no such account")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Here, "submit", refused)
+        with pytest.raises(ConfigError, match="no such account"):
+            ask(made)
+    assert made.simulated.work() == []
+    assert ask(made).missing == 0
+    assert sorted(made.simulated.executed().values()) == [1] * 24
+
+
+def test_runs_that_take_their_node_down_hold_nothing_up(untold: Callable[..., Clustered]) -> None:
+    made = untold(KILLS, "attempts = 1\n")
+    runs = made.project.plan(*QUERY, runs=8).batch.runs
+    made.gate.with_name("gate.which").write_text(f"{runs[0].id} {runs[-1].id}")
+    summary = ask(made)
+    assert (summary.failed, summary.executed, summary.missing) == (2, 24, 0)
+
+
+def track(path: Path, node: str, started: float, ahead: float) -> collect.Track:
+    """What is known of an attempt at element 0, on a node whose clock is ahead."""
+    attempt = Attempt(node, "s", 0, "1_0", node, started, 1, 1, None, None, {}, {}, {}, "3.11", ahead)
+    return collect.Track(Pack(path), 0, attempt, ahead=ahead)
+
+
+def test_the_last_attempt_is_the_last_though_a_node_before_had_a_clock_ahead(tmp_path: Path) -> None:
+    before, after = track(tmp_path / "a", "n1", 5000.0, 3600.0), track(tmp_path / "b", "n2", 2000.0, 0.0)
+    assert collect.last_of([before, after], 0) is after
+    assert collect.last_of([after, before], 0) is after
+    assert collect.last_of([before, after], 1) is None
+    assert before.since == 1400.0

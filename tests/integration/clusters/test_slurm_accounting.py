@@ -1,0 +1,118 @@
+"""Accounting that is really there: what a slurmdbd allows is kept to."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from tests import clusters, slurmdbd
+from tests.conftest import Simulated
+from tests.slurmdbd import Accounted
+from tests.waiting import until
+
+pytestmark = pytest.mark.real
+
+ASKED = ("run", "size=1", "--runs", "30", "--on", "slurm", "--no-figures")
+
+
+@pytest.fixture(scope="module")
+def cluster() -> Iterator[Accounted]:
+    with clusters.folder() as folder, Accounted(folder) as started:
+        yield started
+
+
+@pytest.fixture
+def project(
+    require: Callable[..., str],
+    request: pytest.FixtureRequest,
+    simulate: Callable[..., Simulated],
+    monkeypatch: pytest.MonkeyPatch,
+) -> Callable[[str], Simulated]:
+    """Makes a project that speaks to that cluster."""
+    slurmdbd.needed(require)
+    cluster: Accounted = request.getfixturevalue("cluster")
+    for name, value in cluster.environment.items():
+        monkeypatch.setenv(name, value)
+
+    def make(table: str) -> Simulated:
+        made = simulate()
+        config = made.folder / "sierra.toml"
+        config.write_text(config.read_text() + f"[runners.slurm]\n{table}\n")
+        return made
+
+    return make
+
+
+def test_the_default_qos_is_kept_to(project: Callable[[str], Simulated]) -> None:
+    asked = project("array_tasks = 30")
+    told = asked.ask(*ASKED, "-n", "--explain").stdout
+    assert re.search(r"^elements +4 +the jobs that the site allows \(MaxSubmitJobsPerUser of QOS small\)$", told, re.MULTILINE)
+    assert re.search(r"^longest wall +1200 +the site allows no more: MaxWall of QOS small$", told, re.MULTILINE)
+    done = asked.ask(*ASKED)
+    assert done.returncode == 0, done.stderr
+    assert "tried again" not in done.stderr
+    assert asked.sql("SELECT count(*) AS n FROM executions WHERE status = 'ok'") == [{"n": 30}]
+    account, qos = ("allocation->>'SLURM_JOB_" + name for name in ("ACCOUNT'", "QOS'"))
+    used = asked.sql(f"SELECT DISTINCT {account} AS account, {qos} AS qos FROM attempts")
+    assert used == [{"account": "physics", "qos": "small"}]
+
+
+@pytest.mark.nightly
+def test_accounting_has_good_work_as_completed(project: Callable[[str], Simulated], request: pytest.FixtureRequest) -> None:
+    cluster: Accounted = request.getfixturevalue("cluster")
+    asked = project("array_tasks = 4")
+    for runs in ("10", "20", "30"):
+        done = asked.ask("run", "size=1", "--runs", runs, "--on", "slurm", "--no-figures")
+        assert done.returncode == 0, done.stderr
+    jobs = ",".join(row["job"] for row in asked.sql("SELECT DISTINCT split_part(job, '_', 1) AS job FROM attempts"))
+
+    def told() -> list[str]:
+        return cluster.command("sacct", "-X", "-n", "-P", "-j", jobs, "--format=State").splitlines()
+
+    until(lambda: len(told()) == 12 and not {"PENDING", "RUNNING"} & set(told()), "accounting knows of all tasks")
+    assert set(told()) == {"COMPLETED"}
+
+
+@pytest.mark.nightly
+def test_another_qos_has_other_limits(project: Callable[[str], Simulated]) -> None:
+    told = project('array_tasks = 30\nqos = "normal"').ask(*ASKED, "-n", "--explain").stdout
+    assert re.search(r"^elements +30 +as sierra.toml says$", told, re.MULTILINE)
+    assert re.search(r"^longest wall +3600 +the site allows no more: MaxTime of partition debug$", told, re.MULTILINE)
+
+
+@pytest.mark.nightly
+def test_a_site_that_takes_fewer_than_it_said_gets_them_by_and_by(
+    project: Callable[[str], Simulated], request: pytest.FixtureRequest
+) -> None:
+    cluster: Accounted = request.getfixturevalue("cluster")
+    held = cluster.command("sbatch", "--parsable", "--hold", "--array=0-2", "--output=/dev/null", "--wrap=true")
+    asked = project("array_tasks = 4")
+    process = asked.start(*ASKED)
+    asked.until_executed(1, process)
+    cluster.command("scancel", held)
+    done = asked.end_of(process, 100)
+    assert done.returncode == 0, done.stderr
+    assert asked.sql("SELECT count(*) AS n FROM executions WHERE status = 'ok'") == [{"n": 30}]
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize(
+    ("table", "words"),
+    [
+        ('account = "chemistry"', "account 'chemistry' is none of yours on this cluster; there are "),
+        ('qos = "high"', "QOS 'high' is none of account 'physics'; there are "),
+        ("wall = 1800", "more than the site allows, 1200 s (MaxWall of QOS small)"),
+    ],
+)
+def test_what_is_not_the_users_is_one_line_before_anything_is_lost(
+    project: Callable[[str], Simulated], table: str, words: str
+) -> None:
+    asked = project(table)
+    done = asked.ask(*ASKED)
+    assert done.returncode == 2
+    [line] = [line for line in done.stderr.splitlines() if line.startswith("sierra:")]
+    assert words in line
+    assert asked.executed().total() == 0
+    assert asked.work() == []

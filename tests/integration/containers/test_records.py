@@ -1,0 +1,349 @@
+"""What is recorded of containers is shown, compared, and kept: images by what is in them, and how executions were isolated."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+import sierra
+from sierra.containers.engines import capabilities
+from sierra.containers.engines.base import Capabilities
+from sierra.maintenance.findings import Kind
+from tests import containers, images, projects, stores
+from tests.unit.maintenance.test_fsck import seal
+
+pytestmark = pytest.mark.real
+LIMITS = '[limits]\nmemory = "64 MB"\n'
+VERSIONS = {"old": {"libc6": "2.36-9", "tzdata": "1"}, "new": {"libc6": "2.36-10", "zlib": "3"}}
+ENFORCED = Capabilities("podman 1, runc 1", enforced=frozenset({"cpus", "pids"}), user="root")
+IGNORED = Capabilities("podman 2, runc 1", enforced=frozenset({"pids"}), user="root")
+
+
+def image(folder: Path, name: str) -> Path:
+    """A shell, and packages as Debian writes them down."""
+    links = [(f"bin/{applet} -> busybox", "") for applet in ("sh", "sed", "cat")]
+    shell = images.layer(*((one, "") for one in containers.FOLDERS), ("bin/busybox", containers.BUSYBOX.read_bytes()), *links)
+    status = "".join(
+        f"Package: {package}\nStatus: install ok installed\nVersion: {version}\n\n"
+        for package, version in VERSIONS[name].items()
+    )
+    more = images.layer(("var/lib/dpkg/status", status), ("usr/lib/libm.so", name))
+    made = images.config([shell, more], config={"Env": [f"MODEL={name}"]}, history=[{"created_by": f"COPY {name}"}])
+    return images.docker_archive(folder / f"{name}.tar", [shell, more], made)
+
+
+def configure(root: Path, name: str, *more: str) -> None:
+    """Let the project's runs execute in this image; `more` are lines of [container]."""
+    before = (root / "sierra.toml").read_text().partition("[container]")[0]
+    container = "\n".join(("[container]", f'image = "../{name}.tar"', *more))
+    (root / "sierra.toml").write_text(f"{before}{container}\n")
+
+
+def succeed(root: Path, *words: str) -> str:
+    done = projects.quick(root, *words)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+def ask(root: Path, *words: str) -> str:
+    succeed(root, "run", *words, "--runs", "1", "--no-figures")
+    return str(sierra.open(root).batches[-1]["batch"])
+
+
+def make(folder: Path) -> Path:
+    """A project with the batches `old`, `new` in another image, and `reaching` in that one with more that it reaches."""
+    for name in VERSIONS:
+        image(folder, name)
+    root = projects.make(folder / "project", projects.CONFIG.replace("python3 sim.py {input}", "sh sim.sh {input}") + LIMITS)
+    (root / "sim.py").unlink()
+    (root / "sim.sh").write_text(containers.SIMULATOR)
+    for name in ("a", "b"):
+        (folder / "maps" / name).mkdir(parents=True)
+        (folder / "maps" / name / "town").write_text(name)
+    (folder / "maps" / "town").write_text("1")
+    batches = {}
+    with pytest.MonkeyPatch.context() as patch:
+        for called, able, name, more in (
+            ("old", ENFORCED, "old", ("cpus = 1.0", "pids = 50")),
+            ("new", IGNORED, "new", ("cpus = 1.0", "pids = 50")),
+            ("reaching", ENFORCED, "new", ("network = true", 'mounts = { "/maps" = "../maps" }')),
+        ):
+            patch.setattr(capabilities, "podman", lambda able=able: able)
+            configure(root, name, *more)
+            succeed(root, "image", "pin")
+            batches[called] = ask(root, "population_size=1")
+    (folder / "batches.json").write_text(json.dumps(batches))
+    return folder
+
+
+@pytest.fixture(scope="session")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Callable[[], Path]:
+    """Makes that, once: where it is asked for, it is known that all is there that it needs."""
+    folder = tmp_path_factory.mktemp("contained")
+
+    def once() -> Path:
+        return folder if (folder / "batches.json").exists() else make(folder)
+
+    return once
+
+
+@pytest.fixture
+def root(tmp_path: Path, made: Callable[[], Path], require: Callable[..., str]) -> Path:
+    """A copy of it, which a test may change."""
+    require("busybox-static, as /bin/busybox", there=containers.BUSYBOX.exists())
+    require("podman")
+    return stores.copy(made(), tmp_path / "copy") / "project"
+
+
+@pytest.fixture
+def batches(root: Path) -> dict[str, str]:
+    found: dict[str, str] = json.loads((root.parent / "batches.json").read_text())
+    return found
+
+
+def said(root: Path, *words: str) -> dict[str, Any]:
+    answer: dict[str, Any] = json.loads(projects.quick(root, *words, "--json").stdout)
+    return answer
+
+
+def execution(root: Path, batch: str) -> str:
+    [row] = sierra.open(root).sql("SELECT execution FROM executions WHERE batch = $b", b=batch).to_pylist()
+    return str(row["execution"])
+
+
+def forge(root: Path, table: str, change: Mapping[str, Any]) -> None:
+    """Write all rows of a table anew, changed, so that all hashes of files are right."""
+    for path in sorted(root.glob(f".sierra/segments/*/{table}.parquet")):
+        found = pq.read_table(path)
+        pq.write_table(pa.Table.from_pylist([{**row, **change} for row in found.to_pylist()], schema=found.schema), path)
+        seal(path.parent)
+
+
+# ---------------------------------------------------------------- shown
+
+
+@pytest.mark.parametrize("kind", ["batch", "execution"])
+def test_the_image_and_how_it_was_contained_are_shown(root: Path, batches: Mapping[str, str], kind: str) -> None:
+    identity = batches["old"] if kind == "batch" else execution(root, batches["old"])
+    shown = said(root, "show", identity)
+    assert shown["image"]["packages"] == {"dpkg": ["libc6==2.36-9", "tzdata==1"]}
+    assert (shown["image"]["name"], shown["image"]["kind"]) == ("../old.tar", "oci")
+    isolation = shown["isolation"] if kind == "execution" else shown["isolations"][0]
+    assert (isolation["engine"], isolation["version"], isolation["mode"]) == ("podman", "podman 1, runc 1", "run")
+    assert isolation["limits_enforced"] == {"cpus": 1.0, "pids": 50}
+    assert isolation["limits_asked"] == {"cpus": 1.0, "memory": 64_000_000, "pids": 50}
+    text = succeed(root, "show", identity)
+    for words in (shown["image"]["image"], "2 of dpkg", "COPY old", "nothing beyond it", "one for each run", "cpus 1, pids 50"):
+        assert words in text
+    assert "IGNORED" not in text
+
+
+@pytest.mark.nightly
+def test_a_limit_that_was_only_ignored_stands_out(root: Path, batches: Mapping[str, str]) -> None:
+    text = succeed(root, "show", batches["new"])
+    assert [line.split() for line in text.splitlines() if "IGNORED" in line] == [["LIMITS", "IGNORED", "cpus", "1"]]
+    assert "limits watched   memory 64 MB" in text
+    [isolation] = said(root, "show", batches["new"])["isolations"]
+    assert (isolation["limits_watched"], isolation["limits_ignored"]) == ({"memory": 64_000_000}, {"cpus": 1.0})
+
+
+def test_what_runs_reach_is_shown(root: Path, batches: Mapping[str, str]) -> None:
+    text = succeed(root, "show", execution(root, batches["reaching"]))
+    assert "mount /maps, network" in text
+    assert "/maps from /" in text
+
+
+@pytest.mark.nightly
+def test_an_execution_in_no_container_is_shown_as_such(root: Path, batches: Mapping[str, str]) -> None:
+    """As a replay on the host itself leaves it."""
+    one = execution(root, batches["old"])
+    forge(root, "isolations", {"isolation": "0" * 64})
+    assert "engine  not recorded" in succeed(root, "show", one)
+    forge(root, "executions", {"isolation": None})
+    assert "isolation: none; it was executed on the host itself" in succeed(root, "show", one)
+
+
+# ---------------------------------------------------------------- compared
+
+
+def differences(root: Path, *words: str) -> dict[tuple[str, str], dict[str, Any]]:
+    return {(one["kind"], one["name"]): one for one in said(root, "diff", *words)["differences"]}
+
+
+def test_images_are_compared_by_what_is_in_them(root: Path, batches: Mapping[str, str]) -> None:
+    found = differences(root, batches["old"], batches["new"])
+    names = [name for kind, name in found if kind == "image"]
+    assert names == ["image", "dpkg", "variables", "files"]
+    assert found["image", "image"]["line"].startswith("image: ../old.tar (sha256:")
+    packages = found["image", "dpkg"]
+    assert packages["line"].endswith("3 differ: libc6 2.36-9 → 2.36-10, zlib 3 new, tzdata 1 gone")
+    assert packages["after"] == {"libc6": "2.36-10", "tzdata": None, "zlib": "3"}
+    assert "MODEL old → new" in found["image", "variables"]["line"]
+    assert found["image", "files"]["line"].endswith("2 differ: usr/lib/libm.so, var/lib/dpkg/status")
+
+
+def test_isolations_are_compared_by_what_was_enforced(root: Path, batches: Mapping[str, str]) -> None:
+    found = differences(root, batches["old"], batches["new"])
+    told = {name: one["line"] for (kind, name), one in found.items() if kind == "isolation"}
+    assert told == {
+        "limits_enforced": "limits enforced: cpus 1 → nothing",
+        "limits_ignored": "limits ignored: cpus nothing → 1",
+        "version": "engine's version: podman 1, runc 1 → podman 2, runc 1",
+    }
+
+
+@pytest.mark.nightly
+def test_what_runs_reach_is_compared(root: Path, batches: Mapping[str, str]) -> None:
+    found = differences(root, batches["new"], batches["reaching"])
+    assert [name for kind, name in found if kind == "image"] == ["reach"]
+    assert "mount /maps is new, network is new" in found["image", "reach"]["line"]
+    assert found["isolation", "network"]["line"] == "network of the container: none → host"
+
+
+@pytest.mark.nightly
+def test_an_execution_in_a_container_is_compared_with_one_in_none(root: Path, batches: Mapping[str, str]) -> None:
+    (root / "sierra.toml").write_text((root / "sierra.toml").read_text().partition("[container]")[0])
+    plain = ask(root, "population_size=1")
+    found = differences(root, batches["old"], plain)
+    assert found["image", "image"]["line"].endswith(" → none")
+    assert found["isolation", "engine"]["line"] == "contained by: podman 1, runc 1 → none, on the host itself"
+
+
+@pytest.mark.nightly
+def test_what_is_in_an_image_is_compared_as_far_as_it_is_recorded(root: Path, batches: Mapping[str, str]) -> None:
+    for path in root.glob(".sierra/segments/*/images.parquet"):
+        path.unlink()
+    found = differences(root, batches["old"], batches["new"])
+    assert [name for kind, name in found if kind == "image"] == ["image"]
+    assert "of which nothing is recorded" in found["image", "image"]["line"]
+
+
+# ---------------------------------------------------------------- why runs are new
+
+
+def explained(root: Path) -> str:
+    return succeed(root, "run", "population_size=1", "--runs", "1", "--dry-run", "--explain")
+
+
+def test_another_image_makes_runs_new_and_its_packages_are_named(root: Path, batches: Mapping[str, str]) -> None:
+    succeed(root, "rm", batches["old"], batches["reaching"], "--yes")
+    configure(root, "old")
+    text = explained(root)
+    assert "the image was ../new.tar (sha256:" in text
+    assert "other packages in it: libc6 2.36-10 → 2.36-9 (dpkg), zlib 3 gone (dpkg), tzdata 1 new (dpkg)" in text
+    assert sierra.open(root).why(batches["new"]).next_run.differences[0].startswith("the image was ")
+
+
+@pytest.mark.nightly
+def test_why_tells_what_is_other_in_the_image(root: Path, batches: Mapping[str, str]) -> None:
+    text = succeed(root, "why", batches["new"])
+    assert "image: ../old.tar (sha256:" in text
+    assert "libc6 2.36-9 → 2.36-10" in text
+    assert "what runs reach beyond the image: mount /maps is new, network is new" in succeed(root, "why", batches["reaching"])
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize(
+    ("lines", "told"),
+    [
+        (['mounts = { "/maps" = "../maps" }'], "network is gone"),
+        (["network = true", 'devices = ["/dev/null"]'], "device /dev/null is new, mount /maps is gone"),
+    ],
+)
+def test_what_runs_reach_makes_them_new(root: Path, lines: list[str], told: str) -> None:
+    configure(root, "new", *lines)
+    assert f"what runs reach beyond the image has changed: {told}" in explained(root)
+
+
+@pytest.mark.nightly
+def test_mounted_files_that_changed_are_named(root: Path, batches: Mapping[str, str]) -> None:
+    assert "1 runs: reused" in explained(root)
+    maps = root.parent / "maps"
+    (maps / "town").write_text("2")
+    assert "{mount}/maps/town: 6b86b273ff recorded" in explained(root)
+    assert "{mount}/maps/town: 6b86b273ff recorded" in succeed(root, "why", batches["reaching"])
+
+
+@pytest.mark.nightly
+def test_mounted_files_that_changed_places_count(root: Path) -> None:
+    one, other = (root.parent / "maps" / folder / "town" for folder in ("a", "b"))
+    assert "1 runs: reused" in explained(root)
+    one.write_text("b")
+    other.write_text("a")
+    assert "1 runs: executed with other programs" in explained(root)
+
+
+# ---------------------------------------------------------------- kept
+
+
+def wrong(root: Path) -> set[Kind]:
+    return {finding.kind for finding in sierra.open(root).fsck().findings if not finding.kind.fine}
+
+
+def test_what_is_recorded_of_containers_is_sound(root: Path) -> None:
+    assert "sound: " in succeed(root, "fsck")
+    assert said(root, "fsck")["findings"] == []
+
+
+def test_how_executions_were_contained_is_recorded_with_them(root: Path) -> None:
+    """As after `kill -9`: what an asking records at its end is not there."""
+    for path in root.glob(".sierra/segments/*/sessions.parquet"):
+        shutil.rmtree(path.parent)
+    found = sierra.open(root).fsck()
+    assert found.executions == 3
+    assert all("contained" not in finding.what for finding in found.findings)
+    assert len(sierra.open(root).sql("SELECT DISTINCT isolation FROM isolations JOIN executions USING (isolation)")) == 3
+
+
+FORGED: dict[str, tuple[str, dict[str, Any], Kind]] = {
+    "a network": ("isolations", {"network": "none at all"}, Kind.INCONSISTENT),
+    "an isolation": ("isolations", {"isolation": "0" * 64}, Kind.LOST),
+    "an image": ("images", {"image": "sha256:" + "0" * 64}, Kind.LOST),
+    "a listing": ("images", {"files": "0" * 64}, Kind.LOST),
+}
+
+
+@pytest.mark.parametrize("what", FORGED)
+def test_a_forged_record_of_containers_is_found(root: Path, what: str) -> None:
+    table, change, kind = FORGED[what]
+    forge(root, table, change)
+    assert kind in wrong(root)
+
+
+def rows(root: Path, table: str) -> list[dict[str, Any]]:
+    found: list[dict[str, Any]] = sierra.open(root).sql(f"SELECT * FROM {table}").to_pylist()
+    return found
+
+
+@pytest.mark.nightly
+def test_what_only_a_removed_batch_needs_goes_and_what_others_need_stays(root: Path, batches: Mapping[str, str]) -> None:
+    named = {row["name"]: row for row in rows(root, "images")}
+    succeed(root, "rm", batches["reaching"], "--yes")
+    assert {row["name"] for row in rows(root, "images")} == {"../old.tar", "../new.tar"}
+    assert {row["network"] for row in rows(root, "isolations")} == {"none"}
+    succeed(root, "rm", batches["old"], "--yes")
+    assert [row["name"] for row in rows(root, "images")] == ["../new.tar"]
+    assert [row["version"] for row in rows(root, "isolations")] == ["podman 2, runc 1"]
+    kept = {row["sha256"] for row in sierra.open(root).sql("SELECT sha256 FROM objects").to_pylist()}
+    assert named["../new.tar"]["files"] in kept
+    assert named["../old.tar"]["files"] not in kept
+    assert wrong(root) == set()
+    succeed(root, "rm", batches["new"], "--yes")
+    assert rows(root, "images") == rows(root, "isolations") == []
+
+
+@pytest.mark.nightly
+def test_merged_segments_keep_what_is_recorded_of_containers(root: Path) -> None:
+    before = {table: sorted(map(str, rows(root, table))) for table in ("images", "isolations")}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("sierra.maintenance.gc.MANY", 2)
+        assert "9 small segments, merged into 3" in succeed(root, "gc", "--yes")
+    assert {table: sorted(map(str, rows(root, table))) for table in before} == before
+    assert wrong(root) == set()

@@ -1,0 +1,113 @@
+"""After a fault of any kind, the next `sierra run` makes the store that an undisturbed run makes. See tests/soak."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from random import Random
+from typing import Any
+
+import pytest
+
+from tests.soak import steps
+from tests.soak.faults import Action
+from tests.soak.steps import Place, Wanted, undisturbed
+from tests.tiers import at_night
+
+KILLED = (
+    "driver os.mkdir .sierra 1",
+    "driver os.rename .sierra/format 1",
+    "driver open .sierra/work/lock 1",
+    "driver os.mkdir .sierra/work/# 1",
+    "driver open .sierra/work/#/owner.# 1",
+    "driver fcntl.flock .sierra/work/#/lock 1",
+    "driver open .sierra/work/#/claims.json 1",
+    "driver os.rename .sierra/work/#/context.json 1",
+    "worker open .sierra/work/#/journal.jsonl 1",
+    "worker os.mkdir .sierra/work/#/# 5",
+    "worker open .sierra/work/#/#/input.xml 2",
+    "worker open .sierra/work/#/#/stdout 3",
+    "worker os.rmdir .sierra/work/#/#/home 4",
+    "driver os.mkdir .sierra/work/#/segment 2",
+    "driver open .sierra/work/#/segment/MANIFEST 1",
+    "driver os.rename .sierra/segments/#-# 1",
+    "driver os.rename .sierra/segments/#-# 2",
+    "driver os.remove swarm.csv 5",
+    "driver os.rmdir .sierra/work/#/# 12",
+    "driver os.remove .sierra/work/#/submission.json 1",
+    "driver os.remove .sierra/work/#/claims.json 1",
+    "driver os.remove .sierra/work/#/journal.jsonl 1",
+    "driver os.remove lock 1",
+    "driver os.rmdir .sierra/work/# 1",
+)
+"""Points at which SIERRA or its worker is killed; `python -m tests.soak --points` lists all that there are."""
+
+REFUSED: tuple[tuple[str, Action], ...] = (
+    ("driver os.mkdir .sierra/work/# 1", "EACCES"),
+    ("driver open .sierra/work/#/claims.json 1", "ENOSPC"),
+    ("worker os.mkdir .sierra/work/#/#/output 3", "ENOSPC"),
+    ("worker open .sierra/work/#/#/input.xml 6", "EIO"),
+    ("driver open .sierra/work/#/segment/MANIFEST 1", "ENOSPC"),
+    ("driver os.rename .sierra/segments/#-# 2", "EIO"),
+    ("driver os.remove swarm.csv 1", "EIO"),
+    ("driver os.rename .sierra/segments/#-# 1", "interrupt"),
+)
+"""Points at which the system refuses what is done, or the user presses Ctrl-C."""
+
+TIDYING = (
+    ("gc", "driver os.mkdir .sierra/work/#/old 1"),
+    ("gc", "driver os.rename .sierra/segments/#-# 1"),
+    ("gc", "driver os.rename .sierra/work/#/old/#-# 1"),
+    ("rm", "driver os.rename .sierra/segments/#-# 1"),
+    ("rm", "driver os.rename .sierra/work/#/old/#-# 1"),
+    ("rm", "driver os.remove output.swarm.parquet 1"),
+)
+"""Points at which a command that rewrites the store is killed."""
+
+
+@pytest.fixture
+def wanted(tmp_path_factory: pytest.TempPathFactory) -> Wanted:
+    """The content of the store after undisturbed runs."""
+    return undisturbed(tmp_path_factory.getbasetemp() / "soak")
+
+
+@pytest.fixture
+def place(tmp_path: Path) -> Place:
+    """A folder for a step, with chances that are always the same."""
+    return Place(tmp_path, Random(1), " two  blanks ")
+
+
+@pytest.mark.parametrize("point", [*KILLED[1::12], *at_night(set(KILLED) - set(KILLED[1::12]))])
+def test_a_kill_at_any_point_of_a_run_loses_nothing(place: Place, wanted: Wanted, point: str) -> None:
+    assert "not reached" not in steps.fault_at_a_point(place, wanted, point, "kill")
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize(("point", "action"), REFUSED)
+def test_an_operation_that_is_refused_loses_nothing(place: Place, wanted: Wanted, point: str, action: Action) -> None:
+    assert "not reached" not in steps.fault_at_a_point(place, wanted, point, action)
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize(("command", "point"), TIDYING)
+def test_a_kill_while_the_store_is_rewritten_loses_nothing(place: Place, wanted: Wanted, command: str, point: str) -> None:
+    done = steps.fault_in_maintenance(place, wanted, (command, "--yes"), point, "kill")
+    assert "not reached" not in done
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize(
+    "step", [steps.flipped_bit, steps.fuzzed_calls, steps.fuzzed_settings, steps.full_disk, steps.many_at_once]
+)
+def test_the_store_stays_sound_after(
+    step: Callable[[Place, Wanted], str], seed: int, tmp_path: Path, wanted: Wanted, require: Any
+) -> None:
+    require("the right to mount a disk", there="left out" not in step(Place(tmp_path, Random(seed)), wanted))
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("days", [-400, 2])
+def test_a_clock_that_was_wrong_decides_nothing(place: Place, wanted: Wanted, days: int, require: Any) -> None:
+    require("faketime")
+    steps.jumping_clock(place, wanted, days)

@@ -1,0 +1,604 @@
+"""Figures say what they show, hold where they come from, and are the same bytes each time."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import os
+import re
+import subprocess
+import sys
+import zlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import cache
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from PIL import Image
+
+from sierra.config import project_file
+from sierra.config.project_file import Figure
+from sierra.deliverables import figures
+from sierra.deliverables.figures.base import Drawing
+from sierra.errors import ConfigError, Missing, SierraError, UsageError
+from sierra.model import Axis
+
+SIZES = Axis("population_size", (1, 2, 4, 8), unit="robots")
+NAMES = Axis("scenario", ("low", "high"))
+SQL = "SELECT avg(value) -- ∓ t · sd / √n\nFROM samples WHERE value <> 'a''; &'"
+BATCH = "0123456789abcdef" * 4
+DC = "{http://purl.org/dc/elements/1.1/}"
+
+
+def table(experiments: int, times: int = 0, **changed: Any) -> pa.Table:
+    """Aggregates as `sierra.stats.aggregate` makes them: over time, or, without times, one row for each experiment."""
+    rows = experiments * (times or 1)
+    ordinal = np.repeat(np.arange(experiments), times or 1)
+    t = np.tile(np.arange(times or 1, dtype=float), experiments)
+    center = (ordinal + 1) * 10.0 + t
+    zero = np.zeros(rows, dtype=np.int64)
+    columns: dict[str, Any] = {"experiment": ordinal.astype(np.int32)}
+    columns |= {"t": t} if times else {"never": zero}
+    columns |= {"missing": zero, "infinite": zero, "n": zero + 10}
+    for name, shift in {
+        "mean": 0, "low": -1, "high": 1, "median": 0, "q1": -1, "q3": 1,
+        "whisker_low": -2, "whisker_high": 2, "iqm": 0, "iqm_low": -1, "iqm_high": 1,
+    }.items():  # fmt: skip
+        columns[name] = center + shift
+    return pa.table(columns | changed)
+
+
+def reduced(experiments: int, runs: int = 10) -> pa.Table:
+    values = [(e, f"{e}-{r}", (e + 1) * 10.0 + (r - runs / 2) / 2) for e in range(experiments) for r in range(runs)]
+    return pa.table(dict(zip(("experiment", "run", "value"), zip(*values, strict=True), strict=True)))
+
+
+def cells(axes: Sequence[Axis]) -> dict[int, dict[str, Any]]:
+    points = itertools.product(*(axis.values for axis in axes))
+    return {k: dict(zip((axis.name for axis in axes), point, strict=True)) for k, point in enumerate(points)}
+
+
+def drawing(
+    kind: str = "timeseries", axes: Sequence[Axis] = (SIZES,), tables: Mapping[str, Any] | None = None, **more: Any
+) -> Drawing:
+    """A drawing of generated data; `more` are options of the figure."""
+    count = len(cells(axes))
+    stacked = {"searching": table(count, 20), "carrying": table(count, 20)}
+    timed = kind in ("timeseries", "stacked")
+    given = tables or (stacked if kind == "stacked" else {"energy": table(count, 20 if timed else 0)})
+    return Drawing(
+        name=kind,
+        figure=Figure.model_validate({"kind": kind, "column": tuple(given), **more}),
+        axes=tuple(axes),
+        cells=cells(axes),
+        tables=given,
+        runs=reduced(count) if kind in ("box", "violin") else None,
+        note="mean, 95 % CI, n = 8–10; 2 of 40 runs absent",
+        sql=SQL,
+        batch=BATCH,
+        units={"energy": "J", "time": "s"},
+    )
+
+
+KINDS = ("timeseries", "summary", "box", "violin", "stacked")
+
+
+def texts(svg: bytes) -> str:
+    """All that is written in a figure, each text on a line."""
+    root = ElementTree.fromstring(svg)  # noqa: S314 - what we have just written ourselves
+    return "\n".join("".join(element.itertext()) for element in root.iter("{http://www.w3.org/2000/svg}text"))
+
+
+def svg(shown: Drawing) -> bytes:
+    return dict(figures.rendered(replace(shown, formats=("svg",))))["svg"]
+
+
+def xs(line: Any) -> list[float]:
+    """Where the points of a line are."""
+    return list(line.get_xdata())
+
+
+def said(shown: Drawing) -> str:
+    return texts(svg(shown))
+
+
+def flowing(shown: Drawing) -> str:
+    """What is written, in one line."""
+    return " ".join(said(shown).split())
+
+
+@cache
+def once(kind: str) -> list[tuple[str, bytes]]:
+    """A drawing of generated data, in all formats, as this process has drawn it first."""
+    return list(figures.rendered(drawing(kind, (SIZES, NAMES) if kind == "heatmap" else (SIZES,))))
+
+
+@pytest.mark.parametrize("kind", [*KINDS, "heatmap"])
+def test_each_kind_is_written_in_three_formats(kind: str, tmp_path: Path) -> None:
+    axes = (SIZES, NAMES) if kind == "heatmap" else (SIZES,)
+    paths = figures.draw(drawing(kind, axes), tmp_path / "new")
+    assert [path.name for path in paths] == [f"{kind}.png", f"{kind}.pdf", f"{kind}.svg"]
+    assert [path.read_bytes()[:4] for path in paths] == [b"\x89PNG", b"%PDF", b"<?xm"]
+    assert sorted(paths) == sorted((tmp_path / "new").iterdir())
+
+
+@pytest.mark.integration
+@pytest.mark.parametrize("kind", [*KINDS, "heatmap"])
+def test_the_same_data_give_the_same_bytes(kind: str) -> None:
+    axes = (SIZES, NAMES) if kind == "heatmap" else (SIZES,)
+    assert list(figures.rendered(drawing(kind, axes))) == once(kind)
+
+
+@pytest.mark.integration
+def test_another_process_at_another_time_draws_the_same_bytes() -> None:
+    code = (
+        "import sys, hashlib, importlib.util as u; s = u.spec_from_file_location('t', sys.argv[1]);"
+        "m = u.module_from_spec(s); s.loader.exec_module(m);"
+        "print([hashlib.sha256(d).hexdigest() for k in m.KINDS for _, d in m.figures.rendered(m.drawing(k))])"
+    )
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    another = environment | {"PYTHONHASHSEED": "2", "SOURCE_DATE_EPOCH": "1700000000", "TZ": "Asia/Tokyo"}
+    drawn = subprocess.run([sys.executable, "-c", code, __file__], env=another, capture_output=True, text=True, check=True)
+    assert drawn.stdout == f"{[sha256(data).hexdigest() for kind in KINDS for _, data in once(kind)]}\n"
+
+
+@pytest.mark.integration
+def test_the_users_own_settings_of_matplotlib_change_nothing_and_are_left_alone() -> None:
+    import matplotlib as mpl
+
+    before = figures.rendered(drawing())
+    with mpl.rc_context({"font.size": 20, "axes.facecolor": "red", "text.usetex": True}):
+        assert figures.rendered(drawing()) == before
+        assert mpl.rcParams["font.size"] == 20
+
+
+def test_importing_figures_imports_neither_matplotlib_nor_seaborn() -> None:
+    heavy = ("matplotlib", "seaborn", "numpy", "pyarrow")
+    code = f"import sys, sierra.deliverables.figures; print([m for m in {heavy} if m in sys.modules])"
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    out = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+    assert out.stdout.strip() == "[]"
+
+
+def test_a_png_holds_its_batch_and_its_sql(tmp_path: Path) -> None:
+    png, _, _ = figures.draw(drawing(), tmp_path)
+    with Image.open(png) as image:
+        image.load()
+        held: Mapping[str, str] = image.text  # type: ignore[attr-defined]
+    assert held["sierra:batch"] == BATCH
+    assert held["sierra:sql"] == SQL
+    assert held["Description"] == drawing().note
+
+
+def test_a_pdf_holds_its_batch_and_its_sql_and_no_date_and_embeds_its_fonts() -> None:
+    pdf = dict(figures.rendered(drawing()))["pdf"]
+    assert f"/Keywords (sierra batch {BATCH})".encode() in pdf
+    assert SQL.encode("utf-16-be") in _unescaped(pdf)
+    assert b"Date" not in pdf
+    assert b"/Subtype /Type0" in pdf or b"/Subtype /TrueType" in pdf
+    assert b"/Type3" not in pdf
+    assert any(b"begincmap" in stream for stream in _streams(pdf))
+
+
+def test_an_svg_holds_its_batch_and_its_sql_and_no_date() -> None:
+    data = svg(drawing())
+    root = ElementTree.fromstring(data)  # noqa: S314 - what we have just written ourselves
+    assert [element.text for element in root.iter(f"{DC}identifier")] == [BATCH]
+    assert ["".join(element.itertext()) for element in root.iter(f"{DC}source")] == [SQL]
+    assert not list(root.iter(f"{DC}date"))
+
+
+def test_text_in_an_svg_is_text_and_n_and_what_is_absent_are_said() -> None:
+    assert drawing().note in said(drawing())
+
+
+def test_labels_have_their_units_in_brackets() -> None:
+    assert {"time [s]", "energy [J]"} <= set(said(drawing()).splitlines())
+    assert {"population size [robots]", "final energy [J]"} <= set(said(drawing("summary")).splitlines())
+    timed = drawing("summary", measure="time_to", threshold=3)
+    assert "time until energy ≥ 3 [s]" in said(timed)
+
+
+def test_labels_that_are_given_are_taken_as_they_are() -> None:
+    shown = said(drawing("summary", xlabel="$N_r$ _x_", ylabel="E $ [µJ]", title=r"\alpha costs $5 or $6_"))
+    assert {"$N_r$ _x_", "E $ [µJ]", r"\alpha costs $5 or $6_"} <= set(shown.splitlines())
+
+
+def test_the_legend_says_the_values_and_n_where_it_differs() -> None:
+    assert set("1248") <= set(said(drawing()).splitlines())
+    changed = table(4, 20, n=np.repeat([10, 9, 10, 10], 20))
+    assert "2 (n = 9)" in said(drawing(tables={"energy": changed}))
+
+
+def test_the_legend_does_not_cover_data() -> None:
+    from sierra.deliverables.figures import style, timeseries
+
+    with style.applied():
+        figure = timeseries.timeseries(drawing())
+        style.settle(figure, drawing())
+        boxes = [legend.get_window_extent() for legend in figure.legends]
+        assert boxes
+        assert not any(plot.get_window_extent().overlaps(box) for plot in figure.axes for box in boxes)
+
+
+@pytest.mark.parametrize("kind", [*KINDS, "heatmap"])
+@pytest.mark.parametrize("title", ["", "A title " * 12])
+def test_nothing_that_is_written_lies_outside_or_on_something_else(kind: str, title: str) -> None:
+    from sierra.deliverables.figures import heatmap, style, summary, timeseries
+
+    long = Axis("terrain", tuple(f"a rather long name of terrain {k}" for k in range(4)))
+    shown = drawing(kind, (long, NAMES) if kind == "heatmap" else (long,), title=title)
+    painters = {"timeseries": timeseries.timeseries, "stacked": timeseries.stacked, "heatmap": heatmap.heatmap}
+    painters |= {"summary": summary.summary, "box": summary.box, "violin": summary.violin}
+    with style.applied():
+        figure = painters[kind](shown)
+        style.settle(figure, shown)
+        figure.canvas.draw()
+        outer = figure.bbox.padded(2)
+        boxes: list[Any] = [plot.get_tightbbox() for plot in figure.axes]
+        around = [item.get_window_extent() for item in (*figure.legends, *figure.texts)]
+        for box in (*boxes, *around):
+            assert outer.x0 <= box.x0
+            assert box.x1 <= outer.x1
+            assert outer.y0 <= box.y0
+            assert box.y1 <= outer.y1
+        for one, other in itertools.combinations(around, 2):
+            assert not one.overlaps(other)
+        assert not any(one.overlaps(other) for one in around for other in boxes)
+
+
+@pytest.mark.integration
+def test_thirty_experiments_have_a_colour_bar_and_not_thirty_entries() -> None:
+    many = Axis("max_speed", tuple(k / 10 for k in range(30)), unit="m/s")
+    lines = said(drawing(axes=(many,))).splitlines()
+    assert "max speed [m/s]" in lines
+    assert len(lines) < 35
+    names = Axis("scenario", tuple(f"scenario_{k}" for k in range(30)))
+    assert "scenario_28" in said(drawing(axes=(names,)))
+
+
+def test_a_log_scale_of_values_is_drawn_on_one() -> None:
+    from sierra.deliverables.figures import style, summary
+
+    with style.applied():
+        geometric = summary.summary(drawing("summary")).axes[0]
+        linear = summary.summary(drawing("summary", (Axis("speed", (1, 2, 3, 4)),))).axes[0]
+        names = summary.summary(drawing("summary", (Axis("s", ("a", "b", "c", "d")),))).axes[0]
+    assert [plot.get_xscale() for plot in (geometric, linear, names)] == ["log", "linear", "linear"]
+    assert [label.get_text() for label in geometric.get_xticklabels()] == ["1", "2", "4", "8"]
+    assert [line.get_linestyle() for line in names.lines if len(xs(line)) == 4][-1] == "None"
+
+
+def test_a_second_variable_gets_a_line_of_its_own_or_a_panel() -> None:
+    assert {"scenario", "low", "high"} <= set(said(drawing("summary", (SIZES, NAMES))).splitlines())
+    assert {"scenario = low", "scenario = high"} <= set(said(drawing("timeseries", (SIZES, NAMES))).splitlines())
+
+
+def test_a_heatmap_shows_its_numbers_and_hatches_what_is_missing() -> None:
+    full = drawing("heatmap", (SIZES, NAMES))
+    assert {"10", "80", "population size [robots]", "scenario", "final energy [J]"} <= set(said(full).splitlines())
+    holed = drawing("heatmap", (SIZES, NAMES), {"energy": table(8).slice(1)})
+    assert "10" not in said(holed).splitlines()
+    assert b"pattern" in svg(holed)
+    assert b"pattern" not in svg(full)
+
+
+def test_one_run_has_a_line_and_no_band() -> None:
+    from sierra.deliverables.figures import style, timeseries
+
+    none = pa.nulls(80, pa.float64())
+    alone = drawing(tables={"energy": table(4, 20, low=none, high=none)})
+    with style.applied():
+        assert len(timeseries.timeseries(drawing()).axes[0].collections) == 4
+        assert not timeseries.timeseries(alone).axes[0].collections
+
+
+def test_a_mark_is_hollow_where_runs_never_reached_the_threshold() -> None:
+    from sierra.deliverables.figures import style, summary
+
+    censored = table(4, never=np.array([0, 3, 0, 0]))
+    with style.applied():
+        plot = summary.summary(drawing("summary", tables={"energy": censored}, measure="time_to", threshold=1)).axes[0]
+    assert [xs(line) for line in plot.lines if line.get_markerfacecolor() == "white"] == [[2.0]]
+
+
+def test_experiments_in_which_no_run_reached_the_threshold_are_marked_at_the_upper_edge() -> None:
+    from sierra.deliverables.figures import style, summary
+
+    nan = np.array([10.0, 20.0, np.nan, np.nan])
+    late = table(4, n=np.array([10, 7, 0, 0]), never=np.array([0, 3, 10, 10]), mean=nan, low=nan, high=nan)
+    runs = reduced(2)
+    for kind, places in {"summary": [4.0, 8.0], "box": [2.0, 3.0], "violin": [2.0, 3.0]}.items():
+        shown = replace(drawing(kind, tables={"energy": late}, measure="time_to", threshold=1), runs=runs)
+        with style.applied():
+            plot = getattr(summary, kind)(shown).axes[0]
+        marks = [line for line in plot.lines if line.get_marker() == "^" and len(xs(line))]
+        assert sorted(x for line in marks for x in xs(line)) == places
+        assert all(list(line.get_ydata()) == [1.0] * len(xs(line)) for line in marks)
+
+
+def ragged(n: int = 2, reach: float = 500.0) -> dict[str, Any]:
+    """Lines of ten runs that end early but for `n`, whose interval then reaches far."""
+    few = np.tile(np.arange(20) >= 15, 4)
+    center = table(4, 20).column("mean").to_numpy()
+    half = np.where(few, reach, 1.0)
+    return {"energy": table(4, 20, n=np.where(few, n, 10), low=center - half, high=center + half)}
+
+
+def plot_of(shown: Drawing) -> Any:
+    from sierra.deliverables.figures import style, summary, timeseries
+
+    with style.applied():
+        return {"timeseries": timeseries.timeseries, "summary": summary.summary}[shown.figure.kind](shown).axes[0]
+
+
+@pytest.mark.integration
+def test_intervals_of_few_runs_do_not_set_the_range_and_are_said_to_be_cut_off() -> None:
+    shown = drawing(tables=ragged())
+    low, high = plot_of(shown).get_ylim()
+    assert 5 < low < 9  # the lines go from 10 to 59, their intervals are of ± 1
+    assert 60 < high < 64
+    assert "some intervals of n ≤ 2 are cut off" in flowing(shown)
+    assert figures.rendered(shown) == figures.rendered(shown)
+
+
+@pytest.mark.integration
+def test_intervals_that_have_room_or_are_of_most_of_the_runs_are_not_cut_off() -> None:
+    for tables in (ragged(n=6), ragged(reach=10.0), {"energy": table(4, 20)}):
+        shown = drawing(tables=tables)
+        low, high = plot_of(shown).get_ylim()
+        spread = tables["energy"]
+        assert low <= min(spread["low"].to_pylist())
+        assert high >= max(spread["high"].to_pylist())
+        assert "cut off" not in flowing(shown)
+
+
+def test_an_experiment_of_few_runs_does_not_set_the_range_of_a_summary() -> None:
+    few = table(4, n=np.array([10, 2, 10, 10]), low=np.array([9, -980, 29, 39.0]), high=np.array([11, 1020, 31, 41.0]))
+    shown = drawing("summary", tables={"energy": few})
+    assert plot_of(shown).get_ylim() == pytest.approx((9 - 1.6, 41 + 1.6))
+    assert "some intervals of n ≤ 2 are cut off" in flowing(shown)
+    wide = drawing("summary", tables={"energy": few}, log_y=True)
+    assert plot_of(wide).get_ylim() == pytest.approx((9 * (9 / 41) ** 0.05, 41 * (41 / 9) ** 0.05))
+
+
+@pytest.mark.integration
+def test_what_has_no_place_on_a_logarithmic_axis_is_said() -> None:
+    means = np.array([0.0, -1.0, 30.0, 40.0])
+    lacking = table(4, mean=means, low=means - 1, high=means + 1)
+    for kind, axes in (("summary", (SIZES,)), ("heatmap", (Axis("a", (1, 2)), Axis("b", (1, 2))))):
+        assert "log scale: 2 of 4 means not above 0 left out" in flowing(drawing(kind, axes, {"energy": lacking}, log_y=True))
+        assert "log scale" not in flowing(drawing(kind, axes, {"energy": lacking}))
+    wide = drawing(tables={"energy": table(4, 20, low=np.full(80, -5.0))}, log_y=True)
+    assert "log scale: intervals that reach 0 are cut off" in flowing(wide)
+    values = np.where(np.arange(40) % 10 == 0, 0.0, np.arange(40) + 1.0)
+    runs = pa.table({"experiment": np.repeat(np.arange(4), 10), "run": [str(k) for k in range(40)], "value": values})
+    for kind in ("box", "violin"):
+        assert "log scale: 4 of 40 runs not above 0 left out" in flowing(replace(drawing(kind, log_y=True), runs=runs))
+
+
+def test_a_run_without_a_place_does_not_take_the_density_of_the_others_away() -> None:
+    from sierra.deliverables.figures import style, summary
+
+    runs = reduced(4)
+    lowered = np.where(np.arange(40) % 10 == 0, 0.0, runs.column("value").to_numpy())
+    shown = replace(drawing("violin", log_y=True), runs=runs.set_column(2, "value", pa.array(lowered)))
+    with style.applied():
+        assert len(summary.violin(shown).axes[0].collections) == 4
+
+
+def test_the_colour_bar_of_a_logarithmic_heatmap_has_powers_of_ten_and_no_tex() -> None:
+    wide = table(8, mean=10.0 ** np.arange(-2, 6))
+    lines = said(drawing("heatmap", (SIZES, NAMES), {"energy": wide}, log_y=True)).splitlines()
+    assert {"0.01", "100", "10⁴", "1e5"} <= set(lines)
+    assert not [line for line in lines if "$" in line or "e+" in line]
+
+
+def test_intervals_of_several_groups_at_one_number_lie_side_by_side() -> None:
+    plot = plot_of(drawing("summary", (SIZES, NAMES)))
+    marks = [line for line in plot.lines if line.get_linestyle() == "None" and len(xs(line)) == 4 and line.get_marker() in "os"]
+    places = [line.get_transform().transform([(2.0, 20.0)])[0][0] for line in marks]
+    assert [xs(line) for line in marks] == [[1, 2, 4, 8]] * 2
+    assert places[1] - places[0] == pytest.approx(1.6 * 300 / 72)
+    assert len(plot.collections) == 2
+    assert {bar.get_transform().transform([(2.0, 20.0)])[0][0] for bar in plot.collections} == set(places)
+
+
+@pytest.mark.parametrize("axis", [SIZES, NAMES, Axis("terrain", tuple(f"terrain {k}" for k in range(12)))])
+@pytest.mark.parametrize("kind", ["timeseries", "summary"])
+def test_no_two_lines_differ_by_their_colour_alone(axis: Axis, kind: str) -> None:
+    from sierra.deliverables.figures import style
+
+    axes = (axis,) if kind == "timeseries" else (SIZES, axis)
+    looks = style.looks(axis)
+    assert len({str(look["linestyle"]) for look in looks}) == min(len(axis.values), 8)
+    assert len({(str(look["color"]), str(look["linestyle"])) for look in looks}) == len(axis.values)
+    entries = said(drawing(kind, axes)).splitlines()
+    assert {str(value) for value in axis.values} <= set(entries), "each has an entry in the legend"
+    styles = {str(line._dash_pattern) for line in plot_of(drawing(kind, axes)).lines if line.get_linestyle() != "None"}
+    assert len(styles) >= min(len(axis.values), 8)
+
+
+@pytest.mark.integration
+@pytest.mark.parametrize("kind", ["stacked", "timeseries"])
+def test_labels_of_many_panels_lie_within_the_figure_and_apart(kind: str) -> None:
+    from sierra.deliverables.figures import style, timeseries
+
+    axes = (Axis("population_size", (1, 2, 4), unit="robots"), Axis("communication_range", (0.25, 0.5, 1.5, 2.5), unit="m"))
+    shown = drawing(kind, axes, ylabel="the energy that all robots have used together")
+    with style.applied():
+        figure = timeseries.stacked(shown) if kind == "stacked" else timeseries.timeseries(shown)
+        style.settle(figure, shown)
+        figure.canvas.draw()
+        outer = figure.bbox.padded(2)
+        titles = [plot.title.get_window_extent() for plot in figure.axes]
+        labels = [label.get_window_extent() for plot in figure.axes for label in (plot.xaxis.label, plot.yaxis.label)]
+        boxes = [box for box in (*titles, *labels) if box.width > 0]
+        for box in boxes:
+            assert outer.x0 <= box.x0
+            assert box.x1 <= outer.x1
+            assert outer.y0 <= box.y0
+            assert box.y1 <= outer.y1
+        for one, other in itertools.combinations(boxes, 2):
+            assert not one.overlaps(other)
+
+
+def test_marks_at_zero_do_not_go_below_it() -> None:
+    plot = plot_of(drawing("summary", (Axis("noise", (0.0, 0.5, 1.0, 1.5)), NAMES)))
+    zero = plot.transData.transform([(0.0, 20.0)])[0][0]
+    marks = [line for line in plot.lines if line.get_linestyle() == "None" and len(xs(line)) == 4]
+    assert marks
+    assert min(line.get_transform().transform([(0.0, 20.0)])[0][0] for line in marks) >= zero - 0.01
+
+
+@pytest.mark.integration
+@pytest.mark.parametrize("first", [SIZES, Axis("noise", (0.0, 0.5, 1.0, 1.5))])
+@pytest.mark.parametrize("count", [3, 12, 60])
+def test_marks_of_all_groups_lie_within_the_plot(first: Axis, count: int) -> None:
+    from sierra.deliverables.figures import style, summary
+
+    shown = drawing("summary", (first, Axis("terrain", tuple(f"terrain {k}" for k in range(count)))))
+    with style.applied():
+        figure = summary.summary(shown)
+        style.settle(figure, shown)
+        figure.canvas.draw()
+        plot, *_ = figure.axes
+        marks = [line for line in plot.lines if line.get_linestyle() == "None" and len(xs(line)) == 4]
+        assert len(marks) >= count
+        for line in marks:
+            places = line.get_transform().transform(line.get_xydata())[:, 0]
+            assert plot.bbox.x0 <= min(places)
+            assert max(places) <= plot.bbox.x1
+
+
+@pytest.mark.parametrize(
+    ("keys", "complaint"),
+    [
+        ({"kind": "box", "times": "linear"}, '"times" goes with kind "timeseries" or "stacked", not \'box\''),
+        ({"times": "cubic"}, "figures.f.times should be 'own', 'carry' or 'linear', not \"cubic\""),
+        ({"kind": "box", "threshold": 1.0}, '"threshold" goes with measure = "time_to"'),
+        ({"measure": "mean"}, "measure 'mean' needs another kind, as in: kind = \"summary\""),
+        ({"kind": "box", "measure": "time_to", "threshold": float("nan")}, "should be a finite number"),
+    ],
+)
+def test_keys_of_a_figure_that_would_do_nothing_are_refused(keys: Mapping[str, Any], complaint: str) -> None:
+    with pytest.raises(ConfigError, match=re.escape(complaint)):
+        project_file.parse({"template": "t.xml", "figures": {"f": keys}}, "sierra.toml")
+
+
+@pytest.mark.integration
+def test_files_are_named_from_the_working_directory_where_that_is_shorter(simulate: Callable[..., Any]) -> None:
+    project = simulate()
+    project.quick("run", "size=1,2", "--runs", "2", "--no-figures")
+    listed = project.quick("figures").stdout.splitlines()
+    assert listed
+    assert all(re.fullmatch(r"figures/\w{10}/\w+\.(png|pdf|svg)", line) for line in listed)
+    assert set(listed) == {str(path.relative_to(project.folder)) for path in project.folder.glob("figures/*/*.*g")} | {
+        str(path.relative_to(project.folder)) for path in project.folder.glob("figures/*/*.pdf")
+    }
+    whole = json.loads(project.quick("figures", "--json").stdout)
+    assert whole == [str(project.folder / line) for line in listed]
+
+
+def nan_table(count: int, times: int) -> pa.Table:
+    holes = np.where(np.arange(count * (times or 1)) % 3 == 1, np.nan, 5.0)
+    holes[: times or 1] = np.nan
+    return table(count, times, **dict.fromkeys(("mean", "low", "high"), holes))
+
+
+ODD: Mapping[str, Any] = {
+    "one experiment": lambda k, n: ((Axis("size", (4,)),), None),
+    "no variable": lambda k, n: ((), None),
+    "missing values": lambda k, n: ((SIZES,), nan_table(4, n)),
+    "constant": lambda k, n: ((SIZES,), table(4, n, **dict.fromkeys(("mean", "low", "high"), np.full(4 * (n or 1), 3.0)))),
+    "huge": lambda k, n: ((SIZES,), table(4, n, mean=np.full(4 * (n or 1), 1e300), low=np.full(4 * (n or 1), -np.inf))),
+    "tiny": lambda k, n: (
+        (SIZES,),
+        table(4, n, **dict.fromkeys(("mean", "low", "high"), np.linspace(1e-300, 2e-300, 4 * (n or 1)))),
+    ),
+    "thirty": lambda k, n: ((Axis("size", tuple(range(1, 31))),), None),
+    "names": lambda k, n: (
+        (Axis("$x_1$", ("$", "_", "a" * 300, "日本\n\x00\u200b<&>"), label="% $ \\frac{ _", unit="µ$"),),
+        None,
+    ),
+    "three variables": lambda k, n: ((SIZES, NAMES, Axis("z", (0.1, 0.2))), None),
+}
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("case", ODD)
+def test_nothing_odd_in_the_data_keeps_a_figure_from_being_drawn(kind: str, case: str) -> None:
+    axes, odd = ODD[case](kind, 20 if kind in ("timeseries", "stacked") else 0)
+    tables = None if odd is None else dict.fromkeys(("searching", "other") if kind == "stacked" else ("energy",), odd)
+    drawn = drawing(kind, axes, tables, title="T_$", ylabel="{" * 99)
+    assert all(len(data) > 1000 for _, data in figures.rendered(drawn))
+    assert svg(drawing(kind, axes, tables, log_y=True))
+
+
+def test_one_time_is_drawn_as_a_mark() -> None:
+    from sierra.deliverables.figures import style, timeseries
+
+    with style.applied():
+        plot = timeseries.timeseries(drawing(tables={"energy": table(4, 1)})).axes[0]
+    assert sum(line.get_marker() == "o" and len(xs(line)) == 1 for line in plot.lines) == 4
+
+
+def test_nothing_to_draw_is_an_error_of_one_line(tmp_path: Path) -> None:
+    empty = table(4, 20, n=np.zeros(80, dtype=int))
+    for tables in ({"energy": empty}, {"energy": empty.slice(0, 0)}):
+        with pytest.raises(SierraError, match=r"^there is no value to draw$"):
+            figures.draw(drawing(tables=tables), tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("shown", "complaint"),
+    [
+        (drawing("summary", (Axis("noise", (0, 1)),), log_x=True), "log_x needs values above 0, noise has 0"),
+        (drawing(tables={"energy": table(4, 5, mean=np.full(20, -1.0))}, log_y=True), "log_y needs values above 0"),
+        (drawing("stacked", tables={"a": table(4, 5, mean=np.full(20, -1.0))}), "values of at least 0"),
+        (drawing("stacked", tables={"energy": table(4, 5), "lifted": table(4, 5)}), r"not energy \[J\], lifted \(no unit\)"),
+        (drawing(axes=(SIZES, Axis("seed", tuple(range(40))))), "40 panels are more than 36"),
+    ],
+)
+def test_data_that_do_not_suit_the_figure_are_refused(shown: Drawing, complaint: str, tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=complaint):
+        figures.draw(shown, tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("kind", [*KINDS, "heatmap"])
+def test_numbers_too_large_for_an_axis_are_refused(kind: str, tmp_path: Path) -> None:
+    shown = drawing(kind, (SIZES, NAMES) if kind == "heatmap" else (SIZES,))
+    large = {name: made.set_column(0, "mean", pa.array(np.full(made.num_rows, 1.7e308))) for name, made in shown.tables.items()}
+    with pytest.raises(SierraError, match=r"1\.7e\+308 is too large to be drawn"):
+        figures.draw(replace(shown, tables=large), tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("name", ["", "../up", "a/b", ".."])
+def test_a_figure_stays_in_its_folder(name: str, tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="cannot be the name"):
+        figures.draw(replace(drawing(), name=name), tmp_path)
+
+
+def test_a_folder_that_cannot_be_written_is_named(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(Missing, match=re.escape(str(tmp_path / "file"))):
+        figures.draw(drawing(), tmp_path / "file")
+
+
+def _unescaped(pdf: bytes) -> bytes:
+    return re.sub(rb"\\([\\()nr])", lambda m: {b"n": b"\n", b"r": b"\r"}.get(m[1], m[1]), pdf)
+
+
+def _streams(pdf: bytes) -> list[bytes]:
+    found = re.findall(rb"stream\r?\n(.*?)\r?\nendstream", pdf, re.DOTALL)
+    return [zlib.decompress(data) for data in found if data[:1] == b"x"]

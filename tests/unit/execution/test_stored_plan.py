@@ -1,0 +1,142 @@
+"""A recorded batch is executed by its id: what is missing of it, with the code, the inputs and the rules of then."""
+
+from __future__ import annotations
+
+import json
+import venv
+from pathlib import Path
+
+import pytest
+
+import sierra
+from tests import projects
+
+FAILING = (
+    projects.SIMULATOR
+    + """
+import os
+if count == 2 and not os.path.exists(sys.argv[2]):
+    sys.exit(7)
+"""
+)
+
+
+@pytest.fixture(params=["git", pytest.param("none", marks=pytest.mark.nightly)])
+def half(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[Path, str]:
+    """A project with a batch of which two of four runs have failed; they succeed once `mended` is there."""
+    config = projects.CONFIG.replace("{input}", f"{{input}} {tmp_path}/mended")
+    root = projects.make(tmp_path / "project", config, simulator=FAILING)
+    if request.param == "git":
+        projects.commit(root)
+    batch: str = sierra.open(root).run("population_size=1,2", figures=False).batch
+    (tmp_path / "mended").mkdir()  # a file would count as one that runs are made from
+    return root, batch
+
+
+def state(root: Path, batch: str) -> tuple[int, int]:
+    [row] = [row for row in sierra.open(root).batches if row["batch"] == batch]
+    return row["failed"], row["missing"]
+
+
+@pytest.mark.integration
+def test_what_is_missing_is_executed_with_the_code_and_the_inputs_of_then(half: tuple[Path, str]) -> None:
+    root, batch = half
+    assert state(root, batch) == (2, 0)
+    for name in ("sim.py", "arena.xml"):
+        (root / name).write_text("nothing that works")
+    (root / "sierra.toml").write_text((root / "sierra.toml").read_text().replace("runs = 2", "runs = 9"))
+    ended = projects.quick(root, "run", batch[:10], "--json", "--no-figures")
+    said = json.loads(ended.stdout)
+    assert (ended.returncode, said["batch"], said["executed"], said["reexecuted"], said["reused"]) == (0, batch, 2, 2, 2)
+    assert state(root, batch) == (0, 0)
+    rows = sierra.open(root).sql("SELECT population_size, avg(coverage) AS c FROM swarm WHERE tick = 4 GROUP BY 1 ORDER BY 1")
+    assert rows.column("population_size").to_pylist() == [1, 2]
+    assert (root / "sim.py").read_text() == "nothing that works"
+    assert not list(root.glob(".sierra/work/*/source"))
+
+
+@pytest.mark.integration
+def test_where_nothing_is_missing_nothing_is_executed_and_it_can_be_said_before(half: tuple[Path, str]) -> None:
+    root, batch = half
+    told = json.loads(projects.quick(root, "run", batch[:8], "-n", "--json").stdout)
+    assert (told["batch"], told["to_execute"]) == (batch, 2)
+    assert sierra.open(root).run(batch, figures=False).executed == 2
+    assert sierra.open(root).run(batch, figures=False).executed == 0
+
+
+@pytest.mark.integration
+def test_what_is_executed_so_is_judged_by_the_rules_of_then(half: tuple[Path, str]) -> None:
+    root, batch = half
+    (root / "sierra.toml").write_text((root / "sierra.toml").read_text() + '[outputs.never]\nfile = "never.csv"\n')
+    summary = sierra.open(root).run(batch, figures=False)
+    assert (summary.executed, summary.failed) == (2, 0)
+
+
+@pytest.mark.integration
+def test_only_a_batch_is_executed_so_and_nothing_may_be_changed(half: tuple[Path, str]) -> None:
+    root, batch = half
+    [row] = sierra.open(root).sql("SELECT run FROM runs LIMIT 1").to_pylist()
+    for words, said in (
+        ((row["run"],), f"is a run; what is missing is executed of a whole batch: sierra run {batch[:10]}"),
+        ((batch, "--runs", "3"), "is executed as it was recorded"),
+        (("0123456789",), "no batch, experiment, run or execution begins with"),
+    ):
+        ended = projects.quick(root, "run", *words)
+        assert (ended.returncode, said in ended.stderr, ended.stderr.count("\n")) == (2, True, 1)
+
+
+@pytest.mark.integration
+def test_a_query_of_that_name_is_meant_first(tmp_path: Path) -> None:
+    config = projects.CONFIG + '[queries]\ncafe = { criteria = "population_size=1" }\n'
+    root = projects.make(tmp_path / "project", config)
+    project = sierra.open(root)
+    project.run("population_size=1,2", figures=False)
+    assert project.run("cafe", figures=False).runs == 2
+
+
+@pytest.mark.integration
+def test_what_is_not_committed_neither_counts_nor_executes_where_it_is_to_be_ignored(tmp_path: Path) -> None:
+    root = projects.commit(projects.make(tmp_path / "project", projects.CONFIG + '[source]\ndirty = "ignore"\n'))
+    committed = sierra.open(root).run("population_size=1", figures=False).batch
+    other = projects.SIMULATOR.replace("count * tick", "count * tick + 1000")
+    (root / "sim.py").write_text(other)
+    project = sierra.open(root)
+    again = project.run("population_size=1", figures=False)
+    assert (again.batch, again.executed) == (committed, 0)
+    more = project.run("population_size=2", figures=False)
+    assert (more.executed, more.failed) == (2, 0)
+    [found] = project.sql("SELECT max(coverage) AS most FROM swarm").to_pylist()
+    assert found["most"] < 1000
+    assert project.replay(more.batch).verdict == "identical"
+    assert (root / "sim.py").read_text() == other
+
+
+@pytest.mark.integration
+@pytest.mark.parametrize("link", ["path", "editable"])
+def test_what_is_installed_from_the_project_does_not_execute_in_the_place_of_the_recorded(tmp_path: Path, link: str) -> None:
+    venv.create(tmp_path / "env", symlinks=True)
+    [installed] = (tmp_path / "env").glob("lib/python3*/site-packages")
+    simulator = "from swarm.model import f\n" + projects.SIMULATOR.replace("count * tick", "f(count * tick)")
+    config = projects.CONFIG.replace("python3", str(tmp_path / "env" / "bin" / "python"))
+    root = projects.make(tmp_path / "p", config, simulator=simulator)
+    model = root / "src" / "swarm" / "model.py"
+    model.parent.mkdir(parents=True)
+    model.write_text("def f(x): return x\n")
+    (installed / "swarm.pth").write_text(f"{root}/src\n")
+    if link == "editable":
+        info = installed / "swarm-1.dist-info"
+        info.mkdir()
+        (info / "direct_url.json").write_text(json.dumps({"url": root.as_uri(), "dir_info": {"editable": True}}))
+    projects.commit(root)
+    batch = sierra.open(root).run("population_size=1", figures=False).batch
+    assert sierra.open(root).replay(batch).notes == ()
+    assert "4 executed" not in projects.quick(root, "run", batch).stdout
+    model.write_text("def f(x): return x + 1000\n")
+    projects.commit(root, "second")
+    for words in (("replay", batch), ("run", batch)):
+        ended = projects.quick(root, *words)
+        assert (ended.returncode, ended.stderr.count("\n")) == (3, 1)
+        assert "where model.py is not the recorded one" in ended.stderr
+    (root / "sierra.toml").write_text(config + '[source]\ndirty = "ignore"\n')
+    model.write_text("def f(x): return x + 2000\n")
+    assert projects.quick(root, "run", "population_size=1").returncode == 3

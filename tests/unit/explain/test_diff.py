@@ -1,0 +1,414 @@
+"""What differs between two recorded things is told: all of it, what is likely to matter first, and what is the same."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import sierra
+from sierra.explain.diff.results import Mean, newcombe, welch
+from tests import projects, stores
+
+Make = Callable[..., Path]
+OTHER = projects.SIMULATOR.replace("count * tick", "count * tick + 1")
+STAMPED = projects.SIMULATOR + "open('log.txt', 'w').write(f'# written {__import__(\"time\").time_ns()}\\nfine\\n')\n"
+
+
+def git(root: Path, *words: str) -> None:
+    subprocess.run(["git", "-c", "user.name=a", "-c", "user.email=a@b", *words], cwd=root, check=True, capture_output=True)
+
+
+def made(folder: Path, simulator: str = projects.SIMULATOR, more: str = "") -> Path:
+    return projects.make(folder, projects.CONFIG + more, simulator=simulator)
+
+
+@pytest.fixture
+def make(tmp_path: Path) -> Make:
+    """Makes a project outside git."""
+    return partial(made, tmp_path / "project")
+
+
+@pytest.fixture(params=["git", pytest.param("none", marks=pytest.mark.nightly)])
+def make_either(request: pytest.FixtureRequest, tmp_path: Path) -> Make:
+    """Makes a project, in git and outside."""
+
+    def make(*parts: str) -> Path:
+        root = made(tmp_path / "project", *parts)
+        if request.param == "git":
+            first(root)
+        return root
+
+    return make
+
+
+def first(root: Path) -> None:
+    """Put a project into git."""
+    git(root, "init", "-q")
+    git(root, "add", ".")
+    git(root, "commit", "-q", "-m", "first")
+
+
+def ask(root: Path, *query: str, **more: Any) -> str:
+    return stores.ask(root, *(query or ("population_size=1,2",)), **more)
+
+
+def diff(root: Path, before: str, after: str) -> dict[str, Any]:
+    ended = projects.quick(root, "diff", before, after, "--json")
+    assert (ended.returncode, ended.stderr) == (1 if json.loads(ended.stdout)["differences"] else 0, "")
+    said: dict[str, Any] = json.loads(ended.stdout)
+    ranks = [one["rank"] for one in said["differences"]]
+    assert ranks == sorted(ranks)
+    assert not {one["kind"] for one in said["differences"]} & set(said["same"])
+    return said
+
+
+def kinds(said: dict[str, Any]) -> list[str]:
+    return list(dict.fromkeys(one["kind"] for one in said["differences"]))
+
+
+def lines(said: dict[str, Any], kind: str) -> list[str]:
+    return [one["line"] for one in said["differences"] if one["kind"] == kind]
+
+
+def executions(root: Path, purpose: str = "run") -> list[dict[str, Any]]:
+    rows: list[dict[str, Any]] = (
+        sierra.open(root).sql("SELECT * FROM executions WHERE purpose = $p ORDER BY started, execution", p=purpose).to_pylist()
+    )
+    return rows
+
+
+@pytest.mark.integration
+def test_a_changed_line_of_code_is_told_with_its_patch_and_with_what_came_of_it(make_either: Make) -> None:
+    root = make_either()
+    before = ask(root)
+    (root / "sim.py").write_text(OTHER)
+    said = diff(root, before, ask(root))
+    assert kinds(said) == ["source", "results"]
+    [source] = [one for one in said["differences"] if one["kind"] == "source"]
+    assert source["line"].startswith("source: 1 file differs: sim.py (+1 −1)")
+    assert (
+        "+        print(tick, count * tick + 1 + noise * (seed % 100), sep=',', file=file)".replace("','", '","')
+        in source["details"]
+    )
+    bytes_too, mean = [one for one in said["differences"] if one["kind"] == "results"]
+    assert bytes_too["line"] == "results: 4 of 4 runs wrote other bytes"
+    assert [now - was for was, now in zip(mean["before"], mean["after"], strict=True)] == pytest.approx([1, 1])
+    assert {"query", "command", "programs", "inputs", "seed", "environment", "rules"} <= set(said["same"])
+
+
+@pytest.mark.integration
+def test_code_that_changes_no_result_is_said_to_change_none(make_either: Make) -> None:
+    root = make_either()
+    before = ask(root)
+    (root / "sim.py").write_text(projects.SIMULATOR + "# more\n")
+    said = diff(root, before, ask(root))
+    assert kinds(said) == ["source"]
+    assert "results" in said["same"]
+    assert "commit" not in said["same"]
+
+
+@pytest.mark.integration
+def test_files_that_come_and_go_and_binary_ones_are_named(make_either: Make) -> None:
+    root = make_either()
+    (root / "old.txt").write_text("a\nb\n")
+    (root / "kept.txt").write_text("the same\n")
+    (root / "data.bin").write_bytes(b"\0one")
+    before = ask(root)
+    (root / "old.txt").unlink()
+    (root / "new.txt").write_text("c\n")
+    (root / "kept.txt").rename(root / "moved.txt")
+    (root / "data.bin").write_bytes(b"\0two")
+    [line] = lines(diff(root, before, ask(root)), "source")
+    assert "4 files differ: data.bin (binary), kept.txt → moved.txt, new.txt (added, +1 −0), old.txt (removed, +0 −2)" in line
+
+
+@pytest.mark.integration
+def test_commits_between_are_told_and_what_is_not_committed(tmp_path: Path) -> None:
+    root = projects.make(tmp_path)
+    first(root)
+    before = ask(root)
+    (root / "sim.py").write_text(OTHER)
+    git(root, "commit", "-q", "-a", "-m", "Add one")
+    middle = ask(root)
+    [source] = [one for one in diff(root, before, middle)["differences"] if one["kind"] == "source"]
+    assert source["line"].endswith("; 1 commit on")
+    assert source["details"][0].endswith(" Add one")
+    git(root, "commit", "-q", "--allow-empty", "-m", "Say nothing")
+    assert ask(root, "population_size=1,2", runs=3) != middle
+    (root / "sim.py").write_text(OTHER + "# not yet\n")
+    [source] = [one for one in diff(root, middle, ask(root))["differences"] if one["kind"] == "source"]
+    assert source["line"].endswith("; 1 commit on, with changes that are not committed")
+
+
+@pytest.mark.integration
+def test_the_same_files_of_another_commit_come_late(tmp_path: Path) -> None:
+    root = projects.make(tmp_path)
+    first(root)
+    before = ask(root)
+    git(root, "commit", "-q", "--allow-empty", "-m", "Say nothing")
+    said = diff(root, before, ask(root, "population_size=1,2,4"))
+    assert kinds(said) == ["query", "commit"]
+    assert "the same files; 1 commit on" in lines(said, "commit")[0]
+
+
+@pytest.mark.integration
+def test_where_git_has_lost_the_code_the_rest_is_told(tmp_path: Path) -> None:
+    root = projects.make(tmp_path)
+    first(root)
+    before = ask(root)
+    (root / "sim.py").write_text(OTHER)
+    git(root, "commit", "-q", "-a", "-m", "second")
+    after = ask(root)
+    shutil.rmtree(root / ".git")
+    git(root, "init", "-q")
+    [source] = [one for one in diff(root, before, after)["differences"] if one["kind"] == "source"]
+    assert "1 file differs: sim.py" in source["line"]
+    assert "not in git here" in source["line"]
+    assert any("neither in git nor in the store" in line for line in source["details"])
+
+
+@pytest.mark.integration
+def test_what_was_asked_stands_before_the_input_that_it_makes(make: Make) -> None:
+    root = make()
+    before = ask(root)
+    said = diff(root, before, ask(root, sets=[("//noise", "0.2")]))
+    assert kinds(said) == ["query", "inputs", "results"]
+    assert lines(said, "query") == ["--set //noise=0.2 is new"]
+    assert lines(said, "inputs") == ["input, as asked: //noise: 0.1 → 0.2 (in all 4 runs)"]
+
+
+@pytest.mark.integration
+def test_other_values_and_more_runs_are_told_and_what_both_have_is_compared(make: Make) -> None:
+    root = make()
+    before = ask(root, "population_size=1,2")
+    said = diff(root, before, ask(root, "population_size=2,4", runs=3))
+    assert lines(said, "query") == ["population_size: 1, 2 → 2, 4", "runs per experiment: 2 → 3"]
+    assert kinds(said) == ["query"]
+    assert any("2 runs are in both; of 2 of them the same execution counts" in note for note in said["notes"])
+
+
+@pytest.mark.integration
+def test_where_no_experiment_is_in_both_nothing_is_said_to_be_the_same(make: Make) -> None:
+    root = make()
+    said = diff(root, ask(root, "population_size=1,2"), ask(root, "population_size=3,4"))
+    assert not {"inputs", "seed", "results"} & set(said["same"])
+    assert any("no experiment is in both" in note for note in said["notes"])
+
+
+@pytest.mark.integration
+def test_an_axis_of_one_value_does_not_keep_experiments_apart(make: Make) -> None:
+    root = make()
+    said = diff(root, ask(root, "population_size=1,2"), ask(root, "population_size=1,2", "noise=0.3"))
+    assert lines(said, "inputs") == ["input: //noise: 0.1 → 0.3 (in all 4 runs)"]
+
+
+@pytest.mark.integration
+def test_two_experiments_and_two_runs(make: Make) -> None:
+    root = make()
+    batch = ask(root)
+    one, other = sierra.open(root).sql("SELECT experiment FROM experiments ORDER BY ordinal").column(0).to_pylist()
+    said = diff(root, one, other)
+    assert lines(said, "query") == ["population_size: 1 → 2"]
+    assert lines(said, "inputs") == ["input, as asked: //swarm/@count: 1 → 2 (in all 2 runs)"]
+    runs = sierra.open(root).sql("SELECT run FROM batch_runs WHERE ordinal = 0 ORDER BY number").column(0).to_pylist()
+    said = diff(root, *runs)
+    assert kinds(said) == ["seed", "inputs", "results"]
+    assert lines(said, "inputs")[0].startswith("input, the seed: //random/@seed: ")
+    assert "different: row 0: 'coverage' was " in lines(said, "results")[0]
+    assert batch
+
+
+@pytest.mark.integration
+def test_other_base_seeds_are_told(make: Make) -> None:
+    root = make()
+    before = ask(root)
+    based = 'seed = { set = "//random/@seed", base = 7 }'
+    (root / "sierra.toml").write_text(projects.CONFIG.replace('seed = "//random/@seed"', based))
+    said = diff(root, before, ask(root))
+    assert "base seed: 0 → 7" in lines(said, "seed")
+
+
+@pytest.mark.integration
+def test_a_template_that_is_only_written_differently_is_said_to_be(make: Make) -> None:
+    root = make()
+    before = ask(root)
+    (root / "arena.xml").write_text(projects.TEMPLATE.replace("an arena", "the arena"))
+    said = diff(root, before, ask(root))
+    assert kinds(said) == ["inputs", "template"]
+    assert "only written differently" in lines(said, "inputs")[0]
+
+
+@pytest.mark.integration
+def test_two_executions_with_other_programs(tmp_path: Path) -> None:
+    program = tmp_path / "sim"
+    root = projects.make(tmp_path / "project", projects.CONFIG.replace("python3 sim.py", str(program)))
+    for value in (1, 2):
+        program.write_text(f"#!/bin/sh\nprintf 'tick,v\\n0,{value}\\n' > out.csv\n")
+        program.chmod(0o755)
+        ask(root, "population_size=1", runs=1)
+    one, other = executions(root)
+    assert one["run"] == other["run"]
+    said = diff(root, one["execution"], other["execution"])
+    assert kinds(said) == ["programs", "results"]
+    assert lines(said, "programs")[0].startswith("sim: ")
+    assert "'v' was 1 and is 2" in lines(said, "results")[0]
+    assert kinds(diff(root, one["run"], one["execution"])) == ["programs", "results"]
+    assert diff(root, one["run"], other["execution"])["differences"] == []
+
+
+@pytest.mark.integration
+def test_a_failure_is_told(make: Make) -> None:
+    root = make("import sys, pathlib\nsys.exit(pathlib.Path(sys.argv[1]).read_text().count('count=\"2\"'))\n")
+    batch = ask(root)
+    runs = sierra.open(root).sql("SELECT run FROM batch_runs WHERE number = 0 ORDER BY ordinal").column(0).to_pylist()
+    assert lines(diff(root, *runs), "status") == ["status: ok → failed (exit status 1)"]
+    assert batch
+
+
+@pytest.mark.integration
+def test_other_rules_are_told_by_their_keys(make: Make) -> None:
+    root = make()
+    before = ask(root, "population_size=1")
+    (root / "sierra.toml").write_text(projects.CONFIG + '[success]\nmarker = "stdout"\ncontains = "fine"\n')
+    after = ask(root, "population_size=1", runs=3)
+    [rules] = [one for one in diff(root, before, after)["differences"] if one["kind"] == "rules"]
+    assert "success.contains nothing → fine" in rules["details"]
+
+
+@pytest.mark.integration
+def test_a_replay_is_the_same_as_its_record_but_for_what_is_volatile(make_either: Make) -> None:
+    root = make_either(STAMPED, '[outputs.log]\nfile = "log.txt"\nvolatile = ["^# written"]\n')
+    ask(root, "population_size=1", runs=1)
+    sierra.open(root).replay(executions(root)[0]["run"])
+    said = diff(root, executions(root)[0]["execution"], executions(root, "replay")[0]["execution"])
+    assert said["differences"] == []
+    assert "log.txt: only what is declared volatile differs" in said["notes"]
+
+
+@pytest.mark.integration
+def test_another_host_comes_after_all_that_is_likely_to_matter(tmp_path: Path, require: Callable[..., str]) -> None:
+    unshare = require("unshare")
+    alone = subprocess.run([unshare, "-r", "--uts", "hostname", "elsewhere"], capture_output=True, check=False)
+    require("a host name of one's own (unshare -r --uts)", there=alone.returncode == 0)
+    root = projects.make(tmp_path)
+    before = ask(root)
+    (root / "sim.py").write_text(OTHER)
+    elsewhere = f"hostname elsewhere && {projects.SIERRA} run population_size=1,2 --no-figures --json"
+    ended = subprocess.run(
+        [unshare, "-r", "--uts", "sh", "-c", elsewhere], cwd=root, capture_output=True, text=True, check=True
+    )
+    said = diff(root, before, json.loads(ended.stdout)["batch"])
+    assert kinds(said) == ["source", "environment", "results"]
+    assert lines(said, "environment")[-1].endswith(" → elsewhere")
+
+
+def test_nothing_differs_is_said_with_what_was_compared(make: Make) -> None:
+    root = make()
+    batch = ask(root)
+    ended = projects.quick(root, "diff", batch, batch[:10])
+    assert ended.returncode == 0
+    assert "no difference in query, platform, command, image, programs, source" in ended.stdout
+
+
+def test_what_cannot_be_compared_is_a_usage_error(make: Make) -> None:
+    root = make()
+    batch = ask(root)
+    for words in ((batch, executions(root)[0]["run"]), (batch, "ffff"), ("x", batch)):
+        ended = projects.quick(root, "diff", *words)
+        assert (ended.returncode, ended.stdout, ended.stderr.count("\n")) == (2, "", 1)
+
+
+@pytest.mark.integration
+def test_people_get_the_beginning_of_a_long_patch_and_all_of_it_when_they_ask(make: Make) -> None:
+    root = make()
+    before = ask(root)
+    (root / "sim.py").write_text(projects.SIMULATOR + "".join(f"# line {n}\n" for n in range(50)))
+    words = ("diff", before, ask(root))
+    short, whole = projects.quick(root, *words).stdout, projects.quick(root, *words, "--patch").stdout
+    assert "# line 49" not in short
+    assert "more lines (--patch shows them)" in short
+    assert "+# line 49" in whole
+
+
+@pytest.mark.integration
+def test_inputs_that_the_store_has_lost_are_noted_and_the_rest_is_told(make: Make) -> None:
+    root = make()
+    before = ask(root)
+    after = ask(root, sets=[("//noise", "0.2")])
+    for path in root.glob(".sierra/segments/*/objects.parquet"):
+        path.unlink()
+    said = diff(root, before, after)
+    assert lines(said, "query") == ["--set //noise=0.2 is new"]
+    assert "inputs" not in said["same"]
+    assert any("not in the store" in note for note in said["notes"])
+
+
+@pytest.mark.integration
+def test_what_was_never_executed_is_not_said_to_be_executed_with_the_same(make: Make) -> None:
+    root = make("import sys, time; time.sleep(0.4); sys.exit(1)\n")
+    sierra.open(root).run("population_size=1", runs=20, jobs=1, fail_fast=True, figures=False)
+    missing = "SELECT run FROM batch_runs WHERE run NOT IN (SELECT run FROM executions) ORDER BY number"
+    one, other, *_ = sierra.open(root).sql(missing).column(0).to_pylist()
+    said = diff(root, one, other)
+    assert kinds(said) == ["seed", "inputs"]
+    assert not {"results", "status", "programs", "environment"} & set(said["same"])
+    assert any("was never executed, so that no results are compared" in note for note in said["notes"])
+
+
+@pytest.mark.integration
+def test_results_that_are_no_tables_are_told_to_differ(make: Make) -> None:
+    root = make("open('picture.bin', 'wb').write(b'\\0one')\n")
+    before = ask(root)
+    (root / "sim.py").write_text("open('picture.bin', 'wb').write(b'\\0two')\n")
+    assert lines(diff(root, before, ask(root)), "results") == ["results: 4 of 4 runs wrote other bytes"]
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_interval_of_a_difference_is_welchs(seed: int) -> None:
+    import numpy as np
+    from scipy import stats
+
+    random = np.random.default_rng(seed)
+    one, other = random.normal(0, 1, 5 + seed), random.normal(1, 3, 9)
+    found = welch(*(Mean(len(x), float(x.mean()), float(x.std(ddof=1))) for x in (one, other)))
+    exact = stats.ttest_ind(other, one, equal_var=False).confidence_interval(0.95)
+    assert found is not None
+    assert found[0] <= exact.low
+    assert found[1] >= exact.high
+    assert found == pytest.approx((exact.low, exact.high), rel=0.1, abs=0.1)
+
+
+def test_the_interval_of_a_difference_of_rates_is_newcombes() -> None:
+    """The first example of his paper: 56 of 70 and 48 of 80."""
+    from scipy import stats
+
+    def rate(good: int, n: int) -> Mean:
+        interval = stats.binomtest(good, n).proportion_ci(0.95, method="wilson")
+        return Mean(n, good / n, 0.0, (interval.low, interval.high))
+
+    assert newcombe(rate(48, 80), rate(56, 70)) == pytest.approx((0.0524, 0.3339), abs=5e-5)
+    assert newcombe(rate(0, 5), Mean(5, 0.5, 0.1)) is None
+
+
+@pytest.mark.parametrize("scale", [1e-300, 1e-170, 1e170, 1e300])
+def test_the_interval_of_a_difference_is_the_same_at_any_magnitude(scale: float) -> None:
+    one, other = (welch(Mean(5, 1.0 * by, 0.5 * by), Mean(7, 2.0 * by, 0.25 * by)) for by in (1.0, scale))
+    assert one is not None
+    assert other == pytest.approx((one[0] * scale, one[1] * scale), rel=1e-12)
+
+
+@pytest.mark.integration
+def test_runs_that_left_nothing_but_logs_are_not_said_to_have_the_same_results(make: Make) -> None:
+    root = make("print(__import__('time').time_ns())\n")
+    ask(root, "population_size=1", runs=2)
+    one, other = executions(root)
+    said = diff(root, one["execution"], other["execution"])
+    assert "results" not in said["same"]
+    assert any("nothing was left but logs" in note for note in said["notes"])

@@ -1,0 +1,915 @@
+"""What runs write is recorded as it is, or said not to be: never averaged away. All through the public door."""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+import textwrap
+from collections.abc import Callable, Sequence
+from decimal import Decimal
+from pathlib import Path
+from typing import Any
+
+import duckdb
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+import sierra
+from sierra.errors import QueryError
+from sierra.execution.summary import Summary
+from sierra.ingest.model import Reading, Shape, Written
+from sierra.ingest.read import read
+from sierra.ingest.recorder import Recorder
+from sierra.project import Project
+from sierra.store.samples import Frame
+from sierra.worker import worker
+from tests import projects
+
+TOML = """
+template = "t.xml"
+command = "{python} -I -S sim.py {input}"
+seed = "//e/@seed"
+runs = 4
+[variables]
+n = "//e/@n"
+k = "//e/@k"
+"""
+SIM = """
+import os, pathlib, re, sys, time
+text = pathlib.Path(sys.argv[1]).read_text()
+seed, n, k = (int(re.search(rf' {name}="(\\d+)"', text)[1]) for name in ("seed", "n", "k"))
+def write(content, name="out.csv"):
+    pathlib.Path(name).write_bytes(content if isinstance(content, bytes) else content.encode())
+good = "tick,v\\n0,0.5\\n1,1.5\\n2,2.5\\n"
+"""
+
+Make = Callable[..., Project]
+
+
+@pytest.fixture
+def make(tmp_path: Path) -> Make:
+    """A project whose simulator is these lines of Python; they know `seed`, `n`, `k`, `good` and `write`."""
+
+    def make(lines: str, toml: str = "") -> Project:
+        (tmp_path / "sierra.toml").write_text(TOML + toml)
+        (tmp_path / "t.xml").write_text('<e seed="0" n="0" k="0"/>')
+        (tmp_path / "sim.py").write_text(SIM + textwrap.dedent(lines))
+        return sierra.open(tmp_path)
+
+    return make
+
+
+def run(project: Project, query: str = "n=1", **options: Any) -> Summary:
+    return project.run(query, figures=False, **options)
+
+
+def column(project: Project, name: str = "v", table: str = "out") -> list[Any]:
+    rows: list[Any] = project.sql(f'SELECT "{name}" FROM {table} ORDER BY number').column(0).to_pylist()
+    return rows
+
+
+def reasons(project: Project) -> list[str]:
+    """Why runs have failed, each once."""
+    rows: list[Any] = (
+        project.sql("SELECT DISTINCT reason FROM executions WHERE status <> 'ok' ORDER BY 1").column(0).to_pylist()
+    )
+    return rows
+
+
+def failed(project: Project) -> list[int]:
+    """The numbers of the runs that have failed."""
+    rows = project.sql("SELECT DISTINCT number FROM batch_runs JOIN executions USING (run) WHERE status <> 'ok' ORDER BY 1")
+    numbers: list[int] = rows.column(0).to_pylist()
+    return numbers
+
+
+# ---------------------------------------------------------------- what is as it should be
+
+
+@pytest.mark.parametrize("delimiter", [",", ";", "\t", "|"])
+@pytest.mark.parametrize("end", ["\n", "\r\n"])
+def test_any_delimiter_and_line_end_is_found_out(tmp_path: Path, delimiter: str, end: str) -> None:
+    content = f'a{delimiter}b{end}1{delimiter}"x{delimiter}""y""{end}z"{end}'
+    _, rows = table(tmp_path, [content.encode()] * 3)
+    assert rows == [(1, f'x{delimiter}"y"{end}z')] * 3
+
+
+def test_quoted_delimiters_in_a_header_are_no_delimiters(tmp_path: Path) -> None:
+    _, rows = table(tmp_path, [b'"a;b;c",d\n1,2\n'], names=True)
+    assert rows == [("a;b;c", "d"), (1, 2)]
+
+
+@pytest.mark.parametrize(
+    ("text", "values"),
+    [
+        ("\ufeffa\n1\n", [1]),
+        ("a, b\n 1 , 2\n", [1]),
+        ("a\n1e3\n-2.5E-1\n", [1000.0, -0.25]),
+        ("a\ninf\n-inf\n", [math.inf, -math.inf]),
+        ("a,b\n,1\n2,1\n", [None, 2]),
+        ("a\n1\n\n3\n", [1, None, 3]),
+        ("a\ntrue\nFalse\n", [True, False]),
+        ("a\ntrue\n1\n", ["true", "1"]),
+        ("a\n1\nx y\n", ["1", "x y"]),
+        ("a\n-0\n", [-0.0]),
+        ("a\n9223372036854775807\n", [2**63 - 1]),
+        ("a\n9223372036854775808\n1\n", [Decimal(2**63), Decimal(1)]),
+        ("a\n", []),
+        ("a\r1\r2\r", [1, 2]),
+        ("a,,\n1,2,3\n", [1]),
+        ("a\n12_34\n", ["12_34"]),
+        ("a\n0.5\n12_34\n", ["0.5", "12_34"]),
+        ("a\n1e400\n", ["1e400"]),
+        ("a\n1e-400\n", [0.0]),
+        ("a\n-nan\n1\n", [math.nan, 1.0]),
+        ("a\n0x10\n", ["0x10"]),
+        ("a\n2020-01-01\n", ["2020-01-01"]),
+    ],
+)
+def test_a_column_has_the_narrowest_type_that_keeps_its_values(tmp_path: Path, text: str, values: list[Any]) -> None:
+    reading, rows = table(tmp_path, [text.encode()])
+    assert not reading.faults
+    assert [repr(row[0]) for row in rows] == [repr(value) for value in values]
+
+
+@pytest.mark.integration
+def test_whole_numbers_that_have_fractions_in_one_run_are_not_rounded(make: Make) -> None:
+    project = make("write('v\\n1\\n' if seed % 5 else 'v\\n1.5\\n')\nwrite(f'{seed}', 'seed.txt')")
+    run(project, runs=20)
+    seeds = project.sql("SELECT seed, v FROM out JOIN runs USING (run)").to_pylist()
+    assert len(seeds) == 20
+    assert {row["v"] for row in seeds} == {1.0, 1.5}
+    assert all(row["v"] == (1.0 if row["seed"] % 5 else 1.5) for row in seeds)
+
+
+def test_flags_are_not_made_of_numbers_in_other_runs(tmp_path: Path) -> None:
+    files = [b"a\ntrue\n", *[b"a\nfalse\n"] * 3, b"a\n1\n", *[b"a\ntrue\n"] * 4]
+    reading, _ = table(tmp_path, files)
+    assert {key[0]: kinds["a"] for key, kinds in reading.columns.items()} == {
+        f"e{number}": "number" if number == 4 else "flag" for number in range(9)
+    }
+    assert {path.name for path in tmp_path.glob("target*")} == {"target.parquet", "target~1001.parquet"}
+
+
+def test_large_whole_numbers_hide_behind_empty_columns_and_stay_exact(tmp_path: Path) -> None:
+    empty = b"a,b\n,1\n"
+    _, rows = table(tmp_path, [empty, empty, empty, b"a,b\n1152921504606846977,1\n", empty, empty, empty])
+    assert {row[0] for row in rows} == {None, 2**60 + 1}
+
+
+def test_a_header_longer_than_what_the_worker_tells_is_read_whole(tmp_path: Path) -> None:
+    names = [f"robot_{number}" for number in range(900)]
+    content = ",".join(names) + "\n" + ",".join(["1"] * 900) + "\n"
+    reading, rows = table(tmp_path, [content.encode()] * 2)
+    assert not reading.faults
+    assert rows == [(1,) * 900] * 2
+
+
+def test_a_line_of_three_megabytes_is_read(tmp_path: Path) -> None:
+    reading, rows = table(tmp_path, [b"a\n" + b"x" * 3_000_000 + b"\n", b"a\ny\n"])
+    assert not reading.faults
+    assert sorted(len(row[0]) for row in rows) == [1, 3_000_000]
+
+
+def test_names_that_sql_finds_hard_are_kept(make: Make) -> None:
+    header = 'run,Run,"a ""b""",größe,select,N,,filename,experiment,place'
+    project = make(f"write({header!r} + chr(10) + ','.join(map(str, range(10))) + chr(10))")
+    summary = run(project, runs=1)
+    assert not summary.failed
+    [row] = project.sql("SELECT * FROM out").to_pylist()
+    known = ("run_", "Run__", 'a "b"', "größe", "select", "N_", "column6", "filename_", "experiment", "place")
+    assert [row[name] for name in known] == list(range(10))
+    assert row["n"] == 1
+    with Frame(project.store, summary.batch) as frame:
+        for place, name in enumerate(known):
+            frame.samples("out", name.replace("N_", "N"))
+            assert frame.sql("SELECT experiment, t, value FROM samples").to_pylist() == [
+                {"experiment": 0, "t": 0.0, "value": float(place)}
+            ]
+
+
+@pytest.mark.integration
+def test_outputs_are_called_so_that_sql_knows_them(make: Make) -> None:
+    names = ["a-b", "1st", "Runs", "select", "x y", "ü"]
+    project = make(f"for name in {names!r}: write(good, name + '.csv')")
+    assert not run(project).failed
+    assert set(project.store.outputs()) == {"a_b", "_1st", "Runs_", "select", "x_y", "_"}
+    for name in project.store.outputs():
+        assert project.sql(f'SELECT count(*) FROM "{name}"').column(0).to_pylist() == [12]
+
+
+def test_many_files_of_a_run_are_told_apart(make: Make) -> None:
+    toml = '[outputs.poses]\nfile = "p/*.csv"\n'
+    project = make("os.mkdir('p')\nfor i in range(3): write(f'x\\n{i}\\n', f'p/{i}.csv')", toml)
+    assert not run(project, runs=2).failed
+    rows = project.sql("SELECT number, file, x FROM poses ORDER BY number, x").to_pylist()
+    assert rows == [{"number": n, "file": f"p/{i}.csv", "x": i} for n in range(2) for i in range(3)]
+
+
+def test_what_is_no_table_is_kept_to_the_byte(make: Make) -> None:
+    project = make("write(bytes(range(256)), 'a.bin'); write('hello', 'notes.txt')")
+    run(project, runs=1)
+    for row in project.sql("SELECT path, sha256 FROM artifacts WHERE kind = 'file'").to_pylist():
+        assert project.store.object(row["sha256"]) == {"a.bin": bytes(range(256)), "notes.txt": b"hello"}[row["path"]]
+
+
+@pytest.mark.integration
+def test_rows_keep_their_order(make: Make) -> None:
+    project = make("write('i\\n' + ''.join(f'{i * 7919 % 100003}\\n' for i in range(100003)))")
+    summary = run(project, runs=3, jobs=2)
+    with Frame(project.store, summary.batch) as frame:
+        frame.samples("out", "i")
+        for number in range(3):
+            found = frame.sql("SELECT value FROM samples WHERE number = $n ORDER BY t", n=number).column(0).to_pylist()
+            assert found == [i * 7919 % 100003 for i in range(100003)]
+
+
+@pytest.mark.integration
+def test_rows_of_large_json_files_keep_their_order(tmp_path: Path) -> None:
+    lines = b"".join(b'{"i":%d,"s":"%s"}\n' % (i, b"x" * 900) for i in range(40_000))
+    _, rows = table(tmp_path, [lines, b'{"i":1,"s":"a"}\n'], "jsonl", columns="i", only="e0")
+    assert [row[0] for row in rows] == list(range(40_000))
+
+
+# ---------------------------------------------------------------- round trips
+
+
+FLOATS = st.floats() | st.sampled_from([5e-324, -0.0, 1e308, 2.2250738585072014e-308, 0.1])
+INTS = st.integers(-(2**63), 2**63 - 1)
+TEXTS = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\r\0"), min_size=1)
+COLUMNS = st.one_of(st.lists(each, min_size=1, max_size=6) for each in (FLOATS, INTS, st.integers(-(10**37), 10**37), TEXTS))
+
+
+@pytest.mark.integration
+@settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(values=COLUMNS)
+def test_values_come_back_exactly(tmp_path: Path, values: list[Any]) -> None:
+    quoted = [f'"{v}"'.replace('"', '""')[1:-1] if isinstance(v, str) else repr(v) for v in values]
+    reading, rows = table(tmp_path, [("k,a\n" + "".join(f"k,{text}\n" for text in quoted)).encode()])
+    assert not reading.faults
+    found = [row[1] for row in rows]
+    if all(isinstance(value, str) for value in values) and not all(isinstance(value, str) for value in found):
+        found = [None if value is None else values[place] for place, value in enumerate(found)]  # texts that are numbers
+    assert [repr(v) if isinstance(v, float) else v for v in found] == [repr(v) if isinstance(v, float) else v for v in values]
+
+
+@pytest.mark.integration
+@settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(values=COLUMNS)
+def test_values_come_back_exactly_from_json(tmp_path: Path, values: list[Any]) -> None:
+    content = "".join(json.dumps({"a": value}) + "\n" for value in values)
+    reading, rows = table(tmp_path, [content.encode()], "jsonl")
+    assert not reading.faults
+    assert [repr(row[0]) if isinstance(row[0], float) else row[0] for row in rows] == [
+        repr(value) if isinstance(value, float) else value for value in values
+    ]
+
+
+# ---------------------------------------------------------------- faults
+
+
+FAULTS = {
+    "too few fields": ("write(good.replace('1,1.5', '1'))", "line 3: too few fields (1, not 2): '1'"),
+    "cut short in a line": ("write(good[:-5])", "line 4: its last line is cut short"),
+    "a last line without its end": ("write(good[:-2])", "line 4: its last line is cut short"),
+    "fewer rows": ("write(good[:-6])", "has 2 rows where 3 of its 3 siblings have 3"),
+    "more rows": ("write(good + '3,3.5\\n')", "has 4 rows where 3 of its 3 siblings have 3"),
+    "a missing column": (
+        "write('tick\\n0\\n1\\n2\\n')",
+        "table 'out' lacks the column 'v' (its siblings have tick, v) (if that may be so",
+    ),
+    "a further column": ("write(good.replace('\\n', ',w\\n', 1).replace('5\\n', '5,1\\n'))", "has the further column 'w'"),
+    "another order": ("write('v,tick\\n0,0\\n0,1\\n0,2\\n')", "has its columns in another order"),
+    "text among numbers": ("write(good.replace('1.5', 'oops'))", "line 3: text where numbers are in column 'v': 'oops'"),
+    "the header again": ("write(good.replace('1,1.5', 'tick,v'))", "line 3: the header is there again: 'tick,v'"),
+    "a doubled header": ("write(good.replace('v', 'v,v', 1))", "line 1: the column 'v' is there twice"),
+    "too many fields": ("write(good.replace('1.5', '1.5,9'))", "line 3: too many fields (3, not 2)"),
+    "no bytes": ("write('')", "is empty; not even a header"),
+    "a header only": ("write('tick,v\\n')", "has 0 rows where 3 of its 3 siblings have 3"),
+    "no UTF-8": ("write(good.encode().replace(b'1.5', b'\\xff'))", "line 3: is not UTF-8"),
+    "an open quote": ("write(good.replace('2.5', '\"2.5'))", "line 4: quotes are not closed"),
+    "mixed line ends": ("write(good.replace('\\n', '\\r\\n', 2))", "some lines end in CR LF, and some in LF"),
+    "no table": ("pass", "table 'out' is not there; 3 of its 3 siblings have it"),
+    "one table more": (
+        "write(good); write(good, 'more.csv')",
+        "there is a table 'more', which 3 of its 3 siblings do not have",
+    ),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_one_faulty_run_is_noticed_and_said(make: Make, fault: str) -> None:
+    lines, said = FAULTS[fault]
+    project = make(f"if k and seed == BAD:\n    {lines}\nelse:\n    write(good)".replace("BAD", str(seeds(4)[2])))
+    summary = run(project, "k=1")
+    assert (summary.failed, summary.missing) == (1, 0)
+    [failure] = summary.failures
+    assert (failure.status, failure.number) == ("mismatch", 2)
+    assert said in failure.reason
+    assert project.sql("SELECT count(DISTINCT number), count(*) FROM out").to_pylist() == [
+        {"count(DISTINCT number)": 3, "count_star()": 9}
+    ]
+
+
+def seeds(count: int) -> list[int]:
+    from sierra.design.seeds import seed
+
+    return [seed(0, number) for number in range(count)]
+
+
+@pytest.mark.parametrize("bad", [(0,), (0, 1), pytest.param((3,), marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("fault", ["text among numbers", "a missing column", "fewer rows", "a last line without its end"])
+def test_wherever_the_faulty_runs_are_they_alone_are_blamed(make: Make, bad: tuple[int, ...], fault: str) -> None:
+    chosen = [seeds(4)[number] for number in bad]
+    project = make(f"if seed in {chosen}:\n    {FAULTS[fault][0]}\nelse:\n    write(good)")
+    assert run(project).failed == len(bad)
+    assert failed(project) == list(bad)
+
+
+@pytest.mark.integration
+@pytest.mark.parametrize("fault", ["text among numbers", "a missing column", "a last line without its end"])
+def test_a_faulty_run_that_was_recorded_first_is_found_by_those_that_follow(make: Make, fault: str) -> None:
+    lines = f"if seed == {seeds(1)[0]}:\n    {FAULTS[fault][0]}\nelse:\n    write(good)"
+    project = make(lines)
+    assert not run(project, runs=1).failed
+    summary = run(project, runs=5)
+    assert summary.failed == 1
+    assert failed(project) == [0]
+    assert project.sql("SELECT count(*) AS n FROM out").to_pylist() == [{"n": 12}]
+
+
+def test_a_fault_in_a_later_flush_is_noticed(tmp_path: Path) -> None:
+    good = b"a,b\n1,0.5\n"
+    first, _ = table(tmp_path, [good] * 5)
+    for bad in (b"a,b\n1,0.", b"a,b\n1\n"):
+        reading, rows = table(tmp_path, [bad], shape=first.shape)
+        assert len(reading.faults) == 1, bad
+        assert rows == []
+    reading, rows = table(tmp_path, [b"a,b\n1.5,2\n"], shape=first.shape)
+    assert not reading.faults
+    assert rows == [(1.5, 2)]
+
+
+def test_other_row_counts_are_kept_where_the_project_says_so(make: Make) -> None:
+    project = make(
+        f"write(good if seed != {seeds(2)[1]} else good + '3,3.5\\n')", '[outputs.out]\nfile = "out.csv"\nmismatch = "ragged"\n'
+    )
+    assert not run(project).failed
+    assert project.sql("SELECT count(*) AS n FROM out").to_pylist() == [{"n": 13}]
+
+
+def test_a_table_that_is_not_required_may_be_absent(make: Make) -> None:
+    toml = '[outputs.more]\nfile = "more.csv"\nrequired = false\n'
+    project = make(f"write(good)\nif seed == {seeds(1)[0]}: write(good, 'more.csv')", toml)
+    assert not run(project).failed
+    assert project.sql("SELECT DISTINCT number FROM more").to_pylist() == [{"number": 0}]
+
+
+def test_a_mismatch_is_listed_and_ends_the_command_with_1(make: Make) -> None:
+    project = make(f"write(good if seed != {seeds(2)[1]} else good[:-5])")
+    done = projects.quick(project.root, "run", "n=1", "--no-figures", "--json")
+    assert done.returncode == 1, done.stderr
+    [failure] = json.loads(done.stdout)["failures"]
+    assert failure["status"] == "mismatch"
+    assert "out.csv: line 4" in failure["reason"]
+
+
+def test_several_faults_in_one_batch_are_each_said(make: Make) -> None:
+    bad = seeds(10)
+    project = make(
+        f"""
+        if seed == {bad[1]}: write(good[:-5])
+        elif seed == {bad[4]}: write(good.replace('0.5', 'x'))
+        elif seed == {bad[7]}: write('tick\\n0\\n')
+        else: write(good)
+        """
+    )
+    summary = run(project, runs=10)
+    assert summary.failed == 3
+    assert failed(project) == [1, 4, 7]
+    assert len(reasons(project)) == 3
+    assert project.sql("SELECT count(*) AS n FROM out").to_pylist() == [{"n": 21}]
+
+
+@pytest.mark.parametrize(
+    ("bad", "said"),
+    [
+        (b'{"a":1,"b":', "line 1: is cut short, or no JSON"),
+        (b"[1]\n", "line 1: is not an object"),
+        (b'{"a":1,"b":"x"}\n{"a":1,"a":2,"b":"x"}\n', "line 2: the key 'a' is there twice"),
+    ],
+)
+def test_faulty_json_lines_are_noticed(tmp_path: Path, bad: bytes, said: str) -> None:
+    good = b'{"a":1,"b":"x"}\n'
+    reading, rows = table(tmp_path, [good, bad, good, good], "jsonl")
+    assert list(reading.faults) == ["e1"]
+    assert said in reading.faults["e1"]
+    assert rows == [(1, "x")] * 3
+
+
+def test_json_numbers_with_fractions_in_one_run_of_many_are_not_rounded(tmp_path: Path) -> None:
+    _, rows = table(tmp_path, [b'{"a":1}\n'] * 40 + [b'{"a":1.5}\n'] + [b'{"a":1}\n'] * 9, "jsonl")
+    assert sorted(row[0] for row in rows) == [1.0] * 49 + [1.5]
+
+
+@pytest.mark.parametrize("bad", [b"", b"PAR1 not really", b"cut"])
+def test_faulty_parquet_is_noticed(tmp_path: Path, bad: bytes) -> None:
+    good = parquet(tmp_path, {"a": [1, 2], "b": ["x", "y"]})
+    reading, rows = table(tmp_path, [good, good[: len(good) // 2] if bad == b"cut" else bad, good], "parquet")
+    assert list(reading.faults) == ["e1"]
+    assert rows == [(1, "x"), (2, "y")] * 2
+
+
+def test_where_text_begins_in_json_among_numbers_is_noted(tmp_path: Path) -> None:
+    good, bad = b'{"a":1,"b":"x"}\n', b'{"a":1,"b":"x"}\n{"a":"q","b":"x"}\n'
+    reading, _ = table(tmp_path, [good, bad, good, good], "jsonl")
+    assert reading.hints == {("e1", "out.jsonl"): {"a": "out.jsonl: line 2: text where numbers are in column 'a': 'q'"}}
+
+
+def test_decimals_that_no_table_can_hold_are_at_fault(tmp_path: Path) -> None:
+    wide, good = (pa.array([Decimal("1.5")], pa.decimal256(60, 20)), pa.array([Decimal("1.5")], pa.decimal128(38, 20)))
+    reading, rows = table(tmp_path, [parquet(tmp_path, {"v": column}) for column in (good, wide, good)], "parquet")
+    assert list(reading.faults) == ["e1"]
+    assert reading.faults["e1"].endswith("the column 'v' has decimals of more than 38 digits, the most that a table keeps")
+    assert len(rows) == 2
+
+
+def test_parquet_files_of_other_types_are_noticed_and_other_widths_joined(tmp_path: Path) -> None:
+    files = [{"a": [1]}, {"a": [1.5]}, {"a": ["x"]}, {"a": [2]}]
+    reading, rows = table(tmp_path, [parquet(tmp_path, file) for file in files], "parquet")
+    assert [kinds["a"] for kinds in reading.columns.values()] == ["number", "number", "number", "text"]
+    assert rows == [("1.0",), ("1.5",), ("x",), ("2.0",)]
+
+
+def test_values_of_parquet_come_back_exactly(tmp_path: Path) -> None:
+    values = {"i": [2**63 - 1], "u": pa.array([2**64 - 1], pa.uint64()), "f": [5e-324], "t": ["ü\n\"'"], "l": [[1, 2]]}
+    _, rows = table(tmp_path, [parquet(tmp_path, values)] * 2, "parquet")
+    assert rows == [(2**63 - 1, 2**64 - 1, 5e-324, "ü\n\"'", [1, 2])] * 2
+
+
+@pytest.mark.integration
+def test_batches_with_other_column_types_are_asked_together(make: Make) -> None:
+    project = make("write({1: 'v\\n1\\n', 2: 'v\\n0.1\\n', 3: 'v\\nx\\n', 4: 'v\\n\\n\\n'}[n])")
+    for n, kind in ((1, "BIGINT"), (2, "DOUBLE"), (4, "DOUBLE"), (3, "DOUBLE")):
+        assert not run(project, f"n={n}", runs=2).failed
+        assert project.sql("DESCRIBE SELECT v FROM out").to_pylist()[0]["column_type"] == kind
+    found = project.sql("SELECT n, v, v_text FROM out GROUP BY ALL ORDER BY n").to_pylist()
+    assert [tuple(row.values()) for row in found] == [(1, 1.0, None), (2, 0.1, None), (3, None, "x"), (4, None, None)]
+
+
+# ---------------------------------------------------------------- helpers
+
+
+def parquet(folder: Path, columns: dict[str, Any]) -> bytes:
+    pq.write_table(pa.table(columns), folder / "made.parquet")
+    return (folder / "made.parquet").read_bytes()
+
+
+def table(
+    folder: Path,
+    contents: Sequence[bytes],
+    kind: Any = "csv",
+    *,
+    shape: Shape | None = None,
+    columns: str = "* EXCLUDE (run, execution)",
+    only: str = "%",
+    names: bool = False,
+) -> tuple[Reading, list[tuple[Any, ...]]]:
+    """Read files as recording does: what came of it, and the rows by run."""
+    target = folder / "target.parquet"
+    files = []
+    for number, content in enumerate(contents):
+        path = folder / f"{number}.{kind}"
+        path.write_bytes(content)
+        seen = worker.describe(str(path), f"out.{kind}")
+        facts = (seen["path"], seen["head"], seen["lines"], seen["ended"], seen["bytes"])
+        files.append(Written(str(path), f"r{number}", f"e{number}", *facts))
+    for old in folder.glob("target*.parquet"):
+        old.unlink()
+    with duckdb.connect() as connection:
+        reading = read(connection, files, shape or Shape(kind), target)
+        if not any(folder.glob("target*.parquet")):
+            return reading, []
+        source = f"read_parquet('{folder}/target*.parquet', file_row_number = true, union_by_name = true)"
+        found = connection.execute(
+            f"SELECT {columns} FROM {source} WHERE execution LIKE $only ORDER BY run, file_row_number".replace(
+                "* EXCLUDE (run", "* EXCLUDE (file_row_number, run"
+            ),
+            {"only": only},
+        )
+        rows = found.fetchall()
+        head = [tuple(name for name, *_ in found.description or ())] if names else []
+        return reading, [*head, *rows]
+
+
+COLUMNS_BY_N = """
+names = ["tick", "v", *(f"x{robot}" for robot in range(n))]
+write("".join(",".join(row) + "\\n" for row in [names, *([str(t)] * len(names) for t in range(3))]))
+"""
+
+
+def as_parquet(names: Sequence[str]) -> bytes:
+    file = io.BytesIO()
+    pq.write_table(pa.table({name: [0, 1, 2] for name in names}), file)
+    return file.getvalue()
+
+
+BY_N = {
+    "csv": COLUMNS_BY_N,
+    "jsonl": """
+import json
+names = ["tick", "v", *(f"x{robot}" for robot in range(n))]
+write("".join(json.dumps({name: t for name in names}) + "\\n" for t in range(3)), "out.jsonl")
+""",
+    "parquet": """
+write(FILES[len(range(n))], "out.parquet")
+""".replace("FILES", repr({n: as_parquet(["tick", "v", *(f"x{robot}" for robot in range(n))]) for n in (1, 2, 3)})),
+}
+"""A simulator whose columns depend on `n`, in each format."""
+
+
+@pytest.mark.parametrize("kind", BY_N)
+def test_columns_may_differ_between_experiments(make: Make, kind: str) -> None:
+    project = make(BY_N[kind])
+    summary = run(project, "n=1,2,3", runs=2)
+    assert (summary.failed, summary.missing) == (0, 0)
+    rows = project.sql(
+        "SELECT n, count(*) AS rows, count(x0) AS x0, count(x2) AS x2 FROM out GROUP BY ALL ORDER BY n"
+    ).to_pylist()
+    assert rows == [{"n": n, "rows": 6, "x0": 6, "x2": 6 * (n == 3)} for n in (1, 2, 3)]
+
+
+@pytest.mark.parametrize("kind", BY_N)
+def test_other_columns_than_the_siblings_fail_a_run(make: Make, kind: str) -> None:
+    project = make(BY_N[kind].replace("range(n)", f"range(1 + (seed == {seeds(2)[1]}))"))
+    assert run(project, "n=1,2").failed == 2
+    assert failed(project) == [1]
+    [reason] = reasons(project)
+    assert "has the further column 'x1' (its siblings have " in reason
+    assert f'(if that may be so: file = "out.{kind}", mismatch = "ragged" in [outputs.out])' in reason
+
+
+@pytest.mark.parametrize("kind", BY_N)
+def test_columns_may_differ_among_siblings_where_the_project_says_so(make: Make, kind: str) -> None:
+    toml = f'[outputs.out]\nfile = "out.{kind}"\nmismatch = "ragged"\n'
+    project = make(BY_N[kind].replace("range(n)", f"range(1 + (seed == {seeds(2)[1]}))"), toml)
+    assert run(project).failed == 0
+    assert project.sql("SELECT count(x0) AS x0, count(x1) AS x1 FROM out").to_pylist() == [{"x0": 12, "x1": 3}]
+
+
+@pytest.mark.integration
+def test_an_odd_run_that_is_recorded_first_is_not_the_norm(make: Make) -> None:
+    project = make(f"write(good if seed != {seeds(1)[0]} else 'tick,v,w\\n0,1,2\\n1,1,2\\n2,1,2\\n')")
+    assert run(project, runs=1).failed == 0
+    run(project, runs=3)
+    assert failed(project) == [0]
+
+
+def test_a_header_that_is_cut_is_noticed_though_each_experiment_has_one_run(make: Make) -> None:
+    project = make("write('tic' if n == 3 else good)")
+    assert run(project, "n=1,2,3,4", runs=1).failed == 1
+    assert reasons(project) == ["out.csv: line 1: its last line is cut short (no line feed at its end)"]
+
+
+@pytest.mark.integration
+@pytest.mark.parametrize("apart", [False, True])
+@pytest.mark.parametrize("other", ["bad", "true"])
+def test_a_column_of_another_kind_in_one_experiment_is_said_and_spoils_nothing(
+    make: Make, noted: Callable[[], list[str]], monkeypatch: pytest.MonkeyPatch, apart: bool, other: str
+) -> None:
+    project = make(f"write('tick,v\\n0,%s\\n' % ({other!r} if n == 3 else 0.5))")
+    run(project, "n=3", runs=1)
+    monkeypatch.setattr(Recorder, "due", lambda self: apart and bool(self._pending))
+    summary = run(project, "n=1,2,3", runs=3, jobs=1)
+    assert (summary.failed, summary.missing) == (0, 0)
+    kind = "text in 3" if other == "bad" else "flags in 3"
+    [told] = [note for note in noted() if "column 'v'" in note]
+    assert "column 'v' of output 'out' holds " in told
+    assert kind in told
+    assert "numbers in 6" in told
+    assert column(project, "n").count(3) == 3
+
+
+TEXTS_LIKE_NUMBERS = "write('t,sha\\n0,%s\\n' % ({} if seed in {} else '3ab'))"
+
+
+@pytest.mark.integration
+@pytest.mark.parametrize("apart", [False, True])
+@pytest.mark.parametrize("text", ["1e5", "007", "true"])
+def test_texts_that_look_like_numbers_are_the_same_texts_whenever_they_are_recorded(
+    make: Make, monkeypatch: pytest.MonkeyPatch, apart: bool, text: str
+) -> None:
+    project = make(TEXTS_LIKE_NUMBERS.format(repr(text), seeds(2)))
+    monkeypatch.setattr(Recorder, "due", lambda self: apart and bool(self._pending))
+    again = run(project, runs=8, jobs=1).failed
+    assert 0 <= again <= 2 * apart
+    assert all("asked again, it is read as they are" in reason for reason in reasons(project))
+    assert column(project, "sha") == [*[text] * (2 - again), *["3ab"] * 6]
+    assert run(project, runs=8, jobs=1).failed == 0
+    assert column(project, "sha") == [text, text, *["3ab"] * 6]
+
+
+@pytest.mark.integration
+def test_texts_that_were_read_as_numbers_at_first_come_back_in_every_batch_that_has_them(make: Make) -> None:
+    project = make(TEXTS_LIKE_NUMBERS.format("'1e5'", seeds(2)))
+    assert run(project, runs=2).failed == 0
+    assert run(project, runs=8).failed == 2
+    for runs in (2, 8, 2, 8):
+        assert run(project, runs=runs).failed == 0
+        assert column(project, "sha")[:2] == ["1e5"] * 2
+
+
+@pytest.mark.parametrize("bad", [0, 1, 3])
+def test_one_text_among_numbers_is_blamed_wherever_the_boundaries_are(
+    make: Make, monkeypatch: pytest.MonkeyPatch, bad: int
+) -> None:
+    project = make(f"write(good.replace('1.5', 'oops' if seed == {seeds(4)[bad]} else '1.5'))")
+    monkeypatch.setattr(Recorder, "due", lambda self: bool(self._pending))
+    assert run(project, jobs=1).failed == 1
+    assert failed(project) == [bad]
+    if bad == 3:
+        assert project.sql("SELECT avg(v) AS v FROM out").to_pylist() == [{"v": 1.5}]
+
+
+LOOKS_NUMERIC = "column 'v' of output 'out' is text in 2 runs, and has no figure: most of its values look like numbers; "
+ONE_COLUMN = "column {!r} of output 'out' is text in 2 runs, and has no figure: "
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        ("t;v\n0;1,5\n1;2,5\n", LOOKS_NUMERIC + "write '1.5' for '1,5', with a decimal point"),
+        (
+            "t,v\n0,1.5\n1,2.5\n2,NA\n",
+            LOOKS_NUMERIC + "where there is no number, leave the cell empty instead of 'NA' (2 such cells)",
+        ),
+        (
+            "t,v\n0,1e5 m\n1,2e5 m\n",
+            LOOKS_NUMERIC + """write '1e5 m' without 'm' ([outputs.out] units = { "v" = "m" } says the unit)""",
+        ),
+        (
+            "t,v\n0,50%\n1,7.5%\n",
+            LOOKS_NUMERIC + """write '50%' without '%' ([outputs.out] units = { "v" = "%" } says the unit)""",
+        ),
+        ("t;v\n0;1'234.5\n1;2'000\n", LOOKS_NUMERIC + """write "1'234.5" without what groups its digits"""),
+        ("t;v\n0;1_234.5\n1;2_000\n", LOOKS_NUMERIC + "write '1_234.5' without what groups its digits"),
+        (
+            "t,v\n0,1.5\n1,n/a\n2,NA\n3,NA\n4,-\n",
+            LOOKS_NUMERIC + "where there is no number, leave the cell empty instead of '-' (8 such cells)",
+        ),
+        ("t,v\n0,ab\n1,NA\n2,NA\n", None),
+        ("t,my speed\n0,-\n1,2\n2,3\n", LOOKS_NUMERIC.replace("'v'", "'my speed'") + "where there is no number, leave"),
+        ("t v\n0 1.5\n", ONE_COLUMN.format("t v") + 'is it several columns? (delimiter = " " in [outputs.out])'),
+        ("# t v\n0 1.5\n", ONE_COLUMN.format("# t v") + "the first line is a comment, and comments are not read; begin with"),
+        ("# a\nt\n0\n1\n2\n", ONE_COLUMN.format("# a") + "the first line is a comment, and comments are not read; begin with"),
+        ("t,v\n0,ab\n", None),
+        ("t,v\n0,3ab\n1,4cd\n2,77f\n", None),
+        ("t,v\n0,2020-01-01\n", None),
+        ("t,v\n0,12:30:05\n", None),
+        ("word\nthe\nword\n", None),
+    ],
+)
+def test_texts_that_are_hardly_meant_as_such_are_said_once_with_what_to_write(
+    make: Make, noted: Callable[[], list[str]], content: str, said: str | None
+) -> None:
+    assert not run(make(f"write({content!r})"), runs=2).failed
+    assert [note[: len(said or "")] for note in noted()] == [said] * (said is not None)
+
+
+def test_a_comment_before_the_header_is_named_where_it_has_as_many_fields(make: Make, noted: Callable[[], list[str]]) -> None:
+    assert not run(make("write('# a, b\\nt,v\\n0,1\\n1,2\\n')"), runs=2).failed
+    told = "is text in 2 runs, and has no figure: the first line is a comment, and comments are not read; "
+    assert [told in note for note in noted()] == [True, True]
+
+
+def test_a_delimiter_that_a_table_does_not_have_is_said_with_the_one_that_it_has(
+    make: Make, noted: Callable[[], list[str]]
+) -> None:
+    project = make("write('t,v\\n0,1\\n1,2\\n')", '[outputs.out]\nfile = "out.csv"\ndelimiter = ";"\n')
+    assert not run(project, runs=2).failed
+    assert noted() == [ONE_COLUMN.format("t,v") + 'is it several columns? (delimiter = "," in [outputs.out])']
+
+
+@pytest.mark.parametrize(
+    ("content", "line"),
+    [
+        ("tick,v\n0,0.5\n1,1.5\ntick,v\n0,0.5\n", 4),
+        ("name,kind\na,b\nname,kind\nc,d\n", 3),
+        ("v\n1\n2\nv\n3\n", 4),
+        ("\ufeffv,w\r\n1,2\r\n\ufeffv,w\r\n3,4\r\n", 3),
+        ("tick,v\n0,0.5\n tick, v \n0,0.5\n", 3),
+        ('tick,v\n0,0.5\n"tick","v"\n0,0.5\n', 3),
+        ("tick,v\r0,0.5\rtick,v\r1,0.5\r", 3),
+    ],
+)
+def test_a_header_that_is_there_twice_fails_a_run_though_all_runs_have_it(make: Make, content: str, line: int) -> None:
+    project = make(f"write({content!r})")
+    assert run(project, runs=3).failed == 3
+    header = content.strip("\ufeff").splitlines()[0]
+    assert reasons(project) == [
+        f"out.csv: line {line}: the header is there again: {header!r} (is it appended to? write it once, before all rows)"
+    ]
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        ("# made by sim\nt,v\n0,1\n", "line 1: is a comment, where the names of the columns should be: '# made by sim'"),
+        ("t,v\n# warm-up\n0,1\n", "line 2: too few fields (1, not 2): '# warm-up' (comments are not read; write them to"),
+        ("# t,v\n0,1\n1\n", "line 3: too few fields (1, not 2): '1'"),
+        (
+            "# made by sim\n# version 3\nt,v\n0,1\n",
+            "line 1: is a comment, where the names of the columns should be: '# made by",
+        ),
+    ],
+)
+def test_comments_in_a_csv_are_named(make: Make, content: str, said: str) -> None:
+    project = make(f"write({content!r})")
+    assert run(project, runs=2).failed == 2
+    [reason] = reasons(project)
+    assert said in reason
+
+
+@pytest.mark.integration
+def test_an_empty_column_in_one_experiment_fits_any_in_the_others(make: Make) -> None:
+    project = make("write('tick,v,x%d\\n0,%s,1\\n' % (n, '' if n == 3 else 0.5))")
+    for n in (3, 1, 2):
+        run(project, f"n={n}")
+    assert run(project, "n=1,2,3").failed == 0
+    assert project.sql("SELECT n, avg(v) AS v FROM out GROUP BY 1 ORDER BY 1").to_pylist() == [
+        {"n": 1, "v": 0.5},
+        {"n": 2, "v": 0.5},
+        {"n": 3, "v": None},
+    ]
+
+
+def test_where_columns_may_differ_each_run_keeps_its_own(make: Make) -> None:
+    project = make(COLUMNS_BY_N, '[outputs.out]\nfile = "out.csv"\nmismatch = "ragged"\n')
+    assert project.run("n=1,3", figures=False).failed == 0
+    rows = project.sql("SELECT n, count(*) AS rows, count(x0) AS x0, count(x2) AS x2 FROM out GROUP BY ALL ORDER BY n")
+    assert rows.to_pylist() == [{"n": 1, "rows": 12, "x0": 12, "x2": 0}, {"n": 3, "rows": 12, "x0": 12, "x2": 12}]
+
+
+@pytest.mark.integration
+def test_where_columns_may_differ_they_are_added_run_by_run(make: Make) -> None:
+    project = make(COLUMNS_BY_N, '[outputs.out]\nfile = "out.csv"\nmismatch = "ragged"\n')
+    for n in (3, 1, 2):
+        assert project.run(f"n={n}", figures=False).failed == 0
+    rows = project.sql("SELECT n, count(x1) AS x1 FROM out GROUP BY ALL ORDER BY n").to_pylist()
+    assert rows == [{"n": 1, "x1": 0}, {"n": 2, "x1": 12}, {"n": 3, "x1": 12}]
+
+
+def test_columns_may_differ_among_siblings_too(make: Make) -> None:
+    by_seed = COLUMNS_BY_N.replace("range(n)", "range(1 + seed % 3)")
+    project = make(by_seed, '[outputs.out]\nfile = "out.csv"\nmismatch = "ragged"\n')
+    assert project.run("n=1,3", runs=6, figures=False).failed == 0
+    [row] = project.sql("SELECT count(x0) > count(x2) AS fewer, count(DISTINCT run) AS runs FROM out").to_pylist()
+    assert row == {"fewer": True, "runs": 12}
+
+
+def test_columns_without_a_name_are_all_kept(tmp_path: Path) -> None:
+    _, rows = table(tmp_path, [b"a,,\n1,2,3\n"], names=True)
+    assert rows == [("a", "column1", "column2"), (1, 2, 3)]
+
+
+@pytest.mark.parametrize("odd", [b"12_34", b"1e400"])
+def test_what_is_no_number_among_numbers_of_many_runs_is_noticed(tmp_path: Path, odd: bytes) -> None:
+    files = [b"a,b\n0.5,x_y\n"] * 20 + [b"a,b\n" + odd + b",x_y\n"] + [b"a,b\n1.5,x_y\n"] * 20
+    reading, rows = table(tmp_path, files)
+    assert reading.hints == {
+        ("e20", "out.csv"): {"a": f"out.csv: line 2: text where numbers are in column 'a': {odd.decode()!r}"}
+    }
+    assert sorted(row[0] for row in rows) == sorted([*["0.5"] * 20, odd.decode(), *["1.5"] * 20])
+
+
+@pytest.mark.parametrize("content", [b"\x1f\x8b\x08\0a\n1\n", "a,b\n1,2\n".encode("utf-16"), b"gr\xf6\xdfe\n1\n", b"\0\0\n"])
+def test_a_header_that_is_no_text_is_noticed(tmp_path: Path, content: bytes) -> None:
+    reading, _ = table(tmp_path, [content])
+    assert "line 1: is no text in UTF-8" in reading.faults["e0"]
+
+
+@pytest.mark.parametrize("content", [b"\na,b\n1,2\n", b",,\n1,2,3\n", b'"a,b\n1,2\n'])
+def test_a_header_without_names_is_noticed(tmp_path: Path, content: bytes) -> None:
+    reading, rows = table(tmp_path, [content])
+    assert reading.faults["e0"].startswith("out.csv: line 1: ")
+    assert rows == []
+
+
+def test_a_delimiter_is_found_out_for_each_set_of_columns(tmp_path: Path) -> None:
+    reading, rows = table(tmp_path, [b"a\n1\n", b"a;b\n1;2\n", b"a;b;c\n1;2;3\n"], columns="a")
+    assert not reading.faults
+    assert rows == [(1,)] * 3
+
+
+@pytest.mark.integration
+def test_two_thousand_columns_are_read(tmp_path: Path) -> None:
+    content = (",".join(f"c{place}" for place in range(2000)) + "\n" + ",".join(["0.5"] * 2000) + "\n").encode()
+    reading, rows = table(tmp_path, [content] * 2)
+    assert not reading.faults
+    assert rows == [(0.5,) * 2000] * 2
+
+
+def test_a_fault_names_no_path_of_the_machine(tmp_path: Path) -> None:
+    reading, _ = table(tmp_path, [b"PAR1"], "parquet")
+    assert str(tmp_path) not in reading.faults["e0"]
+
+
+# ---------------------------------------------------------------- what is allowed, and yet hardly meant
+
+
+@pytest.fixture
+def noted(monkeypatch: pytest.MonkeyPatch) -> Callable[[], list[str]]:
+    """What the recorders of an asking have to say in the end."""
+    recorders: list[Recorder] = []
+    made = Recorder.__init__
+
+    def make(self: Recorder, *arguments: Any, **options: Any) -> None:
+        made(self, *arguments, **options)
+        recorders.append(self)
+
+    monkeypatch.setattr(Recorder, "__init__", make)
+    return lambda: [note for recorder in recorders for note in recorder.notes()]
+
+
+def test_tables_that_are_kept_as_files_are_said(make: Make, noted: Callable[[], list[str]]) -> None:
+    toml = '[outputs.declared]\nfile = "d/*.csv"\n'
+    lines = "for folder in ('d', 'logs'): os.mkdir(folder); write(good, folder + '/1.csv'); write(good, folder + '/2.csv')"
+    run(make(lines + "\nwrite(good, 'x-y.csv'); write(good, 'x_y.csv'); write('', 'a.txt')", toml))
+    assert noted() == [
+        "'logs/1.csv' and 1 others are kept as files: undeclared, in a subfolder "
+        '([outputs.NAME] file = "logs/*.csv" makes a table of them)',
+        "'x_y.csv' is kept as a file: undeclared, and another has the table of that name already "
+        '([outputs.NAME] file = "x_y.csv" makes it a table)',
+    ]
+
+
+def test_more_tables_than_are_made_unasked_are_said(make: Make, noted: Callable[[], list[str]]) -> None:
+    run(make("for i in range(21): write(good, f'{i:02}.csv')"))
+    assert noted() == [
+        "'00.csv' and 20 others are kept as files: undeclared, and of more than 20 in a run "
+        '([outputs.NAME] file = "*.csv" makes a table of them)'
+    ]
+
+
+@pytest.mark.integration
+@pytest.mark.parametrize(("value", "said"), [("n", False), ("float(n)", False), ("7", True)])
+def test_a_column_that_an_axis_hides_is_said_where_its_values_are_others(
+    make: Make, noted: Callable[[], list[str]], value: str, said: bool
+) -> None:
+    project = make(f"write(f'tick,N\\n0,{{{value}}}\\n')")
+    run(project, "n=1,2")
+    told = (
+        "the column 'N' of output 'out' is called 'N_' in SQL: 'n' there is the independent variable, and its values are others"
+    )
+    assert noted() == [told] * said
+    assert len(column(project, "N_")) == 8
+
+
+def test_columns_that_one_run_alone_has_are_said(make: Make, noted: Callable[[], list[str]]) -> None:
+    project = make("write(good if n != 2 else 'tick,w\\n0,1\\n1,1\\n2,1\\n')")
+    assert run(project, "n=1,2,3", runs=1).failed == 0
+    assert noted() == [
+        "output 'out': one run has columns that no other run has; none of its experiment shows whether that is right"
+    ]
+
+
+def test_columns_that_siblings_share_need_no_word(make: Make, noted: Callable[[], list[str]]) -> None:
+    run(make(COLUMNS_BY_N), "n=1,2", runs=2)
+    assert noted() == []
+
+
+@pytest.mark.parametrize("query", ["n=9007199254740993,0.5", "n=0.5,-9007199254740993", "n=0:9007199254740993:3"])
+def test_whole_numbers_that_no_float_has_are_not_mixed_with_decimals(make: Make, query: str) -> None:
+    with pytest.raises(QueryError, match=r"9007199254740993 is beyond 2\*\*53"):
+        run(make("write(good)"), query)
+
+
+def test_links_pipes_and_odd_names_among_the_outputs_do_no_harm(make: Make) -> None:
+    project = make("write(good); os.symlink('out.csv', 'link.csv'); os.mkfifo('pipe.csv'); write(good, 'new\\nline.csv')")
+    summary = run(project)
+    assert summary.failed == 0
+    assert project.store.outputs() == ["new_line", "out"]
+    assert "'link.csv' and 1 other are not recorded: only files are, and where a link leads is not followed" in summary.notes
+
+
+@pytest.mark.parametrize("kind", ["csv", "jsonl", "parquet"])
+def test_rows_of_a_large_file_keep_their_order(tmp_path: Path, kind: str) -> None:
+    path, count = tmp_path / f"big.{kind}", 250_000
+    pads = [f"{number * 7919 % 1_000_003:06}" * 8 for number in range(count)]
+    match kind:
+        case "csv":
+            path.write_text("tick,pad\n" + "".join(f"{number},x{pad}\n" for number, pad in enumerate(pads)))
+        case "jsonl":
+            path.write_text("".join(f'{{"tick": {number}, "pad": "x{pad}"}}\n' for number, pad in enumerate(pads)))
+        case _:
+            pq.write_table(pa.table({"tick": range(count), "pad": pads}), path, row_group_size=2000)
+    data = path.read_bytes()
+    file = Written(str(path), "run", "execution", path.name, "tick,pad", data.count(b"\n"), True, len(data))
+    connection = duckdb.connect(config={"threads": 4})
+    reading = read(connection, [file], Shape(kind), tmp_path / "table.parquet")
+    assert (dict(reading.faults), list(reading.rows.values())) == ({}, [count])
+    assert pq.read_table(tmp_path / "table.parquet", columns=["tick"])["tick"].to_pylist() == list(range(count))

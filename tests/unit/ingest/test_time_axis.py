@@ -1,0 +1,84 @@
+"""Which column is the time axis, where the project does not say: the one that is called so, or the one that behaves so."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests import projects
+from tests.projects import quick
+
+TIMESTEP = projects.SIMULATOR.replace("tick,coverage", "timestep,coverage").replace("print(tick, ", "print(tick * 10, ")
+TAKEN = "'timestep' is taken for the time of output 'swarm', as it increases alike in all runs"
+
+
+def times(root: Path, *words: str) -> tuple[set[Any], str]:
+    """At which times there are statistics of coverage, and what is said of that."""
+    ended = quick(root, "stats", "swarm", "coverage", "--times", "own", "--json", *words)
+    assert ended.returncode == 0, ended.stderr
+    return {row["t"] for row in json.loads(ended.stdout)}, ended.stderr
+
+
+def asked(root: Path, simulator: str, config: str = "", runs: int = 3) -> Path:
+    projects.make(root, projects.CONFIG + config, simulator=simulator)
+    assert quick(root, "run", "population_size=1,2", "--runs", str(runs), "--no-figures").returncode == 0
+    return root
+
+
+@pytest.mark.integration
+def test_a_column_that_increases_alike_in_all_runs_is_the_time_and_it_is_said(tmp_path: Path) -> None:
+    found, told = times(asked(tmp_path, TIMESTEP))
+    assert found == {0, 10, 20, 30, 40}
+    assert TAKEN in told
+    ended = quick(tmp_path, "figures")
+    assert ended.returncode == 0
+    assert f'{TAKEN} (time = "COLUMN" in [outputs.swarm] names another)' in ended.stderr
+    assert ended.stderr.count("is taken for the time") == 1
+
+
+@pytest.mark.integration
+def test_a_column_that_is_declared_or_called_so_is_not_looked_for(tmp_path: Path) -> None:
+    root = asked(tmp_path / "called", projects.SIMULATOR)
+    assert times(root)[0] == {0, 1, 2, 3, 4}
+    assert "is taken for" not in times(root)[1]
+    declared = asked(tmp_path / "declared", TIMESTEP, '[outputs.swarm]\nfile = "swarm.csv"\ntime = "timestep"\n')
+    assert times(declared)[0] == {0, 10, 20, 30, 40}
+    assert "is taken for" not in times(declared)[1]
+
+
+def test_runs_of_other_lengths_have_the_same_time_as_far_as_they_go(tmp_path: Path) -> None:
+    ragged = '[outputs.swarm]\nfile = "swarm.csv"\nmismatch = "ragged"\n'
+    found, told = times(asked(tmp_path, TIMESTEP.replace("range(5)", "range(3 + seed % 3)"), ragged))
+    assert {0, 10, 20} <= found
+    assert TAKEN in told
+
+
+@pytest.mark.parametrize(
+    "written",
+    [
+        "tick * count",  # other values in other experiments
+        "tick + seed % 7",  # other values in each run
+        "min(tick, 3)",  # it stops
+        "-tick",
+        "'nan' if tick == 4 else tick",
+        "'' if tick == 4 else tick",
+    ],
+)
+def test_what_does_not_behave_like_a_time_is_none(written: str, tmp_path: Path) -> None:
+    simulator = TIMESTEP.replace("print(tick * 10, ", f"print({written}, ")
+    found, told = times(asked(tmp_path, simulator))
+    assert found == {0, 1, 2, 3, 4}
+    assert "is taken for" not in told
+    assert "output 'swarm' has no time: its rows are counted instead, as no column increases alike in all runs" in told
+    config = tmp_path / "sierra.toml"
+    config.write_text(config.read_text() + '[outputs.swarm]\nfile = "swarm.csv"\n')
+    assert "are counted instead" not in times(tmp_path)[1], "who declares an output has said that it has no time"
+
+
+def test_of_one_run_no_column_is_taken_for_the_time(tmp_path: Path) -> None:
+    projects.make(tmp_path, simulator=TIMESTEP)
+    assert quick(tmp_path, "run", "population_size=1", "--runs", "1", "--no-figures").returncode == 0
+    assert "is taken for" not in times(tmp_path)[1]

@@ -1,0 +1,169 @@
+"""`sierra gc` removes what nothing needs, merges small files, and loses nothing."""
+
+from __future__ import annotations
+
+import random
+import shutil
+import signal
+import subprocess
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import sierra
+from sierra.maintenance import gc
+from sierra.store.schema import RECORDED
+from tests import projects, stores
+from tests.conftest import held
+
+
+@pytest.fixture(scope="module")
+def made(recorded: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A project with a batch that was asked for often, so that its segments are many."""
+    root = stores.copy(recorded, tmp_path_factory.mktemp("gc") / "project")
+    for query in ("population_size=1,2", "noise=0.5") * 2:
+        sierra.open(root).run(query, figures=False)
+    return root
+
+
+@pytest.fixture
+def root(made: Path, tmp_path: Path) -> Path:
+    return stores.copy(made, tmp_path / "project")
+
+
+def everything(root: Path) -> dict[str, Any]:
+    """All that SQL and `sierra files` give."""
+    around = ("objects", "blobs", "specs", "sources", "environments", "programs", "ingest_rules")
+    with sierra.open(root).store.snapshot() as snapshot:
+
+        def rows(what: str) -> list[dict[str, Any]]:
+            found: list[dict[str, Any]] = snapshot.sql(f"SELECT {what}").to_pylist()
+            return found
+
+        tables = {name: rows(f"* FROM {name} ORDER BY ALL") for name in RECORDED if name not in around}
+        tables |= {name: rows(f"DISTINCT * FROM {name} ORDER BY ALL") for name in around}
+        return tables | {name: rows(f"* EXCLUDE (row) FROM {name} ORDER BY run, row") for name in ("swarm", "notes")}
+
+
+def segments(root: Path) -> int:
+    return len(list(root.glob(".sierra/segments/*")))
+
+
+@pytest.mark.integration
+def test_many_small_segments_become_few_and_every_row_stays(root: Path) -> None:
+    before, count = everything(root), segments(root)
+    dry = projects.quick(root, "gc", "--dry-run")
+    assert (dry.returncode, segments(root)) == (0, count)
+    assert "small segments, merged into" in dry.stdout
+    assert projects.quick(root, "gc", "--yes").returncode == 0
+    assert segments(root) <= 6 < count
+    assert everything(root) == before
+    assert sierra.open(root).fsck().findings == ()
+    assert projects.quick(root, "gc", "--yes").stdout == "nothing: there is only what is needed\n"
+    assert sierra.open(root).run("population_size=1,2", figures=False).executed == 0
+
+
+def test_without_a_terminal_yes_is_needed(root: Path) -> None:
+    before = stores.state(root)
+    ended = projects.quick(root, "gc")
+    assert (ended.returncode, ended.stderr.count("\n")) == (2, 1)
+    assert stores.state(root) == before
+
+
+def test_files_that_nothing_refers_to_go_and_unfinished_ones(root: Path) -> None:
+    store = sierra.open(root).store
+    writer = store.writer(store.paths.work / "test", store.segments()[0].batch)
+    from sierra.store.objects import Objects
+
+    objects = Objects(writer.path("objects"))
+    unneeded = objects.add(b"nobody needs this")
+    needed = sierra.open(root).sql("SELECT input FROM batch_runs LIMIT 1").to_pylist()[0]["input"]
+    objects.add(store.object(needed))
+    objects.close()
+    store.publish(writer)
+    (root / ".sierra" / ".format.4194399").write_text("")
+    image = root / ".sierra" / "images" / f"sha256-{'0' * 64}"
+    image.mkdir(parents=True)
+    (image / ".rootfs.sqfs.4194399").write_text("")
+    (image.parent / ".saved.abc.4194399").mkdir()
+    (image.parent / ".saved.abc.4194399" / "image.tar").write_text("")
+    assert projects.quick(root, "gc", "--yes").returncode == 0
+    assert store.object(needed)
+    assert not store.rows("SELECT 1 FROM objects WHERE sha256 = $d", d=unneeded)
+    assert not (root / ".sierra" / ".format.4194399").exists()
+    assert list((root / ".sierra").glob("images/**/.*")) == []
+    assert sierra.open(root).fsck().findings == ()
+
+
+@pytest.mark.integration
+def test_what_a_dead_asking_had_finished_is_recorded(simulate: Callable[..., Any]) -> None:
+    project = simulate(held(5))
+    running = project.start("run", "size=1", "--runs", "8", "-j", "2", "--no-figures")
+    project.until_executed(6, running)
+    running.kill()
+    running.communicate()
+    assert "dead: work/" in project.quick("fsck").stdout
+    assert project.quick("gc", "--yes").returncode == 0
+    assert project.work() == []
+    assert project.left_running() == []
+    assert project.quick("fsck").returncode == 0
+    project.open()
+    assert project.quick("run", "size=1", "--runs", "8", "--no-figures").returncode == 0
+    assert project.sql("SELECT count(*) AS n FROM executions") == [{"n": 8}]
+
+
+@pytest.mark.integration
+def test_killed_at_any_moment_nothing_is_lost_or_doubled(made: Path, tmp_path: Path) -> None:
+    numbers = random.Random(4)
+    before = everything(made)
+    for attempt in range(4):
+        root = stores.copy(made, tmp_path / str(attempt))
+        folder, count = root / ".sierra" / "segments", segments(root)
+        process = subprocess.Popen([str(projects.SIERRA), "gc", "--yes"], cwd=root, stdout=subprocess.DEVNULL)
+        while process.poll() is None and len(list(folder.iterdir())) <= count and attempt % 2:
+            time.sleep(0.0005)
+        time.sleep(numbers.random() * (0.02 if attempt % 2 else 1.5))
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+        assert everything(root) == before
+        assert sierra.open(root).fsck().sound
+        assert projects.quick(root, "gc", "--yes").returncode == 0
+        assert everything(root) == before
+        assert sierra.open(root).fsck().findings == ()
+        shutil.rmtree(root)
+
+
+@pytest.mark.nightly
+def test_beside_a_running_batch_nothing_is_lost(simulate: Callable[..., Any]) -> None:
+    project = simulate(r"sleep 0.15; printf 't,v\n1,1\n2,4\n' > swarm.csv")
+    for _ in range(2):
+        assert project.quick("run", "size=1", "--runs", "3", "--no-figures").returncode == 0
+        assert project.quick("run", "size=1", "--runs", "2", "--no-figures").returncode == 0
+    running = project.start("run", "size=1,2", "--runs", "15", "-j", "2", "--no-figures")
+    while running.poll() is None:
+        project.quick("gc", "--yes")
+        project.quick("fsck")
+    assert project.end_of(running).returncode == 0
+    assert project.quick("gc", "--yes").returncode == 0
+    assert project.quick("fsck").returncode == 0
+    assert project.sql("SELECT count(*) AS n, count(DISTINCT run) AS runs FROM executions WHERE status = 'ok'") == [
+        {"n": 30, "runs": 30}
+    ]
+    assert project.sql("SELECT count(*) AS n, sum(v)::INT AS v FROM swarm") == [{"n": 60, "v": 150}]
+
+
+@pytest.mark.integration
+def test_a_reader_keeps_what_it_reads(root: Path) -> None:
+    store = sierra.open(root).store
+    with store.snapshot() as snapshot:
+        found = gc.collect(store)
+        assert found is not None
+        assert found.left > 0
+        assert snapshot.sql("SELECT count(*) AS n FROM executions").to_pylist() == [{"n": 12}]
+    again = gc.collect(store)
+    assert again is not None
+    assert again.left == 0
+    assert sierra.open(root).fsck().findings == ()

@@ -1,0 +1,217 @@
+"""`sierra rm` deletes what it says and nothing else, whole or not at all."""
+
+from __future__ import annotations
+
+import json
+import random
+import shutil
+import signal
+import subprocess
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import sierra
+from tests import projects, stores
+from tests.conftest import held
+
+
+@pytest.fixture
+def root(recorded: Path, tmp_path: Path) -> Path:
+    return stores.copy(recorded, tmp_path / "project")
+
+
+def batches(root: Path) -> dict[str, str]:
+    return {row["query"]: row["batch"] for row in sierra.open(root).batches}
+
+
+def rows(root: Path, text: str, **more: Any) -> list[dict[str, Any]]:
+    found: list[dict[str, Any]] = sierra.open(root).sql(text, **more).to_pylist()
+    return found
+
+
+def sound(root: Path) -> bool:
+    report = sierra.open(root).fsck()
+    assert [str(one) for one in report.findings] == []
+    return report.sound
+
+
+def without(root: Path, batch: str, table: str, key: str = "batch") -> list[dict[str, Any]]:
+    return rows(root, f"SELECT * EXCLUDE (row) FROM {table} WHERE {key} <> $b ORDER BY ALL", b=batch)
+
+
+def test_a_dry_run_says_what_would_go_and_changes_nothing(root: Path) -> None:
+    before = stores.state(root)
+    first = batches(root)["population_size=1,2"]
+    ended = projects.quick(root, "rm", first[:8], "--dry-run")
+    assert (ended.returncode, ended.stderr) == (0, "")
+    assert f"batch {first[:10]} (population_size=1,2): 2 experiments, 4 runs" in ended.stdout
+    assert "3 executions of 2 runs" in ended.stdout  # those of population_size=1, one of them replayed
+    assert (
+        f"stays: 2 runs with their executions, which batch {batches(root)['population_size=2,3'][:10]} has too" in ended.stdout
+    )
+    assert stores.state(root) == before
+
+
+def test_what_is_removed_is_missing_from_the_batches_that_stay(root: Path) -> None:
+    batch = batches(root)["noise=0.5"]
+    [run, *_] = sierra.open(root).sql("SELECT run FROM batch_runs", within=batch).column("run").to_pylist()
+    projects.quick(root, "rm", run, "--yes")
+    [told] = [row for row in sierra.open(root).batches if row["batch"] == batch]
+    assert (told["failed"], told["missing"]) == (0, 1)
+    assert "1 missing" in projects.quick(root, "ls").stdout
+
+
+def test_without_a_terminal_yes_is_needed(root: Path) -> None:
+    before = stores.state(root)
+    ended = projects.quick(root, "rm", batches(root)["noise=0.5"])
+    assert (ended.returncode, ended.stderr.count("\n")) == (2, 1)
+    assert "--yes" in ended.stderr
+    assert stores.state(root) == before
+
+
+@pytest.mark.integration
+def test_a_batch_goes_whole_and_what_others_have_stays(root: Path) -> None:
+    named = batches(root)
+    gone, stays = named["population_size=1,2"], named["population_size=2,3"]
+    shared = rows(root, "SELECT DISTINCT run FROM batch_runs WHERE batch = $b", b=stays)
+    keep = {row["run"] for row in shared}
+    before = rows(root, "SELECT * FROM executions ORDER BY execution")
+    swarm = rows(root, "SELECT * EXCLUDE (row) FROM swarm ORDER BY ALL", within=stays)
+    bytes_of = {row["sha256"] for row in rows(root, "SELECT DISTINCT sha256 FROM objects")}
+    said = json.loads(projects.quick(root, "rm", gone[:8], "--yes", "--json").stdout)
+    assert (said["done"], said["left"], said["shared"], said["sharing"]) == (True, 0, 2, [stays])
+    assert gone not in batches(root).values()
+    for table in ("batches", "experiments", "batch_runs", "sessions", "replays"):
+        assert rows(root, f"SELECT * FROM {table} WHERE batch = $b", b=gone) == []
+    others = [row for row in before if row["run"] in keep or row["batch"] == named["noise=0.5"]]
+    assert rows(root, "SELECT * FROM executions ORDER BY execution") == others
+    assert rows(root, "SELECT * EXCLUDE (row) FROM swarm ORDER BY ALL", within=stays) == swarm
+    assert {row["sha256"] for row in rows(root, "SELECT DISTINCT sha256 FROM objects")} < bytes_of
+    assert sound(root)
+    assert not [path for path in (root / ".sierra" / "work").iterdir() if path.is_dir()]
+
+
+@pytest.mark.integration
+def test_what_stays_is_not_executed_again_and_what_went_is(root: Path) -> None:
+    named = batches(root)
+    projects.quick(root, "rm", named["population_size=1,2"], "--yes")
+    assert sierra.open(root).run("population_size=2,3", runs=3, figures=False).executed == 0
+    again = sierra.open(root).run("population_size=1,2", figures=False)
+    assert (again.batch, again.executed, again.reused) == (named["population_size=1,2"], 2, 2)
+    assert sound(root)
+
+
+@pytest.mark.integration
+def test_segments_of_other_batches_are_the_same_bytes(root: Path) -> None:
+    named = batches(root)
+    gone = named["noise=0.5"]
+    before = {path: data for path, data in stores.state(root).items() if not path.startswith(f"segments/{gone[:12]}")}
+    projects.quick(root, "rm", gone, "--yes")
+    after = {path: data for path, data in stores.state(root).items() if not path.startswith(f"segments/{gone[:12]}")}
+    assert after == before
+    assert sound(root)
+
+
+@pytest.mark.integration
+@pytest.mark.parametrize("kind", ["experiment", "run", "execution"])
+def test_of_a_part_what_was_executed_goes_and_the_batch_asks_for_it_again(root: Path, kind: str) -> None:
+    batch = batches(root)["noise=0.5"]
+    table = "experiments" if kind == "experiment" else "executions"
+    statement = f"SELECT {kind} AS id FROM {table} WHERE batch = $b ORDER BY 1 LIMIT 1"
+    [one] = rows(root, statement, b=batch)
+    ended = projects.quick(root, "rm", one["id"], "--yes")
+    assert ended.returncode == 0, ended.stderr
+    assert sound(root)
+    assert batches(root)["noise=0.5"] == batch
+    gone = 2 if kind == "experiment" else 1
+    assert sierra.open(root).run("noise=0.5", figures=False).executed == gone
+    assert sound(root)
+
+
+@pytest.mark.integration
+def test_batches_named_together_take_what_only_they_share(root: Path) -> None:
+    named = batches(root)
+    both = [named["population_size=1,2"], named["population_size=2,3"]]
+    assert projects.quick(root, "rm", *both, "--yes").returncode == 0
+    assert rows(root, "SELECT DISTINCT batch FROM executions") == [{"batch": named["noise=0.5"]}]
+    assert sound(root)
+    assert projects.quick(root, "rm", named["noise=0.5"], "--yes").returncode == 0
+    assert rows(root, "SELECT (SELECT count(*) FROM executions) + (SELECT count(*) FROM objects) AS n") == [{"n": 0}]
+    assert list((root / ".sierra" / "segments").iterdir()) == []
+    assert sierra.open(root).run("population_size=1,2", figures=False).executed == 4
+    assert sound(root)
+
+
+def test_what_is_not_there_or_ambiguous_is_refused(root: Path) -> None:
+    before = stores.state(root)
+    for word in ("ffff00", "xyz", ""):
+        assert projects.quick(root, "rm", word, "--yes").returncode == 2
+    assert projects.quick(root, "rm").returncode == 2
+    assert stores.state(root) == before
+
+
+@pytest.mark.integration
+def test_killed_at_any_moment_it_is_before_or_after_and_again_finishes_it(recorded: Path, tmp_path: Path) -> None:
+    numbers = random.Random(3)
+    named = batches(recorded)
+    both = [named["population_size=1,2"], named["population_size=2,3"]]
+    outcomes = set()
+    for attempt in range(5):
+        root = stores.copy(recorded, tmp_path / str(attempt))
+        process = subprocess.Popen([str(projects.SIERRA), "rm", *both, "--yes"], cwd=root, stdout=subprocess.DEVNULL)
+        if attempt % 2:
+            segments, known = root / ".sierra" / "segments", len(stores.state(root))
+            while process.poll() is None and len(list(segments.rglob("*"))) <= known:
+                time.sleep(0.0005)
+            time.sleep(numbers.random() * 0.02)
+        else:
+            time.sleep(0.4 + numbers.random() if attempt else 0)
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+        count = rows(root, "SELECT count(*) AS n FROM executions")[0]["n"]
+        assert count in (2, 12)
+        outcomes.add(count)
+        assert sierra.open(root).fsck().sound
+        ended = projects.quick(root, "rm", *both, "--yes")
+        assert ended.returncode == (0 if count == 12 else 2)
+        assert rows(root, "SELECT count(*) AS n FROM executions") == [{"n": 2}]
+        sierra.open(root).run("noise=0.5", "population_size=1", figures=False)
+        assert sierra.open(root).fsck().sound
+        shutil.rmtree(root)
+    assert 12 in outcomes
+
+
+@pytest.mark.integration
+def test_a_full_disk_loses_nothing(recorded: Path, tmp_path: Path) -> None:
+    root = stores.copy(recorded, tmp_path / "project")
+    before = stores.state(root)
+    batch = batches(root)["population_size=1,2"]
+    command = ["bash", "-c", 'trap "" XFSZ; ulimit -f 1; exec "$@"', "-", str(projects.SIERRA), "rm", batch, "--yes"]
+    ended = subprocess.run(command, cwd=root, capture_output=True, text=True, check=False)
+    assert (ended.returncode, ended.stderr.count("\n")) == (3, 1), ended.stderr
+    assert stores.state(root) == before
+    assert sound(root)
+
+
+@pytest.mark.integration
+def test_an_executing_batch_is_not_removed_and_another_is(simulate: Callable[..., Any]) -> None:
+    project = simulate(held(4))
+    assert project.quick("run", "size=1", "--runs", "3", "--no-figures").returncode == 0
+    [other] = project.sql("SELECT batch FROM batches")
+    running = project.start("run", "size=5,6", "--runs", "5", "-j", "2", "--no-figures")
+    project.until_executed(5, running)
+    [mine] = project.sql(f"SELECT batch FROM batches WHERE batch <> '{other['batch']}'")
+    refused = project.quick("rm", mine["batch"], "--yes")
+    assert refused.returncode == 1
+    assert "is being executed" in refused.stderr
+    assert project.quick("rm", other["batch"], "--yes").returncode == 0
+    project.open()
+    assert project.end_of(running).returncode == 0
+    assert project.sql("SELECT count(*) AS n FROM executions WHERE status = 'ok'") == [{"n": 10}]
+    assert project.quick("fsck").returncode == 0
+    assert project.quick("rm", mine["batch"], "--yes").returncode == 0
+    assert project.quick("fsck").returncode == 0

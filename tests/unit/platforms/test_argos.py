@@ -1,0 +1,931 @@
+"""The platform `argos`, seen through what it makes of a template; ARGoS itself is not needed."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+from collections.abc import Mapping
+from contextlib import suppress
+from fractions import Fraction
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from lxml import etree
+
+from sierra.config import project_file
+from sierra.errors import ConfigError, QueryError, TemplateError
+from sierra.model import Change, Criterion, MonteCarlo
+from sierra.platforms.argos import Argos, Size
+from sierra.query import grammar
+from sierra.templates.xml import XmlTemplate
+from tests import projects
+
+TEMPLATE = """<?xml version="1.0"?>
+<argos-configuration>
+  <framework>
+    <system threads="4"/>
+    <experiment length="60" ticks_per_second="10"/>
+  </framework>
+  <controllers>
+    <__CONTROLLER__ id="__CONTROLLER__" library="libforaging">
+      <actuators><differential_steering implementation="default"/></actuators>
+      <params><wheel_turning max_speed="10"/></params>
+    </__CONTROLLER__>
+  </controllers>
+  <loop_functions library="libforaging_loop" label="foraging">
+    <foraging items="15" output="foraging.txt"/>
+  </loop_functions>
+  <arena size="5, 5, 2" center="0,0,1">
+    <floor id="floor" source="loop_functions" pixels_per_meter="50"/>
+    <box id="wall_north" size="4,0.1,0.5" movable="false"><body position="0,2,0" orientation="0,0,0"/></box>
+    <box id="wall_south" size="4,0.1,0.5" movable="false"><body position="0,-2,0" orientation="0,0,0"/></box>
+    <box id="wall_east" size="0.1,4,0.5" movable="false"><body position="2,0,0" orientation="0,0,0"/></box>
+    <box id="wall_west" size="0.1,4,0.5" movable="false"><body position="-2,0,0" orientation="0,0,0"/></box>
+    <box id="crate" size="0.3,0.3,0.5" movable="true"><body position="1,1,0"/></box>
+    <light id="light" position="-1,0,1" orientation="0,0,0" color="yellow" intensity="3" medium="leds"/>
+    <distribute>
+      <position method="uniform" min="-2,-2,0" max="-1,2,0"/>
+      <orientation method="uniform" min="0,0,0" max="360,0,0"/>
+      <entity quantity="20" max_trials="100">
+        <foot-bot id="fb"><controller config="__CONTROLLER__"/></foot-bot>
+      </entity>
+    </distribute>
+    <distribute>
+      <position method="constant" values="0,0,0"/>
+      <orientation method="constant" values="0,0,0"/>
+      <entity quantity="1" max_trials="100"><cylinder id="c" height="0.5" radius="0.15" movable="false"/></entity>
+    </distribute>
+  </arena>
+  <physics_engines><dynamics2d id="dyn2d"/></physics_engines>
+  <media><led id="leds"/></media>
+  <visualization><qt-opengl/></visualization>
+</argos-configuration>
+"""
+EXPERIMENT = "framework/experiment"
+QUANTITY = "arena/distribute/entity[foot-bot]/@quantity"
+UNIFORM = "arena/distribute/position[@method='uniform']"
+
+Made = Any
+"""A root element of lxml's."""
+
+
+def platform(**options: object) -> Argos:
+    return Argos(project(argos=options))
+
+
+def project(argos: Mapping[str, object] | None = None, **table: object) -> project_file.Project:
+    made = {"template": "t.argos", "platform": "argos", "controller": "foraging", "platforms": {"argos": argos or {}}}
+    return project_file.parse({**made, **table}, "sierra.toml")
+
+
+def reader(text: str = TEMPLATE) -> XmlTemplate:
+    return XmlTemplate(text.encode(), "t.argos")
+
+
+def without(text: str) -> str:
+    assert text in TEMPLATE
+    return TEMPLATE.replace(text, "")
+
+
+def instead(old: str, new: str) -> str:
+    assert old in TEMPLATE
+    return TEMPLATE.replace(old, new)
+
+
+def make(changes: tuple[Change, ...], template: str = TEMPLATE, controller: str = "foraging") -> Made:
+    """The template with changes made, as a design does it: the controller's name is among the values."""
+    values: dict[str, int | float | str] = {"controller": controller, "scenario": "", "seed": 7, "run": 0}
+    return etree.fromstring(reader(template).changed(changes, values).render())
+
+
+def prepared(template: str = TEMPLATE, **options: object) -> Made:
+    """What the platform makes of a template, and accepts."""
+    driven = platform(**options)
+    changes = driven.changes(reader(template))
+    driven.check(changed(template, changes), reader(template))
+    return make(changes, template)
+
+
+def changed(template: str, changes: tuple[Change, ...]) -> XmlTemplate:
+    """A template to be asked, once changes are made, as a design does it."""
+    values: dict[str, int | float | str] = {"controller": "foraging"}
+    return XmlTemplate(reader(template).changed(changes, values).render(), "t.argos")
+
+
+def experiments(criterion: str, template: str = TEMPLATE, **options: object) -> dict[Any, Made]:
+    """What a criterion makes of the template, by the axis' values."""
+    driven, read = platform(**options), reader(template)
+    common = driven.changes(read)
+    answer = driven.criterion(grammar.parse(criterion), changed(template, common))
+    assert answer is not None
+    axis, points = answer
+    assert axis.values == tuple(point.value for point in points)
+    return {point.value: make((*common, *point.changes), template) for point in points}
+
+
+def one(made: Made, path: str) -> str:
+    (found,) = made.xpath(path)
+    return str(found)
+
+
+def numbers(text: str) -> list[float]:
+    return [float(part) for part in text.split(",")]
+
+
+# The framework
+
+
+def test_the_seed_is_added_where_the_template_has_none() -> None:
+    made = make(platform().seed_changes())
+    assert one(made, f"{EXPERIMENT}/@random_seed") == "7"
+
+
+def test_the_seed_replaces_the_templates_own() -> None:
+    template = instead('ticks_per_second="10"', 'ticks_per_second="10" random_seed="123"')
+    assert one(make(platform().seed_changes(), template), f"{EXPERIMENT}/@random_seed") == "7"
+
+
+def test_without_options_length_and_ticks_stay() -> None:
+    made = prepared()
+    assert (one(made, f"{EXPERIMENT}/@length"), one(made, f"{EXPERIMENT}/@ticks_per_second")) == ("60", "10")
+
+
+def test_length_and_ticks_are_options() -> None:
+    made = prepared(length=12.5, ticks_per_second=4)
+    assert (one(made, f"{EXPERIMENT}/@length"), one(made, f"{EXPERIMENT}/@ticks_per_second")) == ("12.5", "4")
+
+
+def test_a_whole_length_is_written_without_a_decimal_point() -> None:
+    assert one(prepared(length=300), f"{EXPERIMENT}/@length") == "300"
+
+
+@pytest.mark.parametrize("length", ['length="0"', 'length="0.05"', 'length="-1"', ""])
+def test_a_template_that_would_run_for_ever_is_refused(length: str) -> None:
+    with pytest.raises(TemplateError, match=r"for ever; set length = 300 in \[platforms.argos\]"):
+        prepared(instead('length="60"', length))
+
+
+def test_the_option_mends_a_template_that_would_run_for_ever() -> None:
+    assert one(prepared(instead('length="60"', 'length="0"'), length=30), f"{EXPERIMENT}/@length") == "30"
+
+
+def test_a_length_of_less_than_a_tick_is_refused_as_it_is_none() -> None:
+    with pytest.raises(TemplateError, match="less than a tick"):
+        prepared(length=0.05)
+
+
+def test_more_ticks_than_argos_counts_are_refused() -> None:
+    with pytest.raises(TemplateError, match="more ticks"):
+        prepared(length=1e9)
+
+
+@pytest.mark.parametrize("length", ["ten", "0x10", "1_000", "1e999999999", "9" * 100])
+def test_a_length_that_is_no_number_is_refused(length: str) -> None:
+    with pytest.raises(TemplateError, match="is not a number"):
+        prepared(instead('length="60"', f'length="{length}"'))
+
+
+def test_a_template_without_an_experiment_is_refused() -> None:
+    with pytest.raises(TemplateError, match="framework/experiment; ARGoS needs it"):
+        prepared(without('<experiment length="60" ticks_per_second="10"/>'))
+
+
+def test_a_template_without_ticks_is_refused() -> None:
+    with pytest.raises(TemplateError, match="has no ticks_per_second"):
+        prepared(without(' ticks_per_second="10"'))
+
+
+def test_runs_have_no_threads_unless_asked() -> None:
+    assert one(prepared(), "framework/system/@threads") == "0"
+    assert one(prepared(threads=3), "framework/system/@threads") == "3"
+
+
+def test_threads_are_added_to_a_template_that_has_no_system() -> None:
+    template = without('<system threads="4"/>')
+    assert one(prepared(template, threads=2), "framework/system/@threads") == "2"
+    assert prepared(template).xpath("framework/system") == []
+
+
+def test_a_threading_method_that_hangs_is_refused_where_there_are_threads() -> None:
+    template = instead('threads="4"', 'threads="4" method="balance_length"')
+    with pytest.raises(TemplateError, match="hangs with 2 threads; use balance_quantity"):
+        prepared(template, threads=2)
+    assert one(prepared(template), "framework/system/@threads") == "0"
+
+
+# The controller
+
+
+def test_the_placeholder_becomes_the_controllers_name_wherever_it_stands() -> None:
+    made = prepared()
+    assert one(made, "controllers/foraging/@id") == one(made, "arena//controller/@config") == "foraging"
+    assert b"__CONTROLLER__" not in etree.tostring(made)
+
+
+def test_the_tag_may_be_another_than_the_name() -> None:
+    made = prepared(label="footbot_foraging_controller")
+    assert one(made, "controllers/footbot_foraging_controller/@id") == "foraging"
+
+
+def test_a_template_without_placeholder_keeps_its_controller() -> None:
+    made = prepared(TEMPLATE.replace("__CONTROLLER__", "mine"))
+    assert one(made, "controllers/mine/@id") == "mine"
+
+
+def test_a_placeholder_within_other_text_is_refused_rather_than_left() -> None:
+    with pytest.raises(TemplateError, match="'lib__CONTROLLER__' holds __CONTROLLER__ among other text"):
+        prepared(instead('"libforaging"', '"lib__CONTROLLER__"'))
+
+
+# Visualization, command and files
+
+
+def test_visualization_is_taken_out() -> None:
+    assert prepared().xpath("visualization") == []
+
+
+def test_a_template_without_visualization_is_fine() -> None:
+    assert prepared(without("<visualization><qt-opengl/></visualization>")).xpath("visualization") == []
+
+
+def test_visualization_is_kept_on_demand() -> None:
+    assert len(prepared(visualization=True).xpath("visualization/qt-opengl")) == 1
+
+
+def test_argos_is_started_without_colours() -> None:
+    assert platform().command() == ("argos3", "-n", "-c", "{input}")
+
+
+def test_the_projects_command_goes_first() -> None:
+    assert Argos(project(command="xvfb-run argos3 -c {input}")).command() == ("xvfb-run", "argos3", "-c", "{input}")
+
+
+def test_a_command_without_input_is_refused() -> None:
+    with pytest.raises(ConfigError, match=r"needs \{input\}"):
+        Argos(project(command="argos3 -c my.argos"))
+
+
+def test_one_document_is_one_file() -> None:
+    assert platform().files(b"<a/>") == (("input.argos", b"<a/>"),)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"lenght": 3},
+        {"length": 0},
+        {"length": float("inf")},
+        {"threads": -1},
+        {"arena": "10"},
+        {"arena": "0x10"},
+        {"arena": "10x10x0"},
+        {"arena": "١x٢"},  # noqa: RUF001
+        {"arena": "10x10\n"},
+        {"label": "a b"},
+    ],
+)
+def test_options_that_are_not_right_are_refused(options: dict[str, object]) -> None:
+    with pytest.raises(ConfigError, match=r"\[platforms.argos\]"):
+        platform(**options)
+
+
+def test_a_misspelt_option_is_told_the_right_one() -> None:
+    with pytest.raises(ConfigError, match="did you mean 'length'"):
+        platform(lenght=3)
+
+
+# The arena
+
+
+def test_the_arena_gets_the_size_that_is_asked_for_and_keeps_centre_and_height() -> None:
+    made = prepared(arena="10x8")
+    assert (one(made, "arena/@size"), one(made, "arena/@center")) == ("10,8,2", "0,0,1")
+
+
+def test_a_higher_arena_keeps_its_floor() -> None:
+    made = prepared(arena="10x8x3")
+    assert (one(made, "arena/@size"), one(made, "arena/@center")) == ("10,8,3", "0,0,1.5")
+
+
+def test_the_walls_stand_inside_the_arena_on_its_edges() -> None:
+    made = prepared(arena="10x8")
+    walls = {one(box, "@id"): (one(box, "@size"), one(box, "body/@position")) for box in made.xpath("arena/box[@id!='crate']")}
+    assert walls == {
+        "wall_north": ("10,0.1,0.5", "0,3.95,0"),
+        "wall_south": ("10,0.1,0.5", "0,-3.95,0"),
+        "wall_east": ("0.1,8,0.5", "4.95,0,0"),
+        "wall_west": ("0.1,8,0.5", "-4.95,0,0"),
+    }
+
+
+def test_what_is_no_part_of_the_shape_stays() -> None:
+    made = prepared(arena="10x8")
+    assert one(made, "arena/box[@id='crate']/body/@position") == "1,1,0"
+    assert one(made, "arena/light/@position") == "-1,0,1"
+    assert one(made, "arena/distribute/position[@method='constant']/@values") == "0,0,0"
+
+
+def test_a_nest_along_one_wall_remains_one() -> None:
+    made = prepared(arena="10x8")
+    low, high = numbers(one(made, f"{UNIFORM}/@min")), numbers(one(made, f"{UNIFORM}/@max"))
+    assert low == [-4.9, -3.9, 0]
+    assert high[0] == pytest.approx(-4.9 + 9.8 * 0.95 / 3.9)
+    assert high[1:] == [3.9, 0]
+
+
+def test_walls_are_known_by_where_they_stand_not_by_name() -> None:
+    template = TEMPLATE.replace("wall_north", "wall_x").replace("wall_east", "wall_north").replace("wall_x", "wall_east")
+    made = prepared(template, arena="10x8")
+    assert one(made, "arena/box[@id='wall_north']/body/@position") == "4.95,0,0"
+
+
+def test_walls_that_do_not_fit_the_template_arena_are_moved_into_it() -> None:
+    """As in a sample where the walls are around 0, and the arena from 0 to 5."""
+    made = prepared(instead('center="0,0,1"', 'center="2.5,2.5,1"'), arena="5x5")
+    assert one(made, "arena/box[@id='wall_west']/body/@position") == "0.05,2.5,0"
+    assert numbers(one(made, f"{UNIFORM}/@min"))[:2] == [0.1, 0.1]
+
+
+@pytest.mark.parametrize("id", ["wall's", 'wall"', "wall'\"both"])
+def test_walls_may_be_called_anything(id: str) -> None:
+    quoted = id.replace('"', "&quot;")
+    made = prepared(instead('"wall_north"', f'"{quoted}"'), arena="10x8")
+    assert [box.get("size") for box in made.xpath("arena/box") if box.get("id") == id] == ["10,0.1,0.5"]
+
+
+def test_an_arena_without_walls_has_robots_up_to_its_edges() -> None:
+    template = TEMPLATE.replace('id="wall_', 'id="block_').replace('min="-2,-2,0"', 'min="-2.5,-2.5,0"')
+    made = prepared(template, arena="10x10")
+    assert one(made, f"{UNIFORM}/@min") == "-5,-5,0"
+    assert one(made, "arena/box[@id='block_north']/@size") == "4,0.1,0.5"
+
+
+def test_other_walls_are_selected_by_an_option() -> None:
+    template = TEMPLATE.replace('id="wall_', 'id="fence_')
+    made = prepared(template, arena="10x8", walls="//box[starts-with(@id, 'fence')]")
+    assert one(made, "arena/box[@id='fence_north']/@size") == "10,0.1,0.5"
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ('id="wall_north"', 'id="gate"'),  # three
+        ('id="crate"', 'id="wall_inner"'),  # five
+        ('position="0,2,0"', 'position="0,-2,0"'),  # two on one side
+        ('position="0,2,0" orientation="0,0,0"', 'position="0,2,0" orientation="45,0,0"'),
+        ('size="4,0.1,0.5" movable="false"><body position="0,2,0"', 'size="4,0.1,0.5" movable="false"><body '),
+        ('"4,0.1,0.5"', '"4,0.1"'),
+        ('"4,0.1,0.5"', '"four,0.1,1"'),
+    ],
+)
+def test_walls_that_are_not_one_on_each_side_are_refused(old: str, new: str) -> None:
+    with pytest.raises(TemplateError):
+        prepared(instead(old, new), arena="10x8")
+
+
+def test_walls_are_looked_at_only_where_the_arena_changes() -> None:
+    assert one(prepared(instead('id="wall_north"', 'id="gate"')), "arena/@size") == "5, 5, 2"
+
+
+def test_an_arena_smaller_than_its_walls_is_refused() -> None:
+    with pytest.raises(TemplateError, match="no space between"):
+        prepared(arena="0.2x0.2")
+
+
+def test_engines_with_boundaries_of_their_own_are_refused() -> None:
+    template = instead('<dynamics2d id="dyn2d"/>', '<dynamics2d id="dyn2d"><boundaries/></dynamics2d>')
+    with pytest.raises(TemplateError, match="boundaries would not follow"):
+        prepared(template, arena="10x8")
+
+
+def test_robots_distributed_outside_the_walls_are_refused() -> None:
+    with pytest.raises(TemplateError, match="outside the walls"):
+        prepared(instead('min="-2,-2,0" max="-1,2,0"', 'min="3,3,0" max="4,4,0"'), arena="10x8")
+
+
+def test_arenas_are_a_criterion() -> None:
+    made = experiments("arena=10x10,20x10")
+    assert {name: one(root, "arena/@size") for name, root in made.items()} == {"10x10": "10,10,2", "20x10": "20,10,2"}
+
+
+@pytest.mark.parametrize("wrong", ["arena=10,20", "arena.Log8", "arena=big", "arena=10x10,10.0x10", "arena=0x1"])
+def test_arenas_that_are_none_are_refused(wrong: str) -> None:
+    with pytest.raises(QueryError, match="arena"):
+        experiments(wrong)
+
+
+@given(st.decimals(1, 1000, places=3), st.decimals(1, 1000, places=3))
+def test_whatever_the_arena_robots_start_between_the_walls_and_these_within_it(x: object, y: object) -> None:
+    made = prepared(arena=f"{x}x{y}")
+    sides = numbers(one(made, "arena/@size"))[:2]
+    low, high = numbers(one(made, f"{UNIFORM}/@min")), numbers(one(made, f"{UNIFORM}/@max"))
+    for axis in (0, 1):
+        assert -sides[axis] / 2 + 0.1 <= low[axis] + 1e-9
+        assert low[axis] < high[axis] <= sides[axis] / 2 - 0.1 + 1e-9
+    for box in made.xpath("arena/box[@id!='crate']"):
+        extents = zip(numbers(box.get("size")), numbers(one(box, "body/@position")), sides, strict=False)
+        assert all(abs(place) + size / 2 <= side / 2 + 1e-9 for size, place, side in extents)
+
+
+# Populations
+
+
+def test_population_size_is_the_quantity_of_the_robots() -> None:
+    made = experiments("population_size.Log8")
+    assert [one(root, QUANTITY) for root in made.values()] == ["1", "2", "4", "8"]
+    assert {one(root, "arena/distribute/entity[cylinder]/@quantity") for root in made.values()} == {"1"}
+
+
+def test_populations_are_called_so() -> None:
+    answer = platform().criterion(grammar.parse("population_size.Log8"), reader())
+    assert answer is not None
+    assert (answer[0].name, answer[0].label) == ("population_size", "Population size")
+
+
+@pytest.mark.parametrize("wrong", ["=0.5,1", "=0,1", "=-1,1", "=few,many", "=1:8:5", "=1,4294967296", ".5p0.I16.C4"])
+def test_populations_that_are_no_whole_robots_are_refused(wrong: str) -> None:
+    with pytest.raises(QueryError):
+        experiments(f"population_size{wrong}")
+
+
+def test_a_count_alone_is_no_population() -> None:
+    with pytest.raises(QueryError, match=r"population_size\.Log8"):
+        platform().criterion(Criterion("population_size", MonteCarlo(3)), reader())
+
+
+def test_two_kinds_of_robots_need_to_be_told_apart() -> None:
+    template = instead("<cylinder ", '<cylinder2><controller config="x"/></cylinder2><cylinder ')
+    with pytest.raises(TemplateError, match="set population in"):
+        experiments("population_size.Log8", template)
+    made = experiments("population_size.Log8", template, population="//entity[cylinder]/@quantity")
+    assert one(made[8], "arena/distribute/entity[cylinder]/@quantity") == "8"
+
+
+def test_a_robot_placed_by_hand_would_be_one_too_many() -> None:
+    template = instead("<light ", '<foot-bot id="leader"><controller config="x"/></foot-bot><light ')
+    with pytest.raises(TemplateError, match="not one kind of robots"):
+        experiments("population_size.Log8", template)
+
+
+def test_a_template_without_robots_has_no_population() -> None:
+    with pytest.raises(TemplateError, match="not one kind of robots"):
+        experiments("population_size.Log8", without('<controller config="__CONTROLLER__"/>'))
+
+
+def test_a_population_is_an_attribute() -> None:
+    with pytest.raises(ConfigError, match="selects an element"):
+        experiments("population_size.Log8", population="//entity[foot-bot]")
+
+
+# Densities
+
+
+def test_at_constant_density_the_arena_grows_from_the_templates_own() -> None:
+    made = experiments("population_constant_density.5p0.I16.C4")
+    assert [one(root, "arena/@size") for root in made.values()] == ["5,5,2", "21,21,2", "37,37,2", "53,53,2"]
+    assert list(made) == [1, 22, 68, 140]
+    assert [one(root, QUANTITY) for root in made.values()] == ["1", "22", "68", "140"]
+
+
+def test_walls_and_robots_grow_with_the_arena() -> None:
+    made = experiments("population_constant_density.5p0.I16.C4")[22]
+    assert one(made, "arena/box[@id='wall_north']/@size") == "21,0.1,0.5"
+    assert one(made, "arena/box[@id='wall_north']/body/@position") == "0,10.45,0"
+    assert one(made, f"{UNIFORM}/@min") == "-10.4,-10.4,0"
+
+
+def test_the_arena_may_grow_from_the_options_own() -> None:
+    made = experiments("population_constant_density.5p0.I5.C2", arena="20x10")
+    assert {n: one(root, "arena/@size") for n, root in made.items()} == {10: "20,10,2", 18: "25,15,2"}
+
+
+def test_density_is_exact_percent() -> None:
+    """In floats 0.29 · 100 is 28.999…"""
+    assert list(experiments("population_constant_density.29p0.I1.C1", arena="10x10")) == [29]
+
+
+def test_at_variable_density_the_arena_stays() -> None:
+    made = experiments("population_variable_density.1p0.5p0.C5", arena="20x20")
+    assert list(made) == [4, 8, 12, 16, 20]
+    assert {one(root, "arena/@size") for root in made.values()} == {"20,20,2"}
+
+
+def test_densities_may_fall() -> None:
+    assert list(experiments("population_variable_density.5p0.1p0.C3", arena="20x20")) == [20, 12, 4]
+
+
+def test_less_than_one_robot_is_refused_with_a_density_that_is_right() -> None:
+    with pytest.raises(QueryError, match=r"are 0\.25 robots, less than one; use a density of 4 or more"):
+        experiments("population_constant_density.1p0.I16.C4")
+    assert next(iter(experiments("population_constant_density.4p0.I16.C4"))) == 1
+    with pytest.raises(QueryError, match="less than one"):
+        experiments("population_variable_density.1p0.50p0.C4", arena="5x5")
+
+
+def test_the_same_population_twice_is_refused_with_an_increment_that_is_right() -> None:
+    with pytest.raises(QueryError, match=r"have 1 robots twice; use an increment of I1p71 or more"):
+        experiments("population_constant_density.5p0.I0p5.C4")
+    assert len(experiments("population_constant_density.5p0.I1p71.C4")) == 4
+
+
+def test_two_densities_of_one_population_are_refused_with_a_count_that_is_right() -> None:
+    with pytest.raises(QueryError, match="use C5"):
+        experiments("population_variable_density.1p0.5p0.C9", arena="10x10")
+    assert len(experiments("population_variable_density.1p0.5p0.C5", arena="10x10")) == 5
+
+
+def test_a_density_needs_walls_that_bound_the_arena() -> None:
+    with pytest.raises(TemplateError, match=r'off the edge of the 5x5 arena.*set arena = "5x5"'):
+        experiments("population_variable_density.10p0.50p0.C3")
+    assert list(experiments("population_variable_density.10p0.50p0.C3", arena="5x5")) == [2, 7, 12]
+
+
+def test_walls_astride_the_edges_bound_the_arena() -> None:
+    assert list(experiments("population_variable_density.10p0.50p0.C3", instead('"5, 5, 2"', '"4,4,2"'))) == [1, 4, 8]
+
+
+@pytest.mark.parametrize("name", ["population_constant_density", "population_variable_density"])
+def test_densities_have_scales_of_their_own(name: str) -> None:
+    with pytest.raises(QueryError, match=name):
+        experiments(f"{name}.Log8")
+
+
+@pytest.mark.parametrize("size", ["5,5", "a,b,c", "0,5,1", "1/2,1,1", "1e999,1,1"])
+def test_an_arena_without_a_size_has_no_density(size: str) -> None:
+    with pytest.raises(TemplateError, match="arena/@size"):
+        experiments("population_constant_density.5p0.I16.C4", instead('"5, 5, 2"', f'"{size}"'))
+
+
+DENSITIES = st.decimals("0.01", 1000, places=2)
+
+
+@given(DENSITIES, st.decimals("0.1", 50, places=1), st.integers(1, 8))
+def test_constant_density_is_refused_or_exact(density: object, increment: object, count: int) -> None:
+    steps = (str(density).replace(".", "p"), "I" + str(increment).replace(".", "p"), f"C{count}")
+    criterion = grammar.parse(".".join(("population_constant_density", *steps)))
+    answer = None
+    with suppress(QueryError):
+        answer = platform().criterion(criterion, reader())
+    if answer is None:
+        return
+    populations = [value for value in answer[0].values if isinstance(value, int)]
+    for index, population in enumerate(populations):
+        area = (5 + index * Fraction(str(increment))) ** 2
+        assert population <= area * Fraction(str(density)) / 100 < population + 1
+    assert len(populations) == count
+    assert all(1 <= less < more for less, more in pairwise(populations))
+
+
+@pytest.mark.parametrize(
+    "criterion",
+    ["population_variable_density.1p0.5p0.C5", "population_constant_density.5p0.I5.C2", "arena=10x10,20x10"],
+)
+def test_criteria_that_need_or_make_an_arena_set_its_size(criterion: str) -> None:
+    """So that a design can see that two of them contradict each other: they change the same."""
+    driven = platform(arena="20x20")
+    answer = driven.criterion(grammar.parse(criterion), changed(TEMPLATE, driven.changes(reader())))
+    assert answer is not None
+    assert all("/argos-configuration/arena/@size" in {c.path for c in point.changes} for point in answer[1])
+
+
+def test_a_size_is_shown_as_it_is_written() -> None:
+    assert str(Size(Fraction(10), Fraction(5, 2), Fraction(1))) == "10x2.5x1"
+
+
+@pytest.mark.parametrize("hostile", ["{", "}", "{seed}", "{{}}", "' or '1'='1", "a&#10;b"])
+@pytest.mark.parametrize("old", ['"5, 5, 2"', '"60"', '"-2,-2,0"', '"0,2,0"', '"4,0.1,0.5"'])
+def test_hostile_texts_in_the_template_are_told_in_one_line(old: str, hostile: str) -> None:
+    with pytest.raises(TemplateError) as told:
+        prepared(instead(old, f'"{hostile}"'), arena="10x8")
+    assert len(str(told.value).splitlines()) == 1
+
+
+@pytest.mark.parametrize("hostile", ["{", "}", "{seed}", "{{}}", "wall' or '1'='1", "wall&#10;b"])
+def test_hostile_ids_of_walls_are_told_in_one_line_or_fine(hostile: str) -> None:
+    template = instead('"crate"', f'"wall{hostile}"')
+    with pytest.raises(TemplateError, match="set walls in") as told:
+        prepared(template, arena="10x8")
+    assert len(str(told.value).splitlines()) == 1
+    made = prepared(instead('"wall_north"', f'"wall{hostile}"'), arena="10x8")
+    assert len(made.xpath("arena/box[@size='10,0.1,0.5']")) == 2
+
+
+# Batches, with a program in ARGoS' place that says what it was given
+
+SEEN = """\
+import sys
+import xml.etree.ElementTree as ET
+
+root = ET.parse(sys.argv[1]).getroot()
+arena = root.find("arena")
+x, y, _ = arena.get("size").split(",")
+robots = next(entity for entity in arena.iter("entity") if entity.find("foot-bot") is not None)
+walls = [box.get("size") for box in arena.iter("box") if box.get("id").startswith("wall")]
+with open("seen.csv", "w") as file:
+    print("x,y,robots,length,walls", file=file)
+    length = root.find("framework/experiment").get("length")
+    fitting = sum(wall in (f"{float(x):g},0.1,0.5", f"0.1,{float(y):g},0.5") for wall in walls)
+    print(float(x), float(y), robots.get("quantity"), length, fitting, sep=",", file=file)
+"""
+CONFIG = """\
+template = "arena.argos"
+platform = "argos"
+command = "{python} {project}/sim.py {input}"
+controller = "foraging"
+runs = 1
+[platforms.argos]
+arena = "10x10"
+[controllers.foraging]
+[variables]
+seconds = "/argos-configuration/framework/experiment[1]/@length"
+length = "//experiment/@length"
+"""
+BIG = """
+[scenarios.big]
+changes = [
+    { set = "//arena/@size", value = "20,20,2" },
+    { set = "//box[@id='wall_north']/body/@position", value = "0,10,0" },
+    { set = "//box[@id='wall_south']/body/@position", value = "0,-10,0" },
+    { set = "//box[@id='wall_east']/body/@position", value = "10,0,0" },
+    { set = "//box[@id='wall_west']/body/@position", value = "-10,0,0" },
+    { set = "//box[@id='wall_north' or @id='wall_south']/@size", value = "20,0.1,0.5" },
+    { set = "//box[@id='wall_east' or @id='wall_west']/@size", value = "0.1,20,0.5" },
+]
+[scenarios.plain]
+"""
+
+
+def argos_project(folder: Path, config: str = CONFIG, template: str = TEMPLATE) -> Path:
+    projects.make(folder, config, simulator=SEEN)
+    (folder / "arena.argos").write_text(template)
+    return folder
+
+
+def seen(folder: Path, *words: str) -> list[dict[str, Any]]:
+    """What the runs of a query were given, in the order of its experiments."""
+    ran = projects.quick(folder, "run", *words, "--no-figures")
+    assert ran.returncode == 0, ran.stderr + ran.stdout
+    asked = projects.quick(folder, "sql", "--json", "SELECT x, y, robots, length, walls FROM seen ORDER BY robots, x, length")
+    assert asked.returncode == 0, asked.stderr
+    rows: list[dict[str, Any]] = json.loads(asked.stdout)
+    return rows
+
+
+def refused(folder: Path, *words: str) -> str:
+    """The one line that says why a query is none."""
+    ran = projects.quick(folder, "run", *words, "-n")
+    assert ran.returncode == 2, ran.stderr + ran.stdout
+    assert len(ran.stderr.splitlines()) == 1
+    return ran.stderr
+
+
+@pytest.mark.parametrize(
+    ("criterion", "expected"),
+    [
+        ("population_variable_density.1p0.3p0.C3", [(20, 4), (20, 8), (20, 12)]),
+        ("population_constant_density.1p0.I10.C2", [(20, 4), (30, 9)]),
+    ],
+)
+def test_a_density_is_that_of_the_scenarios_arena(tmp_path: Path, criterion: str, expected: list[tuple[int, int]]) -> None:
+    rows = seen(argos_project(tmp_path / "p", CONFIG + BIG), criterion, "--scenario", "big")
+    assert [(row["x"], row["robots"]) for row in rows] == expected
+
+
+def test_a_density_is_that_of_an_arena_that_is_set_on_the_command_line(tmp_path: Path) -> None:
+    template = TEMPLATE.replace('id="wall_', 'id="block_')
+    folder = argos_project(tmp_path / "p", CONFIG.replace('arena = "10x10"', ""), template)
+    rows = seen(folder, "population_variable_density.1p0.2p0.C2", "--set", "//arena/@size=20,10,2")
+    assert [(row["x"], row["y"], row["robots"]) for row in rows] == [(20, 10, 2), (20, 10, 4)]
+
+
+def test_a_growing_arena_takes_its_walls_along(tmp_path: Path) -> None:
+    rows = seen(argos_project(tmp_path / "p"), "population_constant_density.1p0.I10.C3")
+    assert [(row["x"], row["robots"], row["walls"]) for row in rows] == [(10, 1, 4), (20, 4, 4), (30, 9, 4)]
+
+
+def test_a_fixed_arena_contradicts_one_that_grows(tmp_path: Path) -> None:
+    told = refused(argos_project(tmp_path / "p"), "population_constant_density.1p0.I10.C3", "--set", "//arena/@size=20,20,2")
+    assert "does not last: --set //arena/@size changes what it sets" in told
+
+
+def test_a_density_means_one_thing_in_a_batch(tmp_path: Path) -> None:
+    folder = argos_project(tmp_path / "p", CONFIG + BIG)
+    told = refused(folder, "scenario=plain,big", "population_variable_density.1p0.3p0.C3")
+    assert "population_variable_density is 1, 2, 3 with scenario=plain, but 4, 8, 12 with scenario=big; ask for one" in told
+
+
+@pytest.mark.parametrize("query", [("population_variable_density.1p0.3p0.C3",), ("population_size.Log4",)])
+def test_a_population_that_is_set_otherwise_is_no_axis(tmp_path: Path, query: tuple[str, ...]) -> None:
+    told = refused(argos_project(tmp_path / "p"), *query, "--set", "//entity/@quantity=7")
+    assert "=1 does not last: --set //entity/@quantity changes what it sets" in told
+
+
+def test_two_axes_may_not_set_the_same_by_different_paths(tmp_path: Path) -> None:
+    told = refused(argos_project(tmp_path / "p"), "length=30,60", "seconds=10,20")
+    assert "length=30 does not last: seconds=10 changes what it sets; ask for one of them" in told
+
+
+def test_what_a_later_axis_adds_has_the_value_of_an_earlier_one_only_in_the_right_order(tmp_path: Path) -> None:
+    """Robots that a scenario adds would not have the value that the axis before it sets in all robots."""
+    more = """
+speed = "//wheel_turning/@max_speed"
+[scenarios.more]
+changes = [{ add = "//controllers", xml = '<other id="other"><params><wheel_turning max_speed="3"/></params></other>' }]
+"""
+    folder = argos_project(tmp_path / "p", CONFIG + more)
+    told = refused(folder, "speed=1,2", "scenario=more")
+    assert "speed=1 does not last: scenario=more changes what it sets; ask for one of them, or in another order" in told
+    assert projects.quick(folder, "run", "scenario=more", "speed=1,2", "-n").returncode == 0
+
+
+@pytest.mark.integration
+def test_other_axes_combine_with_the_platforms_own(tmp_path: Path) -> None:
+    rows = seen(argos_project(tmp_path / "p"), "population_size.Log2", "length=30,60", "arena=10x10,20x20")
+    assert {(row["robots"], row["length"], row["x"]) for row in rows} == {
+        (robots, length, side) for robots in (1, 2) for length in (30, 60) for side in (10, 20)
+    }
+    assert all(row["walls"] == 4 for row in rows)
+
+
+def test_a_length_may_come_from_the_projects_own_changes(tmp_path: Path) -> None:
+    config = 'changes = [{ set = "//experiment/@length", value = 30 }]\n' + CONFIG
+    rows = seen(argos_project(tmp_path / "p", config, instead('length="60"', 'length="0"')), "population_size=1")
+    assert rows[0]["length"] == 30
+
+
+@pytest.mark.parametrize("words", [("population_size=1", "--set", "//experiment/@length=0"), ("length=60,0",)])
+def test_whoever_makes_a_run_endless_is_refused(tmp_path: Path, words: tuple[str, ...]) -> None:
+    assert "would run for ever" in refused(argos_project(tmp_path / "p"), *words)
+
+
+def test_threads_that_would_hang_are_refused_whoever_asks_for_them(tmp_path: Path) -> None:
+    template = instead('threads="4"', 'threads="4" method="balance_length"')
+    told = refused(argos_project(tmp_path / "p", template=template), "population_size=1", "--set", "//system/@threads=2")
+    assert "hangs with 2 threads" in told
+
+
+SIZED = """
+side = { changes = [{ set = "//arena/@size", value = "{side},{side},2" }] }
+north = { changes = [{ set = "//arena/@center", value = "0,{north},1" }] }
+[scenarios.large]
+changes = [{ set = "//arena/@size", value = "20,20,2" }]
+"""
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("population_size=1", "--set", "//arena/@size=20,20,2"),
+        ("population_size=1", "--set", "/argos-configuration/arena/@size=10,20,2"),
+        ("side=10,20",),
+        ("population_size=1", "--scenario", "large"),
+        ("scenario=large", "population_size=1"),
+        ("north=3,6",),
+    ],
+)
+def test_whoever_changes_the_arena_alone_is_told_that_its_walls_stay(tmp_path: Path, words: tuple[str, ...]) -> None:
+    told = refused(argos_project(tmp_path / "p", CONFIG + SIZED), *words)
+    assert "'wall_" in told
+    assert "in [platforms.argos], or ask for arena=" in told
+
+
+def test_a_size_that_each_run_sets_leaves_no_walls_behind_either(tmp_path: Path) -> None:
+    run_changes = 'run_changes = [{ set = "//arena/@size", value = "{side},{side},2" }]\nper_run = { side = [10, 20] }\n'
+    folder = argos_project(tmp_path / "p", run_changes + CONFIG)
+    assert projects.quick(folder, "run", "population_size=1", "--runs", "1", "-n").returncode == 0
+    assert "20x20 arena" in refused(folder, "population_size=1", "--runs", "2")
+
+
+def test_walls_that_the_projects_own_changes_move_are_as_good(tmp_path: Path) -> None:
+    [row] = seen(argos_project(tmp_path / "p", CONFIG + BIG), "population_size=1", "--scenario", "big")
+    assert (row["x"], row["walls"]) == (20, 4)
+
+
+def test_walls_with_gaps_between_them_do_not_bound_the_arena(tmp_path: Path) -> None:
+    short = BIG.replace('value = "0.1,20,0.5"', 'value = "0.1,19,0.5"')
+    told = refused(argos_project(tmp_path / "p", CONFIG + short), "population_size=1", "--scenario", "big")
+    assert "'wall_east' ends 0.5 m before the edge of the 20x20 arena" in told
+
+
+def test_an_arena_that_becomes_higher_keeps_its_walls(tmp_path: Path) -> None:
+    folder = argos_project(tmp_path / "p", CONFIG.replace('arena = "10x10"', ""))
+    assert projects.quick(folder, "run", "population_size=1", "--set", "//arena/@size=5,5,3", "-n").returncode == 0
+
+
+def test_an_arena_without_walls_may_have_any_size(tmp_path: Path) -> None:
+    folder = argos_project(tmp_path / "p", CONFIG + SIZED, TEMPLATE.replace('id="wall_', 'id="block_'))
+    assert [row["x"] for row in seen(folder, "side=10,20")] == [10, 20]
+
+
+def test_boundaries_of_an_engine_do_not_stay_behind_either(tmp_path: Path) -> None:
+    bounded = '<dynamics2d id="dyn2d"><boundaries><top height="2"/></boundaries></dynamics2d>'
+    template = instead('<dynamics2d id="dyn2d"/>', bounded).replace('id="wall_', 'id="block_')
+    folder = argos_project(tmp_path / "p", CONFIG.replace('arena = "10x10"', ""), template)
+    assert "would not follow" in refused(folder, "population_size=1", "--set", "//arena/@size=20,20,2")
+
+
+def test_threads_of_runs_side_by_side_are_not_pinned_to_the_same_cores(tmp_path: Path) -> None:
+    template = instead('threads="4"', 'threads="4" pin_threads_to_cores="true"')
+    folder = argos_project(tmp_path / "p", template=template)
+    assert projects.quick(folder, "run", "population_size=1", "-n").returncode == 0
+    told = refused(folder, "population_size=1", "--set", "//system/@threads=2")
+    assert "runs side by side would share" in told
+    assert 'pin_threads_to_cores="false"' in told
+
+
+def test_a_controller_that_is_missing_is_told_how_to_name_it(tmp_path: Path) -> None:
+    told = refused(argos_project(tmp_path / "p", CONFIG.replace('controller = "foraging"\n', "")), "population_size=1")
+    assert "__CONTROLLER__ in the template needs a controller" in told
+    assert '--controller NAME, or controller = "NAME" in sierra.toml' in told
+
+
+def test_an_example_of_argos_own_becomes_this() -> None:
+    """As examples are written: paths from the project's folder, blanks in sizes, no length, a camera."""
+    template = """<argos-configuration>
+  <framework>
+    <system threads="0" />
+    <experiment length="0"
+                ticks_per_second="10"
+                random_seed="124" />
+  </framework>
+  <arena size="5, 5, 1" center="0,0,0.5">
+    <box id="wall_north" size="4,0.1,0.5" movable="false"><body position="0,2,0" orientation="0,0,0" /></box>
+    <box id="wall_south" size="4,0.1,0.5" movable="false"><body position="0,-2,0" orientation="0,0,0" /></box>
+    <box id="wall_east" size="0.1,4,0.5" movable="false"><body position="2,0,0" orientation="0,0,0" /></box>
+    <box id="wall_west" size="0.1,4,0.5" movable="false"><body position="-2,0,0" orientation="0,0,0" /></box>
+    <distribute>
+      <position method="uniform" min="-2,-2,0" max="2,2,0" />
+      <entity quantity="10" max_trials="100"><foot-bot id="fb"><controller config="fdc" /></foot-bot></entity>
+    </distribute>
+    <distribute>
+      <position method="uniform" min="-2,-2,0" max="2,2,0" />
+      <entity quantity="5" max_trials="100"><box id="b" size="0.3,0.3,0.5" movable="false" /></entity>
+    </distribute>
+  </arena>
+  <visualization><qt-opengl><camera /></qt-opengl></visualization>
+</argos-configuration>
+"""
+    driven = platform(length=20, arena="6x6")
+    common = driven.changes(reader(template))
+    answer = driven.criterion(grammar.parse("population_constant_density.20p0.I2.C2"), changed(template, common))
+    assert answer is not None
+    made = make((*common, *answer[1][1].changes, *driven.seed_changes()), template)
+    assert (
+        etree.tostring(made, encoding="unicode")
+        == """<argos-configuration>
+  <framework>
+    <system threads="0"/>
+    <experiment length="20" ticks_per_second="10" random_seed="7"/>
+  </framework>
+  <arena size="8,8,1" center="0,0,0.5">
+    <box id="wall_north" size="8,0.1,0.5" movable="false"><body position="0,3.95,0" orientation="0,0,0"/></box>
+    <box id="wall_south" size="8,0.1,0.5" movable="false"><body position="0,-3.95,0" orientation="0,0,0"/></box>
+    <box id="wall_east" size="0.1,8,0.5" movable="false"><body position="3.95,0,0" orientation="0,0,0"/></box>
+    <box id="wall_west" size="0.1,8,0.5" movable="false"><body position="-3.95,0,0" orientation="0,0,0"/></box>
+    <distribute>
+      <position method="uniform" min="-3.9,-3.9,0" max="3.9,3.9,0"/>
+      <entity quantity="12" max_trials="100"><foot-bot id="fb"><controller config="fdc"/></foot-bot></entity>
+    </distribute>
+    <distribute>
+      <position method="uniform" min="-3.9,-3.9,0" max="3.9,3.9,0"/>
+      <entity quantity="5" max_trials="100"><box id="b" size="0.3,0.3,0.5" movable="false"/></entity>
+    </distribute>
+  </arena>
+</argos-configuration>"""
+    )
+
+
+# Libraries
+
+
+def test_libraries_are_sought_from_the_projects_folder_and_where_they_are_built() -> None:
+    assert platform().environment() == {"ARGOS_PLUGIN_PATH": "{project}:{project}/build"}
+    assert platform(libraries=["lib", "a/b"]).environment() == {"ARGOS_PLUGIN_PATH": "{project}:{project}/lib:{project}/a/b"}
+
+
+@pytest.mark.parametrize("folder", ["", ".", "..", "/lib", "a/../..", "a:b", "{seed}", "a,b"])
+def test_libraries_are_below_the_project(folder: str) -> None:
+    with pytest.raises(ConfigError, match=r'libraries: .* is not a folder below the project; use one as in \["build"\]'):
+        platform(libraries=[folder])
+
+
+@pytest.mark.integration
+def test_a_library_that_is_built_anew_makes_runs_execute_again_though_git_ignores_it(tmp_path: Path) -> None:
+    folder = argos_project(tmp_path / "p")
+    subprocess.run(["git", "init", "-q"], cwd=folder, check=True)
+    (folder / ".gitignore").write_text("build/\n")
+    library = folder / "build" / "controllers" / "libforaging.so"
+    library.parent.mkdir(parents=True)
+
+    def executed(content: str) -> int:
+        library.write_text(content)
+        ran = projects.quick(folder, "run", "population_size=1", "--no-figures", "--json")
+        assert ran.returncode == 0, ran.stderr
+        count: int = json.loads(ran.stdout)["executed"]
+        return count
+
+    assert [executed("one"), executed("one"), executed("two")] == [1, 0, 1]

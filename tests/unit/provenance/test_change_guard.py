@@ -1,0 +1,151 @@
+"""What executes is what was planned: what changes meanwhile is noticed, and nothing is ascribed to what did not make it."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from sierra.provenance.change_guard import seen
+from sierra.provenance.program import NOTHING
+from sierra.provenance.source.manifest import Entry, listed
+from tests import projects
+from tests.conftest import PRINTS, held
+from tests.waiting import PATIENCE_S
+
+OTHER = r"printf 't,v\n1,1000\n2,4000\n' > swarm.csv"
+
+
+@pytest.mark.integration
+@pytest.mark.parametrize("git", [True, pytest.param(False, marks=pytest.mark.nightly)])
+def test_runs_that_other_code_than_planned_may_have_made_never_count(simulate: Callable[..., Any], git: bool) -> None:
+    script = held(1)
+    project = simulate(script)
+    if git:
+        projects.commit(project.folder)
+    asking = project.start("run", "size=1,2,3,4,5,6,7,8", "--runs", "1", "-j", "1", "--no-figures")
+    project.until_executed(2, asking)
+    code = (project.folder / "sim.sh").read_text()
+    (project.folder / "sim.sh").write_text(code.replace(script, OTHER))
+    project.open()
+    ended = project.end_of(asking)
+    assert ended.returncode == 1
+    assert "code or programs have changed since the runs began: sim.sh" in ended.stdout
+    assert project.sql("SELECT DISTINCT status FROM executions WHERE reason LIKE 'code or programs%'") == [{"status": "failed"}]
+    (project.folder / "sim.sh").write_text(code)
+    assert project.quick("run", "size=1,2,3,4,5,6,7,8", "--runs", "1", "--no-figures").returncode == 0
+    assert project.sql("SELECT count(*) AS runs, max(v) AS v FROM swarm WHERE t = 2") == [{"runs": 8, "v": 4}]
+
+
+@pytest.mark.integration
+def test_notes_that_change_while_runs_execute_are_told_how_to_be_no_code(simulate: Callable[..., Any]) -> None:
+    project = simulate(held(1))
+    (project.folder / "notes.md").write_text("before")
+    (project.folder / "figures").mkdir()
+    (project.folder / "figures" / "a.png").write_text("before")
+    asking = project.start("run", "size=1,2,3", "--runs", "1", "-j", "1", "--no-figures")
+    project.until_executed(2, asking)
+    (project.folder / "notes.md").write_text("after")
+    project.open()
+    ended = project.end_of(asking)
+    advice = 'where these are no code, write paths = ["sim.sh"] under [source] in sierra.toml'
+    assert (ended.returncode, advice in ended.stdout) == (1, True)
+    with (project.folder / "sierra.toml").open("a") as toml:
+        toml.write('[source]\npaths = ["sim.sh"]\n')
+    assert project.quick("run", "size=1,2,3", "--runs", "1", "--no-figures").returncode == 0
+    (project.folder / "notes.md").write_text("later")
+    assert "0 of 3 runs would execute" in project.quick("run", "size=1,2,3", "--runs", "1", "-n").stdout
+
+
+def test_code_that_changed_is_not_proposed_to_be_left_out(tmp_path: Path) -> None:
+    names = ("sim.py", "README", "src/a.py", "data/b", ".gitignore", "lib x/c")
+    manifest = listed(Entry("100644", "0" * 40, os.fsencode(name)) for name in names)
+    taken = seen(tmp_path, manifest, NOTHING)
+    assert taken.advice([b"notes.py"]) == taken.advice([b"history.csv"]) == taken.advice([b"src/README.md"])
+    assert taken.advice([b"sim.py", b"README"]) == taken.advice([b"src/README.md"]) == "[source] paths says what is code"
+    assert 'paths = ["data", "lib x", "sim.py", "src"]' in taken.advice([b"README"])
+    assert 'paths = ["lib x", "sim.py", "src"]' in taken.advice([b"README", b"data/b"])
+
+
+def test_a_program_that_is_replaced_while_runs_execute_spoils_them(simulate: Callable[..., Any], tmp_path: Path) -> None:
+    program = tmp_path / "sim"
+    program.write_text(f'#!/bin/sh\nuntil [ -e "{tmp_path}/gate" ]; do sleep 0.02; done; {PRINTS}\n')
+    program.chmod(0o755)
+    project = simulate(f'{program}; echo "$SIERRA_RUN_ID" >> "{tmp_path}/ended"')
+    toml = project.folder / "sierra.toml"
+    toml.write_text(toml.read_text().replace('"sim.sh", "{input}"]', f'"sim.sh", "{{input}}", "{program}"]'))
+    asking = project.start("run", "size=1,2,3", "-j", "1", "--no-figures")
+    project.until_executed(1, asking)
+    replaced = tmp_path / "new"
+    replaced.write_text(f"#!/bin/sh\n{OTHER}\n")
+    replaced.chmod(0o755)
+    replaced.replace(program)
+    project.open()
+    ended = project.end_of(asking)
+    assert (ended.returncode, f"changed since the runs began: {program}" in ended.stdout) == (1, True)
+    assert project.sql("SELECT DISTINCT status FROM executions") == [{"status": "failed"}]
+
+
+def test_what_was_another_for_a_while_and_what_is_only_new(tmp_path: Path) -> None:
+    files = {name: tmp_path / name for name in ("a", "b", "sub/c")}
+    for file in files.values():
+        file.parent.mkdir(exist_ok=True)
+        file.write_text("x")
+    manifest = listed(Entry("100644", "0" * 40, os.fsencode(name)) for name in files)
+
+    def changed(what: Callable[[], object]) -> str | None:
+        before = seen(tmp_path, manifest, NOTHING)
+        what()
+        return before.doubt()
+
+    assert changed(lambda: (tmp_path / "new").write_text("")) is None
+    assert changed(lambda: files["a"].read_text()) is None
+    times = files["a"].stat()
+
+    def there_and_back() -> None:
+        files["a"].write_text("y")
+        files["a"].write_text("x")
+        os.utime(files["a"], ns=(times.st_atime_ns, times.st_mtime_ns))
+
+    for what, name in ((there_and_back, "a"), (files["b"].unlink, "b"), (lambda: files["sub/c"].write_text("x"), "sub/c")):
+        assert f": {name} (" in str(changed(what))
+
+
+def test_a_replay_says_nothing_of_programs_that_were_replaced_meanwhile(simulate: Callable[..., Any], tmp_path: Path) -> None:
+    program = tmp_path / "sim"
+    program.write_text(f'#!/bin/sh\nuntil [ -e "{tmp_path}/gate" ]; do sleep 0.02; done; {PRINTS}\n')
+    program.chmod(0o755)
+    project = simulate(str(program))
+    toml = project.folder / "sierra.toml"
+    toml.write_text(toml.read_text().replace('"sim.sh", "{input}"]', f'"sim.sh", "{{input}}", "{program}"]'))
+    project.open()
+    assert project.quick("run", "size=1", "--runs", "3", "--no-figures").returncode == 0
+    [row] = project.sql("SELECT batch FROM batches")
+    (tmp_path / "gate").unlink()
+    replaying = project.start("replay", row["batch"], "-j", "1")
+    project.until_executed(4, replaying)
+    program.touch()
+    project.open()
+    ended = project.end_of(replaying)
+    assert (ended.returncode, "3 failed" in ended.stdout, "changed since the runs began" in ended.stdout) == (1, True, True)
+
+
+@pytest.mark.integration
+def test_what_it_says_itself_is_not_written_into_the_code(simulate: Callable[..., Any]) -> None:
+    project = simulate(PRINTS)
+    ask = (projects.SIERRA, "run", "size=1", "--runs", "3", "--no-figures")
+    log = project.folder / "nohup.out"
+    with log.open("w") as out:
+        refused = subprocess.run(ask, cwd=project.folder, stdout=out, stderr=out, check=False, timeout=PATIENCE_S)
+    assert (refused.returncode, log.read_text().count("\n")) == (2, 1)
+    assert "is written to nohup.out, which counts as code of the project" in log.read_text()
+    (project.folder / ".gitignore").write_text("*.out\n")
+    log.unlink()
+    projects.commit(project.folder)
+    with log.open("w") as out:
+        done = subprocess.run(ask, cwd=project.folder, stdout=out, stderr=out, check=False, timeout=PATIENCE_S)
+    assert (done.returncode, "3 executed" in log.read_text()) == (0, True)

@@ -1,0 +1,484 @@
+"""Programs by fingerprint: with the libraries that they load, what a Python has installed, and what a template names."""
+
+from __future__ import annotations
+
+import json
+import os
+import struct
+import subprocess
+import sys
+import venv
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+import sierra
+from sierra.errors import Missing
+from sierra.provenance import libraries, program, programs, referenced_files
+from sierra.provenance.program import NOTHING, Kind, Program, Programs
+from tests import projects
+
+SEARCH = "/usr/bin:/bin"
+Require = Callable[..., str]
+
+
+def make(folder: Path, command: str, more: str = "", template: str = '<e seed="0" n="0"/>') -> sierra.Project:
+    folder.mkdir(parents=True, exist_ok=True)
+    toml = f"template = 't.xml'\ncommand = '{command}'\nruns = 1\nseed = '//e/@seed'\n[variables]\nn = '//e/@n'\n{more}"
+    (folder / "sierra.toml").write_text(toml)
+    (folder / "t.xml").write_text(template)
+    return sierra.open(folder)
+
+
+def rows(project: sierra.Project, kind: str) -> dict[str, dict[str, str]]:
+    """What is recorded of one kind, by name."""
+    return {row["name"]: row for row in project.sql(f"SELECT * FROM programs WHERE kind = '{kind}'").to_pylist()}
+
+
+# ---------------------------------------------------------------- libraries
+
+
+class Built:
+    """A program that is thin: all that it computes, its library `libcore.so` does."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.program = folder / "bin" / "sim"
+        self.library = folder / "lib" / "libcore.so"
+        for path in (self.program, self.library):
+            path.parent.mkdir(parents=True)
+        self.change(1)
+        (folder / "sim.c").write_text(
+            '#include <stdio.h>\nint core(void);\nint main(void) { FILE *f = fopen("out.csv", "w"); '
+            'fprintf(f, "v\\n%d\\n", core()); return fclose(f); }\n'
+        )
+        self._compile("-o", self.program, folder / "sim.c", f"-L{self.library.parent}", "-lcore")
+
+    def change(self, value: int) -> None:
+        (self.folder / "core.c").write_text(f"int core(void) {{ return {value}; }}\n")
+        self._compile("-shared", "-fPIC", "-o", self.library, self.folder / "core.c")
+
+    def _compile(self, *words: str | Path) -> None:
+        subprocess.run(["gcc", *map(str, words)], check=True)
+
+
+@pytest.fixture
+def built(tmp_path: Path, require: Require) -> Built:
+    require("gcc")
+    require("ld.so", there=Path("/lib64").exists() or Path("/lib").exists())
+    return Built(tmp_path / "built")
+
+
+@pytest.mark.integration
+def test_a_library_that_a_program_loads_is_recorded_and_counts(built: Built, tmp_path: Path) -> None:
+    project = make(tmp_path / "p", str(built.program), f"[environment.set]\nLD_LIBRARY_PATH = '{built.library.parent}'\n")
+    assert project.run("n=1", figures=False).executed == 1
+    assert project.run("n=1", figures=False).reused == 1
+    loaded = rows(project, "library")
+    assert loaded["libcore.so"]["path"] == str(built.library)
+    assert {"libcore.so", "libc.so.6"} <= loaded.keys()
+    built.change(2)
+    assert project.run("n=1", figures=False).executed == 1
+    assert project.sql("SELECT v FROM out").column(0).to_pylist() == [2]
+
+
+def test_a_library_that_is_not_there_is_said_before_anything_executes(built: Built, tmp_path: Path) -> None:
+    project = make(tmp_path / "p", str(built.program))
+    with pytest.raises(Missing, match=r"^sim needs libcore\.so, which is not found; "):
+        project.run("n=1", figures=False)
+    assert not (tmp_path / "p" / ".sierra").exists()
+
+
+def test_what_env_sets_for_a_program_counts_for_its_libraries(built: Built, tmp_path: Path) -> None:
+    project = make(tmp_path / "p", f"env LD_LIBRARY_PATH={built.library.parent} {built.program}")
+    assert project.run("n=1", figures=False).failed == 0
+    assert "libcore.so" in rows(project, "library")
+
+
+def test_a_program_behind_another_may_lack_libraries_here(built: Built, tmp_path: Path) -> None:
+    found = programs.find(("nice", str(built.program)), {"PATH": SEARCH}, tmp_path)
+    assert str(built.program) in {one.path for one in found.all}
+
+
+def test_scripts_and_static_programs_load_nothing(tmp_path: Path, require: Require) -> None:
+    require("gcc")
+    (tmp_path / "x.c").write_text("int main(void) { return 0; }\n")
+    done = subprocess.run(["gcc", "-static", "-o", tmp_path / "static", tmp_path / "x.c"], check=False, capture_output=True)
+    require("a static libc", there=done.returncode == 0)
+    (tmp_path / "script").write_text("#!/nowhere\n")
+    assert libraries.loaded(str(tmp_path / "static"), {}) == libraries.NONE
+    assert libraries.loaded(str(tmp_path / "script"), {}) == libraries.NONE
+
+
+def elf(interpreter: bytes, *, at: int = 120, length: int | None = None) -> bytes:
+    """The beginning of an ELF file that names a loader."""
+    size = len(interpreter) if length is None else length
+    head = b"\x7fELF\x02\x01\x01" + bytes(9) + struct.pack("<HHIQQQIHHHHHH", 2, 62, 1, 0, 64, 0, 0, 64, 56, 1, 0, 0, 0)
+    return head + struct.pack("<IIQQQQQQ", 3, 4, at, 0, 0, size, size, 1) + interpreter
+
+
+def test_a_loader_that_a_hostile_file_names_is_never_executed(tmp_path: Path) -> None:
+    loader = tmp_path / "loader"
+    loader.write_text(f"#!/bin/sh\ntouch {tmp_path}/executed\n")
+    loader.chmod(0o755)
+    hostile = tmp_path / "hostile"
+    hostile.write_bytes(elf(os.fsencode(loader) + b"\0"))
+    hostile.chmod(0o755)
+    found = programs.find((str(hostile),), {"PATH": SEARCH}, tmp_path)
+    assert [one.name for one in found.all] == [str(hostile)]
+    assert found.notes == (f"the libraries of {hostile} are not recorded: its loader {loader} is none of the system's",)
+    assert not (tmp_path / "executed").exists()
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"",
+        b"\x7fELF",
+        b"\x7fELF\x02\x01",
+        elf(b"")[:100],
+        elf(b"", at=2**63),
+        elf(b"", at=2**64 - 1, length=2**64 - 1),
+        elf(b"\0"),
+    ],
+)
+def test_a_mutilated_program_has_no_loader(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "x").write_bytes(content)
+    assert libraries.loaded(str(tmp_path / "x"), {}) == libraries.NONE
+
+
+def test_only_what_is_called_like_a_loader_and_lies_in_the_systems_folders_is_asked(tmp_path: Path) -> None:
+    """As hostile files might name what is there already, or reach it through a link."""
+    (tmp_path / "ld-linux.so.2").symlink_to(libraries.interpreter(os.path.realpath("/bin/true")) or "/bin/true")
+    hostile = tmp_path / "hostile"
+    for loader in ("/usr/lib/os-release", f"/lib/../{tmp_path}/ld-linux.so.2", str(tmp_path / "ld-linux.so.2")):
+        hostile.write_bytes(elf(os.fsencode(loader) + b"\0"))
+        doubt = libraries.loaded(str(hostile), {}).doubt
+        assert doubt is None or "none of the system's" in doubt
+        assert doubt is not None or not Path(loader).exists()
+
+
+# ---------------------------------------------------------------- Python
+
+
+@pytest.fixture
+def python(tmp_path: Path) -> Path:
+    """A Python with nothing installed."""
+    (tmp_path / "p").mkdir()
+    venv.create(tmp_path / "env", symlinks=True)
+    return tmp_path / "env" / "bin" / "python"
+
+
+def install(python: Path, name: str, version: str, direct: str | None = None, record: str = "") -> None:
+    [folder] = python.parent.parent.glob("lib/python3*/site-packages")
+    info = folder / f"{name}-{version}.dist-info"
+    info.mkdir(exist_ok=True)
+    (info / "RECORD").write_text(record)
+    if direct is not None:
+        (info / "direct_url.json").write_text(direct)
+
+
+def seen(python: Path, root: Path, **variables: str) -> Programs:
+    return programs.find((str(python),), {**variables, "PATH": SEARCH}, root)
+
+
+def test_the_interpreter_and_what_it_has_installed_are_recorded(python: Path, tmp_path: Path) -> None:
+    install(python, "numpy", "2.0.1")
+    install(python, "Brax_x", "1!0.1+local")
+    found = seen(python, tmp_path)
+    [installed] = [one for one in found.all if one.kind == "distributions"]
+    assert installed.version == "Brax_x==1!0.1+local\nnumpy==2.0.1"
+    real = os.path.realpath(sys.executable)
+    assert [one.path for one in found.all if one.kind == "program"] == [str(python), real]
+
+
+def test_another_environment_with_the_same_is_the_same(python: Path, tmp_path: Path) -> None:
+    venv.create(tmp_path / "other", symlinks=True)
+    other = tmp_path / "other" / "bin" / "python"
+    for one in (python, other):
+        install(one, "numpy", "2.0.1")
+    assert seen(python, tmp_path).id == seen(other, tmp_path).id
+    install(other, "scipy", "1")
+    assert seen(python, tmp_path).id != seen(other, tmp_path).id
+
+
+def test_a_python_that_a_script_starts_is_the_one_that_counts(python: Path, tmp_path: Path) -> None:
+    """As the shims of pyenv and asdf do."""
+    install(python, "numpy", "2.0.1")
+    shim = tmp_path / "shims" / "python3"
+    shim.parent.mkdir()
+    shim.write_text(f'#!/bin/sh\nexec {python} "$@"\n')
+    shim.chmod(0o755)
+    found = programs.find(("python3",), {"PATH": f"{shim.parent}:{SEARCH}"}, tmp_path / "p")
+    assert "numpy==2.0.1" in [one.version for one in found.all]
+    assert "python3: interpreter" in {one.name for one in found.all}
+
+
+def test_what_is_called_python_in_the_project_is_not_executed_to_find_out(tmp_path: Path) -> None:
+    project = make(tmp_path / "p", "bin/python3 {input}")
+    (project.root / "bin").mkdir()
+    (project.root / "bin" / "python3").write_text(f"#!/bin/sh\ntouch {tmp_path}/executed\n")
+    (project.root / "bin" / "python3").chmod(0o755)
+    project.plan("n=1")
+    assert not (tmp_path / "executed").exists()
+
+
+def test_an_editable_install_counts_by_its_code(python: Path, tmp_path: Path) -> None:
+    code = tmp_path / "my code"
+    for folder in (code, code / ".venv", code / "env"):
+        folder.mkdir()
+    (code / "env" / "pyvenv.cfg").touch()
+    (code / "sim.py").write_text("x = 1\n")
+    install(python, "sim", "0.1", f'{{"url": "{code.as_uri()}", "dir_info": {{"editable": true}}}}')
+    first = seen(python, tmp_path / "p")
+    (row,) = (one for one in first.all if one.name == "python: sim")
+    assert (row.path, row.version) == (str(code), "sim==0.1")
+    for ignored in (code / ".venv" / "x.py", code / "env" / "x.py", code / "notes.txt"):
+        ignored.write_text("x")
+    assert seen(python, tmp_path / "p").id == first.id
+    (code / "sim.py").write_text("x = 2\n")
+    assert seen(python, tmp_path / "p").id != first.id
+
+
+def test_what_was_installed_from_a_folder_counts_by_its_record(python: Path, tmp_path: Path) -> None:
+    def installed(record: str) -> str:
+        install(python, "sim", "0.1", '{"url": "file:///home/me/sim", "dir_info": {}}', record)
+        return seen(python, tmp_path).id
+
+    first = installed("sim.py,sha256=a,1\n../../bin/sim,sha256=here,1\n__pycache__/sim.cpython-311.pyc,,\n")
+    assert installed("sim.py,sha256=a,1\n../../bin/sim,sha256=there,1\n") == first
+    assert installed("sim.py,sha256=b,1\n") != first
+
+
+@pytest.mark.parametrize("direct", ["", "{", "[]", "null", '{"url": 1}', "[" * 100_000])
+def test_a_damaged_record_of_an_install_is_none(python: Path, tmp_path: Path, direct: str) -> None:
+    install(python, "sim", "0.1", direct)
+    assert "sim==0.1" in [one.version for one in seen(python, tmp_path).all]
+
+
+def test_a_folder_of_pythonpath_counts_and_the_users_own_does_not(python: Path, tmp_path: Path) -> None:
+    (tmp_path / "modules").mkdir()
+    (tmp_path / "modules" / "m.py").write_text("x = 1\n")
+    first = seen(python, tmp_path / "p", PYTHONPATH=str(tmp_path / "modules"))
+    assert str(tmp_path / "modules") in [one.path for one in first.all]
+    assert not [one for one in first.all if str(Path.home() / ".local") in one.path]
+    (tmp_path / "modules" / "m.py").write_text("x = 2\n")
+    assert seen(python, tmp_path / "p", PYTHONPATH=str(tmp_path / "modules")).id != first.id
+
+
+# ---------------------------------------------------------------- what a template names
+
+
+def test_a_file_that_a_template_names_counts_unless_the_source_holds_it(tmp_path: Path) -> None:
+    mesh = tmp_path / "outside" / "a mesh.stl"
+    mesh.parent.mkdir()
+    mesh.write_text("one")
+    project = make(tmp_path / "p", "true", template=f'<e seed="0" n="0"><mesh file="{mesh}"/><map>maps/held.pgm</map></e>')
+    (project.root / "maps").mkdir()
+    (project.root / "maps" / "held.pgm").touch()
+    assert project.run("n=1", figures=False).executed == 1
+    assert list(rows(project, "file")) == [str(mesh)]
+    assert project.run("n=1", figures=False).reused == 1
+    mesh.write_text("two")
+    assert project.run("n=1", figures=False).executed == 1
+
+
+def test_what_an_included_model_names_counts_as_seen_from_its_folder(tmp_path: Path) -> None:
+    project = make(tmp_path / "p", "true", template='<e seed="0" n="0"><include file="models/arm.xml"/></e>')
+    for folder in ("models", "models/meshes"):
+        (project.root / folder).mkdir()
+    (project.root / "models" / "arm.xml").write_text('<m><compiler meshdir="meshes"/><mesh file="hand.stl"/></m>')
+    (project.root / "models" / "meshes" / "hand.stl").write_text("one")
+    (project.root / ".gitignore").write_text("*.stl\n")
+    subprocess.run(["git", "init", "-q", project.root], check=True)
+    project.run("n=1", figures=False)
+    assert list(rows(project, "file")) == ["{project}/models/meshes/hand.stl"]
+
+
+def test_what_a_scenario_puts_into_the_template_counts_whoever_asks_for_it(tmp_path: Path) -> None:
+    (tmp_path / "map.pgm").write_text("one")
+    scenario = f"[scenarios.s]\nchanges = [{{ add = '//e', xml = '<map file=\"{tmp_path}/map.pgm\"/>' }}]\n"
+    project = make(tmp_path / "p", "true", scenario)
+    project.run("n=1", figures=False)
+    assert list(rows(project, "file")) == [f"{tmp_path}/map.pgm"]
+
+
+def test_comments_and_what_sierra_reads_by_meaning_name_nothing(tmp_path: Path) -> None:
+    template = '<e seed="0" n="0"><!-- <x file="results.csv"/>\n --><doc>sierra.toml t.xml figures/b/x.png</doc></e>'
+    project = make(tmp_path / "p", "true", "[outputs.old]\nfile = 'old.csv'\nrequired = false\n", template)
+    for name in ("results.csv", "old.csv"):
+        (project.root / name).touch()
+    subprocess.run(["git", "init", "-q", project.root], check=True)
+    (project.root / ".gitignore").write_text("*.csv\n")
+    assert [one.name for one in project.plan("n=1").programs.all if one.kind == "file"] == []
+
+
+def test_tags_and_xpaths_name_nothing(tmp_path: Path) -> None:
+    """`</x>` is not the file `/x`, and neither is the XPath `/x`."""
+    for name in ("path", "value"):
+        (tmp_path / f"{name}.pgm").touch()
+    change = f"{{ set = '{tmp_path}/path.pgm', value = '{tmp_path}/value.pgm' }}"
+    more = f"[variables.v]\nset = '{tmp_path}/path.pgm'\n[scenarios.s]\nchanges = [{change}]\n"
+    project = make(tmp_path / "p", "true", more, '<e seed="0" n="0"><held.csv></held.csv><?held.csv?></e>')
+    (project.root / "held.csv").touch()
+    subprocess.run(["git", "init", "-q", project.root], check=True)
+    (project.root / ".gitignore").write_text("*.csv\n")
+    assert [one.name for one in project.plan("n=1").programs.all if one.kind == "file"] == [f"{tmp_path}/value.pgm"]
+
+
+def test_the_end_of_an_element_names_no_file_at_the_root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    looked_at: list[Path] = []
+    monkeypatch.setattr(referenced_files, "_is", lambda kind, path: looked_at.append(path))
+    (tmp_path / "t.xml").write_text('<e><x a="/y/z"></x><w>b.c</w></e>')
+    assert referenced_files.data(tmp_path / "t.xml", (), tmp_path, set(), ("t.xml",)) == NOTHING
+    assert {Path("/y/z"), tmp_path / "b.c"} <= set(looked_at)
+    assert not {Path("/x"), Path("/e"), Path("/w")} & set(looked_at)
+
+
+def test_a_file_that_only_the_query_names_is_said_not_to_count(tmp_path: Path) -> None:
+    more = f"[variables.map]\nchanges = [{{ set = '//e/@m', value = '{tmp_path}/maps/{{map}}' }}]\n"
+    project = make(tmp_path / "p", "true", more, '<e seed="0" n="0" m=""/>')
+    (tmp_path / "maps").mkdir()
+    for name in ("a.pgm", "b.pgm"):
+        (tmp_path / "maps" / name).write_text(name)
+    (project.root / "held.pgm").touch()
+    notes = project.plan("map=a.pgm,gone.pgm", sets=[("//e/@n", f"{tmp_path}/maps/b.pgm")]).notes
+    named = sorted(note.split()[0] for note in notes if "named by the query" in note)
+    assert named == [f"{tmp_path}/maps/a.pgm", f"{tmp_path}/maps/b.pgm"]
+    assert not [note for note in project.plan("n=held.pgm").notes if "named by the query" in note]
+
+
+def test_hostile_texts_of_a_template_name_nothing(tmp_path: Path) -> None:
+    texts = ("a/" * 5000, "/" + "x" * 4000, "/dev/zero", "/proc/kcore", "..", "/", "./" * 2000, "\0/x", "file://nowhere/x")
+    (tmp_path / "t.xml").write_text("".join(f'<e a="{text}"/>' for text in texts))
+    assert referenced_files.data(tmp_path / "t.xml", (), tmp_path, set(), ("t.xml",)) == NOTHING
+
+
+INCLUDES = """\
+import pathlib, re, sys
+
+file = pathlib.Path(sys.argv[1])
+included = file.parent / re.search('file="(.*?)"', file.read_text())[1]
+pathlib.Path("out.csv").write_text(included.read_text())
+"""
+
+
+@pytest.mark.integration
+def test_a_relative_include_that_runs_do_not_find_is_told_what_to_write(tmp_path: Path) -> None:
+    project = make(tmp_path / "p", "python3 sim.py {input}", template='<e seed="0" n="0"><include file="parts/arm.xml"/></e>')
+    (project.root / "sim.py").write_text(INCLUDES)
+    (project.root / "parts").mkdir()
+    (project.root / "parts" / "arm.xml").write_text("v\n1\n")
+    failed = project.run("n=1", figures=False)
+    assert failed.failed == 1
+    [told] = [note for note in failed.notes if "relative path" in note]
+    assert told.startswith("the template names 'parts/arm.xml' by a relative path: it lies in the project")
+    linked = "sh -c 'ln -s {project}/parts {run}/ && exec python3 {project}/sim.py {input}'"
+    assert linked.split("exec")[0] in told
+    toml = project.root / "sierra.toml"
+    toml.write_text(toml.read_text().replace("'python3 sim.py {input}'", f'"{linked}"'))
+    mended = sierra.open(project.root).run("n=1", figures=False)
+    assert (mended.executed, mended.failed) == (1, 0)
+    assert not [note for note in mended.notes if "relative path" in note]
+
+
+def test_an_include_is_only_mentioned_where_it_may_be_why_runs_fail(tmp_path: Path) -> None:
+    template = '<e seed="0" n="0"><include file="arm.xml"/><other>no/such.xml</other></e>'
+    project = make(tmp_path / "p", "sh sim.sh {input}", template=template)
+    (project.root / "arm.xml").touch()
+    script = project.root / "sim.sh"
+    script.write_text("grep -q 'n=\"1\"' $1\n")
+    assert [note for note in project.run("n=1,2", figures=False).notes if "relative path" in note] == []
+    script.write_text("grep -q 'n=\"1\"' $1 || { echo cannot read arm.xml >&2; exit 1; }\n")
+    assert ["'arm.xml'" in note for note in project.run("n=1,2", figures=False).notes if "relative path" in note] == [True]
+
+
+def test_what_is_too_large_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(referenced_files, "LARGEST", 3)
+    (tmp_path / "map.pgm").write_text("four")
+    project = make(tmp_path / "p", "true", template=f'<e seed="0" n="0"><map>{tmp_path}/map.pgm</map></e>')
+    assert any("map.pgm" in note and "larger than 1 GB" in note for note in project.run("n=1", figures=False).notes)
+
+
+@pytest.mark.integration
+def test_a_replay_looks_at_the_same_files_and_says_which_has_changed(tmp_path: Path) -> None:
+    (tmp_path / "map.pgm").write_text("one")
+    project = make(tmp_path / "p", "sh sim.sh", template=f'<e seed="0" n="0"><map>{tmp_path}/map.pgm</map></e>')
+    (project.root / "sim.sh").write_text(f"cat {tmp_path}/map.pgm > out.txt\n")
+    batch = project.run("n=1", figures=False).batch
+    same = project.replay(batch)
+    assert (str(same.verdict), same.notes) == ("identical", ())
+    (tmp_path / "map.pgm").write_text("two")
+    other = project.replay(batch)
+    assert str(other.verdict) == "different"
+    assert [note.split(": ")[:2] for note in other.notes] == [["other programs", "map.pgm"]]
+
+
+# ---------------------------------------------------------------- what is told
+
+
+def test_what_is_other_is_told_by_version(tmp_path: Path) -> None:
+    def used(version: str, digest: str, numpy: str, library: str) -> Programs:
+        return Programs(
+            (
+                Program("argos3", "/x/argos3", digest * 64, version=version),
+                Program("python3: installed distributions", "/l", numpy * 64, "distributions", f"numpy=={numpy}\nscipy==1"),
+                Program("libc.so.6", "/lib/libc.so.6", library * 64, "library"),
+            )
+        )
+
+    before = used("4.0.0", "a", "1", "c")
+    assert list(programs.told(before.rows(), before)) == []
+    assert list(programs.told(before.rows(), used("4.0.1", "b", "2", "d"))) == [
+        "argos3: 4.0.0 (aaaaaaaaaa) recorded, 4.0.1 (bbbbbbbbbb) found",
+        "python3: installed distributions: numpy 1 recorded, 2 found",
+        "libraries other than recorded: libc.so.6",
+    ]
+    alike = [Program(f"/{folder}/map.pgm", "", folder * 64, "file") for folder in "abc"]
+    assert list(programs.told(Programs(tuple(alike[:2])).rows(), Programs((alike[0], alike[2])))) == [
+        "/b/map.pgm: bbbbbbbbbb recorded, not found",
+        "/c/map.pgm: not recorded, cccccccccc found",
+    ]
+    assert list(programs.told(before.rows()[:1], NOTHING)) == ["argos3: 4.0.0 (aaaaaaaaaa) recorded, not found"]
+
+
+@pytest.mark.integration
+def test_what_a_batch_and_an_execution_had_around_them_is_shown(tmp_path: Path) -> None:
+    """As text at a glance, as JSON whole."""
+    project = make(tmp_path / "p", "true")
+    batch = project.run("n=1", figures=False).batch
+    [execution] = project.sql("SELECT execution FROM executions").column(0).to_pylist()
+    for shown in (batch, execution):
+        text = projects.quick(project.root, "show", shown).stdout
+        assert "true (GNU coreutils)" in text
+        assert "libc.so.6" in text
+        assert max(len(line) for line in text.splitlines() if line.startswith("  cpu_flags")) < 300
+        whole = json.loads(projects.quick(project.root, "show", shown, "--json").stdout)
+        assert {row["name"] for row in whole["programs"]} >= {"true", "libc.so.6"}
+        assert whole["environment"]["limits"]["nofile"][0] > 0
+        assert len(whole["environment"]["distributions"]) > 5
+
+
+def test_what_the_simulator_uses_stands_before_what_hardly_matters(tmp_path: Path) -> None:
+    (tmp_path / "sim.py").write_text("import sys\nfrom mujoco import MjModel\n")
+    words = program.mentioned(("python3", "{project}/sim.py", "{input}"), tmp_path)
+    names = ["attrs", "certifi", "glfw", "mujoco", "pip", "setuptools", "numpy"]
+    assert program.by_likelihood(names, words) == ["mujoco", "attrs", "glfw", "numpy", "certifi", "pip", "setuptools"]
+    assert program.by_likelihood(["adduser", "argos3-simulator", "apt"], program.mentioned(("argos3", "-c"), tmp_path)) == [
+        "argos3-simulator",
+        "adduser",
+        "apt",
+    ]
+    installed = [
+        Programs(
+            (
+                Program("python3: installed distributions", "/x", digit * 64, Kind.DISTRIBUTIONS, text),
+                Program("sim", "/s", digit),
+            )
+        )
+        for digit, text in (("a", "\n".join(f"{name}==1" for name in names)), ("b", "\n".join(f"{name}==2" for name in names)))
+    ]
+    told = list(programs.told(installed[0].rows(), installed[1], words))
+    assert told[0].startswith("sim: ")
+    assert told[1].startswith("python3: installed distributions: mujoco 1 recorded, 2 found, attrs")

@@ -1,0 +1,674 @@
+"""Recorded runs are executed again from the record alone, and how far they agree is said."""
+
+from __future__ import annotations
+
+import json
+import venv
+from collections.abc import Callable
+from decimal import Decimal
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from lxml import etree
+
+import sierra
+from sierra.config.project_file import Tolerance
+from sierra.provenance import environment, machine
+from sierra.replay.compare import Rules, Verdict, of_tables, of_texts, worst
+from tests import projects, stores
+
+NOISY = projects.SIMULATOR.replace("count * tick", "__import__('time').time_ns() % 1000 + count * tick")
+JITTER = projects.SIMULATOR.replace("count * tick", "(1 + 1e-13 * __import__('random').random()) * count * tick")
+STAMPED = projects.SIMULATOR + "open('log.txt', 'w').write(f'# written {__import__(\"time\").time_ns()}\\nfine\\n')\n"
+Make = Callable[..., Path]
+
+
+@pytest.fixture
+def make(tmp_path: Path) -> Make:
+    """Makes a project outside git."""
+    return lambda simulator=projects.SIMULATOR, more="": projects.make(
+        tmp_path / "project", projects.CONFIG + more, simulator=simulator
+    )
+
+
+@pytest.fixture(params=["git", pytest.param("none", marks=pytest.mark.nightly)])
+def make_either(request: pytest.FixtureRequest, make: Make) -> Make:
+    """Makes a project, in git and outside."""
+    return lambda *words: projects.commit(make(*words)) if request.param == "git" else make(*words)
+
+
+def ask(root: Path, *query: str) -> str:
+    return stores.ask(root, *(query or ("population_size=1,2",)))
+
+
+def replay(root: Path, *words: str) -> tuple[int, dict[str, Any]]:
+    ended = projects.quick(root, "replay", *words, "--json")
+    return ended.returncode, json.loads(ended.stdout) if ended.stdout else {"stderr": ended.stderr}
+
+
+@pytest.mark.integration
+def test_the_same_bytes_are_identical(make_either: Make) -> None:
+    root = make_either()
+    batch = ask(root)
+    code, said = replay(root, batch[:10])
+    assert (code, said["verdict"], said["runs"], said["counts"]) == (0, "identical", 4, {"identical": 4})
+    rows = sierra.open(root).sql("SELECT purpose, count(*) AS n FROM executions GROUP BY 1 ORDER BY 1").to_pylist()
+    assert rows == [{"purpose": "replay", "n": 4}, {"purpose": "run", "n": 4}]
+
+
+@pytest.mark.integration
+def test_the_old_source_is_restored_and_nothing_of_the_projects_is_touched(make_either: Make) -> None:
+    root = make_either()
+    batch = ask(root)
+    (root / "sim.py").write_text(projects.SIMULATOR.replace("count * tick", "count * tick + 1"))
+    (root / "arena.xml").write_text("<arena/>")
+    assert replay(root, batch)[1]["verdict"] == "identical"
+    assert "tick + 1" in (root / "sim.py").read_text()
+    assert not list(root.glob(".sierra/work/*/source"))
+
+
+@pytest.mark.integration
+def test_an_experiment_a_run_and_an_execution_can_be_replayed_and_fewer_runs(make: Make) -> None:
+    root = make()
+    batch = ask(root)
+    project = sierra.open(root)
+    [row] = project.sql("SELECT experiment FROM experiments LIMIT 1").to_pylist()
+    [one] = project.sql("SELECT run, execution FROM executions LIMIT 1").to_pylist()
+    assert [replay(root, key)[1]["runs"] for key in (row["experiment"], one["run"], one["execution"])] == [2, 1, 1]
+    assert replay(root, batch, "--runs", "1")[1]["runs"] == 2
+
+
+@pytest.mark.integration
+def test_what_differs_is_named_and_never_counts(make: Make) -> None:
+    root = make(NOISY)
+    batch = ask(root)
+    before = sierra.open(root).sql("SELECT * FROM swarm ORDER BY ALL")
+    code, said = replay(root, batch)
+    assert (code, said["verdict"]) == (1, "different")
+    first = next(output for output in said["outputs"] if output["verdict"] == "different")
+    assert (first["path"], first["column"]) == ("swarm.csv", "coverage")
+    assert first["max_abs"] > 0
+    assert f"row {first['row']}: 'coverage' was {first['recorded_value']} and is {first['replayed_value']}" in first["reason"]
+    assert sierra.open(root).sql("SELECT * FROM swarm ORDER BY ALL").equals(before)
+
+
+@pytest.mark.integration
+def test_a_declared_tolerance_is_kept_to_and_what_was_reached_is_said(make: Make) -> None:
+    root = make(JITTER, '[outputs.swarm]\nfile = "swarm.csv"\n')
+    batch = ask(root)
+    assert replay(root, batch)[0] == 1
+    (root / "sierra.toml").write_text((root / "sierra.toml").read_text() + "tolerance = { coverage = { rel = 1e-12 } }\n")
+    code, said = replay(root, batch)
+    assert (code, said["verdict"]) == (0, "within tolerance")
+    assert all(0 < output["max_rel"] < 1e-12 for output in said["outputs"] if output["verdict"] == "within tolerance")
+
+
+@pytest.mark.integration
+def test_a_date_differs_until_it_is_declared_volatile(make: Make) -> None:
+    root = make(STAMPED, '[outputs.log]\nfile = "log.txt"\n')
+    batch = ask(root)
+    code, said = replay(root, batch)
+    assert (code, said["verdict"]) == (1, "different")
+    assert any(output["reason"].startswith("line 1 was '# written") for output in said["outputs"])
+    (root / "sierra.toml").write_text((root / "sierra.toml").read_text() + "volatile = ['^# written']\n")
+    assert [replay(root, batch)[0], replay(root, batch)[1]["verdict"]] == [0, "equal"]
+
+
+@pytest.mark.integration
+def test_another_program_is_said_before_the_verdict_and_a_missing_one_ends_all(tmp_path: Path) -> None:
+    program = tmp_path / "sim"
+    program.write_text("#!/bin/sh\nprintf 'tick,v\\n0,1\\n' > out.csv\n")
+    program.chmod(0o755)
+    root = projects.make(tmp_path / "project", projects.CONFIG.replace("python3 sim.py", str(program)))
+    batch = ask(root)
+    program.write_text("#!/bin/sh\nprintf 'tick,v\\n0,2\\n' > out.csv\n")
+    code, said = replay(root, batch)
+    assert code == 1
+    assert said["notes"][0].startswith("other programs: sim: ")
+    program.unlink()
+    ended = projects.quick(root, "replay", batch)
+    assert (ended.returncode, ended.stderr.count("\n")) == (3, 1)
+    assert "is not there" in ended.stderr
+
+
+@pytest.mark.integration
+def test_another_machine_is_said_before_the_verdict(make: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+    root = make()
+    batch = ask(root)
+    facts = machine.facts()
+    monkeypatch.setattr(environment, "facts", lambda: {**facts, "cpu_flags": ["avx", "gone"], "libc": "musl 1.2"})
+    other = sierra.open(root).replay(batch)
+    assert other.verdict == "identical"
+    [flags, libc] = other.notes
+    assert flags.startswith("other machine: cpu_flags that differ: was ")
+    assert "gone" in flags.partition(", is ")[2]
+    assert libc == f"other machine: libc was {facts['libc']}, is musl 1.2"
+
+
+@pytest.mark.integration
+def test_a_run_that_fails_now_is_failed(make: Make, tmp_path: Path) -> None:
+    slow = tmp_path / "slow"
+    root = make(f"{projects.SIMULATOR}import os, time\nif os.path.exists({str(slow)!r}):\n    time.sleep(60)\n")
+    batch = ask(root)
+    slow.touch()
+    (root / "sierra.toml").write_text((root / "sierra.toml").read_text() + "[limits]\nwall = 0.001\n")
+    code, said = replay(root, batch)
+    assert (code, said["verdict"]) == (1, "failed")
+    assert "ran longer than its limit" in said["outputs"][0]["reason"]
+
+
+@pytest.mark.integration
+def test_where_the_project_moved_ids_and_verdict_are_the_same(make_either: Make, tmp_path: Path) -> None:
+    root = make_either()
+    batch = ask(root)
+    moved = tmp_path / "else where" / "moved"
+    moved.parent.mkdir()
+    root.rename(moved)
+    assert replay(moved, batch)[1]["verdict"] == "identical"
+    assert ask(moved) == batch
+
+
+SHUFFLED = projects.SIMULATOR.replace(
+    "import sys\n", "import os, random, sys\nshuffled = random.Random(os.urandom(8))\n"
+).replace("count * tick", "sum(sorted((0.1 * k for k in range(50)), key=lambda _: shuffled.random())) + count * tick")
+UNORDERED = projects.SIMULATOR.replace(
+    "for tick in range(5)", "for tick in sorted(range(5), key=lambda _: __import__('os').urandom(4))"
+)
+STOCHASTIC = projects.SIMULATOR.replace("count * tick", "__import__('random').SystemRandom().gauss(0, 0.01) + count * tick")
+DECLARED = '[outputs.swarm]\nfile = "swarm.csv"\ntime = "tick"\n'
+METRIC = '[equivalence.coverage]\ntable = "swarm"\ncolumn = "coverage"\n'
+
+
+def declare(root: Path, text: str) -> None:
+    (root / "sierra.toml").write_text((root / "sierra.toml").read_text() + text)
+
+
+@pytest.mark.integration
+def test_sums_in_another_order_are_within_a_tolerance(make: Make) -> None:
+    root = make(SHUFFLED, DECLARED)
+    batch = ask(root)
+    assert replay(root, batch)[1]["verdict"] == "different"
+    code, said = replay(root, batch, "--set-tolerance", "coverage=ulp:8")
+    assert (code, said["verdict"], said["by_output"]) == (0, "within tolerance", {"swarm.csv": "within tolerance"})
+    code, said = replay(root, batch, "--set-tolerance", "swarm.coverage=abs:1e-300,rel:1e-13")
+    assert (code, said["verdict"]) == (0, "within tolerance")
+    [asked] = sierra.open(root).sql("SELECT DISTINCT tolerances FROM replays WHERE tolerances LIKE '%rel%'").to_pylist()
+    assert json.loads(asked["tolerances"]) == {"swarm": {"coverage": {"abs": 1e-300, "rel": 1e-13}}}
+
+
+@pytest.mark.parametrize("text", ["coverage", "coverage=1", "=rel:1", "coverage=rel:x", "coverage=far:1", "coverage=rel:-1"])
+def test_a_tolerance_that_is_none_is_refused(make: Make, text: str) -> None:
+    ended = projects.quick(make(), "replay", "774d", "--set-tolerance", text)
+    assert (ended.returncode, ended.stderr.count("\n")) == (2, 1)
+
+
+def test_a_tolerance_of_an_output_that_is_not_there_is_refused_before_anything_executes(make: Make) -> None:
+    root = make()
+    ended = projects.quick(root, "replay", ask(root), "--set-tolerance", "swamp.coverage=rel:1")
+    assert (ended.returncode, "no output 'swamp'; there is swarm" in ended.stderr) == (2, True)
+    assert not sierra.open(root).sql("SELECT 1 FROM executions WHERE purpose <> 'run'").num_rows
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("covrage=rel:1", "no output has the column 'covrage'; did you mean 'coverage'?"),
+        ("swarm.coverag=rel:1", "output 'swarm' has no column 'coverag'; did you mean 'coverage'?"),
+        ("swarm.xyz=rel:1", "output 'swarm' has no column 'xyz'; it has coverage, tick"),
+    ],
+)
+def test_a_tolerance_of_a_column_that_is_not_there_is_refused_with_the_nearest_one(make: Make, text: str, said: str) -> None:
+    root = make()
+    ended = projects.quick(root, "replay", ask(root), "--set-tolerance", text)
+    assert (ended.returncode, ended.stderr) == (2, f"sierra: --set-tolerance: {said}\n")
+    assert not sierra.open(root).sql("SELECT 1 FROM executions WHERE purpose <> 'run'").num_rows
+
+
+@pytest.mark.integration
+def test_columns_that_are_declared_and_not_there_are_said(make: Make) -> None:
+    root = make()
+    batch = ask(root)
+    declare(root, f'{DECLARED}volatile = ["wall"]\ntolerance = {{ covrage = {{ rel = 1.0 }}, "*" = {{ abs = 1.0 }} }}\n')
+    assert replay(root, batch)[1]["notes"] == [
+        "[outputs.swarm] tolerance: the table has no column 'covrage'; did you mean 'coverage'?",
+        "[outputs.swarm] volatile: the table has no column 'wall'; it has tick, coverage",
+    ]
+
+
+@pytest.mark.integration
+def test_a_volatile_column_that_differs_is_said_by_name(make: Make) -> None:
+    root = make(NOISY, f'{DECLARED}volatile = ["coverage"]\n')
+    code, said = replay(root, ask(root))
+    assert (code, said["verdict"]) == (0, "equal")
+    whys = {one["reason"] for one in said["outputs"] if one["verdict"] == "equal"}
+    assert whys == {"only what is declared volatile differs: 'coverage'"}
+
+
+@pytest.mark.integration
+def test_rows_in_another_order_differ_until_their_order_is_declared_to_mean_nothing(make: Make) -> None:
+    root = make(UNORDERED, DECLARED)
+    batch = ask(root)
+    assert replay(root, batch)[1]["verdict"] == "different"
+    declare(root, "ordered = false\n")
+    code, said = replay(root, batch)
+    assert (code, said["verdict"]) == (0, "equal")
+    assert {one["reason"] for one in said["outputs"] if one["verdict"] == "equal"} == {"the same rows in another order"}
+
+
+@pytest.mark.integration
+def test_where_they_part_is_said_in_terms_of_time_and_how_the_difference_grows(make: Make) -> None:
+    grows = projects.SIMULATOR.replace("count * tick", "(tick > 2) * tick * __import__('time').time_ns() % 7919 + count * tick")
+    root = make(grows, DECLARED)
+    code, said = replay(root, ask(root), "--runs", "1")
+    first = next(one for one in said["outputs"] if one["verdict"] == "different")
+    assert code == 1
+    assert "row 3 (at 3): 'coverage' was" in first["reason"]
+    assert [until for until, _ in first["growth"]] == [0, 1, 2, 3, 4]
+    assert [far > 0 for _, far in first["growth"]] == [False, False, False, True, True]
+
+
+@pytest.mark.integration
+def test_stochastic_runs_are_equivalent_where_a_declared_metric_is(make: Make) -> None:
+    root = make(STOCHASTIC, f"{DECLARED}{METRIC}margin = 0.5\n")
+    batch = sierra.open(root).run("population_size=1,2", runs=8, figures=False).batch
+    code, said = replay(root, batch)
+    assert (code, said["verdict"], said["counts"]) == (0, "equivalent", {"different": 16})
+    for experiment in said["experiments"]:
+        [metric] = experiment["metrics"]
+        assert (experiment["verdict"], metric["n"], metric["margin"], metric["equivalent"]) == ("equivalent", 8, 0.5, True)
+        assert metric["power"] > 0.99
+        assert f"is within ±0.5, n = 8, p = {metric['p']:.2g}, power {metric['power']:.2f}" in metric["reason"]
+    rows = sierra.open(root).sql("SELECT metric, n, equivalent FROM equivalences").to_pylist()
+    assert rows == [{"metric": "coverage", "n": 8, "equivalent": True}] * 2
+
+
+@pytest.mark.integration
+def test_a_margin_that_is_too_narrow_leaves_them_different_and_says_the_power(make: Make) -> None:
+    root = make(STOCHASTIC, f"{DECLARED}{METRIC}margin = 1e-6\n")
+    batch = ask(root)
+    ended = projects.quick(root, "replay", batch)
+    assert ended.returncode == 1
+    assert "not shown to be equivalent: population_size=1: coverage: mean difference" in ended.stdout
+    assert "power 0.00" in ended.stdout
+
+
+@pytest.mark.integration
+def test_equivalence_is_of_whole_experiments_and_never_hides_what_failed(make: Make) -> None:
+    root = make(STOCHASTIC, f"{DECLARED}{METRIC}margin = 0.5\n")
+    batch = ask(root)
+    code, said = replay(root, batch, "--runs", "1")
+    assert (code, said["verdict"], said["notes"]) == (
+        1,
+        "different",
+        ["equivalence is judged of whole experiments alone: replay without --runs"],
+    )
+    declare(root, '[limits]\noutput = "1 B"\n')
+    assert replay(root, batch)[1]["verdict"] == "failed"
+
+
+@pytest.mark.integration
+def test_a_metric_of_what_is_not_there_judges_nothing(make: Make) -> None:
+    root = make(STOCHASTIC, DECLARED + METRIC.replace('"coverage"', '"x"') + "margin = 0.5\n")
+    code, said = replay(root, ask(root))
+    assert (code, said["verdict"]) == (1, "different")
+    assert said["notes"][0].startswith("[equivalence]: output 'swarm'")
+
+
+@pytest.mark.integration
+def test_a_metric_that_the_replay_has_no_value_of_is_reported(make: Make, tmp_path: Path) -> None:
+    twice = f"list(range(5)) * (1 + __import__('os').path.exists({str(tmp_path / 'flag')!r}))"
+    simulator = STOCHASTIC.replace("range(5)", twice)
+    root = make(simulator, f"{DECLARED}{METRIC}margin = 0.5\n")
+    batch = ask(root)
+    (tmp_path / "flag").touch()
+    code, said = replay(root, batch)
+    assert (code, said["verdict"]) == (1, "different")
+    assert any("[equivalence]" in note and "the replay has no value of it" in note for note in said["notes"])
+
+
+@pytest.mark.integration
+def test_verdicts_are_also_written_as_junit(make: Make, tmp_path: Path) -> None:
+    root = make(NOISY)
+    batch = ask(root)
+    assert replay(root, batch, "--junit", str(tmp_path / "replay.xml"))[0] == 1
+    suites = etree.parse(tmp_path / "replay.xml").getroot().findall("testsuite")
+    assert [(suite.get("name"), suite.get("tests")) for suite in suites] == [
+        ("population_size=1", "2"),
+        ("population_size=2", "2"),
+    ]
+    failures = [case.find("failure") for suite in suites for case in suite]
+    assert any(failure is not None and "row " in str(failure.text) for failure in failures)
+    ended = projects.quick(root, "replay", batch, "--junit", str(tmp_path / "no" / "replay.xml"))
+    assert (ended.returncode, "there is no folder" in ended.stderr) == (3, True)
+
+
+@pytest.mark.integration
+def test_the_restored_source_and_the_runs_folders_are_kept_where_asked(make_either: Make) -> None:
+    root = make_either()
+    batch = ask(root)
+    kept = Path(replay(root, batch, "--keep")[1]["kept"])
+    assert (kept / "source" / "sim.py").read_text() == projects.SIMULATOR
+    assert len(list(kept.glob("*/output/swarm.csv"))) == 4
+    assert ask(root) == batch, "what is kept is no part of the project's source"
+
+
+@pytest.mark.integration
+def test_where_and_in_what_to_execute_can_be_said(make: Make) -> None:
+    root = make()
+    batch = ask(root)
+    assert replay(root, batch, "--on", "local", "--engine", "none")[0] == 0
+    for words in (("--on", "cloud"), ("--engine", "docker")):
+        ended = projects.quick(root, "replay", batch, *words)
+        assert (ended.returncode, ended.stderr.count("\n")) == (2, 1)
+
+
+NUMBERS = st.lists(st.one_of(st.none(), st.floats(allow_nan=True, allow_infinity=True)), max_size=12)
+
+
+@given(NUMBERS)
+def test_what_is_the_same_agrees_with_itself(values: list[float | None]) -> None:
+    table = pa.table({"v": pa.array(values, pa.float64())})
+    assert of_tables(table, table).verdict is Verdict.EQUAL
+
+
+@given(NUMBERS, st.integers(0, 11))
+def test_one_value_more_or_less_is_found_where_it_is(values: list[float | None], place: int) -> None:
+    other = [*values]
+    if place < len(values):
+        other[place] = 0.5 if values[place] != 0.5 else None
+        found = of_tables(*(pa.table({"v": pa.array(v, pa.float64())}) for v in (values, other)))
+        assert (found.verdict, found.row, found.column) == (Verdict.DIFFERENT, place, "v")
+    else:
+        found = of_tables(*(pa.table({"v": pa.array(v, pa.float64())}) for v in (values, [*values, 1.0])))
+        assert found.verdict is Verdict.DIFFERENT
+
+
+@pytest.mark.parametrize(
+    ("was", "now", "tolerance", "verdict"),
+    [
+        ([1.0, 2.0], [1.0, 2.0 + 1e-9], Tolerance(abs=1e-8), Verdict.WITHIN),
+        ([1.0, 2.0], [1.0, 2.0 + 1e-9], Tolerance(abs=1e-10), Verdict.DIFFERENT),
+        ([1e9, 1.0], [1e9 + 1, 1.0], Tolerance(rel=1e-8), Verdict.WITHIN),
+        ([1.0], [1.0 + 2**-52], Tolerance(ulp=1), Verdict.WITHIN),
+        ([1.0], [1.0 + 2**-51], Tolerance(ulp=1), Verdict.DIFFERENT),
+        ([0.0], [1e-300], Tolerance(rel=1), Verdict.DIFFERENT),
+        ([1.0], [float("nan")], Tolerance(abs=1e300, rel=1e300), Verdict.DIFFERENT),
+        ([1.0], [float("inf")], Tolerance(abs=1e300, rel=1e300), Verdict.DIFFERENT),
+        ([1.0], [None], Tolerance(abs=1e300), Verdict.DIFFERENT),
+        ([1.7976931348623157e308], [0.5], Tolerance(), Verdict.DIFFERENT),
+        ([1.7976931348623157e308], [1.7976931348623155e308], Tolerance(ulp=1), Verdict.WITHIN),
+    ],
+)
+def test_tolerances(was: list[Any], now: list[Any], tolerance: Tolerance, verdict: Verdict) -> None:
+    tables = [pa.table({"v": pa.array(values, pa.float64())}) for values in (was, now)]
+    assert of_tables(*tables, Rules({"*": tolerance})).verdict is verdict
+
+
+def test_a_tolerance_is_of_one_column() -> None:
+    tables = [pa.table({"a": [1.0], "b": [value]}) for value in (1.0, 1.1)]
+    assert of_tables(*tables, Rules({"a": Tolerance(abs=1)})).verdict is Verdict.DIFFERENT
+    assert of_tables(*tables, Rules({"b": Tolerance(abs=1)})).verdict is Verdict.WITHIN
+    assert of_tables(*tables, Rules(volatile=["b"])).verdict is Verdict.EQUAL
+
+
+def test_other_columns_and_large_whole_numbers_differ() -> None:
+    assert of_tables(pa.table({"a": [1]}), pa.table({"b": [1]}), Rules({"*": Tolerance(abs=9)})).verdict is Verdict.DIFFERENT
+    assert of_tables(pa.table({"a": [2**60]}), pa.table({"a": [2**60 + 1]})).verdict is Verdict.DIFFERENT
+
+
+def test_texts_are_compared_by_lines() -> None:
+    assert of_texts(b"a\nb\n", b"a\nc\n").row == 1
+    assert of_texts(b"a\n", b"a\nc\n").verdict is Verdict.DIFFERENT
+    assert of_texts(b"# 1\na\n", b"# 2\na\n", ["^#"]).verdict is Verdict.EQUAL
+
+
+def test_the_worst_verdict_is_that_of_all() -> None:
+    assert worst([Verdict.IDENTICAL, Verdict.WITHIN, Verdict.EQUAL]) is Verdict.WITHIN
+    assert not worst([Verdict.FAILED, Verdict.DIFFERENT]).fine
+
+
+def test_whole_numbers_and_fractions_are_compared_exactly_and_flags_are_no_numbers() -> None:
+    def of(was: pa.Array, now: pa.Array) -> Verdict:
+        return of_tables(pa.table({"v": was}), pa.table({"v": now})).verdict
+
+    assert of(pa.array([1, 2]), pa.array([1.0, 2.0])) is Verdict.EQUAL
+    assert of(pa.array([2**53 + 1]), pa.array([2.0**53])) is Verdict.DIFFERENT
+    assert of(pa.array([2**63 + 1], pa.uint64()), pa.array([2.0**63])) is Verdict.DIFFERENT
+    assert of(pa.array([True, False]), pa.array([1, 0])) is Verdict.DIFFERENT
+    assert of(pa.array([None], pa.bool_()), pa.array([None], pa.int64())) is Verdict.EQUAL
+
+
+@pytest.mark.integration
+def test_an_experiment_of_several_batches_is_replayed_as_it_stands_in_one(make: Make) -> None:
+    root = make()
+    for query in ("population_size=4", "population_size=1,2,4", "population_size=4,5"):
+        ask(root, query)
+        [row] = sierra.open(root).sql("SELECT DISTINCT experiment FROM experiments WHERE population_size = 4").to_pylist()
+        code, said = replay(root, row["experiment"])
+        assert (code, said["verdict"], said["experiments"][0]["values"]) == (0, "identical", {"population_size": 4})
+
+
+@pytest.mark.integration
+def test_runs_of_which_nothing_is_compared_are_not_said_to_be_the_same(make: Make) -> None:
+    only_logs = "import sys, time\nprint(time.time_ns())\n"
+    root = make(only_logs + "if b'count=\"2\"' in open(sys.argv[1], 'rb').read(): open('x.txt', 'w').write('x')\n")
+    batch = ask(root, "population_size=1")
+    ended = projects.quick(root, "replay", batch)
+    assert (ended.returncode, "left nothing but logs, which are not compared" in ended.stderr) == (3, True)
+    code, said = replay(root, ask(root))
+    assert (code, said["notes"]) == (0, ["2 of 4 runs left nothing but logs, which are not compared"])
+
+
+@pytest.mark.integration
+def test_a_program_that_git_ignores_is_executed_as_it_is_now_and_said_to_be_another(tmp_path: Path) -> None:
+    root = projects.make(tmp_path / "project", projects.CONFIG.replace("python3 sim.py", "build/sim"))
+    program = root / "build" / "sim"
+    program.parent.mkdir()
+    program.write_text("#!/bin/sh\nprintf 'tick,v\\n0,1\\n' > out.csv\n")
+    program.chmod(0o755)
+    (root / ".gitignore").write_text("build\n")
+    projects.commit(root)
+    batch = ask(root)
+    code, said = replay(root, batch)
+    assert (code, said["verdict"], said["notes"]) == (0, "identical", [])
+    program.write_text("#!/bin/sh\nprintf 'tick,v\\n0,2\\n' > out.csv\n")
+    code, said = replay(root, batch)
+    assert (code, said["notes"][0].startswith("other programs: {project}/build/sim: ")) == (1, True)
+
+
+@pytest.mark.integration
+def test_a_python_environment_in_the_project_is_the_one_that_replays(tmp_path: Path) -> None:
+    root = projects.make(tmp_path / "project", projects.CONFIG.replace("python3", ".venv/bin/python"))
+    venv.create(root / ".venv", symlinks=True)
+    [installed] = root.glob(".venv/lib/python3*/site-packages")
+    (installed / "used.py").write_text("")
+    (root / "sim.py").write_text("import used\n" + projects.SIMULATOR)
+    (root / ".gitignore").write_text(".venv\n")
+    projects.commit(root)
+    code, said = replay(root, ask(root))
+    assert (code, said["verdict"], said["notes"]) == (0, "identical", [])
+
+
+@pytest.mark.integration
+def test_rows_that_the_store_has_lost_are_not_taken_for_a_result(make: Make) -> None:
+    root = make(NOISY)
+    batch = ask(root)
+    [file] = root.glob(".sierra/segments/*/output.swarm.parquet")
+    pq.write_table(pq.read_table(file).slice(0, 17), file)
+    ended = projects.quick(root, "replay", batch)
+    assert (ended.returncode, ended.stderr.count("\n")) == (1, 1)
+    assert "2 of 5 rows of 'swarm' are in the store" in ended.stderr
+
+
+@pytest.mark.integration
+def test_the_same_bytes_are_not_identical_where_the_record_lacks_rows_of_them(make: Make) -> None:
+    root = make()
+    batch = ask(root)
+    file = min(root.glob(".sierra/segments/*/output.swarm.parquet"))
+    lost = pq.read_table(file).column("execution")[0].as_py()
+    pq.write_table(pq.read_table(file).slice(1), file)
+    artifacts = pq.read_table(file.with_name("artifacts.parquet"))
+    rows = artifacts.to_pylist()
+    for row in rows:
+        if (row["execution"], row["path"]) == (lost, "swarm.csv"):
+            row.update(rows=row["rows"] - 1, counted=None)  # as they were recorded before they were counted
+    pq.write_table(pa.Table.from_pylist(rows, schema=artifacts.schema), file.with_name("artifacts.parquet"))
+    code, said = replay(root, batch)
+    assert (code, said["verdict"], said["counts"]) == (1, "different", {"identical": 3, "different": 1})
+    assert "the same bytes, but of its 5 rows the recorded table has 4 (see sierra fsck)" in json.dumps(said)
+
+
+@pytest.mark.integration
+def test_runs_that_are_left_out_are_counted_beside_the_verdict(make: Make) -> None:
+    root = make(projects.SIMULATOR + "if count == 2 and seed % 2 == 0: sys.exit(7)\n")
+    batch = ask(root, "population_size=1,2", "montecarlo.C4")
+    [(good,)] = [row.values() for row in sierra.open(root).sql("SELECT count(*) FROM effective").to_pylist()]
+    assert 0 < good < 16
+    code, said = replay(root, batch)
+    assert (code, said["verdict"], said["runs"], said["of"]) == (0, "identical", good, 16)
+    assert f"identical ({good} of 16 runs: {good} identical)" in projects.quick(root, "replay", batch).stdout
+
+
+def test_lists_and_structures_are_compared_too() -> None:
+    def table(*values: Any) -> pa.Table:
+        return pa.table({"list": [[1.5, value] for value in values], "struct": [{"x": value} for value in values]})
+
+    nan = float("nan")
+    assert of_tables(table(1.0, None, nan), table(1.0, None, nan)).verdict is Verdict.EQUAL
+    assert of_tables(table(1.0, 2.0), table(2.0, 1.0), Rules(ordered=False)).verdict is Verdict.EQUAL
+    said = of_tables(table(1.0, 2.0), table(1.0, 3.0))
+    assert (said.verdict, said.row, said.column) == (Verdict.DIFFERENT, 1, "list")
+
+
+def test_where_all_is_volatile_that_is_said() -> None:
+    assert "every column" in of_tables(pa.table({"v": [1]}), pa.table({"v": [2]}), Rules(volatile=["v"])).reason
+    assert "every line" in of_texts(b"a\n", b"b\n", ["^"]).reason
+
+
+def change(root: Path, table: str, **columns: list[Any]) -> None:
+    """Write other values into a table of a store, as a stranger could."""
+    for file in root.glob(f".sierra/segments/*/{table}.parquet"):
+        rows = pq.read_table(file)
+        for name, values in columns.items():
+            place = rows.schema.get_field_index(name)
+            field = rows.schema.field(place)
+            rows = rows.set_column(place, field, pa.array(values * rows.num_rows, field.type))
+        pq.write_table(rows, file)
+
+
+@pytest.mark.parametrize("name", ["../../../x", "/tmp/sierra-x", "..", "a/../../../../x", ""])
+def test_an_input_that_a_strangers_store_names_outside_is_refused(make: Make, name: str) -> None:
+    root = make()
+    batch = ask(root)
+    change(root, "specs", files=[[name]])
+    index = root / ".sierra" / "numbers"
+    before = {*root.parent.rglob("*"), index}
+    ended = projects.quick(root, "replay", batch)
+    assert (ended.returncode, ended.stderr.count("\n")) == (1, 1)
+    assert f"the record names the path {name!r}, which is not inside" in ended.stderr
+    assert {*root.parent.rglob("*"), index} == before
+
+
+@pytest.mark.integration
+def test_what_is_brought_to_a_restored_source_stays_in_it(make: Make, tmp_path: Path) -> None:
+    (tmp_path / "shared").mkdir()
+    (tmp_path / "shared" / "map.csv").write_text("x")
+    root = make(projects.SIMULATOR + "open(sys.argv[2]).read()\n")
+    (root / "maps").symlink_to("../shared")
+    config = root / "sierra.toml"
+    config.write_text(config.read_text().replace("{input}", "{input} {project}/maps/map.csv"))
+    code, said = replay(root, ask(root), "--keep")
+    assert (code, said["verdict"]) == (0, "identical")
+    kept = Path(said["kept"], "source", "maps")
+    assert (kept.is_symlink(), (kept / "map.csv").read_text()) == (False, "x")
+
+
+def table(**columns: list[Any]) -> pa.Table:
+    return pa.table(columns)
+
+
+def test_equal_numbers_are_equal_to_the_digits_that_are_kept() -> None:
+    assert of_tables(table(v=[0.1]), table(v=[0.1])).reason == (
+        "the same values (of fractions, the 17 digits that a number holds), written in other bytes"
+    )
+    assert of_tables(table(v=[1]), table(v=[1])).reason == "the same values, written in other bytes"
+    beside = of_tables(table(v=[0.1], when=[1]), table(v=[0.1], when=[2]), Rules(volatile=["when"]))
+    assert beside.reason == (
+        "only what is declared volatile differs: 'when'; all else has the same values (of fractions, the 17 digits that a "
+        "number holds)"
+    )
+    old, new = (
+        pa.table({"v": pa.array([Decimal(text)], pa.decimal128(38, 30))}) for text in (f"0.{'1' * 20}1", f"0.{'1' * 20}2")
+    )
+    said = of_tables(old, new)
+    assert (said.verdict, said.max_abs) == (Verdict.DIFFERENT, pytest.approx(1e-21))
+    assert said.reason.startswith(f"row 0: 'v' was 0.{'1' * 20}1")
+
+
+def test_large_whole_numbers_are_as_far_apart_as_they_are() -> None:
+    said = of_tables(table(v=[2**53]), table(v=[2**53 + 1]))
+    assert (said.verdict, said.max_abs) == (Verdict.DIFFERENT, 1.0)
+    assert "at worst 1 apart" in said.reason
+    assert of_tables(table(v=[2**60 + 1]), table(v=[2**60 + 300])).max_abs == 299
+    assert of_tables(table(v=[2**53]), table(v=[2**53 + 1]), Rules({"v": Tolerance(abs=1)})).verdict is Verdict.WITHIN
+    assert of_tables(table(v=[2**53 + 1]), table(v=[2.0**53])).max_abs == 1
+
+
+def test_what_is_no_number_is_not_some_distance_apart() -> None:
+    for was, now in ((1.0, None), (1.0, float("nan")), (1.0, float("inf")), (None, 1.0)):
+        said = of_tables(pa.table({"v": pa.array([was], pa.float64())}), pa.table({"v": pa.array([now], pa.float64())}))
+        assert "apart" not in said.reason
+        assert "None" not in said.reason
+    assert (
+        "'v' was 1.0 and is missing" in of_tables(table(v=[1.0, 2.0]), pa.table({"v": pa.array([None, 2.0], pa.float64())})).reason
+    )
+    said = of_tables(table(v=[0.0]), table(v=[0.5]))
+    assert "at worst 0.5 apart;" in said.reason
+    assert "relative" not in said.reason
+
+
+def test_all_columns_that_differ_are_named_or_counted() -> None:
+    old, new = ({f"c{n}": [0.0, 0.0, float(n) if now else 0.0] for n in range(7)} for now in (False, True))
+    said = of_tables(table(**old), table(**new))
+    assert (said.row, said.column) == (2, "c1")
+    assert "; 6 columns differ: 'c1' in 1 of 3 rows, 'c2' in 1 of 3 rows" in said.reason
+    assert said.reason.endswith(" and 2 more")
+
+
+def test_what_both_tables_have_is_compared_where_columns_or_rows_are_others() -> None:
+    wide = {f"column{n}": [1.0, 2.0] for n in range(500)}
+    said = of_tables(table(**wide, gone=[1, 1]), table(**wide, new=[1, 1]))
+    assert said.reason == "other columns: 'gone' gone, 'new' new; 500 columns in both: the same"
+    said = of_tables(table(**wide, gone=[1, 1]), table(**{**wide, "column7": [1.0, 3.0]}))
+    assert (said.verdict, said.form, said.row, said.column) == (Verdict.DIFFERENT, True, 1, "column7")
+    assert "other columns: 'gone' gone; 500 columns in both: row 1: 'column7' was 2.0 and is 3.0" in said.reason
+    assert len(of_tables(table(**wide), table(x=[1, 1])).reason) < 200
+    assert of_tables(table(v=[1, 2]), table(v=[1, 2, 3])).reason == "2 rows were recorded, 3 found; the first 2 are the same"
+    said = of_tables(table(v=[1, 2, 3]), table(v=[1, 5]))
+    assert (
+        said.reason == "3 rows were recorded, 2 found; row 1: 'v' was 2 and is 5; at worst 3 apart (relative 1.5); in 1 of 2 rows"
+    )
+
+
+def test_binary_files_are_counted_and_not_shown() -> None:
+    said = of_texts(b"\x93NUMPY\0" + bytes(1000), b"\x93NUMPY\0" + bytes(500) + b"\1" * 500)
+    assert said.reason == "binary: 500 of 1007 bytes differ, the first at offset 507"
+    assert of_texts(b"\0a", b"\0ab").reason == "2 bytes were recorded, 3 found; binary: 0 of 2 bytes differ, the first at offset 2"
+    assert of_texts(b"a\nb\nc\n", b"a\nx\ny\n").reason == "line 2 was 'b' and is 'x'; 2 of 4 lines differ"
+
+
+@given(st.lists(st.text(max_size=300), min_size=1, max_size=3), st.lists(st.text(max_size=300), min_size=1, max_size=3))
+def test_a_report_is_a_short_line_whatever_was_written(one: list[str], other: list[str]) -> None:
+    wide = {f"{n}{one[0]}": other for n in range(99)}
+    for found in (
+        of_tables(table(v=one), table(v=other)),
+        of_tables(table(**wide), table(b=other)),
+        of_tables(table(**wide), table(v=one)),
+    ):
+        assert len(found.reason) < 700
+        assert "\n" not in found.reason

@@ -1,0 +1,807 @@
+"""PBS in its dialects: small ones that execute (`tests/pbs.py`), SLURM's real wrapper, recorded answers."""
+
+from __future__ import annotations
+
+import json
+import os
+import pwd
+import re
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import sierra
+from sierra.config.project_file import ClusterTable
+from sierra.errors import ConfigError, Full, Missing
+from sierra.runners.schedulers import qstat, qsub
+from sierra.runners.schedulers.base import Request, State
+from sierra.runners.schedulers.pbs import Pbs
+from sierra.runners.schedulers.qsub import Dialect
+from sierra.testing import runners
+from sierra.util.text import ranges
+from tests import clusters, pbs, projects
+from tests.conftest import Simulated
+from tests.waiting import until
+
+DATA = Path(__file__).parents[3] / "data" / "pbs"
+HOSTILE = "a'; echo foo"
+SHAPES = [(0, 1, 2), (4,), (3, 7, 9, 10)]
+NAME = "sierra-0123abcd"
+
+
+@pytest.fixture(params=["openpbs", pytest.param("torque", marks=pytest.mark.nightly)])
+def server(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[pbs.Server]:
+    """A PBS that commands on the PATH speak to; home is a folder of its own."""
+    home = tmp_path / "home"
+    home.mkdir()
+    made = pbs.Server(tmp_path / "server", request.param)
+    monkeypatch.setenv("PATH", f"{made.bin}:{os.environ['PATH']}")
+    monkeypatch.setenv("HOME", str(home))
+    yield made
+    made.end()
+
+
+@pytest.fixture
+def wrapper(slurm: clusters.Slurm, require: Callable[..., str]) -> clusters.Slurm:
+    """A real SLURM, over which `qsub`, `qstat` and `qdel` of Debian's slurm-wlm-torque are found."""
+    for command in ("qsub", "qstat", "qdel"):
+        require(command)
+    return slurm
+
+
+openpbs = pytest.mark.parametrize("server", ["openpbs"], indirect=True)
+torque = pytest.mark.parametrize("server", ["torque"], indirect=True)
+
+
+@pytest.fixture
+def ask(tmp_path: Path) -> Callable[..., Request]:
+    """Makes a request whose elements execute a line of shell; the element's index is $1 there."""
+
+    def ask(line: str = "echo $1", elements: tuple[int, ...] = (0, 1, 2), *, name: str = NAME, after: str = "") -> Request:
+        folder = tmp_path / HOSTILE
+        (folder / "logs").mkdir(parents=True, exist_ok=True)
+        return Request(name, "a batch,\nof runs", elements, folder, folder / "logs", ("sh", "-c", line, "sh"), after)
+
+    return ask
+
+
+def alive(scheduler: Pbs, name: str = NAME) -> set[int | None]:
+    tasks = scheduler.look(name)
+    assert tasks is not None
+    return {task.element for task in tasks if task.state is not State.ENDED}
+
+
+def ended(scheduler: Pbs, name: str = NAME) -> Callable[[], bool]:
+    return lambda: not alive(scheduler, name)
+
+
+def logs(request: Request) -> dict[str, str]:
+    return {path.name: path.read_text() for path in request.logs.glob("*.out")}
+
+
+# which PBS it is
+
+
+@openpbs
+def test_openpbs_is_known_by_what_qsub_says(server: pbs.Server) -> None:
+    assert Pbs(ClusterTable()).version() == "openpbs 23.06.06"
+
+
+@torque
+def test_torque_is_known_by_what_qsub_says(server: pbs.Server) -> None:
+    assert Pbs(ClusterTable()).version() == "torque 6.1.2"
+
+
+def test_without_its_commands_nothing_goes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ask: Callable[..., Request]
+) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
+    scheduler = Pbs(ClusterTable())
+    for called in (scheduler.version, scheduler.bounds, lambda: scheduler.submit(ask())):
+        with pytest.raises(Missing, match="no qsub here"):
+            called()
+    assert scheduler.look(NAME) is None
+
+
+def test_a_qsub_of_something_else_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "qsub").write_text("#!/bin/sh\necho this is Grid Engine; exit 7\n")
+    (tmp_path / "qsub").chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
+    with pytest.raises(Missing, match="neither that it is OpenPBS nor Torque: this is Grid Engine"):
+        Pbs(ClusterTable()).version()
+
+
+def test_a_wrapper_that_does_not_find_its_cluster_is_out_of_reach(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "qsub").write_text("#!/bin/sh\necho perl: fatal: Could not establish a configuration source >&2; exit 1\n")
+    (tmp_path / "qsub").chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
+    with pytest.raises(Missing, match=r"qsub can't reach its cluster: .*establish a configuration source$"):
+        Pbs(ClusterTable()).version()
+
+
+# submitting
+
+
+@pytest.mark.parametrize("elements", SHAPES, ids=str)
+def test_elements_get_their_index_and_write_their_logs(
+    server: pbs.Server, ask: Callable[..., Request], elements: tuple[int, ...]
+) -> None:
+    server.waiting()
+    scheduler, request = Pbs(ClusterTable()), ask("pwd; echo element $1; echo wrong >&2", elements)
+    job = scheduler.submit(request)
+    tasks = scheduler.look(NAME)
+    assert tasks is not None
+    assert [(task.job, task.element, task.state) for task in tasks] == [(job, index, State.QUEUED) for index in elements]
+
+    server.begin()
+    until(ended(scheduler))
+    number = re.split(r"[\[.]", job)[0]
+    assert logs(request) == {f"{number}_{i}.out": f"{request.folder}\nelement {i}\nwrong\n" for i in elements}
+
+
+@pytest.mark.parametrize("elements", SHAPES, ids=str)
+def test_what_runs_is_running_on_its_node(server: pbs.Server, ask: Callable[..., Request], elements: tuple[int, ...]) -> None:
+    scheduler = Pbs(ClusterTable())
+    scheduler.submit(ask("sleep 60", elements))
+    tasks = scheduler.look(NAME)
+    assert tasks is not None
+    assert [(task.element, task.state, task.node) for task in tasks] == [(i, State.RUNNING, "pbs1") for i in elements]
+
+
+def test_only_the_script_is_left_in_the_folder(server: pbs.Server, ask: Callable[..., Request]) -> None:
+    scheduler, request = Pbs(ClusterTable()), ask()
+    scheduler.submit(request)
+    until(ended(scheduler))
+    torques = [f"pbs-{index}" for index in (0, 1, 2)] if scheduler.version().startswith("torque") else []
+    assert sorted(path.name for path in request.folder.iterdir()) == ["logs", *torques, f"{NAME}.pbs"]
+    assert (request.folder / f"{NAME}.pbs").read_text() == scheduler.script(request)
+    assert list((request.folder.parent / "home").iterdir()) == []
+    assert not list((request.folder.parent / "server").glob("undelivered"))
+
+
+@openpbs
+def test_an_end_waits_for_no_copy_of_what_was_printed(server: pbs.Server, ask: Callable[..., Request]) -> None:
+    server.set(copying=90)
+    scheduler = Pbs(ClusterTable())
+    scheduler.submit(ask())
+    until(ended(scheduler))
+
+
+def test_nothing_of_the_callers_goes_along_even_where_a_site_exports_all(
+    server: pbs.Server, ask: Callable[..., Request], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    server.set(always_V=True)
+    monkeypatch.setenv("SECRET_THING", "leak")
+    scheduler, request = Pbs(ClusterTable()), ask("env", (0,))
+    scheduler.submit(request)
+    until(ended(scheduler))
+    (said,) = logs(request).values()
+    assert "PBS_JOBID=" in said
+    assert "SECRET_THING" not in said
+    assert "leak" not in said
+
+
+def test_variables_of_the_callers_shell_change_nothing(
+    server: pbs.Server, ask: Callable[..., Request], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in (
+        "PBS_DPREFIX",
+        "PBS_JOBID",
+        "PBS_ARRAY_INDEX",
+        "PBS_ARRAYID",
+        "SIERRA_ELEMENTS",
+        "QSTATRCHOME",
+        "SBATCH_ACCOUNT",
+    ):
+        monkeypatch.setenv(name, "99")
+    scheduler, request = Pbs(ClusterTable()), ask(elements=(1, 2))
+    scheduler.submit(request)
+    until(ended(scheduler))
+    assert sorted(logs(request).values()) == ["1\n", "2\n"]
+
+
+def test_a_wrong_queue_is_refused_in_the_schedulers_words(server: pbs.Server, ask: Callable[..., Request]) -> None:
+    with pytest.raises(ConfigError, match=r"qsub refuses: Unknown queue.*; asked for: partition = 'nope'"):
+        Pbs(ClusterTable(partition="nope")).submit(ask())
+
+
+def test_an_array_that_is_too_large_is_refused(server: pbs.Server, ask: Callable[..., Request]) -> None:
+    server.set(max_array_size=2)
+    with pytest.raises(ConfigError, match="Array job exceeds server or queue size limit"):
+        Pbs(ClusterTable()).submit(ask())
+
+
+def test_too_much_at_a_time_is_full_and_passes(server: pbs.Server, ask: Callable[..., Request]) -> None:
+    server.set(max_queued=4)
+    server.waiting()
+    scheduler = Pbs(ClusterTable())
+    scheduler.submit(ask())
+    with pytest.raises(Full, match=r"limit|Maximum number of jobs"):
+        scheduler.submit(ask(elements=(3, 4)))
+    assert alive(scheduler) == {0, 1, 2}
+    server.begin()
+    until(ended(scheduler))
+    scheduler.submit(ask(elements=(3, 4)))
+
+
+@torque
+def test_torque_refuses_at_once_what_no_node_has(server: pbs.Server, ask: Callable[..., Request]) -> None:
+    with pytest.raises(ConfigError, match="cannot locate feasible nodes"):
+        Pbs(ClusterTable(cpus=100)).submit(ask())
+
+
+def test_a_quality_of_service_is_slurms(server: pbs.Server, ask: Callable[..., Request]) -> None:
+    with pytest.raises(ConfigError, match="qos = 'high' is SLURM's; say in directives"):
+        Pbs(ClusterTable(qos="high")).submit(ask())
+
+
+def test_a_job_waits_for_another_and_is_not_stuck_meanwhile(server: pbs.Server, ask: Callable[..., Request]) -> None:
+    scheduler = Pbs(ClusterTable())
+    first = scheduler.submit(ask("sleep 60", (0,), name="first"))
+    request = ask("echo done", (0, 1), after=first)
+    scheduler.submit(request)
+    tasks = scheduler.look(NAME)
+    assert tasks is not None
+    assert {task.state for task in tasks} == {State.QUEUED}
+    assert "done\n" not in logs(request).values()
+
+
+@pytest.mark.parametrize(("command", "done"), [("true", 2), ("exit 3", 0)])
+def test_what_waited_executes_only_where_the_other_ended_well(
+    server: pbs.Server, ask: Callable[..., Request], command: str, done: int
+) -> None:
+    server.waiting()
+    scheduler = Pbs(ClusterTable())
+    request = ask("echo done", (0, 1), after=scheduler.submit(ask(command, (0,), name="first")))
+    scheduler.submit(request)
+    server.begin()
+    until(ended(scheduler, "first"))
+    until(ended(scheduler))
+    assert list(logs(request).values()).count("done\n") == done
+
+
+@openpbs
+def test_what_waits_for_a_job_that_is_forgotten_is_gone_at_once(server: pbs.Server, ask: Callable[..., Request]) -> None:
+    scheduler = Pbs(ClusterTable())
+    first = scheduler.submit(ask("true", (0,), name="first"))
+    until(ended(scheduler, "first"))
+    request = ask("echo done", after=first)
+    scheduler.submit(request)
+    assert alive(scheduler) == set()
+    assert "done\n" not in logs(request).values()
+
+
+@torque
+def test_to_wait_for_a_job_that_is_unknown_is_no_fault_of_the_project(server: pbs.Server, ask: Callable[..., Request]) -> None:
+    with pytest.raises(Missing, match="no longer known"):
+        Pbs(ClusterTable()).submit(ask(after="99.pbs1"))
+
+
+@openpbs
+def test_a_server_that_dies_may_have_taken_the_job(server: pbs.Server, ask: Callable[..., Request]) -> None:
+    server.waiting()
+    server.set(dies=True)
+    scheduler = Pbs(ClusterTable())
+    with pytest.raises(Missing, match="Premature end of message"):
+        scheduler.submit(ask())
+    server.set(down=False)
+    assert alive(scheduler) == {0, 1, 2}
+
+
+# looking
+
+
+def test_jobs_are_found_by_name_by_who_never_heard_of_them(server: pbs.Server, ask: Callable[..., Request]) -> None:
+    server.waiting()
+    Pbs(ClusterTable()).submit(ask(elements=(1, 2)))
+    Pbs(ClusterTable()).submit(ask(elements=(5,)))
+    Pbs(ClusterTable()).submit(ask(name=f"{NAME[:-1]}x"))
+    assert alive(Pbs(ClusterTable())) == {1, 2, 5}
+
+
+def test_jobs_of_others_are_not_ours(server: pbs.Server, ask: Callable[..., Request]) -> None:
+    server.waiting()
+    scheduler = Pbs(ClusterTable())
+    scheduler.submit(ask())
+    server.change(1, owner="somebody")
+    assert scheduler.look(NAME) == ()
+    scheduler.cancel(NAME)
+    server.change(1, owner=pwd.getpwuid(os.geteuid()).pw_name)
+    assert alive(scheduler) == {0, 1, 2}
+
+
+def test_a_name_that_nobody_has_is_no_job(server: pbs.Server) -> None:
+    assert Pbs(ClusterTable()).look(NAME) == ()
+
+
+@pytest.mark.parametrize("history", [False, True])
+def test_what_has_ended_is_not_alive(server: pbs.Server, ask: Callable[..., Request], history: bool) -> None:
+    server.set(history=history)
+    scheduler = Pbs(ClusterTable())
+    for elements in SHAPES:
+        scheduler.submit(ask("exit 7", elements))
+    until(ended(scheduler))
+    assert alive(Pbs(ClusterTable())) == set()
+
+
+def test_an_element_that_ended_in_an_array_that_lives_has_ended(server: pbs.Server, ask: Callable[..., Request]) -> None:
+    server.set(history=True)
+    scheduler = Pbs(ClusterTable())
+    scheduler.submit(ask("test $1 = 7 || sleep 60; exit 7", (3, 7, 9)))
+    until(lambda: alive(scheduler) == {3, 9})
+    tasks = scheduler.look(NAME)
+    assert tasks is not None
+    status = "Exit_status" if scheduler.version().startswith("openpbs") else "exit_status"
+    assert [(task.element, task.reason) for task in tasks if task.state is State.ENDED] == [(7, f"{status} 7")]
+
+
+@openpbs
+def test_what_an_array_says_of_itself_is_not_taken_for_the_end_of_an_element(
+    server: pbs.Server, ask: Callable[..., Request]
+) -> None:
+    server.set(array_status=1)
+    scheduler = Pbs(ClusterTable())
+    scheduler.submit(ask("test $1 = 7 || sleep 60; exit 7", (3, 7, 9)))
+    until(lambda: alive(scheduler) == {3, 9})
+    tasks = scheduler.look(NAME)
+    assert tasks is not None
+    assert [(task.element, task.reason) for task in tasks if task.state is State.ENDED] == [(7, "")]
+
+
+def test_each_look_is_one_call_that_names_the_jobs_once_they_are_known(server: pbs.Server, ask: Callable[..., Request]) -> None:
+    server.waiting()
+    scheduler = Pbs(ClusterTable())
+    jobs = [scheduler.submit(ask()), scheduler.submit(ask(elements=(7,)))]
+    scheduler.version()
+    server.calls()
+    for _ in range(4):
+        assert alive(scheduler) == {0, 1, 2, 7}
+    first, *others = server.calls()
+    assert first[-1] in ("json", "-f")
+    assert len(others) == 3
+    assert all(call[0] == "qstat" and call[-2:] == jobs for call in others)
+
+
+def test_a_job_that_is_submitted_while_another_thread_looks_is_not_missed(
+    server: pbs.Server, ask: Callable[..., Request], tmp_path: Path
+) -> None:
+    server.waiting()
+    scheduler = Pbs(ClusterTable())
+    scheduler.submit(ask())
+    answer = tmp_path / "answer"
+    server.set(slow=str(answer))
+    server.calls()
+    looking = threading.Thread(target=scheduler.look, args=(NAME,))
+    looking.start()
+    until(lambda: bool(server.calls()))
+    scheduler.submit(ask(elements=(7,)))
+    assert looking.is_alive()
+    answer.touch()
+    looking.join()
+    for _ in range(2):
+        assert alive(scheduler) == {0, 1, 2, 7}
+
+
+def test_one_job_of_two_that_ends_leaves_the_other_known(server: pbs.Server, ask: Callable[..., Request]) -> None:
+    scheduler = Pbs(ClusterTable())
+    scheduler.submit(ask("sleep 60"))
+    scheduler.submit(ask("sleep 60", (7,)))
+    assert alive(scheduler) == {0, 1, 2, 7}
+    subprocess.run(["qdel", "2.pbs1"], check=True)
+    until(lambda: alive(scheduler) == {0, 1, 2})
+
+
+def test_where_the_server_is_out_of_reach_nothing_is_known(server: pbs.Server, ask: Callable[..., Request]) -> None:
+    scheduler = Pbs(ClusterTable())
+    scheduler.submit(ask("sleep 60"))
+    assert alive(scheduler) == {0, 1, 2}
+    server.set(down=True)
+    assert scheduler.look(NAME) is None
+    for called in (scheduler.bounds, lambda: scheduler.submit(ask()), lambda: scheduler.cancel(NAME)):
+        with pytest.raises(Missing, match=r"cannot connect to server pbs1|does not answer"):
+            called()
+    server.set(down=False)
+    assert alive(scheduler) == {0, 1, 2}
+
+
+@openpbs
+def test_json_that_is_none_is_read_as_text(server: pbs.Server, ask: Callable[..., Request]) -> None:
+    server.set(broken_json=True)
+    server.waiting()
+    scheduler = Pbs(ClusterTable())
+    scheduler.submit(ask(elements=(3, *range(7, 40, 2))))
+    assert alive(scheduler) == {3, *range(7, 40, 2)}
+
+
+@openpbs
+def test_what_no_node_can_do_is_stuck_in_the_schedulers_words(server: pbs.Server, ask: Callable[..., Request]) -> None:
+    scheduler = Pbs(ClusterTable(cpus=100))
+    for elements in ((0, 1), (2,)):
+        scheduler.submit(ask(elements=elements))
+    tasks = scheduler.look(NAME)
+    assert tasks is not None
+    assert [task.state for task in tasks] == [State.STUCK] * 3
+    assert {task.reason for task in tasks} == {"Can Never Run: Insufficient amount of resource: ncpus (R: 100 A: 4 T: 4)"}
+
+
+@pytest.mark.parametrize(("hold", "state"), [("s", State.STUCK), ("o", State.STUCK), ("u", State.QUEUED), ("a", State.QUEUED)])
+def test_held_by_the_system_is_stuck_and_by_the_user_is_not(
+    server: pbs.Server, ask: Callable[..., Request], hold: str, state: State
+) -> None:
+    server.waiting()
+    scheduler = Pbs(ClusterTable())
+    scheduler.submit(ask())
+    server.change(1, hold=hold)
+    tasks = scheduler.look(NAME)
+    assert tasks is not None
+    assert {(task.state, task.reason) for task in tasks} == {(state, f"held: {hold}")}
+
+
+# cancelling
+
+
+@pytest.mark.parametrize("elements", [(4,), (3, 7, 9)], ids=str)
+@pytest.mark.parametrize("waits", [True, False])
+def test_all_jobs_of_a_name_are_cancelled(
+    server: pbs.Server, ask: Callable[..., Request], elements: tuple[int, ...], waits: bool
+) -> None:
+    if waits:
+        server.waiting()
+    scheduler = Pbs(ClusterTable())
+    scheduler.submit(ask("sleep 60", elements))
+    scheduler.submit(ask("sleep 60", elements))
+    scheduler.submit(ask("sleep 60", name="other"))
+    Pbs(ClusterTable()).cancel(NAME)
+    until(ended(scheduler))
+    assert alive(scheduler, "other") == {0, 1, 2}
+    scheduler.cancel(NAME)
+
+
+def test_single_elements_are_cancelled(server: pbs.Server, ask: Callable[..., Request]) -> None:
+    scheduler = Pbs(ClusterTable())
+    for elements in ((0, 1, 2), (4,), (5, 7, 9)):
+        scheduler.submit(ask("sleep 60", elements))
+    scheduler.cancel(NAME, [1, 4, 7, 99])
+    until(lambda: alive(scheduler) == {0, 2, 5, 9})
+
+
+def test_where_there_is_nothing_to_cancel_nothing_happens(server: pbs.Server) -> None:
+    Pbs(ClusterTable()).cancel(NAME)
+    Pbs(ClusterTable()).cancel(NAME, [1])
+
+
+# limits
+
+
+def test_limits_are_the_servers_and_the_queues(server: pbs.Server) -> None:
+    server.set(max_array_size=500, max_queued=70)
+    bounds = Pbs(ClusterTable()).bounds()
+    assert (bounds.array, bounds.wall_s) == (500, 86400)
+
+
+@openpbs
+def test_openpbs_says_how_many_jobs_a_user_may_have(server: pbs.Server) -> None:
+    server.set(max_queued=70, max_run=7)
+    bounds = Pbs(ClusterTable(partition="workq")).bounds()
+    assert (bounds.jobs, bounds.running) == (70, 7)
+    assert bounds.whose["jobs"] == f"max_queued of {pbs.HOST}"
+    assert bounds.whose["wall_s"] == "resources_max.walltime of workq"
+
+
+def test_a_wrong_queue_has_no_limits_of_its_own(server: pbs.Server) -> None:
+    assert Pbs(ClusterTable(partition="nope")).bounds().wall_s is None
+
+
+# scripts
+
+FULL_TABLE = ClusterTable(
+    cpus=4,
+    memory=1_000_000_000,
+    wall=3725.5,
+    partition="long",
+    account="physics",
+    constraint="bigmem",
+    gpus=2,
+    modules=("gcc/12 openmpi", "python"),
+    directives=("-l place=excl",),
+)
+
+
+@pytest.mark.parametrize("dialect", list(Dialect))
+def test_scripts_are_these(dialect: Dialect) -> None:
+    folder = Path("/shared") / HOSTILE
+    words = ("python3", "-I", "-S", str(folder / "array_task.py"), str(folder))
+    request = Request(NAME, "batch 12ab of swarm", (0, 1, 2, 3), folder, folder / "logs", words)
+    scripts = [
+        qsub.script(request, ClusterTable(), dialect),
+        qsub.script(Request(NAME, "x", (3, 7, 8, 9), folder, folder / "logs", words, "12[].pbs1"), FULL_TABLE, dialect),
+        qsub.script(Request(NAME, "x", (5,), folder, folder / "logs", words, "12.pbs1"), ClusterTable(), dialect),
+    ]
+    assert "\n".join(scripts) == (DATA / f"scripts.{dialect}").read_text()
+
+
+# recorded answers
+
+
+def test_a_recorded_array_of_openpbs_is_read() -> None:
+    records = qstat.own(qstat.json_records((DATA / "arrt.json").read_text()), "arr", "pbsu")
+    tasks = list(qstat.tasks(records))
+    assert [(task.job, task.element, task.state) for task in tasks] == [("5[].pbs1", i, State.ENDED) for i in range(6)]
+    assert {task.node for task in tasks} == {"pbs1"}
+    assert [task.reason for task in tasks] == ["", "", "", "Exit_status 7", "", ""]
+
+
+def test_of_a_recorded_array_without_elements_the_whole_is_told() -> None:
+    (task,) = qstat.tasks(qstat.own(qstat.json_records((DATA / "arr.json").read_text()), "arr", "pbsu"))
+    assert (task.job, task.element, task.state) == ("5[].pbs1", None, State.ENDED)
+
+
+@pytest.mark.parametrize(("answer", "reason"), [("ended-forgotten", ""), ("ended-remembered", "Exit_status 7")])
+def test_a_recorded_array_that_lives_is_read(answer: str, reason: str) -> None:
+    """Element 1 ended with 7, and element 2 well; without a history, and with one."""
+    tasks = list(qstat.tasks(list(qstat.json_records((DATA / f"{answer}.json").read_text()))))
+    states = [State.RUNNING, State.ENDED, State.ENDED, State.RUNNING]
+    assert [(task.element, task.state) for task in tasks] == list(enumerate(states))
+    assert [task.reason for task in tasks[1:3]] == [reason, ""]
+
+
+@pytest.mark.parametrize("text", ["", "{}", '{"timestamp": 1, "pbs_version": "23.06.06"}'])
+def test_an_answer_without_jobs_has_none(text: str) -> None:
+    assert list(qstat.json_records(text)) == []
+
+
+@pytest.mark.parametrize("text", ["[", "[]", '{"Jobs": 3}', '{"Jobs": {"1.pbs1": 3}}', '{"Jobs": {"1": {"a": "b"c"}}}'])
+def test_what_is_no_answer_is_said(text: str) -> None:
+    with pytest.raises(ValueError, match=r"."):
+        list(qstat.json_records(text))
+
+
+def test_an_old_torque_is_read() -> None:
+    text = (
+        "Job Id: 123-3.server\n    Job_Name = name-3\n    Job_Owner = me@login\n    job_state = R\n"
+        "    exec_host = n7/0+n7/1\n\n"
+        "Job Id: 124.server\n    Job_Name = na\n\tme\n    Job_Owner = me@login\n    job_state = C\n    exit_status = 271\n\n"
+        "Job Id: 125.server\n    Job_Name = name-3\n    Job_Owner = me@login\n    job_state = R\n\n"
+    )
+    tasks = list(qstat.tasks(qstat.own(qstat.text_records(text), "name", "me")))
+    assert [(task.job, task.element, task.state, task.reason, task.node) for task in tasks] == [
+        ("123.server", 3, State.RUNNING, "", "n7"),
+        ("124.server", None, State.ENDED, "exit_status 271: asked to end", ""),
+    ]
+
+
+@given(st.sets(st.integers(0, 300), min_size=1))
+def test_elements_of_places_are_those_that_were_asked_for(elements: set[int]) -> None:
+    said = ranges(sorted(elements), "+")
+    record = {"Variable_List": f"PBS_O_HOME=/x,{qstat.ELEMENTS}={said}"}
+    found = [qstat.element({"id": f"1[{place}].pbs1", **record}) for place in range(len(elements))]
+    assert found == sorted(elements)
+
+
+@pytest.mark.parametrize("said", ["", "1-", "+", "1--2", "1-2-3", "5-3", "x"])
+def test_elements_that_are_damaged_are_not_guessed(said: str) -> None:
+    record = {"Variable_List": f"PBS_O_HOME=/x,{qstat.ELEMENTS}={said},PBS_O_PATH=/y"}
+    assert qstat.element({"id": "1[0].pbs1", **record}) is None
+
+
+@pytest.mark.integration
+@given(st.text())
+def test_no_text_is_too_odd_to_be_read(text: str) -> None:
+    list(qstat.tasks(list(qstat.text_records(f"Job Id: 1.pbs1\n{text}\nJob Id: 2[1].pbs1\n    job_state = {text}"))))
+
+
+# what every scheduler holds to
+
+
+@pytest.mark.nightly
+def test_it_is_a_scheduler(server: pbs.Server, tmp_path: Path) -> None:
+    runners.check(Pbs(ClusterTable()), tmp_path / "shared")
+
+
+@pytest.mark.nightly
+@pytest.mark.real
+def test_it_is_a_scheduler_over_slurm(wrapper: clusters.Slurm) -> None:
+    with clusters.folder() as folder:
+        runners.check(Pbs(ClusterTable()), folder)
+
+
+# batches
+
+CLUSTER = f"""
+[runners.pbs]
+array_tasks = 3
+python = "{sys.executable}"
+"""
+WAITS = """
+import os, time
+while not os.path.exists({gate!r}):
+    time.sleep(0.02)
+"""
+
+
+def begun(server: pbs.Server, root: Path) -> int:
+    """Let jobs begin, once the elements of a batch are there; the number of their job.
+
+    Not before: they wait for a probe, which may have been before them, and to be forgotten.
+    """
+    until(lambda: [job for job in sent(root) if job])
+    server.begin()
+    return int(sent(root)[0].partition("[")[0])
+
+
+def sent(root: Path) -> list[str]:
+    return [json.loads(file.read_text())["job"] or "" for file in root.glob(".sierra/work/*/sent/0.json")]
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("which", ["one element", "all", "all while they wait"])
+def test_what_somebody_deletes_ends_the_session(server: pbs.Server, tmp_path: Path, which: str) -> None:
+    gate = tmp_path / "gate"
+    simulator = projects.SIMULATOR + WAITS.format(gate=str(gate))
+    root = projects.make(tmp_path / "swarm", projects.CONFIG + CLUSTER, simulator=simulator)
+    words = (projects.SIERRA, "run", "population_size.Log8", "--on", "pbs", "--no-figures")
+    gate.touch()
+    assert projects.quick(root, "run", "population_size=16", *words[3:]).returncode == 0  # nodes are tried out
+    gate.unlink()
+    server.waiting()
+    asked = subprocess.Popen(words, cwd=root, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    until(lambda: [job for job in sent(root) if job])
+    [job] = sent(root)
+    if which == "all while they wait":
+        server.calls()
+        until(lambda: [call for call in server.calls() if call[0] == "qstat"])
+    else:
+        begun(server, root)
+        until(lambda: len(list(root.glob(".sierra/work/*/results/[0-9]*.pack"))) == 3)
+    subprocess.run(["qdel", job.replace("[]", "[1]") if which == "one element" else job], check=True)
+    out, err = asked.communicate(timeout=200)
+    assert asked.returncode == 130, out + err
+    assert f"pbs job {job} was cancelled, and not by SIERRA" in err
+    assert "submitted again" not in err
+    gate.touch()
+    server.begin()
+    done = projects.quick(root, *words[1:])
+    assert done.returncode == 0, done.stderr
+    assert sierra.open(root).sql("SELECT count(*) AS n FROM runs WHERE status = 'ok'").to_pylist() == [{"n": 10}]
+
+
+@pytest.mark.nightly
+def test_a_batch_is_answered_though_an_element_is_deleted(server: pbs.Server, tmp_path: Path) -> None:
+    gate = tmp_path / "gate"
+    simulator = projects.SIMULATOR + WAITS.format(gate=str(gate))
+    table = CLUSTER + 'cancelled = "resubmit"\n'
+    root = projects.make(tmp_path / HOSTILE, projects.CONFIG + table, simulator=simulator)
+    words = (projects.SIERRA, "run", "population_size.Log8", "--on", "pbs", "--no-figures")
+    server.waiting()
+    asked = subprocess.Popen(words, cwd=root, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    number = begun(server, root)
+    until(lambda: len(list(root.glob(".sierra/work/*/results/[0-9]*.pack"))) == 3)
+    subprocess.run(["qdel", f"{number}[1].pbs1"], check=True)
+    again = tmp_path / "server" / f"{number + 1}.SC"
+    until(again.exists)
+    gate.touch()
+    out, err = asked.communicate(timeout=200)
+    assert asked.returncode == 0, err
+    assert "8 runs: 8 executed, 0 reused" in out
+    jobs = sierra.open(root).sql("SELECT array_task, job FROM attempts WHERE state = 'finished' ORDER BY array_task").to_pylist()
+    assert jobs == [
+        {"array_task": 0, "job": f"{number}[0].pbs1"},
+        {"array_task": 1, "job": f"{number + 1}.pbs1"},
+        {"array_task": 2, "job": f"{number}[2].pbs1"},
+    ]
+    text = again.read_text()
+    assert "SIERRA_ELEMENTS=1" in text
+    until(ended(Pbs(ClusterTable()), re.findall("-N (.*)", text)[0]), "no task is left")
+
+
+@pytest.mark.nightly
+@openpbs
+def test_an_element_whose_time_was_over_says_so_where_pbs_does_not(server: pbs.Server, tmp_path: Path) -> None:
+    gate = tmp_path / "gate"
+    simulator = projects.SIMULATOR + WAITS.format(gate=str(gate))
+    root = projects.make(tmp_path / "swarm", projects.CONFIG + CLUSTER + "wall = 3\n", simulator=simulator)
+    words = (projects.SIERRA, "run", "population_size=1,2", "--on", "pbs", "--no-figures")
+    server.waiting()
+    asked = subprocess.Popen(words, cwd=root, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    begun(server, root)
+    until(lambda: len(list(root.glob(".sierra/work/*/sent/*.json"))) > 1)
+    gate.touch()
+    _, err = asked.communicate(timeout=60)
+    assert asked.returncode == 0, err
+    assert re.search(r"submitted again: element: asked to end after \d s \(walltime of 3 s exceeded\)", err)
+
+
+@pytest.mark.nightly
+def test_runs_see_the_devices_that_a_hook_of_pbs_has_set(
+    server: pbs.Server, simulate: Callable[..., Simulated], tmp_path: Path
+) -> None:
+    hooked = tmp_path / "hooked"
+    hooked.write_text(f'#!/bin/sh\nCUDA_VISIBLE_DEVICES=GPU-1f exec "{sys.executable}" "$@"\n')
+    hooked.chmod(0o755)
+    made = simulate('printf "t,v\\n1,$CUDA_VISIBLE_DEVICES\\n" > swarm.csv')
+    config = made.folder / "sierra.toml"
+    config.write_text(config.read_text() + f'[runners.pbs]\narray_tasks = 1\npython = "{hooked}"\n')
+    project = sierra.open(made.folder)
+    assert project.run("size=1", runs=1, runner="pbs", figures=False).failed == 0
+    assert project.sql("SELECT v FROM swarm").to_pylist() == [{"v": "GPU-1f"}]
+    [told] = project.sql("SELECT allocation FROM attempts").to_pylist()
+    assert json.loads(told["allocation"])["CUDA_VISIBLE_DEVICES"] == "GPU-1f"
+
+
+# SLURM's wrapper
+
+
+@pytest.mark.integration
+@pytest.mark.real
+def test_slurms_wrapper_executes_what_is_asked_for(
+    wrapper: clusters.Slurm, ask: Callable[..., Request], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SECRET_THING", "leak")
+    scheduler = Pbs(ClusterTable(cpus=2, memory=100 << 20, wall=60, constraint="fast", gpus=1, directives=("-p 5",)))
+    request = ask("pwd; echo $1 of $PBS_JOBNAME with $SLURM_CPUS_ON_NODE, $SLURM_GPUS_ON_NODE; env >&2", (1, 4, 5))
+    job = scheduler.submit(request)
+    for index in request.elements:
+        wrapper.until(job, "COMPLETED", element=index)
+    found = logs(request)
+    assert set(found) == {f"{job}_{index}.out" for index in request.elements}
+    for index in request.elements:
+        assert found[f"{job}_{index}.out"].startswith(f"{request.folder}\n{index} of {NAME} with 2, 1\n")
+        assert "SECRET_THING" not in found[f"{job}_{index}.out"]
+        assert "SLURM_GET_USER_ENV" not in found[f"{job}_{index}.out"], "a login shell was started for it"
+    assert sorted(path.name for path in request.folder.iterdir()) == ["logs", f"{NAME}.pbs"]
+
+
+@pytest.mark.integration
+@pytest.mark.real
+def test_over_slurm_elements_are_told_and_cancelled(wrapper: clusters.Slurm, ask: Callable[..., Request]) -> None:
+    scheduler = Pbs(ClusterTable())
+    assert re.fullmatch(r"slurm \S+ \(its qsub\)", scheduler.version())
+    assert scheduler.bounds().array == 1001
+    job = scheduler.submit(ask("sleep 60", (1, 4, 5)))
+    tasks = Pbs(ClusterTable()).look(NAME)
+    assert tasks is not None
+    living = [task for task in tasks if task.state is not State.ENDED]
+    assert sorted((task.job, task.element) for task in living) == [(job, 1), (job, 4), (job, 5)]
+    scheduler.cancel(NAME, [4])
+    until(lambda: alive(scheduler) == {1, 5})
+    scheduler.cancel(NAME)
+    until(ended(scheduler))
+
+
+@pytest.mark.integration
+@pytest.mark.real
+def test_what_the_wrappers_qstat_says_is_read_and_its_qdel_ends_it(
+    wrapper: clusters.Slurm, ask: Callable[..., Request]
+) -> None:
+    job = Pbs(ClusterTable()).submit(ask("sleep 60", (3,)))
+    wrapper.until(job, "RUNNING")
+    records = qstat.own(qstat.text_records(wrapper.command("qstat", "-f")), NAME, pwd.getpwuid(os.geteuid()).pw_name)
+    (task,) = [task for task in qstat.tasks(records) if task.job == job]
+    assert task.state is State.RUNNING
+    assert task.node in wrapper.names
+    wrapper.command("qdel", job)
+    wrapper.until(job, "CANCELLED")
+
+
+@pytest.mark.integration
+@pytest.mark.real
+@pytest.mark.parametrize(
+    ("table", "words"),
+    [
+        (ClusterTable(partition="nope"), "Invalid partition name specified"),
+        (ClusterTable(constraint="nope"), "Invalid feature specification"),
+        (ClusterTable(gpus=9), "Requested node configuration is not available"),
+        (ClusterTable(directives=("-l walltime=x",)), "Invalid"),
+    ],
+)
+def test_slurms_wrapper_refuses_in_its_words(
+    wrapper: clusters.Slurm, ask: Callable[..., Request], table: ClusterTable, words: str
+) -> None:
+    with pytest.raises(ConfigError, match=f"qsub refuses: .*{words}"):
+        Pbs(table).submit(ask())

@@ -1,0 +1,137 @@
+"""The bundled example, end to end: a real simulator, from the query to the figures, through the command line."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import sierra
+from sierra.config import project_file
+from tests import projects
+
+EXAMPLE = Path(sierra.__file__).parent / "setup" / "examples" / "swarm"
+
+
+def sierra_(*arguments: str, cwd: Path) -> str:
+    done = projects.sierra(cwd, *arguments)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def quick_(*arguments: str, cwd: Path) -> str:
+    done = projects.quick(cwd, *arguments)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@pytest.fixture(scope="module")
+def demo(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
+    """The example, copied out, with one query answered."""
+    folder = tmp_path_factory.mktemp("demo") / "swarm"
+    sierra_("init", "--example", "swarm", str(folder), cwd=folder.parent)
+    return folder, json.loads(sierra_("run", "population_size=1,4", "--runs", "3", "--json", cwd=folder))
+
+
+@pytest.fixture(autouse=True)
+def _mujoco(require: Any) -> None:
+    from importlib.util import find_spec
+
+    require("mujoco", there=find_spec("mujoco") is not None)
+
+
+def test_the_example_is_a_project() -> None:
+    project = project_file.parse(tomllib.loads((EXAMPLE / "sierra.toml").read_text()), "swarm")
+    assert {"random_walk", "pheromone"} <= project.controllers.keys()
+    assert {"open", "cluttered"} <= project.scenarios.keys()
+    assert "scalability" in project.queries
+
+
+@pytest.mark.integration
+def test_every_run_is_executed_and_good(demo: tuple[Path, dict[str, Any]]) -> None:
+    _, answer = demo
+    assert {name: answer[name] for name in ("experiments", "runs", "executed", "reused", "failed")} == {
+        "experiments": 2,
+        "runs": 6,
+        "executed": 6,
+        "reused": 0,
+        "failed": 0,
+    }
+
+
+def test_coverage_grows_with_the_population(demo: tuple[Path, dict[str, Any]]) -> None:
+    rows = sierra.open(demo[0]).sql(
+        "SELECT population_size, avg(coverage) AS mean, count(DISTINCT run) AS runs "
+        "FROM swarm WHERE clock = 60 GROUP BY ALL ORDER BY 1"
+    )
+    one, four = rows.to_pylist()
+    assert (one["runs"], four["runs"]) == (3, 3)
+    assert four["mean"] > 2 * one["mean"]
+
+
+def test_figures_are_drawn_in_three_formats(demo: tuple[Path, dict[str, Any]]) -> None:
+    _, answer = demo
+    names = {Path(path).name for path in answer["figures"]}
+    assert {"coverage.png", "coverage.pdf", "coverage.svg", "final_coverage.png"} <= names
+    assert all(Path(path).stat().st_size > 1000 for path in answer["figures"])
+
+
+@pytest.mark.integration
+def test_figures_drawn_again_are_the_same_bytes(demo: tuple[Path, dict[str, Any]]) -> None:
+    folder, answer = demo
+    before = {path: Path(path).read_bytes() for path in answer["figures"]}
+    again = json.loads(quick_("figures", answer["batch"][:12], "--json", cwd=folder))
+    assert {path: Path(path).read_bytes() for path in again} == before
+
+
+def test_asking_again_executes_nothing(demo: tuple[Path, dict[str, Any]]) -> None:
+    folder, answer = demo
+    again = json.loads(quick_("run", "population_size=1,4", "--runs", "3", "--json", "--no-figures", cwd=folder))
+    assert (again["batch"], again["executed"], again["reused"]) == (answer["batch"], 0, 6)
+
+
+def test_more_runs_execute_only_what_is_new(demo: tuple[Path, dict[str, Any]]) -> None:
+    folder, _ = demo
+    more = json.loads(quick_("run", "population_size=1,4", "--runs", "4", "--json", "--no-figures", cwd=folder))
+    assert (more["executed"], more["reused"]) == (2, 6)
+
+
+@pytest.mark.integration
+def test_two_variables_make_all_combinations_and_a_heat_map(demo: tuple[Path, dict[str, Any]]) -> None:
+    folder, _ = demo
+    asked = ("run", "controller=random_walk,pheromone", "population_size=1,4", "--runs", "1", "--json")
+    answer = json.loads(quick_(*asked, cwd=folder))
+    assert (answer["experiments"], answer["runs"]) == (4, 4)
+    rows = sierra.open(folder).sql(
+        "SELECT controller, population_size, count(DISTINCT run) AS runs FROM swarm WHERE controller IS NOT NULL GROUP BY ALL"
+    )
+    assert {(row["controller"], row["population_size"]) for row in rows.to_pylist()} == {
+        ("random_walk", 1),
+        ("random_walk", 4),
+        ("pheromone", 1),
+        ("pheromone", 4),
+    }
+
+
+@pytest.mark.integration
+def test_twenty_runs_replay_identically_whatever_becomes_of_the_code(tmp_path: Path) -> None:
+    folder = tmp_path / "swarm"
+    quick_("init", "--example", "swarm", str(folder), cwd=tmp_path)
+    projects.commit(folder)
+    query = ("run", "population_size=1,2", "--runs", "10", "--set", "/mujoco/custom/numeric[@name='duration']/@data=6")
+    first = json.loads(quick_(*query, "--json", "--no-figures", cwd=folder))["batch"]
+    replayed = json.loads(quick_("replay", first, "--json", cwd=folder))
+    assert (replayed["verdict"], replayed["counts"]) == ("identical", {"identical": 20})
+    code = (folder / "swarm.py").read_text()
+    batches = {first}
+    for sight, committed in (("1.5", True), ("2.5", False)):
+        (folder / "swarm.py").write_text(code.replace("SIGHT = 1.0", f"SIGHT = {sight}"))
+        if committed:
+            projects.commit(folder, "change a constant")
+        batches.add(json.loads(quick_(*query, "-n", "--json", cwd=folder))["batch"])
+        again = json.loads(quick_("replay", first, "--runs", "2", "--json", cwd=folder))
+        assert (again["verdict"], again["runs"]) == ("identical", 4)
+    assert len(batches) == 3

@@ -1,0 +1,459 @@
+"""`sierra init`: what a folder shows is found out, what it does not show is asked, and the next command gives a plot."""
+
+from __future__ import annotations
+
+import json
+import os
+import pty
+import subprocess
+import sys
+import tomllib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.projects import SIMULATOR, TEMPLATE, make, quick, start
+from tests.waiting import PATIENCE_S
+
+SHELL = '#!/bin/sh\nprintf "t,x\\n0,1\\n1,3\\n" > out.csv\n'
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """A simulator in Python and its template, as somebody has them who does not know SIERRA."""
+    (make(tmp_path / "p") / "sierra.toml").unlink()
+    return tmp_path / "p"
+
+
+def written(folder: Path) -> dict[str, Any]:
+    return tomllib.loads((folder / "sierra.toml").read_text())
+
+
+def effective(folder: Path) -> list[str]:
+    return [line for line in (folder / "sierra.toml").read_text().splitlines() if line and not line.startswith("#")]
+
+
+def answering(folder: Path, *answers: str, words: tuple[str, ...] = ("init",)) -> tuple[int, str]:
+    """Call the command line on a terminal, and type these answers, then that there are no more; exit code and what is said."""
+    ours, theirs = pty.openpty()
+    said = b""
+    with start(folder, *words, stdin=theirs, stdout=theirs, stderr=theirs) as asking:
+        os.close(theirs)
+        os.write(ours, "".join(f"{answer}\n" for answer in answers).encode() + b"\x04")
+        try:
+            while part := os.read(ours, 65536):
+                said += part
+        except OSError:  # how Linux says that nobody has the other end any more
+            pass
+        asking.wait(PATIENCE_S)
+    os.close(ours)
+    return asking.returncode, said.decode().replace("\r", "")
+
+
+# What the folder shows
+
+
+def test_one_simulator_and_one_template_are_enough(folder: Path) -> None:
+    ended = quick(folder, "init")
+    assert ended.returncode == 0
+    assert written(folder)["command"] == "python3 sim.py {input}"
+    assert written(folder)["seed"] == "//random/@seed"
+    assert written(folder)["variables"]["population_size"] == "//swarm/@count"
+    assert len(effective(folder)) <= 10
+
+
+@pytest.mark.integration
+def test_the_next_command_that_is_said_gives_a_plot_from_any_folder_of_the_project(folder: Path) -> None:
+    said = json.loads(quick(folder, "init", "--json").stdout)["next"]
+    assert said == "sierra run population_size.Log8 -n"
+    (folder / "deep" / "er").mkdir(parents=True)
+    ended = quick(folder / "deep" / "er", *said.split()[1:-1], "--runs", "2", "--json")
+    assert ended.returncode == 0
+    assert any(figure.endswith(".png") for figure in json.loads(ended.stdout)["figures"])
+
+
+@pytest.mark.integration
+def test_no_heavy_library_is_loaded(folder: Path) -> None:
+    program = (
+        "import sys; from pathlib import Path; from sierra.setup.init import answers, wizard;"
+        "wizard.find_out(Path(), answers.Options());"
+        "print({'duckdb', 'pandas', 'pyarrow', 'matplotlib', 'numpy', 'fabric'} & sys.modules.keys())"
+    )
+    ended = subprocess.run([sys.executable, "-c", program], cwd=folder, capture_output=True, text=True, check=True)
+    assert ended.stdout == "set()\n"
+
+
+def test_of_several_scripts_the_one_that_can_be_started_is_the_simulator(folder: Path) -> None:
+    (folder / "arms.py").write_text("LENGTH = 3\n")
+    assert quick(folder, "init").returncode == 0
+    assert written(folder)["command"] == "python3 sim.py {input}"
+
+
+@pytest.mark.integration
+@pytest.mark.parametrize(("name", "command"), [("run.sh", "./run.sh {input}"), ("build/a sim", "'./build/a sim' {input}")])
+def test_a_program_is_found_here_and_where_it_is_built(tmp_path: Path, name: str, command: str) -> None:
+    program = tmp_path / name
+    program.parent.mkdir(exist_ok=True)
+    program.write_text(SHELL)
+    program.chmod(0o755)
+    (tmp_path / "notes.txt").write_text("executable, as all is on some disks")
+    (tmp_path / "notes.txt").chmod(0o755)
+    (tmp_path / "in.xml").write_text('<swarm count="3" seed="0"/>')
+    assert quick(tmp_path, "init", "-y").returncode == 0
+    assert written(tmp_path)["command"] == command
+    assert quick(tmp_path, "run", "population_size.Log2", "--runs", "1", "--no-figures").returncode == 0
+
+
+@pytest.mark.integration
+def test_names_may_hold_blanks_and_quotes(tmp_path: Path) -> None:
+    folder = tmp_path / "a 'folder'"
+    folder.mkdir()
+    (folder / 'it\'s "it".py').write_text(SIMULATOR)
+    (folder / 'it\'s "it".xml').write_text(TEMPLATE)
+    said = quick(tmp_path, "init", "-y", folder.name).stdout
+    assert """cd 'a '"'"'folder'"'"'' && sierra run population_size.Log8 -n""" in said
+    assert quick(folder, "run", "population_size.Log2", "--runs", "1", "--no-figures").returncode == 0
+
+
+def test_a_template_with_namespaces_gets_paths_with_prefixes(folder: Path) -> None:
+    (folder / "arena.xml").write_text('<a xmlns="urn:a" xmlns:q="urn:q"><q:random q:seed="4"/><robots number="5"/></a>')
+    assert quick(folder, "init", "-y").returncode == 0
+    assert written(folder)["seed"] == "//q:random/@q:seed"
+    assert written(folder)["variables"] == {"population_size": "//_:robots/@number"}
+
+
+def test_a_launch_file_has_its_arguments_by_their_names(folder: Path) -> None:
+    (folder / "arena.xml").unlink()
+    (folder / "package.xml").write_text("<package/>")
+    (folder / "launch").mkdir()
+    (folder / "launch" / "swarm.launch").write_text(
+        '<launch><arg name="seed" default="7"/><arg name="num_robots" default="2"/>'
+        '<param name="speed" value="0.5"/><param name="noise" value="0.1"/></launch>'
+    )
+    assert quick(folder, "init", "-y").returncode == 0
+    assert written(folder)["template"] == "launch/swarm.launch"
+    assert written(folder)["seed"] == "//arg[@name='seed']/@default"
+    assert written(folder)["variables"] == {"population_size": "//arg[@name='num_robots']/@default"}
+    assert """# speed = "//param[@name='speed']/@value\"""" in (folder / "sierra.toml").read_text()
+
+
+def test_argos_is_driven_by_its_platform(tmp_path: Path) -> None:
+    (tmp_path / "a.argos").write_text(
+        '<argos-configuration><framework><experiment length="9" ticks_per_second="10" random_seed="1"/></framework>'
+        '<arena size="4,4,1"><distribute><entity quantity="5"><foot-bot id="f"><controller config="x"/></foot-bot></entity>'
+        "</distribute></arena></argos-configuration>"
+    )
+    ended = quick(tmp_path, "init", "--json")
+    assert json.loads(ended.stdout)["next"] == "sierra run population_size.Log8 -n"
+    assert written(tmp_path) == {"template": "a.argos", "platform": "argos", "runs": 10, "variables": {}}
+
+
+@pytest.mark.parametrize(
+    ("value", "criterion"),
+    [
+        ("3", "x.Log8"),
+        ("500", "x=250,500,1000"),
+        ("0.25", "x=0.125,0.25,0.5"),
+        ("-3", "x=-1.5,-3,-6"),
+        ("0.0", "x=0:1:5"),
+        ("0", "x=0,1,2"),
+        ("false", "x=true,false"),
+        ("open", "x=open"),
+        ("1 2 3", "x=VALUE"),
+    ],
+)
+def test_the_first_query_has_values_around_the_one_in_the_template(folder: Path, value: str, criterion: str) -> None:
+    (folder / "arena.xml").write_text(f'<arena seed="0" x="{value}"/>')
+    said = json.loads(quick(folder, "init", "--json", "--variable", "x=//arena/@x").stdout)["next"]
+    assert said == f"sierra run {criterion} -n"
+    if "VALUE" not in said:
+        assert quick(folder, *said.split()[1:]).returncode == 0
+
+
+def test_other_seeds_are_named_as_they_do_not_change(folder: Path) -> None:
+    (folder / "arena.xml").write_text('<a count="2"><random seed="0"/><noise seed="5"/></a>')
+    assert "note: these stay as they are in the template, in all runs: //noise/@seed" in quick(folder, "init", "-y").stderr
+
+
+# What is said by options
+
+
+def test_what_is_given_wrongly_is_said_and_nothing_is_written(folder: Path) -> None:
+    for words, said in (
+        (["--template", "nope.xml"], "nope.xml: No such file"),
+        (["--template", "sim.py"], "sim.py:1:1: not XML"),
+        (["--command", "python3 nope.py {input}"], "there is no nope.py"),
+        (["--command", "python3 sim.py {inptu}"], "unknown placeholder {inptu}"),
+        (["--command", "python3 'sim.py"], "No closing quotation"),
+        (["--command", " "], "a command is not empty"),
+        (["--seed", "//sede"], "//sede matches nothing in arena.xml"),
+        (["--variable", "x"], "write a variable as NAME=XPATH"),
+        (["--variable", "//swarm/@count='1'"], "write a variable as NAME=XPATH"),
+        (["--variable", "x=//nope"], "//nope matches nothing in arena.xml"),
+        (["--variable", "x=//["], "is not an XPath"),
+        (["--variable", "ü=//noise"], "is not a name of letters, digits and _"),
+        (["--variable", "my speed=//noise"], "is not a name of letters, digits and _"),
+        (["--variable", "my.speed=//noise"], "is not a name of letters, digits and _"),
+        (["--variable", "experiment=//noise"], "is a column of the store"),
+        (["--variable", "controller=//noise"], "take another name, as in my_controller"),
+        (["--variable", "x=//noise", "--variable", "X=//swarm/@count"], "there is one of that name already"),
+        (["--variable", "x=//random/@seed"], "is where the seed goes"),
+        (["--source", "../p"], "there is no '../p'"),
+        (["--source", "srcc"], "there is no 'srcc'"),
+    ):
+        ended = quick(folder, "init", "-y", *words)
+        assert said in ended.stderr
+        assert (ended.returncode, ended.stdout, ended.stderr.count("\n")) == (3 if "nope.xml" in words else 2, "", 1)
+        assert not (folder / "sierra.toml").exists()
+
+
+def test_options_say_all(folder: Path) -> None:
+    words = (
+        "--template",
+        "arena.xml",
+        "--command",
+        "true {input}",
+        "--variable",
+        "x=//noise",
+        "--variable",
+        "y=//swarm/@count",
+    )
+    assert quick(folder, "init", "-y", *words, "--seed", "-", "--source", "sim.py").returncode == 0
+    assert written(folder) == {
+        "template": "arena.xml",
+        "command": "true {input}",
+        "runs": 10,
+        "variables": {"x": "//noise", "y": "//swarm/@count"},
+        "source": {"paths": ["sim.py"]},
+    }
+
+
+def test_a_template_may_be_named_from_here_as_the_shell_completes_it(folder: Path) -> None:
+    for text in ("p/arena.xml", str(folder / "arena.xml")):
+        assert quick(folder.parent, "init", "-y", "p", "--template", text).returncode == 0
+        assert written(folder)["template"] == "arena.xml"
+        (folder / "sierra.toml").unlink()
+
+
+@pytest.mark.integration
+def test_what_the_command_names_of_the_project_is_found_from_where_runs_start(folder: Path) -> None:
+    (folder / "conf" / "maps").mkdir(parents=True)
+    (folder / "conf" / "a.ini").write_text("")
+    (folder / "sim.py").write_text(
+        SIMULATOR + "import os\nassert all(map(os.path.exists, [sys.argv[2].split('=')[1], sys.argv[3]]))\n"
+    )
+    command = f"python3 {folder / 'sim.py'} {{input}} --conf=conf/a.ini ./conf/maps"
+    assert quick(folder, "init", "-y", "--command", command).returncode == 0
+    assert written(folder)["command"] == "python3 {project}/sim.py {input} --conf={project}/conf/a.ini {project}/conf/maps"
+    assert quick(folder / "conf", "run", "population_size.Log1", "--runs", "1", "--no-figures").returncode == 0
+
+
+@pytest.mark.integration
+def test_a_module_of_the_project_is_found_from_where_runs_start(folder: Path) -> None:
+    (folder / "src" / "swarm").mkdir(parents=True)
+    (folder / "sim.py").rename(folder / "src" / "swarm" / "__main__.py")
+    assert quick(folder, "init", "-y", "--command", "python3 -m swarm {input}").returncode == 0
+    assert len(effective(folder)) <= 10
+    assert quick(folder, "run", "population_size.Log1", "--runs", "1", "--no-figures").returncode == 0
+
+
+@pytest.mark.parametrize(
+    ("command", "said"),
+    [
+        ("./sim {input}", "the program './sim' is not there yet"),
+        ("./arena.xml {input}", "is no program; name its interpreter"),
+        ("python3 sim.py {input} > out.csv", "no shell reads the command, so that '>' is given to the program"),
+        ("python3 sim.py", "the command does not name {input}"),
+        ("python3 sim.py {input} maps", "'maps' is a folder here"),
+    ],
+)
+def test_a_command_that_is_hardly_meant_is_written_with_a_note(folder: Path, command: str, said: str) -> None:
+    (folder / "maps").mkdir()
+    ended = quick(folder, "init", "-y", "--command", command)
+    assert ended.returncode == 0
+    assert ended.stderr.startswith("note: ")
+    assert said in ended.stderr
+    assert ended.stderr.count("\n") == 1
+
+
+@pytest.mark.integration
+def test_json_says_what_was_written_and_what_to_do_next(folder: Path) -> None:
+    code, said = answering(folder, words=("init", "--json"))
+    assert code == 0
+    assert json.loads(said) == {
+        "written": "sierra.toml",
+        "template": "arena.xml",
+        "platform": "command",
+        "command": "python3 sim.py {input}",
+        "seed": "//random/@seed",
+        "variables": written(folder)["variables"],
+        "source": [],
+        "notes": [],
+        "next": "sierra run population_size.Log8 -n",
+    }
+
+
+# Source
+
+
+def test_all_of_the_folder_is_source_until_somebody_narrows_it(folder: Path) -> None:
+    (folder / "results").mkdir()
+    assert quick(folder, "init", "-y").returncode == 0
+    assert "source" not in written(folder)
+    text = (folder / "sierra.toml").read_text()
+    assert '# paths = ["sim.py"]  # not results\n' in text
+    (folder / "sierra.toml").write_text(text.replace("# [source]", "[source]").replace("# paths", "paths"))
+    assert written(folder)["source"] == {"paths": ["sim.py"]}
+    assert quick(folder, "run", "population_size.Log2", "-n").returncode == 0
+
+
+def test_notes_are_left_out_of_the_code_that_is_proposed(folder: Path) -> None:
+    for name in ("README.md", "notes.txt", "LICENSE", "poster.pdf", "CMakeLists.txt"):
+        (folder / name).write_text("")
+    assert quick(folder, "init", "-y").returncode == 0
+    text = (folder / "sierra.toml").read_text()
+    assert '# paths = ["CMakeLists.txt", "sim.py"]  # not LICENSE, README.md, notes.txt, poster.pdf\n' in text
+
+
+@pytest.mark.integration
+def test_what_is_source_is_asked_where_there_is_what_hardly_is(folder: Path) -> None:
+    (folder / "results").mkdir()
+    code, _ = answering(folder, "", "", "", "", "nope", "2")
+    assert code == 0
+    assert written(folder)["source"] == {"paths": ["sim.py"]}
+
+
+# Questions
+
+
+@pytest.mark.integration
+def test_enter_takes_what_was_found(folder: Path) -> None:
+    assert answering(folder, "", "", "", "")[0] == 0
+    assert written(folder)["variables"] == {"population_size": "//swarm/@count"}
+
+
+@pytest.mark.integration
+def test_several_templates_and_simulators_are_offered_by_number(folder: Path) -> None:
+    (folder / "other.xml").write_text('<a count="3" seed="1"/>')
+    (folder / "other.py").write_text(SIMULATOR)
+    code, said = answering(folder, "", "2", "python3 other.py {input}", "", "")
+    assert code == 0
+    assert "  1  arena.xml\n  2  other.xml\n" in said
+    assert "  1  python3 other.py {input}\n  2  python3 sim.py {input}\n" in said
+    assert written(folder)["template"] == "other.xml"
+    assert written(folder)["command"] == "python3 other.py {input}"
+
+
+@pytest.mark.integration
+def test_where_nothing_is_found_it_is_asked(tmp_path: Path) -> None:
+    (tmp_path / "arena.conf").write_text(TEMPLATE)
+    assert answering(tmp_path, "arena.conf", "true {input}", "", "")[0] == 0
+    assert written(tmp_path)["template"] == "arena.conf"
+
+
+@pytest.mark.integration
+def test_a_wrong_answer_is_said_in_the_words_of_the_option_and_asked_again(folder: Path) -> None:
+    wrong = {
+        "--template": ["nope.xml", "sim.py"],
+        "--command": ["python3 nope.py {input}", "python3 sim.py {inptu}", "'"],
+        "--seed": ["//sede", "//["],
+        "--variable": ["x", "x=//nope", "run=//noise", "x=//random/@seed"],
+    }
+    errors = [quick(folder, "init", "-y", option, text).stderr for option, texts in wrong.items() for text in texts]
+    code, said = answering(folder, *(answer for texts in wrong.values() for answer in (*texts, "")))
+    assert code == 0
+    places = [said.index(f"  {error.removeprefix('sierra: ')}") for error in errors]
+    assert places == sorted(set(places))
+    assert written(folder)["variables"] == {"population_size": "//swarm/@count"}
+
+
+@pytest.mark.integration
+def test_variables_are_asked_for_until_an_empty_answer_and_found_ones_stay(folder: Path) -> None:
+    assert answering(folder, "", "", "", "noise_level=//noise", "1", "")[0] == 0
+    assert written(folder)["variables"] == {
+        "population_size": "//swarm/@count",
+        "noise_level": "//noise",
+        "size": "//arena/@size",
+    }
+
+
+@pytest.mark.integration
+def test_a_variable_that_was_found_may_be_refused_or_called_otherwise(folder: Path) -> None:
+    assert answering(folder, "", "", "", "-population_size", "noise=//noise", "")[0] == 0
+    assert written(folder)["variables"] == {"noise": "//noise"}
+    (folder / "sierra.toml").unlink()
+    assert answering(folder, "", "", "-", "robots=//swarm/@count", "")[0] == 0
+    assert written(folder)["variables"] == {"robots": "//swarm/@count"}
+    assert "seed" not in written(folder)
+
+
+@pytest.mark.integration
+def test_without_an_answer_nothing_is_written(folder: Path) -> None:
+    code, said = answering(folder, "", "")
+    assert code == 130
+    assert said.endswith("sierra: interrupted\n")
+    assert not (folder / "sierra.toml").exists()
+
+
+# What cannot be
+
+
+def test_without_a_terminal_what_is_not_clear_names_its_option(tmp_path: Path) -> None:
+    for files, said in (
+        ([], "say which with --template FILE"),
+        (["a.xml", "b.xml"], "several could be the template (a.xml, b.xml); say which with --template FILE"),
+        (["template.xml"], "no program; say how it is started with --command"),
+        (["Makefile"], "no program; build it first, or say how it is started with --command"),
+        (["c.py", "d.py"], "several could be the simulator: c.py, d.py; say how it is started with --command"),
+    ):
+        for name in files:
+            (tmp_path / name).write_text(TEMPLATE if name.endswith("xml") else "")
+        for words in ([], ["-y"], ["--json"]):
+            ended = quick(tmp_path, "init", *words)
+            assert said in ended.stderr
+            assert (ended.returncode, ended.stdout, ended.stderr.count("\n")) == (3, "", 1)
+
+
+def test_a_project_file_is_never_written_over(folder: Path) -> None:
+    (folder / "sierra.toml").write_text("mine")
+    ended = quick(folder, "init", "-y")
+    assert ended.returncode == 2
+    assert "is there already, and is never written over; change it with an editor, or remove it first" in ended.stderr
+    assert (folder / "sierra.toml").read_text() == "mine"
+    (folder / "sierra.toml").unlink()
+    (folder / "pyproject.toml").write_text('[tool.sierra]\ntemplate = "arena.xml"\n')
+    assert "has [tool.sierra] already" in quick(folder, "init", "-y").stderr
+    assert not (folder / "sierra.toml").exists()
+
+
+def test_a_folder_that_is_none_or_may_not_be_written_to_is_said(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    ended = quick(folder, "init", "nowhere")
+    assert (ended.returncode, ended.stdout, ended.stderr.count("\n")) == (3, "", 1)
+    right: Callable[..., bool] = os.access
+    monkeypatch.setattr(os, "access", lambda path, mode: not mode & os.W_OK and right(path, mode))  # root may write anywhere
+    ended = quick(folder, "init", "-y")
+    assert (ended.returncode, ended.stderr) == (
+        3,
+        "sierra: . may not be written to; get the right to, or name another folder\n",
+    )
+
+
+def test_a_project_inside_another_is_said(folder: Path) -> None:
+    (folder.parent / "sierra.toml").write_text("")
+    assert "this folder was in the project of" in quick(folder, "init", "-y").stderr
+
+
+# The example
+
+
+def test_the_example_is_copied_into_new_folders_only(tmp_path: Path) -> None:
+    ended = quick(tmp_path, "init", "--example", "swarm", "demo", "--json")
+    assert json.loads(ended.stdout)["next"] == "cd demo && sierra run population_size.Log8"
+    assert (tmp_path / "demo" / "sierra.toml").is_file()
+    again = quick(tmp_path, "init", "--example", "swarm", "demo")
+    assert (again.returncode, again.stderr.count("\n")) == (2, 1)
+    assert "is not empty; name a new folder" in again.stderr
+    assert "no example 'swram'" in quick(tmp_path, "init", "--example", "swram", "other").stderr
+    assert not (tmp_path / "other").exists()

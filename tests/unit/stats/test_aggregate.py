@@ -1,0 +1,627 @@
+"""The statistics in SQL are those of numpy and scipy, and nothing that is missing is averaged away."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import duckdb
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+import scipy.stats
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import sierra
+from sierra import stats
+from sierra.config.project_file import Figure
+from sierra.errors import SierraError, UsageError
+from sierra.model import Axis
+from sierra.stats import student_t
+
+AXIS = (Axis("size", (1, 2)),)
+NUMBERS = st.floats(min_value=-1e6, max_value=1e6, allow_nan=False).map(lambda x: round(x, 6))
+
+
+class Memory:
+    """A frame in memory: rows of (experiment, run's number, t, value)."""
+
+    def __init__(self, rows: Iterable[tuple[int, int, float, float | None]], threads: int = 2) -> None:
+        rows = list(rows)
+        columns: list[Any] = list(zip(*rows, strict=True)) or [()] * 4
+        table = pa.table(
+            {
+                "experiment": pa.array(columns[0], pa.int32()),
+                "run": pa.array([f"{e}-{n}" for e, n, *_ in rows], pa.string()),
+                "number": pa.array(columns[1], pa.int32()),
+                "t": pa.array(columns[2], pa.float64()),
+                "value": pa.array(columns[3], pa.float64(), from_pandas=False),
+            }
+        )
+        self.connection = duckdb.connect(config={"threads": threads})
+        self.connection.register("given", table)
+        self.connection.execute("CREATE TABLE samples AS SELECT * FROM given")
+
+    def sql(self, text: str, /, **params: Any) -> pa.Table:
+        return self.connection.sql(text, params=params).to_arrow_table()
+
+
+def over_runs(values: Iterable[float | None], *, whole: bool = False) -> dict[str, Any]:
+    """All statistics of one experiment whose runs ended with these values."""
+    frame = Memory((0, number, 0.0, value) for number, value in enumerate(values))
+    table, _ = stats.by_experiment(frame, "final", stats.STATISTICS, stats.coverage(frame), whole=whole)
+    found: list[dict[str, Any]] = table.to_pylist()
+    return found[0]
+
+
+def figure(kind: str = "timeseries", **more: Any) -> Figure:
+    return Figure.model_validate({"kind": kind, "column": "energy", **more})
+
+
+def trimmed_interval(x: np.ndarray[Any, Any]) -> tuple[float, float]:
+    """Tukey and McLaughlin's interval, written down a second time."""
+    n, g = len(x), len(x) // 4
+    h = n - 2 * g
+    winsorized = np.clip(np.sort(x), np.sort(x)[g], np.sort(x)[n - g - 1])
+    half = scipy.stats.t.ppf(0.975, h - 1) * math.sqrt(((winsorized - winsorized.mean()) ** 2).sum() / (h * (h - 1)))
+    center = float(scipy.stats.trim_mean(x, 0.25))
+    return center - half, center + half
+
+
+@pytest.mark.integration
+@settings(max_examples=25, deadline=None)
+@given(st.lists(NUMBERS, min_size=2, max_size=40))
+def test_all_statistics_are_those_of_numpy_and_scipy(values: list[float]) -> None:
+    x, found = np.array(values), over_runs(values)
+    near = pytest.approx
+    scale = 1e-12 * max(1.0, float(np.abs(x).max()))
+    half = scipy.stats.t.ppf(0.975, len(x) - 1) * x.std(ddof=1) / math.sqrt(len(x))
+    q1, median, q3 = np.quantile(x, [0.25, 0.5, 0.75])
+    assert found["n"] == len(x)
+    assert found["mean"] == near(x.mean(), rel=1e-12, abs=scale)
+    assert found["sd"] == near(x.std(ddof=1), rel=1e-11, abs=scale)
+    assert (found["low"], found["high"]) == near((x.mean() - half, x.mean() + half), rel=1e-11, abs=20 * scale)
+    assert (found["q1"], found["median"], found["q3"]) == near((q1, median, q3), rel=1e-12, abs=scale)
+    assert (found["min"], found["max"]) == (x.min(), x.max())
+    assert found["iqm"] == near(scipy.stats.trim_mean(x, 0.25), rel=1e-12, abs=scale)
+    assert (found["iqm_low"], found["iqm_high"]) == near(trimmed_interval(x), rel=1e-11, abs=30 * scale)
+
+
+SCALES = st.sampled_from([-1020, -1000, -700, 0, 700, 1000])
+
+
+@pytest.mark.integration
+@settings(max_examples=25, deadline=None)
+@given(st.lists(st.integers(-1000, 1000), min_size=2, max_size=20), SCALES)
+def test_statistics_have_all_their_digits_at_any_magnitude(values: list[int], power: int) -> None:
+    """A power of two takes no digits away, so that what numpy says of small numbers holds for huge and tiny ones."""
+    x, scale = np.array(values, float), 2.0**power
+    found = over_runs((x * scale).tolist())
+    half = scipy.stats.t.ppf(0.975, len(x) - 1) * x.std(ddof=1) / math.sqrt(len(x))
+    expected = {
+        "mean": x.mean(),
+        "sd": x.std(ddof=1),
+        "low": x.mean() - half,
+        "high": x.mean() + half,
+        "median": np.median(x),
+        "q1": np.quantile(x, 0.25),
+        "q3": np.quantile(x, 0.75),
+        "iqm": scipy.stats.trim_mean(x, 0.25),
+    }
+    for name, value in expected.items():
+        assert found[name] / scale == pytest.approx(value, rel=1e-12, abs=1e-10), name
+
+
+@pytest.mark.integration
+@settings(max_examples=25, deadline=None)
+@given(st.lists(st.integers(0, 2**20), min_size=2, max_size=20), st.sampled_from([1e6, 1e9, 1e12]))
+def test_a_large_mean_takes_no_digits_from_the_standard_deviation(values: list[int], offset: float) -> None:
+    exact = np.array([value / 2**12 for value in values])  # the offset leaves them as they are
+    found = over_runs((exact + offset).tolist())
+    assert found["sd"] == pytest.approx(exact.std(ddof=1), rel=1e-13)
+    assert found["mean"] - offset == pytest.approx(exact.mean(), abs=1e-15 * offset)
+
+
+def test_a_mean_of_huge_values_does_not_overflow() -> None:
+    found = over_runs([1e308, 1.5e308, 1.7e308, 1.6e308])
+    assert found["mean"] == pytest.approx(1.45e308, rel=1e-12)
+    assert (found["median"], found["iqm"]) == pytest.approx((1.55e308, 1.55e308), rel=1e-12)
+    assert found["sd"] == pytest.approx(np.std([1.0, 1.5, 1.7, 1.6], ddof=1) * 1e308, rel=1e-12)
+    assert measured("mean", [1e308, 1.5e308, 1.7e308])["mean"] == pytest.approx(1.4e308, rel=1e-12)
+    assert over_runs([-1.7e308, -1.7e308, 1.7e308, 1.7e308])["q1"] == -1.7e308
+
+
+def test_whiskers_and_iqm_of_one_huge_value_are_those_of_the_others() -> None:
+    found = over_runs([1e-200, 2e-200, 3e-200, 4e-200, 1e300])
+    assert (found["median"], found["iqm"]) == pytest.approx((3e-200, 3e-200), rel=1e-12)
+
+
+@pytest.mark.integration
+@given(st.floats(allow_nan=False, allow_infinity=False), st.integers(2, 12))
+@settings(max_examples=25, deadline=None)
+def test_values_that_are_all_the_same_are_their_own_mean(value: float, n: int) -> None:
+    found = over_runs([value] * n)
+    assert [found[name] for name in ("mean", "median", "q1", "q3", "iqm", "low", "high")] == [value] * 7
+    assert found["sd"] == 0
+
+
+@pytest.mark.parametrize(("good", "n"), [(0, 5), (5, 5), (1, 5), (3, 10), (100, 100), (1, 1000)])
+def test_the_interval_of_a_rate_is_wilsons_as_scipy_has_it(good: int, n: int) -> None:
+    found = over_runs([1.0] * good + [0.0] * (n - good), whole=True)
+    interval = scipy.stats.binomtest(good, n).proportion_ci(0.95, method="wilson")
+    assert (found["low"], found["high"]) == pytest.approx((interval.low, interval.high), rel=1e-12, abs=1e-15)
+    assert 0 <= found["low"] <= found["mean"] <= found["high"] <= 1
+    assert 0 <= found["iqm_low"] <= found["iqm_high"] <= 1
+    assert found["interval"] == "Wilson"
+
+
+def test_fractions_that_happen_to_be_the_same_are_no_rate() -> None:
+    assert [over_runs(values)["interval"] for values in ([0.0, 0.0], [1.0, 1.0], [0.0, 1.0], [0.0, 0.5, 1.0])] == [
+        "t",
+        "t",
+        "Wilson",
+        "t",
+    ]
+    assert over_runs([0.0, 2.0], whole=True)["interval"] == "t"
+    assert (over_runs([1.0], whole=True)["low"], over_runs([1.0], whole=True)["interval"]) == (None, None)
+
+
+def test_what_is_a_rate_is_one_in_all_experiments_and_at_all_times() -> None:
+    frame = Memory((e, run, float(t), float(e == 1 and run > t)) for e in range(2) for run in range(5) for t in range(3))
+    seen = stats.coverage(frame)
+    for table in (
+        stats.by_time(frame, ["interval"], seen)[0],
+        stats.by_experiment(frame, "final", ["interval"], seen)[0],
+    ):
+        assert set(table["interval"].to_pylist()) == {"Wilson"}
+        assert table["high"].to_pylist()[0] == pytest.approx(0.434482, abs=1e-6)
+    late, _ = stats.by_experiment(frame, "time_to", ["interval"], seen, 1.0, whole=True)
+    assert "Wilson" not in late["interval"].to_pylist()
+    note = stats.compute(figure(), AXIS, {"energy": frame}).note
+    assert note.startswith("mean, Wilson's 95 % CI of a rate, n = 5")
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.lists(st.integers(-1000, 1000), min_size=1, max_size=40))
+def test_whiskers_end_at_values_that_were_observed(values: list[int]) -> None:
+    found = over_runs(map(float, values))
+    q1, q3 = np.quantile(values, [0.25, 0.75])
+    inside = [v for v in values if q1 - 1.5 * (q3 - q1) <= v <= q3 + 1.5 * (q3 - q1)]
+    assert (found["whisker_low"], found["whisker_high"]) == (min(inside), max(inside))
+
+
+@pytest.mark.parametrize(("far", "end"), [(13.4, 13.4), (13.6, 8.0)])
+def test_a_whisker_reaches_at_most_one_and_a_half_interquartile_ranges(far: float, end: float) -> None:
+    """The quartiles are 2.25 and 6.75, so that the fence stands at 13.5."""
+    values = [*map(float, range(9)), far]
+    assert over_runs(values)["whisker_high"] == end
+    assert over_runs([-value for value in values])["whisker_low"] == -end
+
+
+def test_the_interval_of_four_runs_is_not_two_standard_deviations() -> None:
+    found = over_runs([1.0, 2.0, 4.0, 4.6])
+    interval = scipy.stats.ttest_1samp([1.0, 2.0, 4.0, 4.6], 0).confidence_interval(0.95)
+    assert (found["low"], found["high"]) == pytest.approx((interval.low, interval.high), rel=1e-12)
+
+
+def test_one_run_has_a_mean_but_no_interval() -> None:
+    found = over_runs([3.0])
+    assert (found["n"], found["mean"], found["median"], found["q1"], found["iqm"]) == (1, 3.0, 3.0, 3.0, 3.0)
+    assert [found[name] for name in ("sd", "low", "high", "iqm_low", "iqm_high")] == [None] * 5
+
+
+def test_what_is_missing_or_infinite_is_left_out_and_counted() -> None:
+    found = over_runs([1.0, None, math.nan, math.inf, -math.inf, 3.0])
+    assert (found["n"], found["missing"], found["infinite"], found["mean"]) == (2, 2, 2, 2.0)
+
+
+def test_an_experiment_of_which_all_is_missing_has_no_mean() -> None:
+    found = over_runs([None, math.nan])
+    assert (found["n"], found["missing"], found["mean"], found["median"], found["low"]) == (0, 2, None, None, None)
+
+
+def test_n_is_counted_at_each_time() -> None:
+    frame = Memory((0, run, float(t), float(run)) for run in range(5) for t in range(3 if run else 2))
+    table, _ = stats.by_time(frame, ["interval"], stats.coverage(frame))
+    assert table["n"].to_pylist() == [5, 5, 4]
+    assert table["mean"].to_pylist() == [2.0, 2.0, 2.5]
+
+
+def test_the_same_data_give_the_same_bits_in_any_order_and_with_any_threads() -> None:
+    rng = np.random.default_rng(1)
+    rows = [(e, run, float(t), float(rng.normal())) for e in range(10) for run in range(20) for t in range(100)]
+    rng.shuffle(mixed := list(range(len(rows))))
+    for measure in ("mean", "final"):
+        one, many = Memory(rows, threads=1), Memory((rows[k] for k in mixed), threads=4)
+        seen = stats.coverage(one)
+        assert stats.by_experiment(one, measure, stats.STATISTICS, seen)[0].equals(
+            stats.by_experiment(many, measure, stats.STATISTICS, seen)[0]
+        )
+        assert stats.by_time(one, ["interval"], seen)[0].equals(stats.by_time(many, ["interval"], seen)[0])
+
+
+def measured(measure: str, values: list[float | None], threshold: float | None = None) -> dict[str, Any]:
+    frame = Memory((0, 0, float(t), value) for t, value in enumerate(values))
+    table, _ = stats.by_experiment(frame, measure, ["mean"], stats.coverage(frame), threshold)
+    found: list[dict[str, Any]] = table.to_pylist()
+    return found[0]
+
+
+def test_the_final_value_is_the_one_at_the_largest_time() -> None:
+    frame = Memory([(0, 0, 2.0, 7.0), (0, 0, 0.0, 1.0), (0, 0, 1.0, 9.0)])
+    assert stats.reduced(frame, "final")["value"].to_pylist() == [7.0]
+
+
+def test_a_final_value_that_is_missing_is_not_replaced_by_an_earlier_one() -> None:
+    assert measured("final", [1.0, 2.0, math.nan])["mean"] is None
+    assert measured("final", [1.0, 2.0, None])["missing"] == 1
+
+
+def test_the_mean_over_time_counts_what_it_leaves_out() -> None:
+    found = measured("mean", [1.0, None, 3.0, math.nan, math.inf])
+    assert (found["mean"], found["missing"], found["infinite"]) == (2.0, 2, 1)
+
+
+def test_the_time_to_a_threshold_is_the_first_time_that_it_is_reached() -> None:
+    assert measured("time_to", [0.0, 1.0, 5.0, 2.0, 7.0], 5.0)["mean"] == 2.0
+
+
+@pytest.mark.parametrize("gap", [None, math.nan])
+def test_a_missing_value_reaches_no_threshold(gap: float | None) -> None:
+    assert measured("time_to", [0.0, gap, 5.0], 5.0)["mean"] == 2.0
+
+
+def test_runs_that_never_reach_a_threshold_are_counted_and_not_averaged() -> None:
+    frame = Memory((0, run, float(t), float(t * run)) for run in range(4) for t in range(10))
+    found = stats.by_experiment(frame, "time_to", ["mean"], stats.coverage(frame), 9.0)[0].to_pylist()[0]
+    assert (found["n"], found["never"], found["missing"]) == (3, 1, 0)
+    assert found["mean"] == pytest.approx((9 + 5 + 3) / 3, rel=1e-12)
+
+
+def test_a_run_of_which_all_is_missing_is_missing_and_not_late() -> None:
+    found = measured("time_to", [None, math.nan], 1.0)
+    assert (found["n"], found["never"], found["missing"]) == (0, 0, 2)
+
+
+RAGGED = [(0, 0, 0.0, 0.0), (0, 0, 2.0, 4.0), (0, 0, 4.0, 0.0), (0, 1, 1.0, 10.0), (0, 1, 2.5, 13.0)]
+
+
+@pytest.mark.parametrize(
+    ("linear", "first", "second"),
+    [
+        (False, [0.0, 0.0, 4.0, 4.0, 0.0], [None, 10.0, 10.0, None, None]),
+        (True, [0.0, 2.0, 4.0, 2.0, 0.0], [None, 10.0, 12.0, None, None]),
+    ],
+)
+def test_runs_meet_on_a_common_time_axis_and_none_goes_beyond_its_end(
+    linear: bool, first: list[float], second: list[float | None]
+) -> None:
+    for run, expected in ((0, first), (1, second)):
+        frame = Memory(row for row in RAGGED if row[1] == run)
+        grid = [0.0, 1.0, 2.0, 3.0, 4.0]
+        table, _ = stats.resampled(frame, grid, ["mean"], stats.coverage(frame), linear=linear)
+        found = dict(zip(table["t"].to_pylist(), table["mean"].to_pylist(), strict=True))
+        assert [found.get(t) for t in grid] == expected
+
+
+def test_resampling_does_not_fill_what_is_missing() -> None:
+    frame = Memory([(0, 0, 0.0, 1.0), (0, 0, 1.0, None), (0, 0, 2.0, 3.0)])
+    for linear in (False, True):
+        table, _ = stats.resampled(frame, [0.0, 1.5, 2.0], ["mean"], stats.coverage(frame), linear=linear)
+        assert table["mean"].to_pylist() == [1.0, None, 3.0]
+        assert table["missing"].to_pylist() == [0, 1, 0]
+
+
+@pytest.mark.integration
+@settings(max_examples=25, deadline=None)
+@given(st.lists(st.tuples(st.integers(0, 1000), NUMBERS), min_size=2, max_size=20, unique_by=lambda p: p[0]), st.data())
+def test_linear_interpolation_is_that_of_numpy(points: list[tuple[int, float]], data: st.DataObject) -> None:
+    points.sort()
+    t, v = np.array(points, dtype=float).T
+    grid = sorted(data.draw(st.sets(st.floats(t[0], t[-1]), min_size=1, max_size=10)))
+    frame = Memory((0, 0, a, b) for a, b in zip(t.tolist(), v.tolist(), strict=True))
+    table, _ = stats.resampled(frame, grid, ["mean"], stats.coverage(frame), linear=True)
+    assert table["mean"].to_pylist() == pytest.approx(np.interp(grid, t, v).tolist(), rel=1e-9, abs=1e-6)
+
+
+def test_a_figure_of_runs_with_different_times_says_that_they_were_resampled() -> None:
+    frame = Memory((0, run, t + run / 10, float(t)) for run in range(8) for t in range(20))
+    computed = stats.compute(figure(), AXIS, {"energy": frame})
+    assert "times differ: last values carried forward to 20 common times" in computed.note
+    assert max(computed.tables["energy"]["n"].to_pylist()) == 8
+
+
+def interpolated(points: list[tuple[float, float | None]], grid: list[float]) -> list[float]:
+    """numpy's, NaN where a value beside is missing, and before and after the first and the last time."""
+    t, v = np.array(points, dtype=float).T
+    return np.interp(grid, t, v, left=np.nan, right=np.nan).tolist()
+
+
+@pytest.mark.integration
+@settings(max_examples=25, deadline=None)
+@given(
+    st.lists(
+        st.tuples(st.integers(0, 1000), st.one_of(NUMBERS, st.none(), st.just(math.nan))),
+        min_size=2, max_size=20, unique_by=lambda p: p[0],
+    ),
+    st.sets(st.one_of(st.floats(-10, 1010), st.integers(0, 1000).map(float)), min_size=1, max_size=20),
+)  # fmt: skip
+def test_linear_interpolation_bridges_no_missing_value_and_goes_beyond_no_end(
+    points: list[tuple[int, float | None]], times: set[float]
+) -> None:
+    rows, grid = sorted((float(t), v) for t, v in points), sorted(times)
+    frame = Memory((0, 0, t, v) for t, v in rows)
+    table, _ = stats.resampled(frame, grid, ["mean"], stats.coverage(frame), linear=True)
+    found = dict(zip(table["t"].to_pylist(), table["mean"].to_pylist(), strict=True))
+    expected = {t: v for t, v in zip(grid, interpolated(rows, grid), strict=True) if not math.isnan(v)}
+    assert {t for t, v in found.items() if v is not None} == set(expected)
+    assert [found[t] for t in expected] == pytest.approx(list(expected.values()), rel=1e-9, abs=1e-6)
+    inside = [t for t in grid if rows[0][0] <= t <= rows[-1][0]]
+    assert sum(table["missing"].to_pylist()) == len(inside) - len(expected)
+
+
+SHIFTED = [(0, run, t + run / 10, float(t)) for run in range(8) for t in range(20)]
+
+
+def test_a_figure_interpolates_where_it_is_asked_to_and_says_so() -> None:
+    computed = stats.compute(figure(times="linear"), AXIS, {"energy": Memory(SHIFTED)})
+    assert "; interpolated linearly to 20 common times" in computed.note
+    assert "-- $linear: True" in computed.sql
+    grid = np.linspace(0.0, 19.7, 20).tolist()
+    runs = [interpolated([(t, v) for _, n, t, v in SHIFTED if n == run], grid) for run in range(8)]
+    table = computed.tables["energy"]
+    assert table["t"].to_pylist() == pytest.approx(grid)
+    assert table["mean"].to_pylist() == pytest.approx(np.nanmean(runs, axis=0).tolist(), rel=1e-12)
+    assert table["n"].to_pylist() == np.isfinite(runs).sum(axis=0).tolist()
+
+
+def test_a_figure_keeps_to_the_runs_own_times_where_it_is_asked_to_and_says_that_they_differ() -> None:
+    computed = stats.compute(figure(times="own"), AXIS, {"energy": Memory(SHIFTED)})
+    assert computed.tables["energy"].num_rows == 160
+    assert computed.note == "mean, no interval, n = 1; times differ: each run at its own"
+
+
+@pytest.mark.parametrize("times", ["carry", "linear"])
+def test_times_that_all_runs_share_are_the_common_ones_in_spite_of_rounding(times: str) -> None:
+    """A simulator adds 0.1 again and again: a grid just before its times would show the value of one row before."""
+    clock = np.cumsum(np.full(100, 0.1)).tolist()
+    frame = Memory((0, run, clock[t], float(t * run)) for run in range(3) for t in range(100))
+    table, _, said = stats.at_times(frame, times, ["interval"], stats.coverage(frame))
+    assert table["mean"].to_pylist() == pytest.approx([float(t) for t in range(100)], abs=1e-9)
+    assert said == [f"{'interpolated linearly' if times == 'linear' else 'last values carried forward'} to 100 common times"]
+
+
+@pytest.mark.parametrize("times", ["own", "carry", "linear", None])
+def test_runs_of_one_time_count_once_each(times: str | None) -> None:
+    frame = Memory((0, run, 7.0, float(run)) for run in range(5))
+    table, _, _ = stats.at_times(frame, times, ["interval"], stats.coverage(frame))
+    assert (table["t"].to_pylist(), table["n"].to_pylist(), table["mean"].to_pylist()) == ([7.0], [5], [2.0])
+
+
+def test_unknown_times_are_refused() -> None:
+    frame = Memory(SHIFTED)
+    with pytest.raises(UsageError, match="unknown times 'cubic'; known are own, carry, linear"):
+        stats.at_times(frame, "cubic", ["mean"], stats.coverage(frame))
+
+
+def test_a_run_that_ended_early_is_no_reason_to_resample() -> None:
+    frame = Memory((0, run, float(t), 1.0) for run in range(8) for t in range(20 if run else 5))
+    computed = stats.compute(figure(), AXIS, {"energy": frame})
+    assert computed.note == "mean, 95 % CI, n = 7–8"
+
+
+def test_the_note_says_all_that_is_not_in_the_numbers() -> None:
+    frame = Memory([(0, 0, 0.0, 1.0), (0, 1, 0.0, None), (0, 2, 0.0, math.inf), (0, 3, math.nan, 5.0), (1, 0, 0.0, 2.0)])
+    note = stats.compute(figure("summary"), AXIS, {"energy": frame}, planned={0: 5, 1: 4}).note
+    assert note == (
+        "mean, no interval, n = 1; 4 of 9 runs absent; 1 missing value left out; 1 infinite value left out;"
+        " 1 row without a time left out"
+    )
+
+
+def test_several_rows_of_a_run_at_one_time_are_no_sample() -> None:
+    frame = Memory((0, run, float(t), 1.0) for run in range(3) for t in range(5) for _ in range(2))
+    with pytest.raises(UsageError, match="3 runs with more than one row at the same time"):
+        stats.coverage(frame)
+
+
+def test_nothing_recorded_is_an_error_of_one_line() -> None:
+    with pytest.raises(SierraError, match="no run has written any row"):
+        stats.compute(figure(), AXIS, {"energy": Memory([])})
+    with pytest.raises(SierraError, match="no finite value in energy"):
+        stats.compute(figure(), AXIS, {"energy": Memory([(0, 0, 0.0, None)])})
+
+
+def test_a_threshold_that_no_run_reaches_is_said_with_its_value_and_the_number_of_runs() -> None:
+    rows = [(e, run, float(t), float(t)) for e in range(2) for run in range(6) for t in range(5)]
+    asked = figure("summary", measure="time_to", threshold=5.5)
+    with pytest.raises(SierraError, match=r"^energy reaches the threshold 5.5 in none of 12 runs; there is no time to draw$"):
+        stats.compute(asked, AXIS, {"energy": Memory(rows)})
+    with pytest.raises(SierraError, match=r"in none of 13 runs, 1 without any value of it; there is"):
+        stats.compute(asked, AXIS, {"energy": Memory([*rows, (1, 6, 0.0, None)])})
+
+
+@pytest.mark.parametrize(
+    ("kind", "mark"),
+    [("summary", " (hollow: not in all runs, △: in none)"), ("box", " (△: in none)"), ("violin", " (△: in none)")],
+)
+def test_the_note_says_which_threshold_was_not_reached_how_often_and_how_that_looks(kind: str, mark: str) -> None:
+    frame = Memory((e, run, float(t), float(t + run * e)) for e in range(2) for run in range(4) for t in range(5))
+    note = stats.compute(figure(kind, measure="time_to", threshold=6), AXIS, {"energy": frame}).note
+    assert note.endswith(f"; threshold 6 never reached in 6 of 8 runs{mark}")
+
+
+def test_a_heatmap_of_one_variable_is_refused() -> None:
+    with pytest.raises(UsageError, match="two independent variables, this batch has 1"):
+        stats.compute(figure("heatmap"), AXIS, {"energy": Memory([(0, 0, 0.0, 1.0)])})
+
+
+@pytest.mark.parametrize(
+    ("axes", "series", "expected"),
+    [(1, True, ["timeseries", "summary"]), (1, False, ["summary"]), (2, True, ["timeseries", "heatmap"])],
+)
+def test_without_any_declared_each_column_gets_the_figures_that_suit_the_batch(
+    axes: int, series: bool, expected: list[str]
+) -> None:
+    found = stats.default_figures("robots", ["energy"], AXIS * axes, series=series)
+    assert [f.kind for f in found.values()] == expected
+    assert list(found) == [f"robots_energy_{kind}" for kind in expected]
+
+
+@pytest.mark.parametrize("kind", ["timeseries", "summary", "box", "violin", "stacked"])
+@pytest.mark.parametrize("center", ["mean", "median", "iqm"])
+def test_each_kind_of_figure_has_what_it_needs(kind: str, center: str) -> None:
+    frame = Memory((e, run, float(t), float(t + run)) for e in range(2) for run in range(6) for t in range(4))
+    computed = stats.compute(figure(kind, center=center), AXIS, {"energy": frame})
+    assert computed.tables["energy"].num_rows == (8 if kind in ("timeseries", "stacked") else 2)
+    assert (computed.runs is not None) == (kind in ("box", "violin"))
+    assert "FROM samples" in computed.sql
+
+
+def test_every_sql_file_is_used_and_begins_with_its_formula() -> None:
+    files = sorted(path.relative_to(stats.HERE).as_posix() for path in stats.HERE.rglob("*.sql"))
+    known = {f"statistics/{name}.sql" for name in stats.STATISTICS} | {
+        f"measures/{m}.sql" for m in ("final", "mean", "time_to")
+    }
+    assert set(files) == known | {"by_time.sql", "by_experiment.sql", "coverage.sql", "resample.sql"}
+    for path in stats.HERE.rglob("*.sql"):
+        text = path.read_text(encoding="utf-8")
+        assert text.startswith("-- ")
+        assert path.stem.startswith(("by_", "coverage")) or re.match(r"-- .*([=:∓]|the)", text)
+
+
+def test_the_statements_name_their_values_as_parameters() -> None:
+    frame = Memory((0, run, 0.0, float(run)) for run in range(3))
+    _, text = stats.by_experiment(frame, "time_to", ["interval"], stats.coverage(frame), 1.5)
+    assert "-- $threshold: 1.5\n" in text
+    assert "1.5" not in re.sub(r"--[^\n]*", "", text)
+
+
+@settings(max_examples=300, deadline=None)
+@given(
+    st.one_of(st.floats(1e-12, 0.4), st.floats(0.6, 1 - 1e-9)),
+    st.one_of(st.integers(1, 100), st.integers(1, 10**6), st.floats(1, 1e6)),
+)
+def test_student_quantiles_are_those_of_scipy(p: float, df: float) -> None:
+    expected = scipy.stats.t.ppf(p, df) if p < 0.5 else scipy.stats.t.isf(1 - p, df)
+    assert student_t.quantile(p, df) == pytest.approx(expected, rel=1e-10)
+
+
+def test_student_quantiles_of_papers_are_those_of_the_printed_table() -> None:
+    printed = {1: 12.706, 2: 4.303, 4: 2.776, 9: 2.262, 29: 2.045, 120: 1.980}
+    assert {df: round(student_t.quantile(0.975, df), 3) for df in printed} == printed
+
+
+@given(st.floats(0.4, 0.6), st.integers(1, 10**6))
+def test_student_quantiles_near_the_median_go_to_zero(p: float, df: int) -> None:
+    assert student_t.quantile(p, df) == pytest.approx(scipy.stats.t.ppf(p, df), rel=1e-9, abs=1e-12)
+
+
+@pytest.mark.parametrize(("p", "df"), [(0.0, 1), (1.0, 1), (math.nan, 1), (0.5, 0), (0.9, math.nan)])
+def test_no_quantile_where_there_is_none(p: float, df: float) -> None:
+    with pytest.raises(ValueError, match="no Student-t quantile"):
+        student_t.quantile(p, df)
+
+
+RUNS = r"""
+size=$(sed 's/.* size="\([0-9]*\)".*/\1/' "$1")
+echo t,v > swarm.csv
+for t in 0 1 2 3; do echo "$t.$size,$((t * size))" >> swarm.csv; done
+"""
+
+
+@pytest.fixture
+def simulated(simulate: Callable[..., Any]) -> Any:
+    project = simulate(RUNS)
+    assert project.quick("run", "size=1,2,3", "--runs", "2", "--no-figures").returncode == 0
+    return project
+
+
+def test_statistics_are_a_command_whose_table_has_the_values_of_the_axes(simulated: Any) -> None:
+    rows = json.loads(simulated.quick("stats", "swarm", "v", "--json").stdout)
+    assert [(row["size"], row["n"], row["mean"], row["low"]) for row in rows] == [(1, 2, 3, 3), (2, 2, 6, 6), (3, 2, 9, 9)]
+    first = simulated.quick("stats", "swarm", "v").stdout.splitlines()[0].split()
+    assert first[:5] == ["experiment", "size", "missing", "infinite", "never"]
+    for kind, begin in (("csv", "experiment,size,"), ("markdown", "| experiment | size |")):
+        assert simulated.quick("stats", "swarm", "v", "--format", kind).stdout.startswith(begin)
+    assert simulated.quick("stats", "swarm", "v", "-f", "parquet", "-o", "table.parquet").returncode == 0
+    table = pq.read_table(simulated.folder / "table.parquet")
+    assert table["size"].to_pylist() == [1, 2, 3]
+    assert b"list_avg" in table.schema.metadata[b"sierra:sql"]
+
+
+def test_statistics_can_be_reduced_in_each_way_and_have_a_row_for_each_time(simulated: Any) -> None:
+    def ask(*options: str) -> list[dict[str, Any]]:
+        rows: list[dict[str, Any]] = json.loads(simulated.quick("stats", "swarm", "v", "--json", *options).stdout)
+        return rows
+
+    assert [row["mean"] for row in ask("--measure", "mean")] == [1.5, 3, 4.5]
+    late = simulated.quick("stats", "swarm", "v", "--measure", "time_to", "--threshold", "4", "--json")
+    assert [(row["n"], row["never"], row["mean"]) for row in json.loads(late.stdout)] == [
+        (0, 2, None),
+        (2, 0, 2.2),
+        (2, 0, 2.3),
+    ]
+    assert "threshold 4 never reached in 2 of 6 runs" in late.stderr
+    assert [(row["size"], row["t"], row["mean"]) for row in ask("--times", "own")][:2] == [(1, 0.1, 0), (1, 1.1, 1)]
+    linear = simulated.quick("stats", "swarm", "v", "--times", "linear", "--json")
+    assert "interpolated linearly to 4 common times" in linear.stderr
+    times = [row["t"] for row in json.loads(linear.stdout) if row["size"] == 1]
+    assert times == pytest.approx([0.1, 0.1 + 3.2 / 3, 0.1 + 6.4 / 3])
+
+
+def test_statistics_that_make_no_sense_are_refused(simulated: Any) -> None:
+    together, choose = "--measure time_to and --threshold X go together", "choose one of them"
+    for words, complaint in {
+        ("--measure", "time_to"): together,
+        ("--threshold", "4"): together,
+        ("--times", "own", "--measure", "mean"): choose,
+        ("--measure", "time_to", "--threshold", "nan"): "a threshold is a finite number, not nan",
+    }.items():
+        asked = simulated.quick("stats", "swarm", "v", *words)
+        assert (asked.returncode, asked.stdout) == (2, "")
+        assert complaint in asked.stderr
+
+
+def test_statistics_in_python_take_the_times_and_say_what_was_done(simulated: Any) -> None:
+    project = sierra.open(simulated.folder)
+    table = project.statistics(None, "swarm", "v", measure=None, times="carry")
+    assert table.schema.metadata[b"sierra:note"] == b"last values carried forward to 4 common times"
+    assert project.statistics(None, "swarm", "v", measure=None).num_rows == 12
+    with pytest.raises(UsageError, match="times 'own' needs statistics for each time"):
+        project.statistics(None, "swarm", "v", times="own")
+    with pytest.raises(UsageError, match="'time_to' needs a threshold"):
+        project.statistics(None, "swarm", "v", measure="time_to")
+
+
+BOOLEANS = r"""
+size=$(sed 's/.* size="\([0-9]*\)".*/\1/' "$1")
+[ "$size" = 3 ] && good=true || good=false
+printf 't,good,n\n1,false,0\n2,%s,0\n' $good > swarm.csv
+"""
+
+
+def test_truth_values_are_a_rate_with_wilsons_interval_and_that_is_said(simulate: Callable[..., Any]) -> None:
+    project = simulate(BOOLEANS)
+    assert project.quick("run", "size=1,3", "--runs", "5", "--no-figures").returncode == 0
+    said = project.quick("stats", "swarm", "good", "--json")
+    found = [(row["mean"], round(row["low"], 4), round(row["high"], 4), row["interval"]) for row in json.loads(said.stdout)]
+    assert found == [(0, 0, 0.4345, "Wilson"), (1, 0.5655, 1, "Wilson")]
+    assert said.stderr.count("good is 0 or 1 everywhere: low and high are Wilson's 95 % interval of a rate") == 1
+    assert {row["interval"] for row in json.loads(project.quick("stats", "swarm", "n", "--json").stdout)} == {"Wilson"}
+    batch = sierra.open(project.folder).batches[-1]["batch"]
+    assert project.quick("figures", batch, "swarm_good_summary").returncode == 0
+
+
+def test_an_axis_that_is_called_like_a_statistic_keeps_its_name(simulate: Callable[..., Any]) -> None:
+    project = simulate()
+    config = project.folder / "sierra.toml"
+    config.write_text(config.read_text().replace('size = "', 'n = "'))
+    assert project.quick("run", "n=3,5", "--runs", "2", "--no-figures").returncode == 0
+    rows = json.loads(project.quick("stats", "swarm", "v", "--json").stdout)
+    assert [(row["n"], row["n_"]) for row in rows] == [(3, 2), (5, 2)]

@@ -1,0 +1,116 @@
+"""Questions on one store share a DuckDB, one after the other, and nothing else."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+import pyarrow as pa
+import pytest
+
+from sierra.errors import SqlError
+from sierra.store.store import Snapshot, Store
+
+SEEN = (
+    "SELECT view_name FROM duckdb_views() WHERE NOT internal UNION ALL SELECT table_name FROM duckdb_tables() "
+    "UNION ALL SELECT name || value FROM duckdb_settings() WHERE name NOT IN ('temp_directory', 'allowed_directories')"
+)
+
+
+@pytest.fixture
+def store(recorded: Path) -> Store:
+    return Store(recorded / ".sierra")
+
+
+def seen(snapshot: Snapshot) -> set[str]:
+    return {row[0] for row in snapshot.each(SEEN, {})}
+
+
+def is_asked(snapshot: Snapshot) -> None:
+    snapshot.sql("SELECT * FROM runs")
+    snapshot.sql("SELECT * FROM main.batch_runs")
+
+
+def sets(snapshot: Snapshot) -> None:
+    for setting in ("threads = 1", "TimeZone = 'Asia/Kathmandu'", "memory_limit = '100MB'", "preserve_insertion_order = false"):
+        snapshot.run(f"SET {setting}")
+
+
+def makes(snapshot: Snapshot) -> None:
+    snapshot.run("CREATE TEMP TABLE wanted AS SELECT 1 AS a")
+    snapshot.run("CREATE TEMP VIEW wished AS SELECT * FROM wanted")
+    snapshot.register("given", pa.table({"a": [1]}))
+    assert snapshot.sql("SELECT * FROM given JOIN wished USING (a)").num_rows == 1
+
+
+def goes_wrong(snapshot: Snapshot) -> None:
+    snapshot.run("SET threads = 1")
+    with pytest.raises(SqlError):
+        snapshot.sql("SELECT nothing FROM runs")
+
+
+def leaves_rows(snapshot: Snapshot) -> None:
+    next(iter(snapshot.each("SELECT * FROM range(1000000)", {})))
+
+
+@pytest.mark.integration
+@pytest.mark.parametrize("before", [is_asked, sets, makes, goes_wrong, leaves_rows])
+def test_a_question_finds_nothing_of_the_one_before(store: Store, before: Callable[[Snapshot], None]) -> None:
+    with store.snapshot() as snapshot:
+        found = seen(snapshot)
+    with store.snapshot() as snapshot:
+        before(snapshot)
+    with store.snapshot() as snapshot:
+        assert seen(snapshot) == found
+        assert snapshot.sql("SELECT count(*) AS n FROM runs").to_pylist()[0]["n"] > 0
+        with pytest.raises(SqlError):
+            snapshot.sql("SELECT * FROM given")
+
+
+def test_questions_at_once_do_not_see_each_other(store: Store) -> None:
+    with store.snapshot() as one, store.snapshot() as other:
+        found = seen(other)
+        makes(one)
+        is_asked(one)
+        sets(one)
+        assert seen(other) == found
+        makes(other)
+
+
+def test_a_question_on_another_store_reads_nothing_of_the_first(store: Store, tmp_path: Path) -> None:
+    shutil.copytree(store.paths.root, tmp_path / "other")
+    other = Store(tmp_path / "other")
+    file = next(path for segment in store.segments() for path in segment.files.values())
+    for _ in range(2):
+        assert store.rows(f"SELECT count(*) AS n FROM read_parquet('{file}')")[0]["n"] > 0
+        with pytest.raises(SqlError, match="disabled by configuration"):
+            other.sql(f"SELECT * FROM read_parquet('{file}')")
+
+
+def test_what_is_added_or_removed_is_seen_by_the_next_question(store: Store, tmp_path: Path) -> None:
+    root = tmp_path / "project"
+    shutil.copytree(store.paths.root, root)
+    known = Store(root)
+    runs = "SELECT count(*) AS n FROM executions"
+    assert known.rows(runs)[0]["n"] > 0
+    for segment in root.glob("segments/*"):
+        shutil.move(segment, tmp_path / segment.name)
+    assert known.rows(runs)[0]["n"] == 0
+    for segment in tmp_path.glob("*-*"):
+        shutil.move(segment, root / "segments" / segment.name)
+    assert known.rows(runs) == store.rows(runs)
+
+
+def test_what_a_large_question_wrote_to_the_disk_is_gone_with_it(
+    store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    shutil.copytree(store.paths.root, tmp_path / "project")
+    with Store(tmp_path / "project").snapshot() as snapshot:
+        snapshot.run("SET memory_limit = '60MB'")
+        snapshot.run("SET threads = 1")
+        snapshot.run("CREATE TEMP TABLE large AS SELECT range AS a, hash(range) AS b FROM range(10000000)")
+        assert list(tmp_path.glob("sierra-*/*"))
+    assert list(tmp_path.glob("sierra-*")) == []

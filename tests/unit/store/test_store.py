@@ -1,0 +1,381 @@
+"""The store: what is added appears whole, is never counted twice, and can only be read."""
+
+from __future__ import annotations
+
+import hashlib
+import subprocess
+import threading
+import time
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import sierra
+from sierra.errors import Damaged, Missing, NotFound, SqlError
+from sierra.project import Project
+from sierra.store.connections import connect
+from sierra.store.objects import PART, Objects
+from sierra.store.samples import Frame
+from sierra.store.schema import DERIVED, RECORDED, check_name
+from sierra.store.segments import MANIFEST, Writer
+from sierra.store.store import Store
+from tests import stores
+
+TOML = """
+template = "t.xml"
+command = "sh sim.sh {input} {seed}"
+seed = "//e/@seed"
+runs = 2
+[variables]
+n = "//e/@n"
+k = "//e/@k"
+[scenarios.low]
+changes = [{ set = "//e/@mode", value = "low" }]
+[scenarios.high]
+changes = [{ set = "//e/@mode", value = "high" }]
+"""
+SIM = "printf 'tick,v\\n0,1\\n1,%s\\n' $2 > out.csv; echo said\n"
+
+
+@pytest.fixture
+def project(tmp_path: Path) -> Project:
+    (tmp_path / "sierra.toml").write_text(TOML)
+    (tmp_path / "t.xml").write_text('<e seed="0" n="0" k="0" mode="none"/>')
+    (tmp_path / "sim.sh").write_text(SIM)
+    return sierra.open(tmp_path)
+
+
+def run(project: Project, *query: str, **options: Any) -> Any:
+    return project.run(*query, figures=False, **options)
+
+
+def one(project: Project, statement: str, **parameters: Any) -> Any:
+    return project.sql(statement, **parameters).column(0)[0].as_py()
+
+
+# ---------------------------------------------------------------- segments
+
+
+def test_a_segment_vouches_for_all_that_is_in_it(project: Project) -> None:
+    stores.ask(project.root, "n=1")
+    segments = list((project.paths.store / "segments").iterdir())
+    assert segments
+    for segment in segments:
+        subprocess.run(["sha256sum", "--check", "--quiet", MANIFEST], cwd=segment, check=True)
+        manifest = (segment / MANIFEST).read_bytes()
+        assert segment.name.partition("-")[2] == hashlib.sha256(manifest).hexdigest()[:16]
+        assert {line.split()[1].decode() for line in manifest.splitlines()} == {
+            path.name for path in segment.iterdir() if path.name != MANIFEST
+        }
+
+
+def test_a_segment_is_not_there_before_it_is_published(tmp_path: Path) -> None:
+    store = Store.create(tmp_path / "s")
+    writer = store.writer(tmp_path / "s" / "work" / "one", "ab" * 32)
+    writer.rows("findings", [{"execution": "e", "status": "mismatch"}])
+    assert store.rows("SELECT * FROM findings") == []
+    assert store.publish(writer)
+    assert [row["execution"] for row in store.rows("SELECT * FROM findings")] == ["e"]
+
+
+def test_publishing_the_same_twice_is_publishing_it_once(tmp_path: Path) -> None:
+    store = Store.create(tmp_path / "s")
+    for _ in range(2):
+        writer = store.writer(tmp_path / "s" / "work" / "one", "ab" * 32)
+        writer.rows("programs", [{"programs": "p", "name": "n"}])
+        store.publish(writer)
+    assert len(store.segments()) == 1
+    assert not store.publish(Writer(tmp_path / "s" / "work" / "none", "ab" * 32))
+
+
+def test_a_store_says_what_it_is(project: Project) -> None:
+    stores.ask(project.root, "n=1")
+    root = project.paths.store
+    assert (root / ".gitignore").read_text() == "*\n"
+    assert (root / "CACHEDIR.TAG").read_text().startswith("Signature: 8a477f597d28d172789f06886806bc55\n")
+    (root / "format").write_text("sierra store 1\n")
+    with pytest.raises(Damaged, match="'sierra store 1'"):
+        Store(root)
+    with pytest.raises(Missing, match="nothing has been run"):
+        Store(root / "elsewhere")
+
+
+def test_files_do_not_multiply_with_runs(project: Project) -> None:
+    run(project, "n=1", runs=2)
+    few = sum(1 for path in project.paths.store.rglob("*") if path.is_file())
+    (project.root / "sim.sh").write_text(SIM + "# changed\n")
+    run(project, "n=1", runs=60)
+    many = sum(1 for path in project.paths.store.rglob("*") if path.is_file()) - few
+    assert many <= few + 8
+
+
+# ---------------------------------------------------------------- SQL
+
+
+@pytest.mark.parametrize(
+    "statement",
+    [
+        "SELECT * FROM read_text('/etc/passwd')",
+        "SELECT * FROM read_csv('/etc/passwd')",
+        "SELECT * FROM '/etc/passwd'",
+        "SELECT * FROM glob('/*')",
+        "SELECT * FROM read_text('{store}/format')",
+        "SELECT * FROM read_parquet('{store}/segments/../../x.parquet')",
+        "COPY runs TO '{store}/segments/x.csv'",
+        "EXPLAIN ANALYZE COPY runs TO '{store}/segments/x.csv'",
+        "CREATE TABLE t AS SELECT 1",
+        "INSERT INTO runs VALUES (1)",
+        "ATTACH '{store}/x.db'",
+        "INSTALL httpfs",
+        "LOAD httpfs",
+        "SET enable_external_access = true",
+        "PRAGMA enable_logging",
+        "EXPORT DATABASE '{store}/segments/x'",
+        "SELECT 1; SELECT 2",
+        "SELECT * FROM nothing",
+        "",
+    ],
+)
+def test_a_question_cannot_reach_out_or_write(project: Project, statement: str) -> None:
+    stores.ask(project.root, "n=1")
+    (project.root / "x.parquet").write_bytes(b"PAR1")
+    before = sorted(project.paths.store.rglob("*"))
+    with pytest.raises(SqlError) as caught:
+        project.sql(statement.format(store=project.paths.store))
+    assert "\n" not in str(caught.value)
+    assert sorted(project.paths.store.rglob("*")) == before
+
+
+@pytest.mark.parametrize(
+    "statement",
+    [
+        "SELECT count(*) FROM Runs",
+        'FROM "runs" SELECT count(*)',
+        "WITH x AS (SELECT * FROM runs) SELECT count(*) FROM x, (SELECT 1)",
+        "SELECT count(*) FROM out o JOIN runs r USING (run) JOIN executions e ON e.execution = o.execution WHERE tick = 0",
+        "SELECT count(*) FROM (SELECT 1), OUT WHERE tick = 0",
+        "SELECT (SELECT count(*) FROM runs)",
+        "SELECT count(*) FROM main.runs",
+        "SELECT count(*) FROM /* all of the */ runs",
+    ],
+)
+def test_tables_are_known_wherever_they_are_named(project: Project, statement: str) -> None:
+    stores.ask(project.root, "n=1")
+    assert one(project, statement) == 2
+
+
+def test_the_tables_are_as_they_are_described(project: Project) -> None:
+    stores.ask(project.root, "n=1")
+    for table in (*RECORDED.values(), *DERIVED.values()):
+        found = {row["column_name"]: row["column_type"] for row in project.sql(f"DESCRIBE {table.name}").to_pylist()}
+        said = {column.name: column.type for column in table.columns}
+        assert {name: found.get(name) for name in said} == said, table.name
+        assert found.keys() - said.keys() <= {"n", "k"}
+    shown = set(project.sql("SHOW TABLES").column(0).to_pylist())
+    assert shown >= {*RECORDED, *DERIVED, "out"}
+
+
+def test_no_output_may_be_called_as_a_table_of_the_store() -> None:
+    assert not any(map(check_name, ("runs", "Runs", "EXECUTIONS")))
+    assert check_name("out")
+
+
+# ---------------------------------------------------------------- batches that meet
+
+
+def test_growing_a_batch_executes_only_what_is_new(project: Project) -> None:
+    first = run(project, "n=1,2", runs=8)
+    seen = set(project.sql("SELECT execution FROM executions").column(0).to_pylist())
+    second = run(project, "n=1,2", runs=10)
+    assert (first.executed, second.executed, second.reused) == (16, 4, 16)
+    assert seen < set(project.sql("SELECT execution FROM runs").column(0).to_pylist())
+    assert one(project, "SELECT count(*) FROM runs") == 20
+    assert one(project, "SELECT count(*) FROM out") == 40
+    assert one(project, "SELECT count(*) FROM batches") == 2
+    assert one(project, "SELECT count(*) FROM batch_runs") == 36
+
+
+def test_runs_that_batches_share_are_counted_once(project: Project) -> None:
+    run(project, "n=1,2")
+    shared = run(project, "n.Log4")
+    assert (shared.executed, shared.reused) == (2, 4)
+    assert one(project, "SELECT count(*) FROM runs") == 6
+    assert project.sql("SELECT n, count(*) AS c FROM out GROUP BY n ORDER BY n").to_pylist() == [
+        {"n": n, "c": 4} for n in (1, 2, 4)
+    ]
+
+
+@pytest.mark.integration
+def test_axes_of_all_batches_are_columns_and_types_meet(project: Project) -> None:
+    run(project, "n=1", "k=0.5,1.5")
+    run(project, "k=7")
+    run(project, "scenario=low,high")
+    run(project, "n=9", scenario="low")
+    found = project.sql("SELECT n, k, scenario, count(*) AS c FROM runs GROUP BY ALL ORDER BY ALL").to_pylist()
+    assert [tuple(row.values()) for row in found] == [
+        (1, 0.5, None, 2),
+        (1, 1.5, None, 2),
+        (9, None, "low", 2),
+        (None, 7.0, None, 2),
+        (None, None, "high", 2),
+        (None, None, "low", 2),
+    ]
+
+
+def test_an_output_column_called_like_an_axis_keeps_its_values(project: Project) -> None:
+    (project.root / "sim.sh").write_text("printf 'N,n_\\n5,6\\n' > out.csv\n")
+    run(project, "n=1", runs=1)
+    assert project.sql('SELECT n, "N_", "n__" FROM out').to_pylist() == [{"n": 1, "N_": 5, "n__": 6}]
+
+
+def test_rows_of_a_run_can_be_put_in_the_order_they_were_written(project: Project) -> None:
+    other = "printf 'v\\n3\\n1\\n2\\n' > other.csv\n"
+    (project.root / "sim.sh").write_text("printf 'v,row\\n3,a\\n1,b\\n2,c\\n' > out.csv\n" + other)
+    run(project, "n=1,2")
+    assert project.sql("SELECT v FROM out WHERE n = 2 AND number = 1 ORDER BY row_").column(0).to_pylist() == [3, 1, 2]
+    assert project.sql("SELECT v FROM other WHERE n = 1 AND number = 1 ORDER BY row").column(0).to_pylist() == [3, 1, 2]
+    assert project.sql("SELECT DISTINCT row FROM out ORDER BY 1").column(0).to_pylist() == ["a", "b", "c"]
+
+
+def test_a_damaged_segment_is_one_line(project: Project) -> None:
+    stores.ask(project.root, "n=1")
+    for name in ("executions", "sessions"):
+        for path in project.paths.store.glob(f"segments/*/{name}.parquet"):
+            path.chmod(0o644)
+            path.write_bytes(b"")
+    for ask in (lambda: run(project, "n=1"), lambda: project.batches, lambda: project.sql("SELECT * FROM runs")):
+        with pytest.raises(Damaged, match=r"(executions|sessions)\.parquet"):
+            ask()
+
+
+def test_the_axes_of_other_batches_rename_nothing_in_one_batch(project: Project) -> None:
+    (project.root / "sim.sh").write_text("printf 'k\\n5\\n' > out.csv\n")
+    batch = run(project, "n=1", runs=1).batch
+    run(project, "k=7", runs=1)
+    assert project.sql("SELECT n, k FROM out", within=batch).to_pylist() == [{"n": 1, "k": 5}]
+    assert project.sql("SELECT n, k, k_ FROM out ORDER BY n").to_pylist() == [
+        {"n": 1, "k": None, "k_": 5},
+        {"n": None, "k": 7, "k_": 5},
+    ]
+
+
+@pytest.mark.integration
+def test_the_last_good_execution_with_the_last_programs_counts(project: Project, tmp_path: Path) -> None:
+    simulator = tmp_path / "sim"
+    project = _with_program(project, simulator, 1)
+    batch = run(project, "n=1").batch
+    _with_program(project, simulator, 2)
+    assert run(project, "n=1").executed == 2
+    _with_program(project, simulator, 3)
+    with simulator.open("a") as file:
+        file.write('test "$1" != ' + str(_seed(1)) + "\n")
+    assert run(project, "n=1").failed == 1
+    rows = project.sql("SELECT r.number, status, executions, v FROM runs r JOIN out USING (run) ORDER BY 1").to_pylist()
+    assert [tuple(row.values()) for row in rows] == [(0, "ok", 3, 3)]
+    assert project.sql("SELECT status FROM runs ORDER BY number").to_pylist() == [{"status": "ok"}, {"status": "failed"}]
+    with Frame(project.store, batch) as frame:
+        assert frame.counts() == {0: (1, 2)}
+        frame.samples("out", "v")
+        assert frame.sql("SELECT number, value FROM samples").to_pylist() == [{"number": 0, "value": 3.0}]
+
+
+def _seed(number: int) -> int:
+    from sierra.design.seeds import seed
+
+    return seed(0, number)
+
+
+def _with_program(project: Project, path: Path, value: int) -> Project:
+    path.write_text(f"#!/bin/sh\nprintf 'v\\n{value}\\n' > out.csv\n")
+    path.chmod(0o755)
+    toml = TOML.replace("sh sim.sh {input} {seed}", f"{path} {{seed}}") + '[source]\npaths = ["sim.sh"]\n'
+    (project.root / "sierra.toml").write_text(toml)
+    return sierra.open(project.root)
+
+
+def test_a_finding_takes_an_execution_out_of_all_tables(project: Project) -> None:
+    batch = stores.ask(project.root, "n=1")
+    [first, _] = project.sql("SELECT execution FROM runs ORDER BY number").column(0).to_pylist()
+    writer = project.store.writer(project.paths.store / "work" / "w", batch)
+    found = {"execution": first, "found": datetime.now(UTC), "status": "mismatch", "reason": "so it is"}
+    writer.rows("findings", [found])
+    project.store.publish(writer)
+    assert project.sql("SELECT number, status FROM runs ORDER BY 1").to_pylist() == [
+        {"number": 0, "status": "mismatch"},
+        {"number": 1, "status": "ok"},
+    ]
+    assert one(project, "SELECT count(*) FROM out") == 2
+    assert run(project, "n=1").executed == 1
+    assert one(project, "SELECT count(*) FROM out") == 4
+
+
+def test_questions_are_answered_while_a_batch_runs(
+    project: Project, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sierra.ingest.recorder.SOON_S", 0.1)
+    folder = tmp_path_factory.mktemp("beside")
+    waits = f'[ "$(wc -l < {folder}/begun)" -le 10 ] || until [ -e {folder}/gate ]; do sleep 0.02; done\n'
+    (project.root / "sim.sh").write_text(f"echo >> {folder}/begun\n{waits}{SIM}")
+    asking = threading.Thread(target=lambda: run(project, "n=1", runs=20, jobs=2))
+    asking.start()
+    seen = set()
+    while asking.is_alive():
+        if (project.paths.store / "format").exists() and project.store.outputs():
+            counts = project.sql(
+                "SELECT (SELECT count(*) FROM executions), (SELECT count(*) FROM out), "
+                "(SELECT count(*) FROM runs WHERE status = 'ok')"
+            ).to_pylist()[0]
+            executions, rows, good = counts.values()
+            assert executions * 2 == rows == good * 2
+            seen.add(executions)
+        if any(seen):
+            (folder / "gate").touch()
+        time.sleep(0.1)
+    asking.join()
+    assert 0 < min(filter(None, seen)) < 20
+    assert one(project, "SELECT count(*) FROM out") == 40
+
+
+def test_an_id_is_found_by_its_beginning(project: Project) -> None:
+    batch = stores.ask(project.root, "n=1")
+    assert project.store.resolve(batch[:8]).kind == "batch"
+    with pytest.raises(NotFound, match="4 to 64"):
+        project.store.resolve("abc")
+    with pytest.raises(NotFound, match="begins with"):
+        project.store.resolve("0" * 64)
+
+
+# ---------------------------------------------------------------- objects
+
+
+@pytest.mark.parametrize("size", [0, 1, PART - 1, PART, PART + 1, 3 * PART + 5, 4 * PART + 7])
+def test_an_object_comes_back_to_the_byte(tmp_path: Path, size: int) -> None:
+    store = Store.create(tmp_path / "s")
+    content = (hashlib.sha256(str(size).encode()).digest() * (size // 32 + 1))[:size]
+    file = tmp_path / "file"
+    file.write_bytes(content)
+    writer = store.writer(tmp_path / "s" / "work" / "w", "ab" * 32)
+    objects = Objects(writer.path("objects"))
+    digest = hashlib.sha256(content).hexdigest()
+    objects.add_file(file, digest, size)
+    assert objects.add(content) == digest
+    objects.add(b"another")
+    objects.close()
+    store.publish(writer)
+    assert store.object(digest) == content
+    with connect() as connection:
+        held = f"SELECT count(*) FROM '{tmp_path}/s/segments/*/objects.parquet' WHERE sha256 = '{digest}'"
+        assert connection.execute(held).fetchone() == (max(1, -(-size // PART)),)
+
+
+def test_a_damaged_object_is_noticed(tmp_path: Path) -> None:
+    store = Store.create(tmp_path / "s")
+    writer = store.writer(tmp_path / "s" / "work" / "w", "ab" * 32)
+    writer.rows("objects", [{"sha256": "a" * 64, "part": 0, "size": 1, "content": b"x"}])
+    store.publish(writer)
+    with pytest.raises(Damaged, match="other content"):
+        store.object("a" * 64)
+    with pytest.raises(NotFound, match="no recorded file"):
+        store.object("b" * 64)

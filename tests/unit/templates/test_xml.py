@@ -1,0 +1,804 @@
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from xml.sax.saxutils import escape
+
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+
+from sierra import templates
+from sierra.errors import ConfigError, Missing, SierraError, TemplateError
+from sierra.model import Add, Change, Remove, Rename, Set, Value
+from sierra.templates.base import Template
+from sierra.templates.xml import XmlTemplate
+from tests import projects
+from tests.effort import effort
+
+MUJOCO = """<mujoco model="swarm">
+  <option timestep="0.01" integrator="implicitfast"/>
+  <custom>
+    <numeric name="random_seed" data="42"/>
+    <numeric name="noise" data="0.3"/>
+  </custom>
+  <visual><global offwidth="640" offheight="480"/></visual>
+  <worldbody>
+    <geom name="floor" type="plane" size="3 3 .1" rgba=".8 .8 .8 1"/>
+    <replicate count="8" offset="0.35 0 0" euler="0 0 0.4">
+      <body name="robot" pos="0.5 0 0.12">
+        <joint name="x" type="slide" axis="1 0 0" damping="2"/>
+        <joint name="y" type="slide" axis="0 1 0" damping="2"/>
+      </body>
+    </replicate>
+  </worldbody>
+  <actuator/>
+</mujoco>
+"""
+GAZEBO = """<?xml version="1.0"?>
+<sdf version="1.6">
+  <world name="swarm">
+    <include><uri>model://ground_plane</uri></include>
+    <physics type="ode">
+      <max_step_size>0.01</max_step_size>
+    </physics>
+    <population name="robots">
+      <model_count>8</model_count>
+      <distribution><type>random</type></distribution>
+    </population>
+  </world>
+</sdf>
+"""
+SUMO = """<routes>
+  <vType id="agent" accel="1.0" sigma="0.5" speedFactor="normc(1,0.1,0.5,1.5)"/>
+  <flow id="agents" type="agent" begin="0" end="60" number="8" departPos="random_free"/>
+</routes>
+
+"""
+NAMESPACES = """<sdf xmlns="urn:sdf" xmlns:a="urn:a" a:version="1">
+  <a:robot name="r"/>
+  <world><deep xmlns:b="urn:b"><b:x b:y="1"/></deep></world>
+</sdf>
+"""
+SEED = Set("//numeric[@name='random_seed']/@data", "{seed}")
+
+
+def template(text: str | bytes, name: str = "template.xml") -> Template:
+    return XmlTemplate(text.encode() if isinstance(text, str) else text, name)
+
+
+def changed(text: str | bytes, *changes: Change, **values: Value) -> str:
+    return template(text).changed(changes, values).render().decode()
+
+
+def refused(text: str | bytes, *changes: Change, error: type[SierraError] = TemplateError, **values: Value) -> str:
+    with pytest.raises(error) as caught:
+        template(text).changed(changes, values)
+    assert str(caught.value).isprintable(), "one line"
+    return str(caught.value)
+
+
+# Reading
+
+
+def test_a_file_is_read_whatever_it_is_called(tmp_path: Path) -> None:
+    for name in ("template.xml", "swarm.world", "swarm.rou.xml", "no ending", 'a\'; echo "ü"\n.launch'):
+        file = tmp_path / name
+        file.write_text(MUJOCO)
+        read = templates.read(file)
+        assert read.find("//replicate/@count") == ("8",)
+        assert read.sha256 == hashlib.sha256(MUJOCO.encode()).hexdigest()
+
+
+def test_texts_of_elements_are_proposed_by_their_paths() -> None:
+    assert template("<a><seed>3</seed><robots>4</robots></a>").attributes() == (("//seed", "3"), ("//robots", "4"))
+
+
+@pytest.mark.parametrize("element", ["<b c='1'/>", "<b xmlns='urn:b' c='1'/>", "<b id='{n}' c='1'/>"])
+def test_paths_are_proposed_in_time_that_grows_as_the_template_does(element: str) -> None:
+    def seconds(count: int) -> float:
+        many = template(f"<a>{''.join(element.format(n=n) for n in range(count))}</a>")
+        taken = []
+        for _ in range(3):
+            begin = time.process_time()
+            many.attributes()
+            taken.append(time.process_time() - begin)
+        return min(taken)
+
+    assert seconds(10_000) < 12 * max(seconds(2_500), 0.005)  # four times as many; 16 times where it grows as the square
+
+
+def test_xml_is_a_format_that_is_shipped() -> None:
+    assert templates.formats()[0] == "xml"
+
+
+@pytest.mark.parametrize("text", [MUJOCO, GAZEBO, SUMO, NAMESPACES])
+def test_real_templates_come_back_byte_for_byte(text: str) -> None:
+    assert changed(text) == text
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        ("<?xml version='1.0'  encoding='utf-8' standalone = 'yes' ?>\n", "\n"),
+        ("<?xml version='1.1'?><!-- 'odd > \" -->\n\n<?target some='data'?>\n", "<!-- end -->\n<?last?>\n\n"),
+        ('\ufeff<?xml version="1.0"?>', ""),
+        ('<!DOCTYPE  root   SYSTEM "a>b.dtd"  [ <!-- ]> \' <!ENTITY --> <!ELEMENT root ANY>\n]  >\n', "\n"),
+        ("<!DOCTYPE root PUBLIC \"-//A//B\" 'c.dtd'>\n<!-- <root> -->", "<!-- </root> -->"),
+    ],
+)
+def test_what_stands_around_the_root_is_kept_to_the_byte(before: str, after: str) -> None:
+    text = f'{before}<root a="1"/>{after}'
+    assert changed(text) == text
+    assert changed(text, Set("/root/@a", "2")) == text.replace('a="1"', 'a="2"')
+
+
+@pytest.mark.parametrize(
+    "root",
+    [
+        "<r>a<!-- b -->c<?d e?>f<![CDATA[<g> & h]]>i</r>",
+        "<r>&lt;&amp;&gt; ' \" é € 𝄞</r>",
+        '<r a="&lt;&amp;&gt; \' &quot; &#10;&#9; é"/>',
+        '<r xml:space="preserve"> \n\t <a/> <b/>\n\n </r>',
+        '<r xmlns="u" xmlns:p="v"><p:a xmlns=""><b/></p:a></r>',
+        '<r xmlns:xi="http://www.w3.org/2001/XInclude"><xi:include href="/etc/passwd" parse="text"/></r>',
+    ],
+)
+def test_what_stands_in_the_root_is_kept_too(root: str) -> None:
+    assert changed(root) == root
+
+
+def test_what_the_parser_does_not_tell_is_normalised() -> None:
+    assert changed("<r  a='1' ><b /><c></c>&#233;</r >") == '<r a="1"><b/><c/>é</r>'
+
+
+NAMES = st.sampled_from(["a", "b", "robot", "Größe", "x-1", "_"])
+CHARACTERS = st.characters(codec="utf-8", exclude_categories=["Cc", "Cs"], exclude_characters="\ufffe\uffff") | st.just("\n")
+TEXTS = st.text(CHARACTERS, max_size=8)
+
+
+@st.composite
+def elements(draw: st.DrawFn, depth: int = 3) -> str:
+    """An element, written as libxml2 writes it."""
+    attributes = draw(st.dictionaries(NAMES, TEXTS, max_size=3)).items()
+    written = "".join(f' {name}="{escape(text, {chr(34): "&quot;", chr(10): "&#10;"})}"' for name, text in attributes)
+    name = draw(NAMES)
+    content = draw(st.lists(contents(depth), max_size=3))
+    return f"<{name}{written}>{''.join(content)}</{name}>" if any(content) else f"<{name}{written}/>"
+
+
+def contents(depth: int) -> st.SearchStrategy[str]:
+    inner = [elements(depth - 1)] if depth else []
+    return st.one_of(
+        TEXTS.map(escape),
+        st.just("\n    "),
+        TEXTS.filter(lambda text: "-" not in text).map(lambda text: f"<!--{text}-->"),
+        TEXTS.filter(lambda text: "]]>" not in text and text).map(lambda text: f"<![CDATA[{text}]]>"),
+        st.just("<?pi and > more?>"),
+        *inner,
+    )
+
+
+AROUND = st.lists(st.sampled_from(["\n", "<!-- <x y='>' -->", "<?p <z> ?>", "  "])).map("".join)
+
+
+@given(elements(), AROUND, AROUND)
+def test_an_untouched_template_is_rendered_byte_for_byte(root: str, before: str, after: str) -> None:
+    text = before + root + after
+    assert changed(text) == text
+
+
+@pytest.mark.parametrize(
+    ("encoding", "declared"),
+    [("latin-1", "ISO-8859-1"), ("ascii", "US-ASCII"), ("cp1252", "windows-1252"), ("utf-16", "UTF-16")],
+)
+def test_the_encoding_of_a_template_is_kept(encoding: str, declared: str) -> None:
+    sign = "é" if encoding != "ascii" else "e"
+    data = f'<?xml version="1.0" encoding="{declared}"?>\n<r a="{sign}">{sign}</r>\n'.encode(encoding)
+    assert template(data).changed((), {}).render() == data
+    assert template(data).find("//@a") == (sign,)
+
+
+def test_what_an_encoding_lacks_becomes_a_reference() -> None:
+    data = '<?xml version="1.0" encoding="ISO-8859-1"?><r é="1">ü</r>'.encode("latin-1")
+    for make in (changes_made, per_run_made):
+        made = make(template(data), [Set("/r/@é", "€ é"), Set("/r", "𝄞")], {})
+        assert made == data.replace(b'"1">\xfc<', b'"&#8364; \xe9">&#119070;<')
+        assert XmlTemplate(made, "made").find("//@é") == ("€ é",)
+
+
+def test_what_an_encoding_lacks_cannot_be_a_name() -> None:
+    data = b'<?xml version="1.0" encoding="ISO-8859-1"?><r/>'
+    for change in (Rename("//r", "\u03b1"), Set("//r", "", attribute="\u03b1"), Add("//r", "<a><!-- \u03b1 --></a>")):
+        assert "8859-1" in refused(data, change).replace("_", "-").lower()
+    assert template(data).changed([Add("//r", "<a>&#945;</a>")], {}).render().endswith(b"<r><a>&#945;</a></r>")
+
+
+def test_line_ends_of_windows_are_kept_where_all_are() -> None:
+    text = MUJOCO.replace("\n", "\r\n")
+    assert changed(text) == text
+    assert changed(text, Set("//body", "a\nb\rc")).count("a\r\nb&#13;c") == 1
+    assert per_run_made(template(text), [Set("//body", "a\nb\rc")], {}).count(b"a\r\nb&#13;c") == 1
+    assert changed("<r>\r\n</r>\n") == "<r>\n</r>\n"
+
+
+# Hostile templates
+
+BOMB = "".join(f'<!ENTITY l{n} "{(f"&l{n - 1};" if n else "lol") * 10}">' for n in range(12))
+QUADRATIC = f'<!DOCTYPE r [<!ENTITY a "{"x" * 50_000}">]><r b="{"&a;" * 50_000}">{"&a;" * 50_000}</r>'
+
+
+@pytest.mark.parametrize(
+    "hostile",
+    [
+        f"<!DOCTYPE r [{BOMB}]><r>&l11;</r>",
+        f'<!DOCTYPE r [{BOMB}]><r a="&l11;"/>',
+        f"<!DOCTYPE r [{BOMB}]><r/>",
+        QUADRATIC,
+        '<!DOCTYPE r [<!ENTITY a "b">]><r>&a;</r>',
+        '<!DOCTYPE r [<!-- it\'s --><!ENTITY a "b">]><r/>',
+        '<!DOCTYPE r [<!ENTITY a SYSTEM "file:///etc/passwd">]><r>&a;</r>',
+        '<!DOCTYPE r [<!ENTITY % a SYSTEM "http://127.0.0.1:9/a.dtd"> %a;]><r/>',
+        '<!DOCTYPE r [<!ENTITY a SYSTEM "/etc/passwd" NDATA b>]><r/>',
+        "<a>" * 100_000,
+        f"<r>{'x' * 11_000_000}</r>",
+    ],
+    ids=range(11),
+)
+def test_entities_and_bombs_are_refused_at_once(hostile: str) -> None:
+    assert refused(hostile).startswith("template.xml:")
+    assert effort(lambda: refused(hostile)) < 20
+
+
+def test_an_external_dtd_is_not_loaded(tmp_path: Path) -> None:
+    dtd = tmp_path / "a.dtd"
+    dtd.write_text('<!ENTITY a "expanded"><!ATTLIST r b CDATA "defaulted">')
+    text = f'<!DOCTYPE r SYSTEM "{dtd.as_uri()}">\n<r>&a;</r>'
+    assert changed(text) == text
+    assert template(text).find("//r | //@b") == ("",)
+
+
+def test_default_attributes_are_not_written_out() -> None:
+    text = '<!DOCTYPE r [<!ATTLIST r b CDATA "defaulted">]>\n<r/>'
+    assert changed(text) == text
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        (b"", r"^template\.xml:1:1: not XML: Document is empty"),
+        (b" \n", r"^template\.xml:\d+:\d+: not XML"),
+        (b"[a]\nb = 1", r"^template\.xml:1:1: not XML: Start tag expected"),
+        (b"<r>\n  <a></b>\n</r>", r"^template\.xml:2:\d+: not XML: Opening and ending tag mismatch"),
+        (b"<r/><r/>", "not XML: Extra content"),
+        (b"<p:r/>", "not XML: Namespace prefix p"),
+        (b"<r>&unknown;</r>", "Entity 'unknown' not defined"),
+        (b'<?xml version="1.0" encoding="no-such"?><r/>', "Unsupported encoding"),
+        (b"<r>\xff</r>", "not XML"),
+        (b"<r>\x00</r>", "not XML"),
+        (b"\x89PNG\r\n\x1a\n\x00", "not XML"),
+        ("<r/>".encode("utf-32"), "save it as UTF-8|not XML"),
+    ],
+)
+def test_what_is_not_xml_is_said_with_its_place(data: bytes, message: str) -> None:
+    assert re.search(message, refused(data))
+
+
+@given(st.binary(max_size=60) | st.text(alphabet="<>!?[]-/'\"= &;#xarDOCTYPE%", max_size=60).map(str.encode))
+def test_any_bytes_are_a_template_or_refused(data: bytes) -> None:
+    message = ""
+    try:
+        made = template(data).changed((), {}).render()
+    except TemplateError as error:
+        message = str(error)
+    else:
+        assert XmlTemplate(made, "again").changed((), {}).render() == made
+    assert message.isprintable()
+
+
+def test_a_file_that_is_not_there_is_missing(tmp_path: Path) -> None:
+    for path in (tmp_path / "none.xml", tmp_path / "a\nb", tmp_path / "nul\0"):
+        with pytest.raises(Missing, match=r"cannot be read$") as caught:
+            templates.read(path)
+        assert str(caught.value).isprintable()
+
+
+def test_a_directory_or_a_pipe_is_not_a_template(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    for path in (tmp_path, tmp_path / "pipe"):
+        with pytest.raises(TemplateError, match="not a file"):
+            templates.read(path)
+
+
+# Paths
+
+
+def test_find_gives_texts_in_document_order() -> None:
+    assert template(MUJOCO).find("//joint/@name | //replicate/@count") == ("8", "x", "y")
+    assert template(GAZEBO).find("//model_count") == ("8",)
+    assert template(GAZEBO).find("//type/text()") == ("random",)
+    assert template(GAZEBO).find("//nothing") == ()
+
+
+def test_a_relative_path_begins_at_the_root_element() -> None:
+    assert template(SUMO).find("flow/@number") == template(SUMO).find("/routes/flow/@number") == ("8",)
+
+
+def test_all_prefixes_of_the_document_can_be_used_and_the_default_one_is_an_underscore() -> None:
+    found = template(NAMESPACES)
+    assert found.find("//a:robot/@name") == ("r",)
+    assert found.find("/_:sdf/@a:version") == ("1",)
+    assert found.find("//b:x/@b:y") == ("1",)
+    assert found.find("//*[local-name()='robot']/@name") == ("r",)
+
+
+@pytest.mark.parametrize(
+    ("path", "message"),
+    [
+        ("//[", "is not an XPath"),
+        ("", "is not an XPath"),
+        ("//p:a", "Undefined namespace prefix; known prefixes are _, a, b"),
+        ("//a\0", "is not an XPath"),
+        ("nope()", "is not an XPath"),
+        ("$x", "is not an XPath"),
+        ("count(//*)", "gives a number"),
+        ("string(//*)", "gives a string"),
+        ("1 = 1", "gives a boolean"),
+        ("//namespace::*", "selects namespaces"),
+    ],
+)
+def test_a_path_that_gives_no_nodes_is_refused(path: str, message: str) -> None:
+    with pytest.raises(TemplateError, match=message) as caught:
+        template(NAMESPACES).find(path)
+    assert str(caught.value).isprintable()
+    assert message in refused(NAMESPACES, Set(path, "1", why="variable 'x'"))
+
+
+def test_documents_cannot_be_read_from_a_path() -> None:
+    assert "is not an XPath" in refused("<r/>", Set("document('/etc/passwd')//x", "1"))
+
+
+# Changes
+
+
+def test_set_gives_attributes_elements_and_texts_a_value() -> None:
+    assert 'count="16"' in changed(MUJOCO, Set("//replicate/@count", "{population_size * 2}"), population_size=8)
+    assert "<model_count>16</model_count>" in changed(GAZEBO, Set("//model_count", "16"))
+    assert "<type>grid</type>" in changed(GAZEBO, Set("//distribution/type/text()", "{kind}"), kind="grid")
+
+
+def test_set_changes_all_matches() -> None:
+    assert changed(MUJOCO, Set("//joint/@damping", "5")) == MUJOCO.replace('damping="2"', 'damping="5"')
+
+
+def test_set_keeps_the_children_of_an_element() -> None:
+    assert changed("<r>a<b/>c<!-- d -->e</r>", Set("/r", "x")) == "<r>x<b/>c<!-- d -->e</r>"
+    assert changed("<r>a<b/>c<!-- d -->e</r>", Set("/r/text()[2]", "x")) == "<r>a<b/>x<!-- d -->e</r>"
+
+
+def test_set_with_attribute_adds_it_where_it_is_absent() -> None:
+    assert changed("<r><a/><a b='1'/></r>", Set("//a", "2", attribute="b")) == '<r><a b="2"/><a b="2"/></r>'
+
+
+def test_set_with_attribute_knows_the_prefixes_of_the_document() -> None:
+    assert '<a:robot name="r" a:id="7"/>' in changed(NAMESPACES, Set("//a:robot", "7", attribute="a:id"))
+    assert 'xml:lang="de"' in changed(SUMO, Set("//flow", "de", attribute="xml:lang"))
+    assert "known are" in refused(SUMO, Set("//flow", "1", attribute="p:x"))
+
+
+@pytest.mark.parametrize("name", ["", "1a", "a b", "a>", "xmlns", "xmlns:p", "{a", "a:", "\0", 'a="1" b'])
+def test_what_is_not_a_name_is_refused(name: str) -> None:
+    refused(SUMO, Set("//flow", "1", attribute=name))
+    refused(SUMO, Rename("//flow", name))
+
+
+def test_changes_are_made_in_order_and_see_those_before() -> None:
+    made = changed(SUMO, Rename("//flow", "vehicle"), Set("//vehicle", "1", attribute="a"), Set("//@a", "2"))
+    assert '<vehicle id="agents"' in made
+    assert ' a="2"' in made
+
+
+def test_a_template_never_changes() -> None:
+    made = template(MUJOCO)
+    document = made.changed([SEED, Remove("//actuator")], {"seed": 1})
+    document.per_run([SEED])({"seed": 2})
+    assert made.changed((), {}).render() == MUJOCO.encode()
+    assert 'data="1"' in document.render().decode()
+
+
+@given(st.text() | st.text(alphabet="\r\n\t <>&\"'{}]\0\x0b€é"))
+@example("]]>")
+@example("\x85\u2028")
+@example("\ud800")
+@example("\uffff")
+def test_any_text_that_is_set_is_found_again_or_refused(text: str) -> None:
+    value = text.replace("{", "{{").replace("}", "}}")
+    changes = [Set("/r/@a", value), Set("/r/b", value), Set("/r/c/text()", value), Set("/r/b", value, attribute="d")]
+    begin = template("<r a='1'><b/><c>1</c></r>")
+    if re.search("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]", text):
+        for change in changes:
+            with pytest.raises(TemplateError, match="XML cannot hold it"):
+                begin.changed([change], {})
+        return
+    made = begin.changed(changes, {}).render()
+    assert XmlTemplate(made, "made").find("/r/@a | /r/b | /r/c | //@d") == (text,) * 4
+
+
+def test_a_value_that_xml_cannot_hold_is_refused_with_its_name() -> None:
+    message = refused(SUMO, Set("//flow/@number", "a\0b", why="variable 'x'"))
+    assert message == "variable 'x': //flow/@number cannot get a text with U+0000 in template.xml: XML cannot hold it"
+
+
+def test_what_an_expression_lacks_is_said_with_who_asks() -> None:
+    message = refused(SUMO, Set("//flow/@number", "{n}", why="variable 'x'"), error=ConfigError, m=1)
+    assert message.startswith("variable 'x': unknown name 'n'")
+
+
+def test_add_puts_a_copy_into_each_match_last() -> None:
+    made = changed(MUJOCO, Add("//custom", '<numeric name="length" data="{n}"/>'), n=60)
+    last = '    <numeric name="noise" data="0.3"/>\n'
+    assert made == MUJOCO.replace(last, last + '    <numeric name="length" data="60"/>\n')
+
+
+def test_add_puts_a_copy_at_an_index_among_the_elements() -> None:
+    text = "<r>\n  <!-- c -->\n  <a/>\n  <b/>\n</r>"
+    assert changed(text, Add("/r", "<x/>", at=0)) == text.replace("<a/>", "<x/>\n  <a/>")
+    assert changed(text, Add("/r", "<x/>", at=1)) == text.replace("<b/>", "<x/>\n  <b/>")
+    assert changed(text, Add("/r", "<x/>", at=2)) == text.replace("<b/>", "<b/>\n  <x/>")
+    assert "has 2 child elements" in refused(text, Add("/r", "<x/>", at=3))
+
+
+def test_what_is_added_to_an_empty_element_is_indented_where_that_has_a_line_of_its_own() -> None:
+    made = changed(MUJOCO, Add("//actuator", "<motor/>"), Add("//joint[1]", "<a/>"), Add("//global", "<b/>"))
+    assert "\n  <actuator>\n    <motor/>\n  </actuator>\n" in made
+    assert 'damping="2">\n          <a/>\n        </joint>\n' in made
+    assert '<visual><global offwidth="640" offheight="480"><b/></global></visual>' in made
+    assert changed("<r/>", Add("/r", "<a/>")) == "<r><a/></r>"
+    assert changed("<r>text <b/></r>", Add("/r", "<a/>")) == "<r>text <b/><a/></r>"
+
+
+def test_what_is_added_belongs_to_the_namespaces_where_it_stands() -> None:
+    made = changed(NAMESPACES, Add("//_:world", '<light a:on="1"/>'), Set("//_:light/@a:on", "2"))
+    assert '<light a:on="2"/>' in made
+    assert "xmlns" not in made.replace(NAMESPACES.splitlines()[0], "").replace('xmlns:b="urn:b"', "", 1)
+
+
+def test_a_namespace_that_is_added_can_be_used_in_later_paths() -> None:
+    made = changed(SUMO, Add("/routes", '<n:x xmlns:n="urn:n" y="1"/>'), Set("//n:x/@y", "2"))
+    assert '<n:x xmlns:n="urn:n" y="2"/>' in made
+
+
+def test_a_value_cannot_become_markup() -> None:
+    made = changed(SUMO, Add("/routes", '<p a="{v}">{v}<b/>{v}</p>'), v='"/><evil/>&amp;')
+    assert XmlTemplate(made.encode(), "made").find("//p/@a | //p | //p/text()[2]") == ('"/><evil/>&amp;',) * 3
+    assert XmlTemplate(made.encode(), "made").find("//evil") == ()
+
+
+@pytest.mark.parametrize(
+    "xml",
+    [
+        "",
+        "text",
+        "<a>",
+        "<a/><b/>",
+        "text<a/>",
+        "<!-- c -->",
+        "</_><_>",
+        "<p:a/>",
+        "<a>&b;</a>",
+        "<!DOCTYPE a [<!ENTITY b 'c'>]><a>&b;</a>",
+        "<?xml version='1.0'?><a/>",
+        "<a>\0</a>",
+        "<a b='{1 +}'/>",
+    ],
+)
+def test_what_is_added_must_be_one_safe_element(xml: str) -> None:
+    message = refused(SUMO, Add("//flow", xml, why="scenario 'x'"), error=SierraError)
+    assert message.startswith("scenario 'x': ")
+
+
+def test_remove_takes_an_element_with_its_line_and_keeps_what_follows_it() -> None:
+    text = "<r>\n  <a/>\n  <b/>\n</r>"
+    assert changed(text, Remove("//a")) == "<r>\n  <b/>\n</r>"
+    assert changed(text, Remove("//b")) == "<r>\n  <a/>\n</r>"
+    assert changed(text, Remove("//*[not(*)]")) == "<r>\n</r>"
+    assert changed("<r>one <a/>two <b/>three</r>", Remove("//a"), Remove("//b")) == "<r>one two three</r>"
+    assert changed("<r><![CDATA[<]]><a/></r>", Remove("//a")) == "<r><![CDATA[<]]></r>"
+
+
+def test_remove_takes_attributes_and_comments_too() -> None:
+    assert changed("<r a='1' b='2'/>", Remove("//@a")) == '<r b="2"/>'
+    assert changed("<r>1<!-- c -->2<?p?></r>", Remove("//comment()"), Remove("//processing-instruction()")) == "<r>12</r>"
+
+
+def test_remove_takes_elements_within_removed_elements() -> None:
+    assert changed("<r><a><a/>x</a>y</r>", Remove("//a", expect=2)) == "<r>y</r>"
+
+
+def test_what_cannot_be_removed_is_said() -> None:
+    assert "the root element" in refused(SUMO, Remove("/routes"))
+    assert "texts" in refused(GAZEBO, Remove("//type/text()"))
+
+
+def test_rename_keeps_the_namespace_unless_it_is_given_another() -> None:
+    assert changed(NAMESPACES, Rename("//a:robot", "drone")) == NAMESPACES.replace("a:robot", "a:drone")
+    assert changed(NAMESPACES, Rename("//_:world", "a:w")).count("a:w>") == 2
+    assert "<b:robot " in changed(NAMESPACES, Rename("//b:x", "robot"))
+    assert "<a:c " in changed(NAMESPACES, Rename("//b:x", "{urn:a}c"))
+    assert changed(SUMO, Rename("/routes", "r")).startswith("<r>\n")
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (Set("//@id", "1", attribute="b"), "selects attributes in template.xml; this set is for elements"),
+        (Add("//@id", "<a/>"), "selects attributes in template.xml; this add is for elements"),
+        (Rename("//@id", "a"), "selects attributes in template.xml; this rename is for elements"),
+        (Set("/", "1"), ""),
+    ],
+)
+def test_what_a_change_is_not_for_is_said(change: Change, message: str) -> None:
+    assert message in refused(SUMO, change)
+
+
+def test_a_comment_cannot_be_set() -> None:
+    assert "comments" in refused("<r><!-- c --></r>", Set("//comment()", "x"))
+
+
+def test_the_number_of_matches_is_what_is_expected() -> None:
+    changed(MUJOCO, Set("//joint/@damping", "1", expect=2), Remove("//joint", expect=2))
+    message = refused(MUJOCO, Set("//joint/@damping", "1", expect=1, why="variable 'd'"))
+    assert message == "variable 'd': //joint/@damping matches 2 in template.xml, not 1 as expected"
+    assert "matches 2" in refused(MUJOCO, Remove("//joint", expect=3))
+
+
+def test_a_text_in_pieces_is_one_match() -> None:
+    assert changed("<r>a<![CDATA[b]]>c</r>", Set("/r/text()", "x", expect=1)) == "<r>x</r>"
+
+
+# Nothing matches
+
+
+@pytest.mark.parametrize(
+    ("text", "path", "nearest"),
+    [
+        (MUJOCO, "//replicate/@cuont", "nearest is //replicate/@count"),
+        (MUJOCO, "//replicat/@cuont", "nearest is //replicate/@count"),
+        (MUJOCO, "/mojoco/option/@timestep", "nearest is /mujoco/option/@timestep"),
+        (MUJOCO, "/mujoco/replicate/@count", "nearest is /mujoco//replicate/@count"),
+        (MUJOCO, "mujoco/option/@timestep", "nearest is //mujoco/option/@timestep"),
+        (MUJOCO, "option/@timestp", "nearest is option/@timestep"),
+        (MUJOCO, "@modle", "nearest is @model"),
+        (MUJOCO, "//numeric[@name='random_sed']/@data", "nearest is //numeric[@name='random_seed']/@data"),
+        (MUJOCO, "//numeirc[@name='noise']/@data", "nearest is //numeric[@name='noise']/@data"),
+        (MUJOCO, "//joint[5]/@damping", "nearest is //joint/@damping"),
+        (MUJOCO, "//body[joint/@name='x']/jiont", "nearest is //body[joint/@name='x']/joint"),
+        (MUJOCO, "//replicate/@zzz", "//replicate has @count, @offset, @euler"),
+        (MUJOCO, "//zzz", "there are mujoco, option, custom, numeric, visual, global, worldbody, geom, …"),
+        (MUJOCO, "//replicate/text()[9]/..", "//replicate/text()"),
+        (GAZEBO, "//model_cuont", "nearest is //model_count"),
+        (SUMO, "//flow[@id='agent']/@number", "nearest is //flow[@id='agents']/@number"),
+        (NAMESPACES, "/sdf/world", "nearest is /_:sdf/_:world"),
+        (NAMESPACES, "//robot/@nam", "nearest is //a:robot/@name"),
+        (NAMESPACES, "/_:sdf/@version", "nearest is /_:sdf/@a:version"),
+        ('<r><a b="it\'s"/></r>', '//a[@b="its"]', 'nearest is //a[@b="it\'s"]'),
+    ],
+)
+def test_a_path_without_a_match_is_refused_with_the_nearest_that_has_one(text: str, path: str, nearest: str) -> None:
+    message = refused(text, Set(path, "1", why="variable 'population_size'"))
+    assert message.startswith(f"variable 'population_size': {path} matches nothing in template.xml; ")
+    assert nearest in message
+    for change in (Add(path, "<a/>"), Remove(path), Rename(path, "a"), Set(path, "1", attribute="b")):
+        assert "matches nothing" in refused(text, change)
+
+
+def test_what_has_no_prefix_is_reached_by_its_local_name() -> None:
+    text = '<a xmlns="urn:1"><robot xmlns="urn:2" count="1"/></a>'
+    message = refused(text, Set("/_:a/robto/@count", "2"))
+    assert "/_:a has *[local-name()='robot']" in message
+    assert 'count="2"' in changed(text, Set("/_:a/*[local-name()='robot']/@count", "2"))
+
+
+@given(st.text(alphabet="/@*.[]()'\"|abflowid:_=1 \n", max_size=20))
+def test_any_path_selects_or_is_refused_in_one_line(path: str) -> None:
+    message = ""
+    try:
+        template(NAMESPACES).changed([Set(path, "1", why="a\nb")], {})
+    except TemplateError as error:
+        message = str(error)
+    assert message.isprintable()
+
+
+# Runs
+
+
+def changes_made(made: Template, changes: list[Change], values: Mapping[str, Value]) -> bytes:
+    return made.changed(changes, values).render()
+
+
+def per_run_made(made: Template, changes: list[Change], values: Mapping[str, Value]) -> bytes:
+    return made.changed((), {}).per_run(changes)(values)
+
+
+PER_RUN: list[Change] = [
+    SEED,
+    Set("//joint/@damping", "{seed}"),
+    Set("//body", "{text}"),
+    Set("//body/text()[last()]", "{text}"),
+    Set("//global", "{text}", attribute="gap"),
+    Set("//@gap", "0{text}1"),
+    Set("//visual", "gap:0:text:"),
+]
+STRUCTURAL: list[Change] = [
+    Add("//actuator", '<motor name="{text}">{seed}</motor>'),
+    Set("//motor/@name", "m{seed}"),
+    Rename("//motor", "engine"),
+    Remove("//replicate"),
+]
+
+
+@given(st.text(CHARACTERS | st.sampled_from("\r\n\t<>&\"'")), st.integers())
+def test_a_run_gets_what_the_same_changes_make(text: str, seed: int) -> None:
+    for changes in (PER_RUN, STRUCTURAL, []):
+        values: dict[str, Value] = {"seed": seed % 2**64, "text": text}
+        assert per_run_made(template(MUJOCO), changes, values) == changes_made(template(MUJOCO), changes, values)
+
+
+@pytest.mark.parametrize("changes", [PER_RUN, STRUCTURAL])
+def test_a_run_gets_the_same_bytes_whatever_was_rendered_before(changes: list[Change]) -> None:
+    runs: list[dict[str, Value]] = [{"seed": seed, "text": "x" * (seed % 3)} for seed in range(10)]
+    document = template(MUJOCO).changed([Set("//option/@timestep", "0.02")], {})
+    fresh = [document.per_run(changes)(values) for values in runs]
+    render = document.per_run(changes)
+    forwards = [render(values) for values in runs]
+    with pytest.raises(SierraError):
+        render({"seed": 1, "text": "\0"})
+    with pytest.raises(ConfigError):
+        render({})
+    backwards = [render(values) for values in reversed(runs)]
+    assert fresh == forwards == backwards[::-1]
+    assert len(set(fresh)) == 10
+    assert document.render() == MUJOCO.replace("0.01", "0.02").encode()
+
+
+@pytest.mark.parametrize(
+    ("changes", "error"),
+    [
+        ([Set("//nothing/@data", "{seed}")], TemplateError),
+        ([Set("//joint/@name", "{seed}", expect=1)], TemplateError),
+        ([Set("//joint/@name", "{seed +}")], ConfigError),
+        ([Remove("//nothing")], TemplateError),
+        ([Add("//body", "<a>"), SEED], TemplateError),
+    ],
+)
+def test_what_does_not_fit_is_said_before_anything_runs(changes: list[Change], error: type[SierraError]) -> None:
+    with pytest.raises(error):
+        template(MUJOCO).changed((), {}).per_run(changes)
+
+
+def test_a_run_says_who_asks_for_what_is_wrong() -> None:
+    render = template(MUJOCO).changed((), {}).per_run([Set(SEED.path, "{seed}", why="the seed")])
+    with pytest.raises(ConfigError, match=r"^the seed: unknown name 'seed'"):
+        render({})
+    with pytest.raises(TemplateError, match=r"^the seed: .* U\+0007 .*template\.xml"):
+        render({"seed": "\a"})
+
+
+# A number that is set to itself
+
+
+@pytest.mark.parametrize(
+    ("there", "value"),
+    [("0", "0.0"), ("0.0", "0"), ("1000", "1e3"), (" 5 ", "5.0"), ("-0.5", "-.5"), ("+1", "1"), ("2.", "2"), ("0.25", "25e-2")],
+)
+def test_a_number_in_another_spelling_leaves_the_bytes_as_they_are(there: str, value: str) -> None:
+    text = f'<a b="{there}"><c>{there}</c></a>'
+    sets = [Set("//c", value), Set("/a/@b", value)]
+    assert changed(text, *sets) == text
+    assert template(text).changed((), {}).per_run(sets)({}).decode() == text
+
+
+@pytest.mark.parametrize(
+    ("there", "value"),
+    [
+        ("0", "-0.0"),
+        ("007", "7"),
+        ("1.10", "1.1"),
+        ("1.1", "1.10"),
+        ("0", ""),
+        ("0", "false"),
+        ("1", "\uff11"),
+        ("0.1", "0.1000000000000000055511151231257827"),
+        ("9007199254740992", "9007199254740993.0"),
+        ("1,0", "1,00"),
+        ("nan", "NaN"),
+        ("0x10", "16"),
+        ("1e999", "1e9999"),
+    ],
+)
+def test_what_is_not_surely_the_same_number_is_written(there: str, value: str) -> None:
+    text = f'<a b="{there}"/>'
+    assert changed(text, Set("/a/@b", value)) == f'<a b="{value}"/>'
+    assert template(text).changed((), {}).per_run([Set("/a/@b", value)])({}).decode() == f'<a b="{value}"/>'
+
+
+SPELLED = st.lists(st.sampled_from(["0", "0.0", "1", "1.0", "1e0", "x", "-0", "01"]), min_size=1, max_size=4)
+
+
+@given(SPELLED)
+def test_runs_are_given_the_bytes_that_the_same_changes_make_one_by_one(values: list[str]) -> None:
+    text = '<a b="0" c="1"><d>1.0</d></a>'
+    sets = [Set("//@*", value) for value in values[:2]] + [Set("//d | /a/@c", value) for value in values[2:]]
+    assert template(text).changed((), {}).per_run(sets)({}).decode() == changed(text, *sets)
+
+
+# Paths that would be evaluated for ever
+
+
+MANY = "<a>" + '<b c="1"><d/></b>' * 2000 + "</a>"
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "//*[count(//*[count(//*[count(//*) > 0]) > 0]) > 0]/@c",
+        "/a/b[/a/b[/a/b[/a/b/d]/@c = 2]/@c = 2]/@c",
+        "//d[../../b[../b[../b/d[../../b/@c = 2]/@c = 2]/@c = 2]]",
+        "//b[preceding::d[following::d[preceding::d[following::b/@c = 2]]]]",
+    ],
+)
+def test_a_path_that_would_be_evaluated_for_ever_is_refused(path: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sierra.templates.xpath_trial.LIMIT_S", 1)
+    with pytest.raises(TemplateError) as caught:
+        template(MANY).find(path)
+    assert str(caught.value).startswith(f"{path} takes more than 1 s of computing in template.xml; use a path")
+
+
+@pytest.mark.integration
+def test_the_command_line_names_such_a_path_in_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sierra.templates.xpath_trial.LIMIT_S", 1)
+    wide = "//*[count(//*[count(//*[count(//*)>0])>0])>0]/@c"
+    folder = projects.make(tmp_path / "p", template=projects.TEMPLATE.replace("</arena>", MANY + "</arena>"))
+    ran = projects.quick(folder, "run", "noise=1", "--set", f"{wide}=2", "-n")
+    assert ran.returncode == 2
+    [line] = ran.stderr.splitlines()
+    assert wide in line
+
+
+@pytest.mark.parametrize(
+    ("path", "count"), [("//b[@c = //b/@c]/@c", 2000), ("//b[d and //b[d]]/d", 2000), ("//a|//b|//d", 4001)]
+)
+def test_a_path_that_may_take_long_and_does_not_selects_what_it_should(path: str, count: int) -> None:
+    assert len(template(MANY).find(path)) == count
+
+
+def test_a_path_that_may_take_long_and_is_none_is_told_as_any_other() -> None:
+    with pytest.raises(TemplateError, match=r"is not an XPath for template\.xml"):
+        template(MANY).find("//b[//b[//b[//b[]]]]")
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "/a/b[@c='//x']/@c",
+        "//b[@c > 0]/d",
+        "(//b)[2]/@c",
+        "a/b[starts-with(@c, '1')]/d",
+        ".//b[d][last()]",
+    ],
+)
+def test_a_usual_path_starts_no_process(path: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delattr("sierra.templates.xpath_trial.subprocess.run")
+    assert template("<x>" + MANY * 10 + "</x>").find(path) is not None
+
+
+def test_ten_thousand_inputs_of_3_kb_are_little_work() -> None:
+    text = MUJOCO.replace("<actuator/>", "<actuator>" + '<motor name="fx" joint="x" gear="1"/>' * 70 + "</actuator>")
+    assert len(text) > 3000
+    render = template(text).changed((), {}).per_run([SEED])
+    assert render({"seed": 7}) == text.replace('"42"', '"7"').encode()
+    assert effort(lambda: [render({"seed": seed}) for seed in range(10_000)]) < 20

@@ -1,0 +1,213 @@
+"""The documentation is true: commands print what it shows, settings are valid, and links lead somewhere."""
+
+from __future__ import annotations
+
+import os
+import re
+import runpy
+import shlex
+import shutil
+import subprocess
+import sys
+import tomllib
+from collections.abc import Iterator
+from contextlib import chdir
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+import yaml
+
+from sierra import platforms
+from sierra.config import project_file
+from tests import projects
+
+ROOT = Path(__file__).parents[2]
+DOCS = ROOT / "docs"
+TUTORIAL = DOCS / "tutorial.md"
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(DOCS.rglob("*.md"))]
+EXECUTED = [ROOT / "README.md", TUTORIAL, *sorted((DOCS / "how-to").glob("*.md"))]
+FENCE = re.compile(r"(?ms)^```(?P<kind>\w*)(?: title=\"(?P<title>[^\"]+)\")?\n(?P<text>.*?)^```$")
+COMMENT = re.compile(r"<!-- (?P<key>not executed|not loaded|exit code): (?P<value>[^\n]+) -->\n\Z")
+SHELL = re.compile(r"[|<>&;$`*#\\]")
+"""Characters that need a shell; a command without them is called within this process, which is quicker."""
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """A fenced block of a page, and the comment before it."""
+
+    kind: str
+    title: str
+    text: str
+    line: int
+    notes: dict[str, str]
+
+
+def blocks(page: Path) -> Iterator[Block]:
+    text = page.read_text("utf-8")
+    for found in FENCE.finditer(text):
+        comment = COMMENT.search(text, endpos=found.start())
+        notes = {comment["key"]: comment["value"]} if comment else {}
+        line = text.count("\n", 0, found.start()) + 1
+        yield Block(found["kind"], found["title"] or "", found["text"], line, notes)
+
+
+def name_of(page: Path) -> str:
+    return str(page.relative_to(ROOT))
+
+
+def steps(block: Block) -> Iterator[tuple[str, list[str]]]:
+    """Each command of a block, with the lines of output that the page shows for it."""
+    if block.kind == "sh":
+        yield from ((line, []) for line in block.text.splitlines() if line.strip())
+        return
+    for step in re.split(r"(?m)^\$ ", block.text)[1:]:
+        command, *shown = step.splitlines()
+        yield command, shown
+
+
+def run(command: str, folder: Path) -> tuple[int, str, str]:
+    """The exit code, the output and the messages of a command."""
+    words = shlex.split(command, comments=True)
+    if words[0] == "sierra" and not SHELL.search(command.partition("  #")[0]):
+        done = projects.quick(folder, *words[1:])
+    else:
+        done = subprocess.run(["bash", "-c", command], cwd=folder, capture_output=True, text=True, timeout=100, check=False)
+    return done.returncode, done.stdout, done.stderr
+
+
+def pattern(shown: list[str]) -> re.Pattern[str]:
+    """What output must match: `…` stands for anything in a line, and as a line for any lines."""
+    lines = (r"(?:.*\n)*?" if line == "…" else ".*".join(map(re.escape, line.rstrip().split("…"))) + r" *\n" for line in shown)
+    return re.compile("".join(lines))
+
+
+def follow(page: Path, folder: Path) -> None:
+    """Do what a page says, in order."""
+    for block in blocks(page):
+        if "not executed" in block.notes:
+            continue
+        if block.title:
+            (folder / block.title).write_text(block.text, "utf-8")
+        elif block.kind in ("sh", "console"):
+            codes = []
+            for command, shown in steps(block):
+                code, output, messages = run(command, folder)
+                codes.append(code)
+                where = f"{name_of(page)}, line {block.line}: {command}\n{output}{messages}"
+                assert not shown or pattern(shown).fullmatch(output), where
+                assert code == 0 or "exit code" in block.notes, where
+            assert codes[-1] == int(block.notes.get("exit code", 0)), f"{name_of(page)}, line {block.line}"
+        elif block.kind == "python":
+            with chdir(folder):
+                exec(compile(block.text, name_of(page), "exec"), {})  # noqa: S102
+
+
+def as_user(patch: pytest.MonkeyPatch) -> None:
+    """Find `sierra` and `python3` where a user has them."""
+    patch.setenv("PATH", f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}")
+
+
+@pytest.fixture(scope="module")
+def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The tutorial's project after its step 3."""
+    folder = tmp_path_factory.mktemp("docs") / "project"
+    folder.mkdir()
+    for block in blocks(TUTORIAL):
+        if block.title:
+            (folder / block.title).write_text(block.text, "utf-8")
+    with pytest.MonkeyPatch.context() as patch:
+        as_user(patch)
+        done = projects.quick(folder, "run", "population_size.Log4", "--no-figures")
+    assert done.returncode == 0, done.stderr
+    return folder
+
+
+@pytest.mark.integration
+@pytest.mark.parametrize("page", EXECUTED, ids=name_of)
+def test_the_commands_of_a_page_run_and_print_what_it_shows(
+    page: Path, project: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    as_user(monkeypatch)
+    folder = tmp_path / "project"
+    if page.parent.name == "how-to":
+        shutil.copytree(project, folder)
+    else:
+        folder.mkdir()
+    if page.name == "README.md":
+        monkeypatch.setenv("SIERRA_FIGURES", "false")  # the tutorial draws the same
+        for name in ("sim.py", "arena.xml"):
+            shutil.copy(project / name, folder)
+    follow(page, folder)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_the_settings_that_a_page_shows_are_valid(page: Path) -> None:
+    for block in blocks(page):
+        if block.kind == "toml" and "not loaded" not in block.notes:
+            settings = tomllib.loads(block.text)
+            if "template" not in settings:
+                settings |= {"template": "arena.xml", "command": "true"}
+            where = f"{name_of(page)}, line {block.line}"
+            loaded = project_file.parse(settings, where)
+            platforms.find(loaded.platform, loaded)
+
+
+def test_every_command_is_executed_or_says_why_not() -> None:
+    kinds = {block.kind for page in PAGES for block in blocks(page)}
+    assert kinds <= {"", "console", "python", "sh", "text", "toml", "xml"}, "a test must know what to do with it"
+    for page in EXECUTED:
+        for block in blocks(page):
+            if block.kind == "" and block.text.startswith("$ "):
+                assert block.notes.get("not executed"), f"{name_of(page)}, line {block.line}"
+
+
+def slugs(page: Path) -> set[str]:
+    """The anchors of a page's headings, as GitHub and mkdocs make them."""
+    text = FENCE.sub("", page.read_text("utf-8"))
+    return {re.sub(r"[^\w\- ]", "", title.lower()).strip().replace(" ", "-") for title in re.findall(r"(?m)^#+ (.+)$", text)}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_every_link_leads_somewhere(page: Path) -> None:
+    text = re.sub(r"`[^`\n]*`", "", FENCE.sub("", page.read_text("utf-8")))
+    for link in re.findall(r"\]\(([^)\s]+)\)", text):
+        if "://" in link:
+            continue
+        path, _, anchor = link.partition("#")
+        target = (page.parent / path).resolve() if path else page
+        assert target.is_file(), f"{name_of(page)}: {link}"
+        assert not anchor or anchor in slugs(target), f"{name_of(page)}: {link}"
+        if page.is_relative_to(DOCS):
+            assert target.is_relative_to(DOCS), f"{name_of(page)}: {link} is not on the site"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_every_file_of_the_repository_that_a_page_names_exists(page: Path) -> None:
+    if page.is_relative_to(DOCS / "reference"):
+        return
+    named = re.findall(r"`((?:sierra|tests|docs|schemas)/[\w./-]+)`", FENCE.sub("", page.read_text("utf-8")))
+    assert [path for path in named if not (ROOT / path).exists()] == []
+
+
+def test_the_site_lists_every_page() -> None:
+    def listed(part: object) -> Iterator[str]:
+        if isinstance(part, str):
+            yield part
+        elif isinstance(part, list | dict):
+            for inner in part.values() if isinstance(part, dict) else part:
+                yield from listed(inner)
+
+    nav = yaml.safe_load((ROOT / "mkdocs.yml").read_text("utf-8"))["nav"]
+    assert sorted(listed(nav)) == sorted(str(page.relative_to(DOCS)) for page in DOCS.rglob("*.md"))
+
+
+def test_the_reference_is_what_the_code_gives_now() -> None:
+    pages = runpy.run_path(str(DOCS / "generate.py"))["pages"]()
+    written = {path.name: path.read_text("utf-8") for path in (DOCS / "reference").iterdir()}
+    assert written == pages, "make schemas writes them again"
+
+
+def test_the_readme_is_short() -> None:
+    assert len((ROOT / "README.md").read_text("utf-8").splitlines()) <= 150

@@ -1,0 +1,270 @@
+"""Identity is content. The hashes below pin formats: where one changes, the format's version must be raised with it."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+import sierra
+from sierra.config.project_file import Output, Success
+from sierra.containers.engines.base import Capabilities, ContainerSpec, Mount, NoEngine, Process
+from sierra.containers.images import Image, Kind
+from sierra.containers.isolation import Isolation
+from sierra.design.seeds import seed
+from sierra.execution.plans import Plan
+from sierra.ingest.context import Context
+from sierra.ingest.recorder import result_hash
+from sierra.model import Client, OutputFile, RunSpec
+from sierra.provenance.program import fingerprint
+from sierra.provenance.source.capture import Source
+from sierra.provenance.source.manifest import Entry, tree_hash
+from sierra.util.hashing import digest, digest_plain, merkle
+from tests import projects
+
+TOML = """
+template = "t.xml"
+command = "sh sim.sh {input} {seed} {output}"
+seed = "//e/@seed"
+runs = 2
+[variables]
+n = "//e/@n"
+[environment]
+set = { MODE = "fast" }
+"""
+
+GOLDEN = {
+    "spec": "2ba967922a8885cf8c491d8c0bfbf348d9d2ab1c4e7cabb4eccbc570a92055e6",
+    "run": "470ce59a6a1c2b507e4d8cfb855ffbaf2268dd1009d157d725facf2d52133934",
+    "experiment": "dd5519a74c9078994b3a77d66beec8eb4ca7214b23da8636565906cbf339ca38",
+    "batch": "fa14571176940ca0d713c28d0553b9b5d613e0869aaf089f73c7c6d3ffdf85ed",
+    "source": "swh:1:dir:ff8dcd6c434fe40e7ecd62eda7de012f245c93eb",
+}
+SEEDS = (118367921, 1660350901, 924057756)
+RESULT = "e807b81751e170dd5a4759817cd4267350679b282c6ff9a42850c066d79d48d6"
+READING = "ed83eb32a12b40a95e8ee48affdde7a6d7b6231d55e4aefa9b244eadd93ef635"
+
+
+PROGRAMS = "6e14f26bdffdb35aefa5a2e6cda15e42278795487b2980915f8907eed8780f4b"
+SOURCE = "15e8a149eae8046de8dea6f465713bf8ad9ee768710bc691aa0b890792191a43"
+
+
+def project(folder: Path, toml: str = TOML) -> Path:
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "sierra.toml").write_text(toml)
+    (folder / "t.xml").write_text('<e seed="0" n="0"/>\n')
+    (folder / "sim.sh").write_text("echo hello\n")
+    return folder
+
+
+def plan(folder: Path, *query: str, runs: int | None = None) -> Plan:
+    return sierra.open(folder).plan(*(query or ("n=1,2",)), runs=runs)
+
+
+def ids(plan: Plan) -> dict[str, str]:
+    first = plan.batch.experiments[0]
+    source = plan.batch.spec.source or ""
+    return {
+        "spec": plan.batch.spec_id,
+        "run": first.runs[0].id,
+        "experiment": first.id,
+        "batch": plan.batch.id,
+        "source": source,
+    }
+
+
+def test_ids_are_what_they_have_always_been(tmp_path: Path) -> None:
+    assert ids(plan(project(tmp_path))) == GOLDEN
+
+
+def test_seeds_are_what_they_have_always_been() -> None:
+    assert tuple(seed(0, number) for number in range(3)) == SEEDS
+
+
+def test_a_result_hash_is_what_it_has_always_been() -> None:
+    files = [OutputFile(name, 1, digest * 64, 1, True, "") for name, digest in (("b.csv", "b"), ("a.csv", "a"))]
+    assert result_hash(files) == result_hash(reversed(files)) == RESULT
+    assert merkle("result", [f"{'a' * 64} a.csv", f"{'b' * 64} b.csv"]) == RESULT
+
+
+def test_a_reading_is_what_it_has_always_been() -> None:
+    outputs = {"out": Output(file="out.csv", units={"v": "m"})}
+    assert Context("s", "b", "run", "e", "p", outputs, Success()).ingest_rules == READING
+
+
+def test_a_fingerprint_of_programs_is_what_it_has_always_been_in_any_order() -> None:
+    used = [("/usr/bin/sim", "a" * 64), ("libm.so.6", "b" * 64), ("{project}/map.png", "c" * 64)]
+    assert fingerprint(used) == fingerprint(reversed(used)) == PROGRAMS
+    assert fingerprint([("/opt/bin/sim", "a" * 64), *used[1:]]) == PROGRAMS
+
+
+def test_a_state_of_the_source_is_what_it_has_always_been() -> None:
+    state = Source("swh:1:dir:" + "a" * 40, "git", "b" * 40, "main", True, "git@example.org:x", b"", "v1-dirty", "sim", "{}")
+    assert state.id == SOURCE
+    assert replace(state, checkout=True, notes=("x",)).id == SOURCE
+
+
+def test_units_and_what_is_done_with_a_mismatch_are_no_part_of_a_reading() -> None:
+    outputs = {"out": Output(file="out.csv", mismatch="ragged")}
+    assert Context("t", "c", "run", "f", "q", outputs, Success()).ingest_rules == READING
+
+
+def test_a_tree_has_the_hash_that_git_gives_it() -> None:
+    blob = "ce013625030ba8dba906f756967f9e9ca394464a"  # hello\n
+    assert tree_hash([Entry("100644", blob, b"a")]) == "0976950c1fdbcb52435a433913017bf044b3a58f"
+
+
+def test_a_digest_begins_with_its_kind_and_format() -> None:
+    assert digest("x", {"a": 1}) == digest("x", {"a": 1}, version=1) != digest("x", {"a": 1}, version=2)
+    assert digest("x", {"a": 1}) != digest("y", {"a": 1})
+
+
+def test_no_path_user_or_time_is_in_an_id(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    here = ids(plan(project(tmp_path / "here")))
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.setenv("USER", "somebody")
+    monkeypatch.setenv("TZ", "Asia/Tokyo")
+    there = project(tmp_path / "the re" / "'deep")
+    for path in there.iterdir():
+        os.utime(path, (1, 1))
+    assert ids(plan(there)) == here
+
+
+def test_a_repository_around_a_project_changes_no_id(tmp_path: Path) -> None:
+    before = ids(plan(project(tmp_path)))
+    subprocess.run(["git", "init", "-q", str(tmp_path)], check=True)
+    assert ids(plan(tmp_path)) == before
+
+
+def test_other_words_for_the_same_values_are_the_same_runs(tmp_path: Path) -> None:
+    folder = project(tmp_path)
+    assert ids(plan(folder, "n=1,2,4,8")) == ids(plan(folder, "n.Log8"))
+
+
+def test_setting_a_number_to_itself_in_another_spelling_makes_the_same_runs(tmp_path: Path) -> None:
+    opened = sierra.open(project(tmp_path))
+    same = opened.plan("montecarlo.C2", sets=[("//e/@n", "0.0")])
+    assert same.batch.id == opened.plan("montecarlo.C2").batch.id
+
+
+@pytest.mark.integration
+def test_new_runs_that_only_another_spelling_of_a_number_makes_are_told(tmp_path: Path) -> None:
+    """Both spellings are kept, since a simulator may tell an int from a double."""
+    folder = projects.make(tmp_path / "p")
+    assert projects.quick(folder, "run", "noise=0,0.5", "--no-figures").returncode == 0
+    for words in (("-n",), ("--no-figures",)):
+        ran = projects.quick(folder, "run", "noise=0.0,0.5", *words)
+        [line] = [line for line in ran.stderr.splitlines() if "written" in line]
+        assert line.startswith("note: noise=0.0 is written 0 in batch ")
+        assert line.endswith("write noise=0 to reuse those")
+    assert "is written" not in projects.quick(folder, "run", "noise=0.0,0.5", "-n").stderr
+
+
+@pytest.mark.integration
+def test_another_spelling_that_makes_the_same_runs_is_not_told(tmp_path: Path) -> None:
+    folder = projects.make(tmp_path / "p", template=projects.TEMPLATE.replace("0.1", "0.0"))
+    assert projects.quick(folder, "run", "noise=0", "--no-figures").returncode == 0
+    ran = projects.quick(folder, "run", "noise=0.0", "-n")
+    assert "0 of 2 runs would execute" in ran.stdout
+    assert "is written" not in projects.quick(folder, "run", "noise=0.0,1", "-n").stderr
+
+
+def test_more_runs_leave_the_first_as_they_were(tmp_path: Path) -> None:
+    folder = project(tmp_path)
+    few, many = plan(folder, runs=8).batch, plan(folder, runs=10).batch
+    assert few.id != many.id
+    for one, other in zip(few.experiments, many.experiments, strict=True):
+        assert one.runs == other.runs[:8]
+
+
+def test_the_order_of_keys_is_of_no_account(tmp_path: Path) -> None:
+    turned = """
+    runs = 2
+    seed = "//e/@seed"
+    command = "sh sim.sh {input} {seed} {output}"
+    template = "t.xml"
+    environment.set = { MODE = "fast" }
+    [variables]
+    n = "//e/@n"
+    """
+    assert ids(plan(project(tmp_path / "a"))) == ids(plan(project(tmp_path / "b", turned)))
+
+
+@pytest.mark.parametrize(
+    "more", ["[limits]\nwall = 5\nmemory = '1 GB'\n", "[figures.x]\nkind = 'box'\n", "[outputs.o]\nfile = 'o'\n"]
+)
+def test_limits_figures_and_outputs_are_no_part_of_a_run(tmp_path: Path, more: str) -> None:
+    assert ids(plan(project(tmp_path / "a"))) == ids(plan(project(tmp_path / "b", TOML + more)))
+
+
+@pytest.mark.parametrize(
+    ("was", "becomes"),
+    [
+        ("fast", "slow"),
+        ("sim.sh {input}", "sim.sh -v {input}"),
+        ('seed = "//e/@seed"', 'seed = { set = "//e/@seed", base = 1 }'),
+    ],
+)
+def test_the_declared_environment_command_and_base_seed_are_part_of_a_run(tmp_path: Path, was: str, becomes: str) -> None:
+    old, new = plan(project(tmp_path / "a")), plan(project(tmp_path / "b", TOML.replace(was, becomes)))
+    assert {run.id for run in old.batch.runs}.isdisjoint(run.id for run in new.batch.runs)
+
+
+def test_the_code_and_the_template_are_part_of_a_run(tmp_path: Path) -> None:
+    folder = project(tmp_path)
+    seen = {run.id for run in plan(folder).batch.runs}
+    (folder / "sim.sh").write_text("echo other\n")
+    second = {run.id for run in plan(folder).batch.runs}
+    (folder / "t.xml").write_text('<e seed="0" n="0" x="1"/>\n')
+    third = {run.id for run in plan(folder).batch.runs}
+    assert len(seen | second | third) == 12
+
+
+def test_a_recipe_says_all_that_runs_have_in_common() -> None:
+    spec = RunSpec("command", ("a",), {"B": "c"}, "swh:1:dir:0", None)
+    assert set(spec.preimage()) == {"platform", "command", "environment", "source", "image"}
+
+
+CONTAINED = [
+    "b5d2f5a75e3684cf333182755ff08a4587b7841a1a46ff9c1e3d8ffe21fbfeec",
+    "c828f09234ce24a94094541f6546b435bc643b254d42a609c65aea9502bc7d6b",
+]
+
+
+def test_a_recipe_in_an_image_has_its_content_and_what_runs_reach_beyond_it() -> None:
+    plain = RunSpec("command", ("a",), {"B": "c"}, "swh:1:dir:0", "sha256:" + "0" * 64)
+    reaching = replace(plain, host_access=("device /dev/dri", "network"))
+    assert plain.preimage()["image"] == {"id": "sha256:" + "0" * 64, "reach": []}
+    assert [digest("recipe", one.preimage()) for one in (plain, reaching)] == CONTAINED
+    assert replace(plain, image=None, host_access=("network",)).preimage()["image"] is None
+
+
+ISOLATION = "248f73e6160525a63312e2ea2bb660709f2c72ba1316f4c6561046f4f7205a30"
+
+
+class Engine(NoEngine):
+    """Says what it would start of a container that it is asked for."""
+
+    name = "fake"
+
+    def client(self, box: ContainerSpec, process: Process) -> Client:
+        return Client(("fake", "--cid=\0/id", f"--session={box.session}", box.reference), {})
+
+
+def test_an_isolation_is_what_it_has_always_been_in_any_session() -> None:
+    image = Image("sim", "sha256:" + "0" * 64, Kind.OCI, "amd64", (), {})
+    box = ContainerSpec(image, "sim", "s", (Mount("/code", "/run/sierra/project"),), True, ("/dev/dri",), True, 1 << 30, 1.5, 9)
+    able = Capabilities("fake 1", rootless=True, enforced=frozenset({"memory"}), user="somebody")
+    row = Isolation(Engine(), able, box).row
+    assert row is not None
+    assert (row["isolation"], row["argv"]) == (ISOLATION, ["fake", "--cid={run}/id", "--session=", "sim"])
+    assert Isolation(Engine(), able, replace(box, session="t")).row == row
+    assert Isolation(Engine(), able).row is None
+
+
+def test_ids_of_texts_alone_are_the_same_by_the_quick_way() -> None:
+    fields = {"session": "0f3a", "run": GOLDEN["run"], "text": 'ü "\\\n\x7f\u2028'}
+    assert digest_plain("execution", fields) == digest("execution", fields)

@@ -1,0 +1,217 @@
+"""The shipped runners hold to the conformance suite, over a real SLURM too; and the suite notices what breaks its claims."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from sierra import runners
+from sierra.config.project_file import ClusterTable
+from sierra.model import Job, Limits, Result
+from sierra.runners.base import Look, Runner, Work
+from sierra.runners.cluster.runner import Cluster
+from sierra.runners.local import Local
+from sierra.store.layout import SessionPaths
+from sierra.testing import runners as conformance
+from sierra.testing.runners import Ordeal
+from tests import clusters, pbs
+from tests.waiting import until
+
+TABLE: dict[str, Any] = {"array_tasks": 2, "cpus": 2}
+
+
+def local(slots: int) -> Runner:
+    return Local(slots, ClusterTable())
+
+
+def cluster(name: str) -> Callable[[int], Runner]:
+    return runners.find(name, {name: ClusterTable(**TABLE)})
+
+
+def test_local_conforms(tmp_path: Path) -> None:
+    conformance.check_runner(local, tmp_path)
+
+
+@pytest.mark.real
+@pytest.mark.integration
+@pytest.mark.parametrize("name", ["slurm", "pbs"])
+def test_a_cluster_conforms(name: str, slurm: clusters.Slurm, tmp_path: Path, require: Callable[..., str]) -> None:
+    require("qsub")
+    conformance.check_runner(cluster(name), tmp_path)
+
+
+@pytest.fixture
+def server(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[pbs.Server]:
+    """A PBS that commands on the PATH speak to; home is a folder of its own."""
+    (tmp_path / "home").mkdir()
+    made = pbs.Server(tmp_path / "server", request.param)
+    monkeypatch.setenv("PATH", f"{made.bin}:{os.environ['PATH']}")
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    yield made
+    made.end()
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("server", ["openpbs", "torque"], indirect=True)
+def test_pbs_conforms(server: pbs.Server, tmp_path: Path) -> None:
+    (tmp_path / "trials").mkdir()
+    conformance.check_runner(cluster("pbs"), tmp_path / "trials")
+
+
+class Changed(Local):
+    """A runner that executes other jobs than it is given."""
+
+    def submit(self, work: Work, session: SessionPaths) -> None:
+        super().submit(replace(work, jobs=map(self.changed, work.jobs)), session)
+
+    def changed(self, job: Job) -> Job:
+        return job
+
+
+class Leaking(Changed):
+    """Gives the caller's environment away."""
+
+    def changed(self, job: Job) -> Job:
+        return replace(job, environment={**os.environ, **job.environment})
+
+
+class Splitting(Changed):
+    """Takes a command for a line of a shell."""
+
+    def changed(self, job: Job) -> Job:
+        return replace(job, argv=("sh", "-c", " ".join(job.argv).replace("\0", "$SIERRA_RUN_DIR")))
+
+
+class Lenient(Changed):
+    """Keeps no limits."""
+
+    def changed(self, job: Job) -> Job:
+        return replace(job, limits=Limits())
+
+
+class Retold(Local):
+    """A runner that tells of runs otherwise than they were."""
+
+    def look(self) -> Look:
+        look = super().look()
+        return replace(look, results=tuple(self.told(list(look.results))))
+
+    def told(self, results: list[Result]) -> list[Result]:
+        return results
+
+
+class Repeating(Retold):
+    """Tells of each run twice."""
+
+    def told(self, results: list[Result]) -> list[Result]:
+        return results * 2
+
+
+class Hopeful(Retold):
+    """Tells of no failure."""
+
+    def told(self, results: list[Result]) -> list[Result]:
+        return [replace(result, exit_code=0) for result in results]
+
+
+class Careless(Retold):
+    """Does not hash what runs leave."""
+
+    def told(self, results: list[Result]) -> list[Result]:
+        outputs = [tuple(replace(file, sha256="0" * 64) for file in result.outputs) for result in results]
+        return [replace(result, outputs=files) for result, files in zip(results, outputs, strict=True)]
+
+
+class Slow(Local):
+    """Waits while it looks."""
+
+    def look(self) -> Look:
+        time.sleep(0.5)
+        return super().look()
+
+
+class Deaf(Local):
+    """Cannot be stopped."""
+
+    def stop(self) -> None: ...
+
+
+class Hasty(Deaf):
+    """Says that it has ended as soon as it is stopped."""
+
+    stopped = False
+
+    def stop(self) -> None:
+        self.stopped = True
+
+    def look(self) -> Look:
+        return replace(super().look(), alive=not self.stopped)
+
+
+@pytest.mark.parametrize(
+    ("runner", "claim", "complaint"),
+    [
+        (Leaking, conformance.gives_exactly_the_jobs_environment, "variables are not the job's"),
+        (Splitting, conformance.gives_what_the_job_has, "became|other|unpack|is another"),
+        pytest.param(Lenient, conformance.keeps_the_time_limit, "does not come to an end", marks=pytest.mark.nightly),
+        (Repeating, conformance.executes_each_job_once, "14 results of 7 executions"),
+        (Hopeful, conformance.tells_how_each_ended, "exit status 3 became"),
+        (Careless, conformance.keeps_what_runs_leave, "not as it is told of"),
+        (Slow, conformance.looks_at_once, "a look took"),
+        pytest.param(Deaf, conformance.ends_when_stopped, "does not come to an end", marks=pytest.mark.nightly),
+        pytest.param(Hasty, conformance.ends_when_stopped, "runs on", marks=pytest.mark.nightly),
+    ],
+)
+def test_the_suite_notices(
+    runner: type[Local], claim: Callable[[Ordeal], None], complaint: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if runner in (Lenient, Deaf, Hasty):  # what never comes is waited for
+        monkeypatch.setattr(conformance, "PATIENCE_S", 8.0)
+    monkeypatch.setattr(conformance, "AT_ONCE_S", 0.4)
+    ordeal = Ordeal(lambda slots: runner(slots, ClusterTable()), tmp_path)
+    with pytest.raises(AssertionError, match=complaint):
+        claim(ordeal)
+    (ordeal.begun[-1].shared / "go").touch()
+    left = ordeal.begun[-1].runner
+    assert isinstance(left, Local)
+    Local.stop(left)
+    until(lambda: not Local.look(left).alive, "what was to end has ended")
+
+
+class Forgetful(Cluster):
+    """A runner that does not heed what is recorded."""
+
+    def resume(self, session: SessionPaths, recorded: Mapping[str, str | None]) -> None:
+        super().resume(session, {})
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("server", ["openpbs"], indirect=True)
+@pytest.mark.parametrize(
+    ("runner", "claim", "complaint"),
+    [
+        (Forgetful, conformance.goes_on_for_another, "of the 2 runs that were to come, told were"),
+        (Cluster, conformance.ends_with_its_process, "runs on"),
+    ],
+)
+def test_the_suite_notices_of_those_that_stay(
+    runner: type[Cluster],
+    claim: Callable[[Ordeal], None],
+    complaint: str,
+    server: pbs.Server,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    if runner is Cluster:  # what never comes is waited for
+        monkeypatch.setattr(conformance, "PATIENCE_S", 20.0)
+    (tmp_path / "trials").mkdir()
+    ordeal = Ordeal(lambda slots: runner(slots, ClusterTable(**TABLE), name="pbs", scheduler="pbs"), tmp_path / "trials")
+    with pytest.raises(AssertionError, match=complaint):
+        claim(ordeal)
+    ordeal.close()

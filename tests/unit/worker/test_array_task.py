@@ -1,0 +1,774 @@
+"""Elements of a cluster's job, without a cluster: real processes that execute, pack, and are killed at any moment."""
+
+from __future__ import annotations
+
+import ast
+import contextlib
+import hashlib
+import json
+import os
+import random
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from sierra.errors import Damaged
+from sierra.model import Client, Job, Limits
+from sierra.provenance import machine
+from sierra.runners.cluster.result_log import Attempt, Ended, Finished, Pack, Requeued, Started, Trouble
+from sierra.runners.cluster.shard import deal
+from sierra.store.layout import SessionPaths
+from sierra.worker import array_task, worker
+from tests.waiting import PATIENCE_S, until
+
+SCRIPTS = {"worker.py": worker, "array_task.py": array_task, "machine.py": machine}
+
+
+def job(name: str, code: str, *, limits: Limits | None = None, files: tuple[tuple[str, bytes], ...] = ()) -> Job:
+    """A run that executes a shell script."""
+    variables = {"PATH": os.defpath, "HOME": "\0/home", "SIERRA_RUN_DIR": "\0", "SIERRA_EXECUTION": name, "NAME": name}
+    return Job(name, name, ("/bin/sh", "-c", code), variables, files, limits or Limits(grace_s=1))
+
+
+def many(count: int, code: str) -> list[Job]:
+    return [job(f"run{number}", code) for number in range(count)]
+
+
+class Folder:
+    """A session's folder, as a submitter makes it, and the elements that were started on it."""
+
+    def __init__(self, root: Path, scratch: Path) -> None:
+        self.root = root
+        self.scratch = scratch
+        self.paths = SessionPaths(root)
+        self.started: list[subprocess.Popen[str]] = []
+        root.mkdir()
+        scratch.mkdir()
+        self.paths.results.mkdir()
+        for name, module in SCRIPTS.items():
+            shutil.copy(str(module.__file__), root / name)
+        self.set()
+
+    def set(self, **settings: Any) -> None:
+        given = {"session": "5e55", "slots": 2, "scratch": str(self.scratch), "needs": [], "record": []}
+        self.paths.element_settings.write_text(json.dumps(given | settings))
+
+    def deal(self, jobs: Sequence[Job], elements: int = 1) -> tuple[int, ...]:
+        return deal(jobs, elements, self.paths)
+
+    def start(self, *words: str, python: str = sys.executable, **variables: str) -> subprocess.Popen[str]:
+        """`array_task.py FOLDER WORDS`, begun."""
+        command = [python, "-I", "-S", str(self.root / "array_task.py"), str(self.root), *(words or ("0",))]
+        environment = {"PATH": os.defpath, "MARK": str(self.root), **variables}
+        self.started.append(
+            subprocess.Popen(
+                command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+            )
+        )
+        return self.started[-1]
+
+    def run(self, *words: str, **more: str) -> tuple[int, str]:
+        """The same to its end: exit status, and what was said."""
+        process = self.start(*words, **more)
+        out, err = process.communicate(timeout=PATIENCE_S)
+        assert (out, "Traceback" in err) == ("", False)
+        return process.returncode, err
+
+    def packs(self) -> list[Pack]:
+        return [Pack(path) for path in sorted(self.paths.results.iterdir())]
+
+    def events(self, kind: type[Any]) -> list[Any]:
+        return [event for pack in self.packs() for event in pack.read() if isinstance(event, kind)]
+
+    def ended(self) -> dict[str, Ended]:
+        return {event.result.execution: event for event in self.events(Ended)}
+
+    def until_started(self, count: int = 1) -> None:
+        until(lambda: len(self.events(Started)) >= count)
+
+    def left_running(self) -> list[int]:
+        """Processes of this session: elements, workers and runs."""
+        found = []
+        for process in Path("/proc").glob("[0-9]*"):
+            with contextlib.suppress(OSError):
+                if os.fsencode(self.root.parent) in (process / "environ").read_bytes() + (process / "cmdline").read_bytes():
+                    found.append(int(process.name))
+        return found
+
+    def close(self) -> None:
+        for process in self.started:
+            if process.poll() is None:
+                process.kill()
+            process.communicate()
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Iterator[Folder]:
+    made = Folder(tmp_path / "a'; echo session", tmp_path / "node's own")
+    yield made
+    made.close()
+    until(lambda: made.left_running() == [])
+
+
+def test_an_element_executes_its_runs_and_packs_what_they_leave(folder: Folder, tmp_path: Path) -> None:
+    code = 'echo "$NAME"; echo oops >&2; mkdir -p "a b"; cat ../in.xml > "a b/out.csv"'
+    shares = folder.deal([job(f"run{n}", code, files=(("in.xml", b"<a n='%d'/>\n" % n),)) for n in range(7)], elements=3)
+    assert shares == (3, 2, 2)
+    assert folder.run("1") == (0, "")
+    assert sorted(folder.ended()) == ["run1", "run4"]
+    (pack,) = folder.packs()
+    events = list(pack.read())
+    assert isinstance(events[0], Attempt)
+    assert isinstance(events[-1], Finished)
+    assert events[0].element == pack.element == 1
+    assert events[0].attempt == pack.attempt
+    result = pack.extract(folder.ended()["run4"], tmp_path / "taken")
+    assert result.directory == str(tmp_path / "taken")
+    assert (result.exit_code, result.error, result.attempt) == (0, None, pack.attempt)
+    assert (tmp_path / "taken/output/a b/out.csv").read_bytes() == b"<a n='4'/>\n"
+    assert (tmp_path / "taken/stdout").read_text() == "run4\n"
+    assert (tmp_path / "taken/stderr").read_text() == "oops\n"
+    assert list(folder.scratch.iterdir()) == []
+
+
+def test_jobs_arrive_as_they_were_dealt(folder: Folder) -> None:
+    from sierra.runners import local
+
+    jobs = [
+        job("empty", "true", files=(("in.xml", b""), ("b", b"\0\xff"))),
+        job("same", "true", files=(("in.xml", b"abc" * 400), ("b", b"\0\xff"))),
+        job("other", "false", limits=Limits(wall_s=3.5), files=(("in.xml", b"abc" * 399 + b"abd"), ("b", b"\xff"))),
+        job("less", "true", files=(("in.xml", b"abcabc"), ("c", b"new"))),
+    ]
+    assert folder.deal(jobs) == (4,)
+    arrived = list(array_task.jobs(str(folder.paths.jobs(0))))
+    assert arrived == [json.loads(local.line(one)) for one in jobs]
+
+
+@given(contents=st.lists(st.binary(max_size=12), min_size=2, max_size=6))
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_any_contents_arrive_as_they_were_dealt(tmp_path: Path, contents: list[bytes]) -> None:
+    from sierra.runners import local
+
+    jobs = [job("x", "true", files=(("in", content),)) for content in contents]
+    deal(jobs, 1, SessionPaths(tmp_path))
+    assert list(array_task.jobs(str(SessionPaths(tmp_path).jobs(0)))) == [json.loads(local.line(one)) for one in jobs]
+
+
+def test_a_list_of_jobs_that_is_cut_short_is_trouble(folder: Folder) -> None:
+    folder.deal(many(50, "true"))
+    path = folder.paths.jobs(0)
+    path.write_bytes(path.read_bytes()[:-30])
+    code, said = folder.run()
+    assert (code, said.count("\n")) == (3, 1)
+    assert f"{path} cannot be read: Compressed file ended" in said
+    assert [type(event) for event in folder.events(Trouble)] == [Trouble]
+    assert folder.events(Finished) == []
+
+
+def test_what_is_recorded_is_not_executed_again(folder: Folder) -> None:
+    folder.deal(many(6, "true"))
+    assert folder.run()[0] == 0
+    assert folder.run()[0] == 0
+    assert Counter(event.result.execution for event in folder.events(Ended)) == Counter(f"run{n}" for n in range(6))
+    assert len(folder.events(Finished)) == 2
+
+
+def test_what_is_damaged_is_executed_again(folder: Folder, tmp_path: Path) -> None:
+    folder.deal(many(3, 'echo "$NAME" > out'))
+    folder.run()
+    (pack,) = folder.packs()
+    whole = pack.path.read_bytes()
+    ended = folder.ended()["run1"]
+    pack.path.write_bytes(whole[: ended.at] + b"\0" + whole[ended.at + 1 :])
+    with pytest.raises(Damaged, match="not as it was recorded"):
+        pack.extract(ended, tmp_path / "taken")
+    assert not (tmp_path / "taken").exists()
+    assert folder.run()[0] == 0
+    assert Counter(event.result.execution for event in folder.events(Ended)) == Counter(run0=1, run1=2, run2=1)
+
+
+@pytest.mark.integration
+def test_a_killed_element_leaves_nothing_running_and_loses_only_what_was_in_flight(folder: Folder, tmp_path: Path) -> None:
+    log = tmp_path / "executed"
+    folder.deal(many(40, f"sleep 0.0$((${{#NAME}} * 7)); echo $NAME >> '{log}'; echo 1 > out"))
+    chance = random.Random(5)
+    for _ in range(6):
+        process = folder.start()
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(chance.uniform(0.1, 1.2))
+        os.killpg(process.pid, signal.SIGKILL) if process.poll() is None else None
+        process.wait()
+        until(lambda: folder.left_running() == [])
+    assert folder.run()[0] == 0
+    assert set(folder.ended()) == {f"run{n}" for n in range(40)}
+    for number, (pack, ended) in enumerate((p, e) for p in folder.packs() for e in p.read() if isinstance(e, Ended)):
+        pack.extract(ended, tmp_path / f"taken{number}")
+    assert len(log.read_text().split()) < 40 + 6 * 60
+    assert list(folder.scratch.iterdir()) == []
+
+
+def test_two_copies_of_an_element_do_not_disturb_each_other(folder: Folder, tmp_path: Path) -> None:
+    folder.deal(many(10, "sleep 0.05; echo $NAME > out"))
+    copies = [folder.start(), folder.start()]
+    assert [copy.wait(PATIENCE_S) for copy in copies] == [0, 0]
+    assert len(folder.packs()) == 2
+    assert set(folder.ended()) == {f"run{n}" for n in range(10)}
+
+
+def test_what_may_be_dangerous_is_executed_by_itself_before_all_others(folder: Folder, tmp_path: Path) -> None:
+    log = tmp_path / "log"
+    folder.deal(many(5, f"echo begin $NAME >> '{log}'; sleep 0.1; echo end $NAME >> '{log}'"))
+    folder.set(slots=4)
+    folder.paths.alone(0).write_text("run3\nrun1\n")
+    assert folder.run()[0] == 0
+    assert log.read_text().splitlines()[:4] == ["begin run3", "end run3", "begin run1", "end run1"]
+    assert Counter(event.execution for event in folder.events(Started)) == Counter(f"run{n}" for n in range(5))
+    assert set(folder.ended()) == {f"run{n}" for n in range(5)}
+    assert list(folder.scratch.iterdir()) == []
+
+
+def test_what_ends_its_element_at_once_is_known_to_have_begun_where_it_executes_alone(folder: Folder) -> None:
+    kills = "read -r _ _ _ element _ < /proc/$PPID/stat; kill -9 $element $PPID"
+    folder.deal([*many(2, "true"), job("killer", kills)])
+    folder.paths.alone(0).write_text("killer\n")
+    assert folder.run()[0] == -signal.SIGKILL
+    assert [event.execution for event in folder.events(Started)] == ["killer"]
+    assert folder.ended() == {}
+
+
+def test_one_that_is_asked_to_end_ends_what_runs_and_says_of_no_run_that_it_ended(folder: Folder) -> None:
+    folder.deal([job("quick", "true"), job("long", "trap 'exit 0' TERM; sleep 60 & wait"), job("never", "true")])
+    folder.set(slots=1)
+    process = folder.start()
+    folder.until_started(2)
+    until(folder.ended)
+    process.terminate()
+    assert process.wait(PATIENCE_S) == 1
+    assert sorted(folder.ended()) == ["quick"]
+    assert folder.events(Finished) == []
+    assert list(folder.scratch.iterdir()) == []
+
+
+def test_a_signal_to_all_processes_of_a_task_makes_no_result(folder: Folder) -> None:
+    folder.deal(many(8, "trap 'echo partial > out; exit 0' TERM; sleep 60 & wait"))
+    process = folder.start()
+    folder.until_started(2)
+    for pid in sorted(folder.left_running(), reverse=True):
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(pid, signal.SIGTERM)
+    assert process.wait(PATIENCE_S) == 1
+    assert folder.ended() == {}
+
+
+def test_one_that_is_asked_twice_leaves_no_grace(folder: Folder, tmp_path: Path) -> None:
+    asked = tmp_path / "asked"
+    deaf = f"trap 'touch \"{asked}\"' TERM; touch '{tmp_path}/deaf'; while :; do sleep 0.1; done"
+    folder.deal([job("deaf", deaf, limits=Limits(grace_s=PATIENCE_S))])
+    process = folder.start()
+    until((tmp_path / "deaf").exists)
+    process.terminate()
+    until(asked.exists)
+    assert process.poll() is None
+    process.terminate()
+    assert process.wait(PATIENCE_S / 2) == 1
+
+
+def requeues(folder: Folder, script: str) -> Path:
+    """Have tasks call a script to be begun anew, which gets the task's id; the file where it says that it was called."""
+    called = folder.root.with_name("called")
+    program = folder.root.with_name("requeue")
+    program.write_text(f'#!/bin/sh\necho "$@" >> "{called}"\n{script}\n')
+    program.chmod(0o755)
+    folder.set(requeue=[str(program), "again"], slots=1)
+    return called
+
+
+@pytest.mark.integration
+def test_an_element_whose_time_is_nearly_over_has_itself_begun_anew(folder: Folder) -> None:
+    called = requeues(folder, "kill -TERM $PPID")
+    folder.deal([job("quick", "true"), job("long", f"[ -e '{called}' ] || exec sleep 60")])
+    process = folder.start("--wall=2", "0", SLURM_ARRAY_JOB_ID="12", SLURM_ARRAY_TASK_ID="3", SLURM_JOB_ID="15")
+    assert process.wait(PATIENCE_S) == 1
+    assert called.read_text() == "again 12_3\n"
+    [event] = folder.events(Requeued)
+    assert event.refused is None
+    assert sorted(folder.ended()) == ["quick"]
+    assert folder.run("--wall=1000", "0")[0] == 0
+    assert sorted(folder.ended()) == ["long", "quick"]
+    assert len(called.read_text().splitlines()) == 1
+
+
+@pytest.mark.nightly
+def test_what_the_scheduler_does_not_begin_anew_goes_on_as_long_as_it_may(folder: Folder) -> None:
+    called = requeues(folder, "echo not allowed here >&2; exit 1")
+    folder.deal([job("quick", "true"), job("long", f"until [ -e '{called}' ]; do sleep 0.1; done; sleep 1")])
+    assert folder.run("--wall=2", "0")[0] == 0
+    assert [event.refused for event in folder.events(Requeued)] == [None, "not allowed here"]
+    assert sorted(folder.ended()) == ["long", "quick"]
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("why", ["nothing got on", "it is cancelled"])
+def test_an_element_is_not_begun_anew_where_that_leads_nowhere(folder: Folder, why: str) -> None:
+    called = requeues(folder, "exit 0")
+    jobs = [job("long", "sleep 3")] if why == "nothing got on" else [job("quick", "true"), job("long", "sleep 60")]
+    folder.deal(jobs)
+    process = folder.start("--wall=2", "0")
+    if why == "it is cancelled":
+        until(folder.ended)
+        folder.paths.cancelled.touch()
+    assert process.wait(PATIENCE_S) == (0 if why == "nothing got on" else 1)
+    assert not called.exists()
+
+
+def test_a_cancelled_session_begins_nothing_more(folder: Folder) -> None:
+    folder.deal(many(3, "sleep 60"))
+    process = folder.start()
+    folder.until_started()
+    folder.paths.cancelled.touch()
+    assert process.wait(PATIENCE_S) == 1
+    assert folder.run()[0] == 1
+    assert len(folder.packs()) == 1
+    assert folder.ended() == {}
+
+
+@pytest.mark.integration
+def test_nothing_large_is_packed_once_the_session_is_cancelled(folder: Folder) -> None:
+    script = folder.root / "array_task.py"
+    slow = "def _write(self, data, at):\n        time.sleep(len(data) / 1e7)\n        return self._written(data, at)\n\n"
+    script.write_text(script.read_text().replace("def _write(self", f"{slow}    def _written(self"))
+    folder.deal([job("large", "truncate -s 300M x")])
+    process = folder.start()
+    folder.until_started()
+    until(lambda: folder.packs()[0].path.stat().st_size > 10_000_000)
+    folder.paths.cancelled.touch()
+    assert process.wait(PATIENCE_S / 2) == 1
+    assert folder.ended() == {}
+    assert folder.packs()[0].path.stat().st_size < 100_000
+
+
+@pytest.mark.parametrize("what", ["the folder", "the pack"])
+def test_where_nobody_waits_any_more_what_runs_is_ended(folder: Folder, what: str) -> None:
+    folder.deal(many(3, "sleep 60"))
+    process = folder.start()
+    folder.until_started()
+    if what == "the folder":
+        shutil.rmtree(folder.root)
+    else:
+        folder.packs()[0].path.unlink()
+    assert process.wait(PATIENCE_S) == 1
+
+
+def test_a_needed_file_that_is_another_is_said_before_anything_executes(folder: Folder, tmp_path: Path) -> None:
+    program = tmp_path / "simulator"
+    program.write_bytes(b"as it was")
+    need = {"name": "simulator", "path": str(program), "sha256": hashlib.sha256(b"as it was").hexdigest()}
+    folder.set(needs=[need])
+    folder.deal(many(2, "true"))
+    assert folder.run("--probe", "0") == (0, "")
+    assert folder.packs()[0].element is None
+    assert (len(folder.events(Finished)), folder.ended()) == (1, {})
+    program.write_bytes(b"another")
+    for words in (("0",), ("--probe", "0")):
+        code, said = folder.run(*words)
+        assert (code, said.count("\n")) == (3, 1)
+        assert f"simulator: {program} is another than on the host that submitted" in said
+    program.unlink()
+    assert "No such file" in folder.run()[1]
+    assert len(folder.events(Trouble)) == 3
+    assert folder.events(Started) == []
+
+
+def test_what_is_called_by_its_name_is_the_one_that_a_node_finds(folder: Folder, tmp_path: Path) -> None:
+    for name in ("first", "second"):
+        (tmp_path / name).mkdir()
+    program = tmp_path / "second" / "simulator"
+    program.write_bytes(b"as it was")
+    program.chmod(0o755)
+    sha256 = hashlib.sha256(b"as it was").hexdigest()
+    search = f"{tmp_path}/first:{tmp_path}/second"
+    folder.set(needs=[{"name": "simulator", "path": str(program), "sha256": sha256, "search": search}])
+    folder.deal(many(2, "true"))
+    assert folder.run("--probe", "0") == (0, "")
+    shutil.copy(program, tmp_path / "first")
+    assert folder.run("--probe", "0") == (0, "")
+    (tmp_path / "first" / "simulator").write_bytes(b"another")
+    code, said = folder.run("--probe", "0")
+    assert (code, f"simulator: {tmp_path}/first/simulator is another than on the host that submitted" in said) == (3, True)
+
+
+def test_of_a_link_what_it_says_is_what_counts(folder: Folder, tmp_path: Path) -> None:
+    link = tmp_path / "latest"
+    link.symlink_to("nowhere")
+    sha256 = hashlib.sha256(b"nowhere").hexdigest()
+    folder.set(needs=[{"name": "{mount}/data/latest", "path": str(link), "sha256": sha256, "link": True}])
+    folder.deal(many(2, "true"))
+    assert folder.run("--probe", "0") == (0, "")
+    link.unlink()
+    link.symlink_to("elsewhere")
+    code, said = folder.run("--probe", "0")
+    assert (code, f"{link} is another than on the host that submitted" in said) == (3, True)
+
+
+def test_a_python_that_has_other_distributions_is_said(folder: Folder, tmp_path: Path) -> None:
+    for name in ("numpy-1.26.4.dist-info", "old.egg-info", "numpy", "~umpy"):
+        (tmp_path / "site-packages" / name).mkdir(parents=True)
+    where = f"{tmp_path}/site-packages:{tmp_path}/none"
+    held = array_task.installed(where)
+    assert [Path(path).name for path in held] == ["numpy-1.26.4.dist-info", "old.egg-info"]
+    folder.set(needs=[{"name": "python3: installed distributions", "path": where, "sha256": "", "search": "", "holds": held}])
+    folder.deal(many(2, "true"))
+    assert folder.run("--probe", "0") == (0, "")
+    (tmp_path / "site-packages" / "numpy-1.26.4.dist-info").rename(tmp_path / "site-packages" / "numpy-2.0.dist-info")
+    code, said = folder.run()
+    assert (code, said.count("\n")) == (3, 1)
+    assert "python3: installed distributions are others than on the host that submitted: " in said
+    assert "/numpy-1.26.4.dist-info is not here, " in said
+    assert "/numpy-2.0.dist-info is only here" in said
+    assert folder.events(Started) == []
+
+
+def test_what_a_node_is_and_was_allotted_is_recorded_and_no_secret(folder: Folder) -> None:
+    folder.set(record=["OMP_*", "MY_*"], slots=64)
+    folder.deal(many(1, "true"))
+    given = {"SLURM_ARRAY_JOB_ID": "12", "SLURM_ARRAY_TASK_ID": "3", "SLURM_JOB_ID": "15", "SLURM_MEM_PER_NODE": "2000"}
+    variables = {
+        "OMP_NUM_THREADS": "1",
+        "MY_TOKEN": "secret",
+        "OTHER": "secret",
+        "SLURM_CPUS_PER_TASK": "4",
+        "SLURM_RESTART_COUNT": "2",
+    }
+    assert folder.run(**given, **variables)[0] == 0
+    (attempt,) = folder.events(Attempt)
+    assert (attempt.job, attempt.cpus, attempt.memory) == ("12_3", 4, 2000 << 20)
+    assert attempt.attempt.startswith("15.2.")
+    assert attempt.variables == {"OMP_NUM_THREADS": "1"}
+    assert attempt.allocation == {**given, "SLURM_CPUS_PER_TASK": "4", "SLURM_RESTART_COUNT": "2"}
+    assert attempt.slots == machine.usable_cores()
+    assert attempt.facts == json.loads(json.dumps(machine.facts()))
+    assert b"secret" not in folder.packs()[0].path.read_bytes()
+
+
+def test_an_element_of_pbs_is_known_by_its_id(folder: Folder) -> None:
+    folder.deal(many(1, "true"))
+    assert folder.run(PBS_JOBID="5[3].pbs1", NCPUS="2")[0] == 0
+    (attempt,) = folder.events(Attempt)
+    assert attempt.job == "5[3].pbs1"
+    assert attempt.attempt.startswith("5_3__pbs1.0.")
+    assert attempt.attempt.count(".") == 3
+
+
+def test_scratch_is_named_by_the_environment_of_the_node(folder: Folder, tmp_path: Path) -> None:
+    folder.deal(many(1, 'echo "$SIERRA_RUN_DIR"'))
+    folder.set(scratch="$WHERE/${DEEP}/runs")
+    code, said = folder.run(WHERE=str(tmp_path))
+    assert (code, "there is no $DEEP" in said) == (3, True)
+    (tmp_path / "down").mkdir()
+    assert folder.run(WHERE=str(tmp_path), DEEP="down")[0] == 0
+    (pack,) = [pack for pack in folder.packs() if any(isinstance(event, Ended) for event in pack.read())]
+    pack.extract(folder.ended()["run0"], tmp_path / "taken")
+    assert (tmp_path / "taken/stdout").read_text().startswith(f"{tmp_path}/down/runs/sierra-5e55-")
+
+
+@pytest.mark.parametrize("scratch", ["{}/scrach/runs", "/scrach"])
+def test_scratch_that_is_not_there_is_not_made_but_for_its_last_folder(folder: Folder, tmp_path: Path, scratch: str) -> None:
+    folder.deal(many(1, "true"))
+    folder.set(scratch=scratch.format(tmp_path))
+    for words in (("0",), ("--probe", "0")):
+        code, said = folder.run(*words)
+        assert code == 3
+        assert f"scratch = {scratch.format(tmp_path)}: there is no folder to make it in" in said
+    assert not (tmp_path / "scrach").exists()
+    assert not Path("/scrach").exists()
+    folder.set(scratch=f"{tmp_path}/scrach")
+    assert folder.run()[0] == 0
+
+
+def test_a_run_that_put_links_in_place_of_its_files_gives_nobody_elses(folder: Folder, tmp_path: Path) -> None:
+    foreign = tmp_path / "foreign"
+    foreign.mkdir()
+    (foreign / "stdout").write_text("a secret")
+    (foreign / "out").write_text("a secret")
+    folder.deal(
+        [
+            job(
+                "log",
+                f"rm ../stdout; ln -s '{foreign}/stdout' ../stdout; ln -s '{foreign}/out' out; mkfifo pipe; echo 1 > good",
+            ),
+            job("folder", f'cd /; mv "$SIERRA_RUN_DIR" "$SIERRA_RUN_DIR.moved"; ln -s \'{foreign}\' "$SIERRA_RUN_DIR"'),
+        ]
+    )
+    assert folder.run()[0] == 0
+    assert [path for path, *_ in folder.ended()["log"].files] == ["output/good"]
+    assert folder.ended()["log"].result.left_out == ("out", "pipe")
+    assert folder.ended()["folder"].files == ()
+    assert b"a secret" not in folder.packs()[0].path.read_bytes()
+    assert sorted(path.name for path in foreign.iterdir()) == ["out", "stdout"]
+    assert list(folder.scratch.iterdir()) == []
+
+
+def test_large_outputs_and_strange_names_arrive_whole(folder: Folder, tmp_path: Path) -> None:
+    named = "printf x > \"$(printf 'a\\nb\\377')\""
+    code = f"head -c 50000000 /dev/urandom > big; sha256sum big; {named}; head -c 2000000 /dev/zero >&2"
+    folder.deal([job("big", code)])
+    assert folder.run()[0] == 0
+    (pack,) = folder.packs()
+    pack.extract(folder.ended()["big"], tmp_path / "taken")
+    big = (tmp_path / "taken/output/big").read_bytes()
+    assert len(big) == 50_000_000
+    assert hashlib.sha256(big).hexdigest() in (tmp_path / "taken/stdout").read_text()
+    assert sorted(os.fsencode(path.name) for path in (tmp_path / "taken/output").iterdir()) == [b"a\nb\xff", b"big"]
+    assert (tmp_path / "taken/stderr").stat().st_size == 2_000_000
+
+
+def test_runs_that_share_a_container_are_packed_like_others(folder: Folder, tmp_path: Path) -> None:
+    inside = (sys.executable, "-I", "-S", str(folder.root / "worker.py"), "\0/runs", "1", "-")
+    client = Client(inside, {"PATH": os.defpath, "MARK": str(folder.root)})
+    folder.deal([replace(one, client=client, shared=True) for one in many(5, 'echo "$NAME" > out')])
+    assert folder.run() == (0, "")
+    (pack,) = folder.packs()
+    for name, ended in folder.ended().items():
+        pack.extract(ended, tmp_path / name)
+        assert (tmp_path / name / "output" / "out").read_text() == f"{name}\n"
+    assert len(folder.ended()) == 5
+    assert list(folder.scratch.iterdir()) == []
+
+
+def test_a_container_that_cannot_be_started_is_a_result(folder: Folder) -> None:
+    client = Client(("/no/such/engine",), {})
+    folder.deal([replace(one, client=client, shared=True) for one in many(3, "true")])
+    assert folder.run() == (0, "")
+    assert {"could not be started" in (one.result.error or "") for one in folder.ended().values()} == {True}
+    assert len(folder.ended()) == 3
+
+
+def test_a_program_that_is_not_there_is_a_result(folder: Folder) -> None:
+    missing = job("missing", "true")
+    folder.deal([Job("missing", "missing", ("/no/such/program",), missing.environment, (), Limits())])
+    assert folder.run()[0] == 0
+    assert "could not be started" in (folder.ended()["missing"].result.error or "")
+
+
+def test_a_full_shared_disk_is_said_and_what_is_packed_is_whole(
+    folder: Folder, tmp_path: Path, disk: Callable[[Path, str], Path]
+) -> None:
+    folder.deal(many(20, "head -c 400000 /dev/urandom > out"))
+    disk(folder.paths.results, "3m")
+    code, said = folder.run()
+    assert (code, "No space left on device" in said, said.count("\n")) == (3, True, 1)
+    (pack,) = folder.packs()
+    ended = [event for event in pack.read() if isinstance(event, Ended)]
+    assert 0 < len(ended) < 20
+    for number, one in enumerate(ended):
+        pack.extract(one, tmp_path / f"taken{number}")
+    assert list(folder.scratch.iterdir()) == []
+    disk(folder.paths.results, "60m")
+    assert folder.run()[0] == 0
+    assert Counter(one.result.execution for one in folder.events(Ended)) == Counter(f"run{n}" for n in range(20))
+
+
+def test_a_full_disk_of_the_node_is_said(folder: Folder, disk: Callable[[Path, str], Path]) -> None:
+    folder.deal([job(f"run{n}", "true", files=(("in", os.urandom(2_000_000)),)) for n in range(4)])
+    disk(folder.scratch, "3m")
+    (folder.scratch / "other_inputs").write_bytes(bytes(2_000_000))
+    code, said = folder.run()
+    assert (code, "No space left on device" in said, said.count("\n")) == (3, True, 1)
+    assert "No space left" in folder.events(Trouble)[0].reason
+    assert [path.name for path in folder.scratch.iterdir()] == ["other_inputs"]
+
+
+def test_a_worker_that_is_killed_is_trouble_and_leaves_nothing(folder: Folder) -> None:
+    folder.deal(many(2, "sleep 60"))
+    process = folder.start()
+    folder.until_started(2)
+    (found,) = [pid for pid in folder.left_running() if b"worker.py" in Path(f"/proc/{pid}/cmdline").read_bytes()]
+    os.kill(found, signal.SIGKILL)
+    assert process.wait(PATIENCE_S) == 3
+    assert folder.left_running() == []
+    assert "the worker ended with signal 9" in folder.events(Trouble)[0].reason
+
+
+def test_what_a_dead_attempt_has_left_is_removed_and_nothing_of_others(folder: Folder) -> None:
+    folder.deal(many(2, "sleep 60"))
+    alive = folder.start()
+    folder.until_started(2)
+    one = len(folder.left_running())
+    dead = folder.start()
+    folder.until_started(4)
+    dead.kill()
+    dead.wait()
+    (folder.scratch / "sierra-5e55-somebody").mkdir()
+    until(lambda: len(folder.left_running()) <= one)
+    before = {path.name for path in folder.scratch.iterdir()}
+    third = folder.start()
+    folder.until_started(6)
+    now = {path.name for path in folder.scratch.iterdir()}
+    assert (len(before), len(now), len(before & now)) == (3, 3, 2)
+    assert "sierra-5e55-somebody" in now
+    assert (alive.poll(), third.poll()) == (None, None)
+
+
+@pytest.mark.parametrize("name", ["array_task.py", "worker.py", "machine.py"])
+def test_what_nodes_execute_is_python_3_8_on_the_standard_library(name: str) -> None:
+    tree = ast.parse(Path(str(SCRIPTS[name].__file__)).read_text(), feature_version=(3, 8))
+    found = {alias.name for node in ast.walk(tree) if isinstance(node, ast.Import) for alias in node.names}
+    found |= {node.module or "" for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
+    assert {one.partition(".")[0] for one in found} <= sys.stdlib_module_names
+
+
+def python_of(version: str) -> str | None:
+    for command in (f"python{version}", *Path.home().glob(f".pyenv/versions/{version}.*/bin/python")):
+        with contextlib.suppress(OSError):
+            asked = subprocess.run([str(command), "--version"], capture_output=True, text=True, check=False)
+            if asked.returncode == 0 and f"Python {version}." in asked.stdout:
+                return str(command)
+    return None
+
+
+def test_an_old_python_is_said(folder: Folder, require: Any) -> None:
+    old = python_of("3.6") or python_of("3.7")
+    require("a Python before 3.8", there=old is not None)
+    folder.deal(many(1, "true"))
+    code, said = folder.run(python=str(old))
+    assert (code, said.count("\n")) == (3, 1)
+    assert "3.8 or newer is needed" in said
+
+
+def test_the_oldest_python_executes(folder: Folder, require: Any) -> None:
+    oldest = python_of("3.8")
+    require("Python 3.8", there=oldest is not None)
+    folder.deal(many(3, "echo 1 > out"))
+    assert folder.run(python=str(oldest)) == (0, "")
+    assert len(folder.ended()) == 3
+    assert folder.events(Attempt)[0].python.startswith("3.8.")
+    assert not (folder.root / "__pycache__").exists()
+
+
+@pytest.fixture(scope="module")
+def packed(tmp_path_factory: pytest.TempPathFactory) -> Pack:
+    folder = Folder(tmp_path_factory.mktemp("packed") / "session", tmp_path_factory.mktemp("node") / "scratch")
+    folder.deal(many(4, 'echo "$NAME" > out; echo log'))
+    assert folder.run()[0] == 0
+    folder.close()
+    return folder.packs()[0]
+
+
+@pytest.mark.integration
+@given(data=st.data())
+@settings(max_examples=200)
+def test_a_damaged_pack_says_only_what_was_written(
+    packed: Pack, tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
+) -> None:
+    whole, events = packed.path.read_bytes(), list(Pack(packed.path).read())
+    at = data.draw(st.integers(0, len(whole)))
+    length = data.draw(st.integers(0, 40))
+    damage = data.draw(st.one_of(st.binary(max_size=40), st.just(b"\0" * 20), st.just(b'{"event":"end"}\n')))
+    text = whole[:at] + damage + whole[at + length :] if data.draw(st.booleans()) else whole[:at]
+    folder = tmp_path_factory.mktemp("damaged")
+    pack = Pack(folder / packed.path.name)
+    pack.path.write_bytes(text)
+    for number, event in enumerate(pack.read()):
+        assert event in events or (
+            isinstance(event, Ended) and event.result in [e.result for e in events if isinstance(e, Ended)]
+        )
+        if isinstance(event, Ended):
+            with contextlib.suppress(Damaged):
+                pack.extract(event, folder / f"taken{number}")
+                name = event.result.run
+                assert (folder / f"taken{number}/output/out").read_text() == f"{name}\n"
+    shutil.rmtree(folder)
+
+
+def test_a_pack_is_read_while_it_grows(packed: Pack, tmp_path: Path) -> None:
+    whole, growing = packed.path.read_bytes(), Pack(tmp_path / packed.path.name)
+    found = []
+    for size in range(0, len(whole) + 1, 7):
+        growing.path.write_bytes(whole[:size])
+        found += list(growing.read())
+    growing.path.write_bytes(whole)
+    assert found + list(growing.read()) == list(Pack(packed.path).read())
+
+
+def test_a_record_of_another_version_is_said(tmp_path: Path) -> None:
+    pack = Pack(tmp_path / "0.a.b.c.d.pack")
+    pack.path.write_bytes(array_task.line_of({"event": "start", "execution": "x", "time": 1.0, "weather": "fine"}))
+    with pytest.raises(Damaged, match="another version"):
+        list(pack.read())
+
+
+@pytest.mark.parametrize(
+    "path", ["../x", "/etc/x", "output/../../x", "output//x", "output/./x", "output", "else", "output/a\0b", ""]
+)
+def test_no_path_leads_out_of_a_runs_folder(packed: Pack, tmp_path: Path, path: str) -> None:
+    ended = next(event for event in Pack(packed.path).read() if isinstance(event, Ended))
+    hostile = Ended(ended.result, ((path, *ended.files[0][1:]),), ended.at)
+    with pytest.raises(Damaged, match="does not lie in a run's folder"):
+        packed.extract(hostile, tmp_path / "in" if (tmp_path / "in").mkdir() else tmp_path / "in" / "taken")
+    assert [entry.name for entry in tmp_path.rglob("*")] == ["in"]
+
+
+def test_no_output_is_told_that_is_not_in_the_pack(packed: Pack, tmp_path: Path) -> None:
+    with packed.path.open("rb") as file:
+        ends = [(record, at, after) for record, at, after in array_task.records(file, 0) if record["event"] == "end"]
+        record, at, after = next(one for one in ends if one[0]["outputs"])
+        file.seek(at)
+        payload = file.read(after - at)
+    record.pop("check", None)
+    hostile = Pack(tmp_path / packed.path.name)
+    hostile.path.write_bytes(array_task.line_of(record) + payload)
+    assert [type(event) for event in hostile.read()] == [Ended]
+    record["outputs"][0]["path"] = "../../x"
+    hostile = Pack(tmp_path / packed.path.name)
+    hostile.path.write_bytes(array_task.line_of(record) + payload)
+    with pytest.raises(Damaged):
+        list(hostile.read())
+
+
+def cpu_of_children() -> float:
+    """CPU seconds of all processes that this one, or its children, waited for."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
+@pytest.mark.integration
+def test_an_element_costs_little_beside_its_worker(folder: Folder, tmp_path: Path) -> None:
+    folder.deal(many(300, "true"))
+    began = cpu_of_children()
+    assert folder.run()[0] == 0
+    whole = cpu_of_children() - began
+    alone = tmp_path / "alone"
+    alone.mkdir()
+    lines = [json.dumps(one).encode() + b"\n" for one in array_task.jobs(str(folder.paths.jobs(0)))]
+    began = cpu_of_children()
+    command = [sys.executable, "-I", "-S", str(folder.root / "worker.py"), str(alone), "2"]
+    with subprocess.Popen(command, stdin=subprocess.PIPE) as process:
+        assert process.stdin is not None
+        process.stdin.write(b"".join((*lines, b'{"end": true}\n')))
+        process.stdin.flush()
+        assert process.wait(PATIENCE_S) == 0
+    assert whole < 2.5 * (cpu_of_children() - began) + 2
+
+
+@pytest.mark.integration
+def test_an_element_whose_runs_are_long_is_idle(folder: Folder) -> None:
+    folder.deal(many(2, "sleep 5"))
+    process = folder.start()
+    folder.until_started(2)
+    before = sum(worker.cpu_of([process.pid]))
+    time.sleep(4)
+    assert sum(worker.cpu_of([process.pid])) - before <= 0.06
+    assert process.wait(PATIENCE_S) == 0
