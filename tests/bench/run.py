@@ -277,7 +277,9 @@ def fill(store: object, *, batches: int, runs: int) -> None:
         writer.table("experiments", pa.table(point))
         members = {"batch": [identity] * runs, "ordinal": [0] * runs, "number": range(runs), "run": ids, "seed": range(runs)}
         members |= {"input": ids, "other_inputs": [[]] * runs, "spec": [identity] * runs}
-        writer.table("batch_runs", pa.table({name: list(values) for name, values in members.items()}, arrow_schema("batch_runs")))
+        writer.table(
+            "batch_runs", pa.table({name: list(values) for name, values in members.items()}, arrow_schema("batch_runs"))
+        )
         executions = {**template, "execution": pa.array(ids), "run": pa.array(ids), "status": pa.array(["ok"] * runs)}
         writer.table("executions", pa.table(executions, arrow_schema("executions")))
         store.publish(writer)

@@ -311,7 +311,9 @@ def test_what_is_preempted_goes_on_where_it_was(gate: Callable[..., Gated], star
     ended(asking)
     is_whole(gated.project)
     assert len(gated.begun()) == 8 + 3
-    assert rows(gated.project, "SELECT count(*) AS n FROM attempts WHERE state = 'cut off' AND interrupted_runs = 1") == [{"n": 3}]
+    assert rows(gated.project, "SELECT count(*) AS n FROM attempts WHERE state = 'cut off' AND interrupted_runs = 1") == [
+        {"n": 3}
+    ]
     assert "elements were cut off 3 times, with 3 of its runs in flight, which were begun again" in why(gated)
     at_rest(gated.slurm, gated.project)
 

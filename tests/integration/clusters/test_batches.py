@@ -329,7 +329,9 @@ def test_an_element_that_is_requeued_goes_on_where_it_was(gated: Gated) -> None:
     gated.open()
     ended(asking)
     is_whole(gated.project)
-    assert rows(gated.project, "SELECT array_task, interrupted_runs FROM attempts WHERE state = 'cut off'") == [{"array_task": 0, "interrupted_runs": 1}]
+    assert rows(gated.project, "SELECT array_task, interrupted_runs FROM attempts WHERE state = 'cut off'") == [
+        {"array_task": 0, "interrupted_runs": 1}
+    ]
 
 
 @pytest.mark.nightly

@@ -114,7 +114,8 @@ def test_long_runs_get_many_elements(simulate: Callable[..., Simulated], slurm: 
     monkeypatch.setattr(sizing, "ELEMENT_S", 1.0)
     assert asked(project).missing == 0
     took = (
-        "SELECT avg(epoch(e.ended) - epoch(e.started)) AS s FROM executions e JOIN attempts USING (attempt) WHERE array_task = 0"
+        "SELECT avg(epoch(e.ended) - epoch(e.started)) AS s FROM executions e JOIN attempts USING (attempt) "
+        "WHERE array_task = 0"
     )
     [first] = project.sql(took)
     assert first["s"] > 0.4

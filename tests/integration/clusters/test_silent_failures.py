@@ -26,9 +26,9 @@ import pytest
 import sierra
 from sierra.config.project_file import ClusterTable
 from sierra.errors import ConfigError, Full, Missing, SierraError
-from sierra.execution.summary import Summary
 from sierra.execution.observer import Progress
 from sierra.execution.sessions import Session
+from sierra.execution.summary import Summary
 from sierra.project import Project
 from sierra.runners import schedulers
 from sierra.runners.cluster import collect, runner
@@ -395,7 +395,9 @@ def test_what_could_not_be_begun_is_submitted_again_and_that_is_said(
     monkeypatch.setattr(Here, "held", 1)
     said: list[str] = []
     made = clustered()
-    summary = made.project.execute(made.project.plan(*QUERY, runs=1), runner="here", observer=Observing(notice=said.append), figures=False)
+    summary = made.project.execute(
+        made.project.plan(*QUERY, runs=1), runner="here", observer=Observing(notice=said.append), figures=False
+    )
     assert (summary.executed, summary.failed) == (3, 0)
     assert "1 element is submitted again: launch failed requeued held (CANCELLED)" in said
 
@@ -532,7 +534,9 @@ def test_what_git_ignores_and_nobody_names_is_said_to_be_missing(clustered: Call
     (folder / ".gitignore").write_text("built\n*.npy\nmaps/\n__pycache__/\nenvironment/\n")
     projects.commit(folder)
     said: list[str] = []
-    summary = made.project.execute(made.project.plan(*QUERY, runs=1), runner="here", observer=Observing(notice=said.append), figures=False)
+    summary = made.project.execute(
+        made.project.plan(*QUERY, runs=1), runner="here", observer=Observing(notice=said.append), figures=False
+    )
     assert (summary.executed, summary.failed) == (3, 0)
     [note] = [text for text in said if "ignores" in text]
     assert note.startswith("git ignores big.npy, maps/ in the project: nodes have of these only what the command")

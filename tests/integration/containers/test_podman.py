@@ -212,7 +212,7 @@ BURNS = "python3 -c 'import time; x = b\"1\" * 60000000\nwhile time.process_time
 def test_what_a_run_has_used_is_the_programs_and_not_the_engines(tmp_path: Path, python: Path, isolation: str) -> None:
     folder = containers.make(tmp_path / "project", python, f'isolation = "{isolation}"', simulator=BURNS)
     says(folder, "run", "population_size=1", "--runs", "1", "--no-figures")
-    [used] = rows(folder, 'SELECT user_s + system_s AS cpu, max_rss_bytes FROM executions')
+    [used] = rows(folder, "SELECT user_s + system_s AS cpu, max_rss_bytes FROM executions")
     assert 0.7 < used["cpu"] < 1.0
     assert 60e6 < used["max_rss_bytes"] < 90e6
 

@@ -101,7 +101,9 @@ def test_a_failure_is_why_it_was_executed_again(root: Path, tmp_path: Path) -> N
     )
     batch = ask(root)
     said = why(root, batch)
-    assert [(one["runs"], one["reason"]) for one in said["effective"]] == [(4, "no execution succeeded; the last one: exit status 3")]
+    assert [(one["runs"], one["reason"]) for one in said["effective"]] == [
+        (4, "no execution succeeded; the last one: exit status 3")
+    ]
     assert said["next_run"] == ["4 runs: failed: exit status 3"]
     flag.unlink()
     ask(root)
@@ -134,9 +136,7 @@ def test_a_good_execution_with_other_programs_than_were_last_asked_for_is_stale(
     ask(root, "population_size=1", runs=1)
     [standing] = why(root, batch)["effective"]
     assert not standing["is_effective"]
-    assert standing["reason"].startswith(
-        "stale: the last successful execution differs from the batch's last session: sim: "
-    )
+    assert standing["reason"].startswith("stale: the last successful execution differs from the batch's last session: sim: ")
 
 
 def test_other_rules_are_why(root: Path) -> None:

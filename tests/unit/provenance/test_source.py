@@ -546,8 +546,7 @@ def test_a_large_file_that_git_tracks_is_fine_and_one_that_grows_is_not(reposito
 
 
 def test_the_limit_is_a_size_in_sierra_toml(tmp_path: Path) -> None:
-    root = projects.make(tmp_path / "p", projects.CONFIG + '[source]
-max_untracked = "1 kB"\n')
+    root = projects.make(tmp_path / "p", projects.CONFIG + '[source]\nmax_untracked = "1 kB"\n')
     fill(root, {"big": "x" * 1001})
     ended = projects.quick(root, "run", "population_size=1")
     assert ended.returncode == 2

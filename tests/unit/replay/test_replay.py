@@ -625,7 +625,8 @@ def test_what_is_no_number_is_not_some_distance_apart() -> None:
         assert "apart" not in said.reason
         assert "None" not in said.reason
     assert (
-        "'v' was 1.0 and is missing" in of_tables(table(v=[1.0, 2.0]), pa.table({"v": pa.array([None, 2.0], pa.float64())})).reason
+        "'v' was 1.0 and is missing"
+        in of_tables(table(v=[1.0, 2.0]), pa.table({"v": pa.array([None, 2.0], pa.float64())})).reason
     )
     said = of_tables(table(v=[0.0]), table(v=[0.5]))
     assert "at worst 0.5 apart;" in said.reason
@@ -651,14 +652,17 @@ def test_what_both_tables_have_is_compared_where_columns_or_rows_are_others() ->
     assert of_tables(table(v=[1, 2]), table(v=[1, 2, 3])).reason == "2 rows were recorded, 3 found; the first 2 are the same"
     said = of_tables(table(v=[1, 2, 3]), table(v=[1, 5]))
     assert (
-        said.reason == "3 rows were recorded, 2 found; row 1: 'v' was 2 and is 5; at worst 3 apart (relative 1.5); in 1 of 2 rows"
+        said.reason
+        == "3 rows were recorded, 2 found; row 1: 'v' was 2 and is 5; at worst 3 apart (relative 1.5); in 1 of 2 rows"
     )
 
 
 def test_binary_files_are_counted_and_not_shown() -> None:
     said = of_texts(b"\x93NUMPY\0" + bytes(1000), b"\x93NUMPY\0" + bytes(500) + b"\1" * 500)
     assert said.reason == "binary: 500 of 1007 bytes differ, the first at offset 507"
-    assert of_texts(b"\0a", b"\0ab").reason == "2 bytes were recorded, 3 found; binary: 0 of 2 bytes differ, the first at offset 2"
+    assert (
+        of_texts(b"\0a", b"\0ab").reason == "2 bytes were recorded, 3 found; binary: 0 of 2 bytes differ, the first at offset 2"
+    )
     assert of_texts(b"a\nb\nc\n", b"a\nx\ny\n").reason == "line 2 was 'b' and is 'x'; 2 of 4 lines differ"
 
 

@@ -689,7 +689,9 @@ def test_a_batch_is_answered_though_an_element_is_deleted(server: pbs.Server, tm
     out, err = asked.communicate(timeout=200)
     assert asked.returncode == 0, err
     assert "8 runs: 8 executed, 0 reused" in out
-    jobs = sierra.open(root).sql("SELECT array_task, job FROM attempts WHERE state = 'finished' ORDER BY array_task").to_pylist()
+    jobs = (
+        sierra.open(root).sql("SELECT array_task, job FROM attempts WHERE state = 'finished' ORDER BY array_task").to_pylist()
+    )
     assert jobs == [
         {"array_task": 0, "job": f"{number}[0].pbs1"},
         {"array_task": 1, "job": f"{number + 1}.pbs1"},
