@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -16,6 +18,7 @@ from sierra.util.fs import write_whole
 if TYPE_CHECKING:
     import pyarrow as pa
 
+    from sierra.store.answer import Answer
     from sierra.store.store import Store
 
 SHOWN_ROWS = 200
@@ -67,23 +70,25 @@ def sql(
     if statement is None:
         from sierra.cli.sql_prompt import prompt
 
-        prompt(lambda text: write(_ask(opened.store, text, within), Format.table, None))
+        prompt(lambda text: write(_ask(opened.store, text, within, Format.table), Format.table, None))
         return
     text = sys.stdin.read() if statement == "-" else statement
     if not text.strip():
         raise UsageError('no statement; ask something, as in: sierra sql "SHOW TABLES"')
-    write(_ask(opened.store, text, within), Format.json if as_json else format, output)
+    format = Format.json if as_json else format
+    write(_ask(opened.store, text, within, format), format, output)
 
 
-def _ask(store: Store, text: str, within: str | None) -> pa.Table:
+def _ask(store: Store, text: str, within: str | None, format: Format) -> Result:
     """Return the result of a statement; Ctrl-C stops the statement.
 
     DuckDB does not react to Ctrl-C while it executes, so another thread executes the statement.
     """
     from concurrent.futures import ThreadPoolExecutor, wait
 
+    convert = Result.of_table if format is Format.parquet else Result.of_rows
     with store.snapshot(within) as snapshot, ThreadPoolExecutor(1) as asking:
-        answer = asking.submit(snapshot.sql, text)
+        answer = asking.submit(snapshot.ask, text, {}, convert)
         try:
             return answer.result()
         except KeyboardInterrupt:
@@ -93,13 +98,40 @@ def _ask(store: Store, text: str, within: str | None) -> pa.Table:
             raise
 
 
-def write(answer: pa.Table, format: Format, output: Path | None) -> None:
+@dataclass(frozen=True, slots=True)
+class Result:
+    """The result of a statement: rows, or for Parquet an Arrow table."""
+
+    columns: list[str]
+    rows: Sequence[tuple[Any, ...]]
+    numeric: list[str]
+    notes: str
+    table: pa.Table | None = None
+
+    @classmethod
+    def of_rows(cls, answer: Answer) -> Result:
+        return cls(answer.columns, answer.rows(), answer.numeric, answer.notes)
+
+    @classmethod
+    def of_table(cls, answer: Answer) -> Result:
+        return cls(answer.columns, (), [], answer.notes, answer.arrow())
+
+    @classmethod
+    def of_arrow(cls, table: pa.Table) -> Result:
+        """Return the result that an Arrow table holds, with the notes in its metadata."""
+        from sierra.store.store import NOTE
+
+        numeric = [field.name for field in table.schema if str(field.type).startswith(("int", "double", "uint", "decimal"))]
+        notes = (table.schema.metadata or {}).get(NOTE.encode(), b"").decode()
+        return cls(table.column_names, [tuple(row.values()) for row in table.to_pylist()], numeric, notes, table)
+
+
+def write(answer: Result, format: Format, output: Path | None) -> None:
     """Write a result in a format to a file or to standard output, and its notes to standard error."""
     from sierra.cli.output import note
-    from sierra.store.store import NOTE
 
-    if told := (answer.schema.metadata or {}).get(NOTE.encode()):
-        note(told.decode())
+    if answer.notes:
+        note(answer.notes)
     if output is None and format is Format.parquet and sys.stdout.isatty():
         raise UsageError("Parquet is not for a terminal; say where with -o FILE")
     brief = output is None and format is Format.table and sys.stdout.isatty()
@@ -115,12 +147,7 @@ def write(answer: pa.Table, format: Format, output: Path | None) -> None:
     sys.stdout.buffer.flush()
 
 
-def _rows(answer: pa.Table) -> list[dict[str, Any]]:
-    rows: list[dict[str, Any]] = answer.to_pylist()
-    return rows
-
-
-def _table(answer: pa.Table, *, brief: bool = False) -> bytes:
+def _table(answer: Result, *, brief: bool = False) -> bytes:
     """Return a text table; with `brief`, ids are shortened for a terminal."""
     import contextlib
     import io
@@ -128,48 +155,46 @@ def _table(answer: pa.Table, *, brief: bool = False) -> bytes:
     from sierra.cli.output import short_id, table
 
     text = io.StringIO()
-    shown = (row.values() for row in _rows(answer.slice(0, SHOWN_ROWS)))
-    rows = [[short_id(value) if brief else value for value in row] for row in shown]
-    right = [field.name for field in answer.schema if str(field.type).startswith(("int", "double", "uint", "decimal"))]
+    rows = [[short_id(value) if brief else value for value in row] for row in answer.rows[:SHOWN_ROWS]]
     with contextlib.redirect_stdout(text):
-        table(answer.column_names, rows, right=right)
-        if answer.num_rows > SHOWN_ROWS:
-            print(f"({answer.num_rows} rows, {SHOWN_ROWS} of them shown; --format csv writes all)")
+        table(answer.columns, rows, right=answer.numeric)
+        if len(answer.rows) > SHOWN_ROWS:
+            print(f"({len(answer.rows)} rows, {SHOWN_ROWS} of them shown; --format csv writes all)")
     return text.getvalue().encode()
 
 
-def _csv(answer: pa.Table) -> bytes:
+def _csv(answer: Result) -> bytes:
     import csv
     import io
 
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(answer.column_names)
-    writer.writerows(row.values() for row in _rows(answer))
+    writer.writerow(answer.columns)
+    writer.writerows(answer.rows)
     return text.getvalue().encode()
 
 
-def _json(answer: pa.Table) -> bytes:
+def _json(answer: Result) -> bytes:
     from sierra.cli.output import as_json
 
-    return as_json(_rows(answer)).encode() + b"\n"
+    return as_json([dict(zip(answer.columns, row, strict=True)) for row in answer.rows]).encode() + b"\n"
 
 
-def _markdown(answer: pa.Table) -> bytes:
+def _markdown(answer: Result) -> bytes:
     from sierra.cli.output import cell
 
-    lines = [answer.column_names, ["---"] * answer.num_columns]
-    lines += [[cell(value).replace("|", "\\|") for value in row.values()] for row in _rows(answer)]
+    lines = [answer.columns, ["---"] * len(answer.columns)]
+    lines += [[cell(value).replace("|", "\\|") for value in row] for row in answer.rows]
     return "".join("| " + " | ".join(line) + " |\n" for line in lines).encode()
 
 
-def _parquet(answer: pa.Table) -> bytes:
+def _parquet(answer: Result) -> bytes:
     import io
 
     import pyarrow.parquet as pq
 
     data = io.BytesIO()
-    pq.write_table(answer, data, compression="zstd")
+    pq.write_table(answer.table, data, compression="zstd")
     return data.getvalue()
 
 

@@ -7,10 +7,8 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from sierra.containers.isolation import limits
 from sierra.errors import Damaged
 from sierra.execution import sessions
-from sierra.execution.status import submitted
 from sierra.store.files import recorded, take
 from sierra.store.layout import STORE, WORK
 from sierra.store.store import Found, Snapshot, Store
@@ -57,15 +55,15 @@ def batches(store: Store) -> list[dict[str, Any]]:
     """
     with store.snapshot() as snapshot:
         rewritten = any(segment.replaces for segment in snapshot.segments)
-        rows: list[dict[str, Any]] = snapshot.sql(BATCHES).to_pylist()
+        rows: list[dict[str, Any]] = snapshot.rows(BATCHES)
         open_ones = [
             row["batch"] for row in rows if row.pop("doubted") or rewritten or row["failed"] != 0 or row["missing"] != 0
         ]
         counted = {}
         if open_ones:
-            counted = {row["batch"]: row for row in snapshot.sql(COUNTS, batches=open_ones).to_pylist()}
+            counted = {row["batch"]: row for row in snapshot.rows(COUNTS, batches=open_ones)}
         repeated = [row["batch"] for row in rows if row.pop("repeated")]
-        found = snapshot.sql(UNLIKE, batches=repeated).to_pylist() if repeated else []
+        found = snapshot.rows(UNLIKE, batches=repeated) if repeated else []
         unlike = {row["batch"]: row["runs"] for row in found}
         _add_settings(snapshot, rows)
     there = _on_clusters(store)
@@ -100,7 +98,7 @@ ELSE = "settings"
 
 def _add_settings(snapshot: Snapshot, rows: Sequence[dict[str, Any]]) -> None:
     """Add the differences between batches of one query: what was set, and what differs from the previous one."""
-    settings = {row["batch"]: row for row in snapshot.sql(SETTINGS).to_pylist()}
+    settings = {row["batch"]: row for row in snapshot.rows(SETTINGS)}
     before: dict[tuple[Any, ...], dict[str, Any]] = {}
     for row in rows:
         own = {"axes": [], "overrides": [], **settings.get(row["batch"], {}), "runs": row["runs"]}
@@ -121,6 +119,8 @@ def _on_clusters(store: Store) -> dict[str, list[dict[str, Any]]]:
     """Return the sessions that are on clusters, by batch, as far as this machine knows them."""
     found: dict[str, list[dict[str, Any]]] = {}
     for paths in sessions.submitted(store.paths):
+        from sierra.execution.status import submitted  # most projects have nothing on a cluster
+
         with contextlib.suppress(Damaged):  # it belongs to another version of SIERRA, which must continue it
             if one := submitted(paths):
                 told = {name: getattr(one, name) for name in ("session", "runner", "jobs", "array_tasks", "runs", "since")}
@@ -141,21 +141,21 @@ def show(store: Store, prefix: str) -> dict[str, Any]:
 
 def _batch(snapshot: Snapshot, found: Found) -> dict[str, Any]:
     row: dict[str, Any]
-    [row] = snapshot.sql("SELECT * FROM batches WHERE batch = $b", b=found.id).to_pylist()
-    [spec] = snapshot.sql("SELECT * FROM specs WHERE spec = $r", r=row["spec"]).to_pylist()
+    [row] = snapshot.rows("SELECT * FROM batches WHERE batch = $b", b=found.id)
+    [spec] = snapshot.rows("SELECT * FROM specs WHERE spec = $r", r=row["spec"])
     row |= {"spec": spec, **_named(row, row["axes"])}
     row["image"] = _image(snapshot, spec["image"])
-    row["isolations"] = [_isolation(one) for one in snapshot.sql(ISOLATIONS, b=found.id).to_pylist()]
+    row["isolations"] = [_isolation(one) for one in snapshot.rows(ISOLATIONS, b=found.id)]
     row["source"] = _source(snapshot, found.id, spec["source"])
-    last = snapshot.sql(LAST_AROUND, b=found.id).to_pylist()[0]
+    last = snapshot.rows(LAST_AROUND, b=found.id)[0]
     row["programs"] = _programs(snapshot, last["programs"])
     row["environment"] = _environment(snapshot, last["environment"])
     row["experiments"] = _experiments(snapshot, found.id, row["axes"])
     row["failures"] = _failures(snapshot, found.id, row["experiments"], row["axes"])
-    row["nondeterminism"] = snapshot.sql(NONDETERMINISM, b=found.id, r=None).to_pylist()
-    row["replays"] = snapshot.sql(REPLAYS, b=found.id).to_pylist()
-    row["attempts"] = snapshot.sql(ATTEMPTS_OF_BATCH, b=found.id).to_pylist()
-    row["sessions"] = snapshot.sql("SELECT * FROM sessions WHERE batch = $b ORDER BY lamport", b=found.id).to_pylist()
+    row["nondeterminism"] = snapshot.rows(NONDETERMINISM, b=found.id, r=None)
+    row["replays"] = snapshot.rows(REPLAYS, b=found.id)
+    row["attempts"] = snapshot.rows(ATTEMPTS_OF_BATCH, b=found.id)
+    row["sessions"] = snapshot.rows("SELECT * FROM sessions WHERE batch = $b ORDER BY lamport", b=found.id)
     return row
 
 
@@ -185,18 +185,18 @@ REPLAYS = "SELECT replay, started, kind, target, runs, verdict FROM replays WHER
 
 
 def _source(snapshot: Snapshot, batch: str, tree: str | None) -> dict[str, Any] | None:
-    rows: list[dict[str, Any]] = snapshot.sql(
+    rows: list[dict[str, Any]] = snapshot.rows(
         "SELECT s.* FROM sources s LEFT JOIN sessions n ON n.source = s.source AND n.batch = $b "
         "WHERE s.tree = $t ORDER BY n.lamport NULLS LAST LIMIT 1",
         b=batch,
         t=tree,
-    ).to_pylist()
+    )
     return rows[0] if rows else None
 
 
 def _experiments(snapshot: Snapshot, batch: str, axes: Sequence[str]) -> list[dict[str, Any]]:
     """Return the experiments of a batch, with its axes in the order of its query and without the axes of other batches."""
-    rows: list[dict[str, Any]] = snapshot.sql(
+    rows: list[dict[str, Any]] = snapshot.rows(
         "WITH tried AS (SELECT run, arg_max(status, lamport) AS last FROM executions WHERE purpose = 'run' GROUP BY run), "
         "good AS (SELECT ordinal, run, true AS good FROM effective WHERE batch = $b), "
         "counted AS (SELECT ordinal, count(*) AS runs, count(good) AS succeeded, "
@@ -205,7 +205,7 @@ def _experiments(snapshot: Snapshot, batch: str, axes: Sequence[str]) -> list[di
         "LEFT JOIN tried USING (run) LEFT JOIN good USING (ordinal, run) GROUP BY ordinal) "
         "SELECT ordinal, runs, succeeded, failed FROM counted ORDER BY ordinal",
         b=batch,
-    ).to_pylist()
+    )
     cells = snapshot.cells(batch)
     columns = ("ordinal", "experiment", *axes, "runs", "succeeded", "failed")
     return [{name: {**cells[row["ordinal"]], **row}[name] for name in columns} for row in rows if row["ordinal"] in cells]
@@ -240,7 +240,7 @@ def _failures(
             "number": row["example"]["number"],
             "values": values[row["example"]["ordinal"]],
         }
-        for row in snapshot.sql(FAILURES, b=batch).to_pylist()
+        for row in snapshot.rows(FAILURES, b=batch)
     ]
 
 
@@ -248,7 +248,7 @@ def _experiment(snapshot: Snapshot, found: Found) -> dict[str, Any]:
     [row, *_] = [row for row in snapshot.cells(str(found.batch)).values() if row["experiment"] == found.id]
     [axes] = snapshot.sql("SELECT axes FROM batches WHERE batch = $b", b=found.batch).column("axes").to_pylist()
     row = {name: row[name] for name in ("experiment", "batch", "ordinal", *axes)}
-    row["runs"] = snapshot.sql(
+    row["runs"] = snapshot.rows(
         "SELECT m.number, m.run, m.seed, count(e.execution) AS executions, "
         "CASE WHEN any_value(c.execution) IS NOT NULL THEN 'ok' "
         "WHEN arg_max(e.status, e.lamport) = 'ok' THEN 'stale' "
@@ -259,23 +259,21 @@ def _experiment(snapshot: Snapshot, found: Found) -> dict[str, Any]:
         "GROUP BY ALL ORDER BY m.number",
         b=found.batch,
         o=row["ordinal"],
-    ).to_pylist()
+    )
     return row
 
 
 def _run(snapshot: Snapshot, found: Found) -> dict[str, Any]:
-    [row] = snapshot.sql("SELECT * FROM runs WHERE run = $r", r=found.id).to_pylist()
+    [row] = snapshot.rows("SELECT * FROM runs WHERE run = $r", r=found.id)
     row = _without_nulls(row)
-    [row["spec"]] = snapshot.sql("SELECT * FROM specs WHERE spec = $r", r=row["spec"]).to_pylist()
+    [row["spec"]] = snapshot.rows("SELECT * FROM specs WHERE spec = $r", r=row["spec"])
     row["batches"] = [
         row[0] for row in snapshot.run("SELECT DISTINCT batch FROM batch_runs WHERE run = $r ORDER BY 1", {"r": found.id})
     ]
-    row["executions"] = snapshot.sql(
-        "SELECT * EXCLUDE (run) FROM executions WHERE run = $r ORDER BY lamport", r=found.id
-    ).to_pylist()
-    row["attempts"] = snapshot.sql(ATTEMPTS_OF_RUN, r=found.id, e=None).to_pylist()
-    row["nondeterminism"] = snapshot.sql(NONDETERMINISM, b=None, r=found.id).to_pylist()
-    row["verdicts"] = snapshot.sql(VERDICTS, r=found.id).to_pylist()
+    row["executions"] = snapshot.rows("SELECT * EXCLUDE (run) FROM executions WHERE run = $r ORDER BY lamport", r=found.id)
+    row["attempts"] = snapshot.rows(ATTEMPTS_OF_RUN, r=found.id, e=None)
+    row["nondeterminism"] = snapshot.rows(NONDETERMINISM, b=None, r=found.id)
+    row["verdicts"] = snapshot.rows(VERDICTS, r=found.id)
     files = recorded(snapshot, take(snapshot, found))
     row["files"] = [{"path": file.path, "kind": file.kind, "bytes": file.bytes, "sha256": file.sha256} for file in files]
     return row
@@ -288,16 +286,16 @@ WHERE v.run = $r ORDER BY r.lamport, v.path
 
 
 def _execution(snapshot: Snapshot, found: Found) -> dict[str, Any]:
-    [row] = snapshot.sql("SELECT * FROM executions WHERE execution = $e", e=found.id).to_pylist()
+    [row] = snapshot.rows("SELECT * FROM executions WHERE execution = $e", e=found.id)
     row = _without_nulls(row)
-    row["attempts"] = snapshot.sql(ATTEMPTS_OF_RUN, r=row["run"], e=found.id).to_pylist()
-    artifacts = snapshot.sql("SELECT * EXCLUDE (execution, run) FROM artifacts WHERE execution = $e", e=found.id).to_pylist()
+    row["attempts"] = snapshot.rows(ATTEMPTS_OF_RUN, r=row["run"], e=found.id)
+    artifacts = snapshot.rows("SELECT * EXCLUDE (execution, run) FROM artifacts WHERE execution = $e", e=found.id)
     row["artifacts"] = sorted(artifacts, key=lambda artifact: natural(artifact["path"]))
-    [spec] = snapshot.sql(RECIPE, r=row["run"]).to_pylist()
+    [spec] = snapshot.rows(RECIPE, r=row["run"])
     row["image"] = _image(snapshot, spec["image"])
     row["host_access"] = spec["host_access"] or []
     if (isolation := row.get("isolation")) is not None:
-        rows = snapshot.sql("SELECT * FROM isolations WHERE isolation = $i", i=isolation).to_pylist()
+        rows = snapshot.rows("SELECT * FROM isolations WHERE isolation = $i", i=isolation)
         row["isolation"] = _isolation(rows[0]) if rows else {"isolation": isolation}
     row["programs"] = _programs(snapshot, row.get("programs"))
     row["environment"] = _environment(snapshot, row.get("environment"))
@@ -315,7 +313,7 @@ WHERE e.purpose = 'run' GROUP BY ALL ORDER BY max(e.lamport) DESC
 
 def _image(snapshot: Snapshot, identity: str | None) -> dict[str, Any] | None:
     """Return the record of an image, with its JSON texts decoded."""
-    rows = snapshot.sql("SELECT * FROM images WHERE image = $i", i=identity).to_pylist()
+    rows = snapshot.rows("SELECT * FROM images WHERE image = $i", i=identity)
     if not rows:
         return {"image": identity} if identity else None
     image: dict[str, Any] = rows[0]
@@ -324,6 +322,8 @@ def _image(snapshot: Snapshot, identity: str | None) -> dict[str, Any] | None:
 
 def _isolation(row: dict[str, Any]) -> dict[str, Any]:
     """Return the record of an isolation, with its JSON texts decoded, and the limits that were requested but not enforced."""
+    from sierra.containers.isolation import limits
+
     return row | {"mounts": json.loads(row["mounts"])} | limits(row)
 
 
@@ -332,11 +332,11 @@ def _programs(snapshot: Snapshot, identity: str | None) -> list[dict[str, Any]]:
 
     A replay's copy of a project's program, which no longer exists, is left out if the project's own is recorded too.
     """
-    rows: list[dict[str, Any]] = snapshot.sql(
+    rows: list[dict[str, Any]] = snapshot.rows(
         "SELECT name, kind, version, path, sha256 FROM programs WHERE programs = $p "
         "ORDER BY list_position(['program', 'file', 'distributions', 'library'], kind), name, path",
         p=identity,
-    ).to_pylist()
+    )
     lasting = [row for row in rows if f"/{STORE}/{WORK}/" not in row["path"]]
     known = {row["name"] for row in lasting}
     return [row for row in rows if row in lasting or row["name"] not in known]
@@ -344,7 +344,7 @@ def _programs(snapshot: Snapshot, identity: str | None) -> list[dict[str, Any]]:
 
 def _environment(snapshot: Snapshot, identity: str | None) -> dict[str, Any] | None:
     """Return the record of an environment, with its JSON texts and lists decoded."""
-    rows = snapshot.sql("SELECT * FROM environments WHERE environment = $e", e=identity).to_pylist()
+    rows = snapshot.rows("SELECT * FROM environments WHERE environment = $e", e=identity)
     if not rows:
         return None
     around: dict[str, Any] = rows[0]

@@ -41,7 +41,7 @@ def keep(plan: Plan, store: Store, session: Session) -> None:
     writer = store.writer(session.paths.segment, batch.id)
     with store.snapshot() as snapshot:
         known = _known_inputs(plan, snapshot)
-        blobs = set(snapshot.sql(THERE).column(0).to_pylist()) if code.vcs == "none" else set()
+        blobs = {row["blob"] for row in snapshot.rows(THERE)} if code.vcs == "none" else set()
     objects = Objects(writer.path("objects"))
     for _, files in plan.inputs.files(batch, lambda run: run.id not in known):
         for _, content in files:

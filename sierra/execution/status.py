@@ -14,7 +14,6 @@ from functools import partial
 
 from sierra.errors import NotFound, SierraError
 from sierra.execution import sessions
-from sierra.execution.attach import attach
 from sierra.execution.observer import Observer, Relay, Tally
 from sierra.execution.sessions import Session
 from sierra.runners import schedulers
@@ -172,6 +171,8 @@ def _recorded(store: Store, row: Standing, observer: Observer) -> Standing:
 
     If the session is cancelled, end its jobs first.
     """
+    from sierra.execution.attach import attach  # loads all that records runs
+
     paths = store.paths.session(row.session)
     session = Session.adopted(store.paths, paths)
     if session is None:

@@ -90,8 +90,8 @@ def recall(store: Store, batch: str, programs: str, ingest_rules: str) -> Recall
     with store.snapshot() as snapshot:
         made = _one(snapshot, "SELECT r.* FROM specs r JOIN batches b USING (spec) WHERE b.batch = $b", b=batch)
         rules = _one(snapshot, "SELECT declared FROM ingest_rules WHERE ingest_rules = $r", r=ingest_rules)
-        used = snapshot.sql("SELECT * FROM programs WHERE programs = $p", p=programs).to_pylist()
-        code = snapshot.sql('SELECT files, "commit" FROM sources WHERE tree = $t LIMIT 1', t=made["source"]).to_pylist()
+        used = snapshot.rows("SELECT * FROM programs WHERE programs = $p", p=programs)
+        code = snapshot.rows('SELECT files, "commit" FROM sources WHERE tree = $t LIMIT 1', t=made["source"])
     outputs, success = rules_of(json.loads(rules["declared"]))
     spec = RunSpec(
         made["platform"],
@@ -225,7 +225,7 @@ def _batch(store: Store, row: Mapping[str, Any], spec: RunSpec) -> Batch:
     """Return a batch as it is recorded."""
     with store.snapshot(row["batch"]) as snapshot:
         names = tuple(_one(snapshot, "SELECT files FROM specs WHERE spec = $r", r=row["spec"])["files"])
-        cells = snapshot.sql("SELECT * FROM experiments WHERE batch = $b ORDER BY ordinal", b=row["batch"]).to_pylist()
+        cells = snapshot.rows("SELECT * FROM experiments WHERE batch = $b ORDER BY ordinal", b=row["batch"])
         snapshot.views.make(("batch_runs",))
         runs: dict[int, list[Run]] = {}
         for ordinal, number, run, seed, first, others in snapshot.each(MEMBERS, {"b": row["batch"]}):
@@ -246,7 +246,7 @@ MEMBERS = "SELECT ordinal, number, run, seed, input, other_inputs FROM batch_run
 
 def _one(snapshot: Snapshot, statement: str, **parameters: Any) -> dict[str, Any]:
     """Return the first row of a statement's result. Raises Damaged if there is none."""
-    rows: list[dict[str, Any]] = snapshot.sql(statement, **parameters).to_pylist()
+    rows: list[dict[str, Any]] = snapshot.rows(statement, **parameters)
     if not rows:
         table = statement.split(" FROM ")[1].split()[0]
         raise Damaged(f"the store's {table} lack {', '.join(short(str(value)) for value in parameters.values())}")

@@ -87,7 +87,7 @@ def _timed(plan: Plan, store: Store) -> Iterator[Timed]:
     project, query, batch = plan.project.config, plan.query, plan.batch
     with store.snapshot() as snapshot:
         snapshot.views.make(("executions", "batch_runs", "experiments", "batches", "specs"))
-        rows = snapshot.sql(TIMED, command=list(batch.spec.command)).to_pylist()
+        rows = snapshot.rows(TIMED, command=list(batch.spec.command))
     sets = [f"{change.path}={change.value}" for change in query.sets]
     asked = (query.controller or project.controller, query.scenario or project.scenario, sets)
     alike = [row for row in rows if tuple(row["of batch"].values()) == asked]

@@ -52,8 +52,8 @@ def standings(snapshot: Snapshot, batches: list[str]) -> Iterator[EffectiveRuns]
     snapshot.views.make(("batch_runs", "sessions", "all_judgements", "batches"))
     for batch in batches:
         make_runs(snapshot, Place(batch), "standing", good_first=True, only=" AND m.run IN (SELECT run FROM wanted)")
-        latest = snapshot.sql(ASKED, b=batch).to_pylist() or [{"programs": None, "ingest_rules": None}]
-        for row in snapshot.sql(STANDINGS).to_pylist():
+        latest = snapshot.rows(ASKED, b=batch) or [{"programs": None, "ingest_rules": None}]
+        for row in snapshot.rows(STANDINGS):
             told = {**row, "now_programs": latest[0]["programs"], "now_rules": latest[0]["ingest_rules"]}
             yield EffectiveRuns(batch, row["runs"], row["counts"], _why(snapshot, told), row["run"], row["execution"])
         snapshot.run("DROP TABLE standing")

@@ -130,17 +130,17 @@ def tell(snapshot: Snapshot, batches: Sequence[str]) -> list[Event]:
         ("executions", "all_judgements", "findings", "sessions", "replays", "batch_runs", "attempts", "duplicates")
     )
     snapshot.run(EXECUTED, {"failed": FAILED, "rules": RULES, "programs": PROGRAMS, "good": REUSED})
-    rows = snapshot.sql(CAUSES).to_pylist()
-    judged = {row["session"]: row for row in snapshot.sql(JUDGED).to_pylist()}
+    rows = snapshot.rows(CAUSES)
+    judged = {row["session"]: row for row in snapshot.rows(JUDGED)}
     sessions_of = [*(row["session"] for row in rows), *judged]
     snapshot.run("DROP TABLE happened")
-    sessions = {row["session"]: row for row in snapshot.sql(ASKINGS, b=list(batches), s=sessions_of).to_pylist()}
+    sessions = {row["session"]: row for row in snapshot.rows(ASKINGS, b=list(batches), s=sessions_of)}
     by_session: dict[str, list[dict[str, Any]]] = {session: [] for session in sessions}
     for row in rows:
         by_session.setdefault(row["session"], []).append(row)
     for session in judged:
         by_session.setdefault(session, [])
-    replays = {row["replay"]: row for row in snapshot.sql(REPLAYS, s=list(by_session)).to_pylist()}
+    replays = {row["replay"]: row for row in snapshot.rows(REPLAYS, s=list(by_session))}
     more = _more(snapshot)
     places = {
         key: min(row["lamport"] for row in (*those, *(named[key] for named in (sessions, judged) if key in named)))
@@ -189,12 +189,12 @@ def _began(rows: Sequence[Mapping[str, Any]], judged: Mapping[str, Any] | None) 
 def _more(snapshot: Snapshot) -> dict[str, list[str]]:
     """Return, by session, lines about runs that were started or executed more often than requested, and the reasons."""
     told: dict[str, list[str]] = {}
-    for row in snapshot.sql(CUT).to_pylist():
+    for row in snapshot.rows(CUT):
         why = few([trouble for trouble in row["errors"] if trouble], SHOWN) or "nobody says by what"
         which = f"elements were cut off {row['times']} times" if row["times"] > 1 else "an element was cut off"
         line = f"{which}, with {row['interrupted']} of its runs in flight, which were begun again: {why}"
         told.setdefault(row["session"], []).append(line)
-    for row in snapshot.sql(COPIED).to_pylist():
+    for row in snapshot.rows(COPIED):
         other = f"{row['other']} of them with other results" if row["other"] else "with the same results"
         which = f"{row['copies']} (as {short(row['execution'])}), {other}"
         line = f"executed twice, as two copies of an element lived at a time: {which}"

@@ -31,7 +31,7 @@ def find_odd(store: Store, session: SessionPaths, context: Context) -> set[str]:
     with store.snapshot() as snapshot:
         if not snapshot.sql(ANY_TABLE).num_rows:
             return set()
-        rows = snapshot.sql(GOOD + ODD, **asked(context)).to_pylist()
+        rows = snapshot.rows(GOOD + ODD, **asked(context))
     tables: dict[tuple[int, str], list[dict[str, Any]]] = {}
     for row in rows:
         tables.setdefault((row["ordinal"], row["output"]), []).append(row)
@@ -191,7 +191,7 @@ def known(store: Store, context: Context, name: str) -> Siblings:
     with store.snapshot() as snapshot:
         if not snapshot.sql(ANY_TABLE).num_rows:
             return Siblings()
-        forms = snapshot.sql(SIBLINGS + SIBLINGS_FORMS, **alike).to_pylist()
+        forms = snapshot.rows(SIBLINGS + SIBLINGS_FORMS, **alike)
     mixed = {
         column
         for row in forms

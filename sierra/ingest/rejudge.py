@@ -181,14 +181,14 @@ def _past(snapshot: Snapshot, context: Context, runs: Iterable[str], *, mismatch
 
     snapshot.register("wanted", pa.table({"run": pa.array(sorted(runs), pa.string())}))
     asked = {"ingest_rules": context.ingest_rules, "programs": context.programs, "mismatched": mismatched}
-    rows = snapshot.sql(PAST, **asked).to_pylist()
-    declared = {row["ingest_rules"]: row["declared"] for row in snapshot.sql("SELECT * FROM ingest_rules").to_pylist()}
+    rows = snapshot.rows(PAST, **asked)
+    declared = {row["ingest_rules"]: row["declared"] for row in snapshot.rows("SELECT * FROM ingest_rules")}
     rules = {
         name: rules_of(json.loads(text)) for name, text in declared.items() if any(row["ingest_rules"] == name for row in rows)
     }
     snapshot.register("chosen", pa.table({"execution": pa.array([row["judgement"] for row in rows], pa.string())}))
     artifacts: dict[str, list[Artifact]] = {row["judgement"]: [] for row in rows}
-    for row in snapshot.sql(ARTIFACTS).to_pylist():
+    for row in snapshot.rows(ARTIFACTS):
         artifacts[row["execution"]].append(row)
     for row in rows:
         if row["ingest_rules"] in rules:

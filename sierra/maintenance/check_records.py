@@ -223,7 +223,7 @@ def _batches(records: Records) -> Iterator[Finding]:
     found: dict[str, dict[int, str]] = {}
     for path in records.files.get("experiments", ()):
         statement = f"SELECT * FROM {read_parquet([path])}"
-        for row in records.snapshot.sql(statement).to_pylist():
+        for row in records.snapshot.rows(statement):
             batch, ordinal, own = row["batch"], row["ordinal"], row["experiment"]
             found.setdefault(batch, {})[ordinal] = own
             if batch in axes and not _is_experiment(records, row, axes[batch]):

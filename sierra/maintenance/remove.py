@@ -217,10 +217,10 @@ def _plan(store: Store, named: Mapping[str, AbstractSet[str]]) -> _Plan:
 
 
 def _removal(snapshot: Snapshot, named: Mapping[str, AbstractSet[str]]) -> Removal:
-    batches = snapshot.sql(
+    batches = snapshot.rows(
         "SELECT batch, query, experiments, runs FROM batches WHERE list_contains($b, batch) ORDER BY batch",
         b=sorted(named["batch"]),
-    ).to_pylist()
+    )
     [(runs, executions)] = snapshot.run("SELECT count(DISTINCT run), count(DISTINCT own) FROM gone")
     [(replays,)] = snapshot.run("SELECT count(DISTINCT replay) FROM gone_replays")
     [(size,)] = snapshot.run("SELECT coalesce(sum(size), 0)::BIGINT FROM artifacts WHERE execution IN (SELECT own FROM gone)")

@@ -56,7 +56,7 @@ def _artifacts(snapshot: Snapshot, executions: Iterable[str]) -> dict[str, Artif
     left: dict[str, dict[str, Artifact]] = {execution: {} for execution in executions}
     snapshot.register("compared", pa.table({"execution": pa.array(left, pa.string())}))
     statement = "SELECT a.* FROM all_artifacts a SEMI JOIN compared USING (execution) WHERE kind <> 'log'"
-    for row in snapshot.sql(statement).to_pylist():
+    for row in snapshot.rows(statement):
         left[row["execution"]][row["path"]] = row
     return dict(left)
 

@@ -206,13 +206,13 @@ def _look_up(store: Store, found: Found, runs: int | None) -> _Record:
         snapshot.views.make(("batch_runs", "experiments", "batches"))
         batch = where(snapshot, found).batch
         snapshot.register("taken", pa.table({"execution": [str(one.judgement) for one in taken]}))
-        by = snapshot.sql(
+        by = snapshot.rows(
             "SELECT DISTINCT programs, ingest_rules, environment "
             "FROM all_judgements e SEMI JOIN taken t ON t.execution = e.judgement ORDER BY ALL"
-        ).to_pylist()
+        )
         cells = snapshot.cells(batch)
         [(axes,)] = snapshot.run("SELECT axes FROM batches WHERE batch = $b", {"b": batch})
-        tables = {row["output"]: row["forms"] for row in snapshot.sql(TABLES).to_pylist()}
+        tables = {row["output"]: row["forms"] for row in snapshot.rows(TABLES)}
         wrote = {row[0] for row in snapshot.run(WROTE)}
         seeds = dict(snapshot.run("SELECT run, seed FROM batch_runs WHERE batch = $b", {"b": batch}))
     record = _Record(

@@ -8,15 +8,15 @@ catalogue that could disagree with the files.
 from __future__ import annotations
 
 import contextlib
-import itertools
 import re
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from sierra.errors import Damaged, Missing, NotFound, SierraError, SqlError
+from sierra.store.answer import Answer
 from sierra.store.connections import Connection
 from sierra.store.errors import explain
 from sierra.store.layout import StorePaths
@@ -41,6 +41,9 @@ GITIGNORE = b"*\n"
 UNFINISHED = (".format.", "..gitignore.", ".CACHEDIR.TAG.")
 """The name prefixes of unfinished files while a store is created."""
 PREFIX = re.compile(r"[0-9a-f]{4,64}")
+
+
+Converted = TypeVar("Converted")
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,8 +151,8 @@ class Store:
 
     def rows(self, text: str, **parameters: Any) -> list[dict[str, Any]]:
         """Return the result of one statement as a list of rows."""
-        rows: list[dict[str, Any]] = self.sql(text, **parameters).to_pylist()
-        return rows
+        with self.snapshot() as snapshot:
+            return snapshot.rows(text, **parameters)
 
     def outputs(self) -> list[str]:
         """Return the names of all tables that runs wrote."""
@@ -161,14 +164,14 @@ class Store:
         if not PREFIX.fullmatch(text):
             raise NotFound(f"{prefix!r} is not an id: 4 to 64 hexadecimal digits, as `sierra ls` shows them")
         with self.snapshot() as snapshot:
-            found = snapshot.sql(
+            found = snapshot.rows(
                 "SELECT 'batch' AS kind, batch AS id, batch FROM batches WHERE starts_with(batch, $p) UNION "
                 "SELECT 'experiment', experiment, max(batch) FROM experiments WHERE starts_with(experiment, $p) GROUP BY ALL "
                 "UNION SELECT 'run', run, max(batch) FROM batch_runs WHERE starts_with(run, $p) GROUP BY ALL "
                 "UNION SELECT 'execution', execution, batch FROM executions WHERE starts_with(execution, $p) "
                 "ORDER BY 1, 2 LIMIT 20",
                 p=text,
-            ).to_pylist()
+            )
         if not found:
             raise NotFound(f"no batch, experiment, run or execution begins with {prefix!r}; sierra ls shows what there is")
         if len(found) > 1:
@@ -242,7 +245,24 @@ class Snapshot:
             self._shared.close()
 
     def sql(self, text: str, **parameters: Any) -> pa.Table:
-        """Return the result of one statement that only reads. Raises SqlError."""
+        """Return the result of one statement that only reads, as an Arrow table. Raises SqlError."""
+
+        def table(answer: Answer) -> pa.Table:
+            made = answer.arrow()
+            return made.replace_schema_metadata({NOTE: answer.notes}) if answer.notes else made
+
+        return self.ask(text, parameters, table)
+
+    def rows(self, text: str, **parameters: Any) -> list[dict[str, Any]]:
+        """Return the result of one statement that only reads, as rows by column. Raises SqlError."""
+
+        def rows(answer: Answer) -> list[dict[str, Any]]:
+            return [dict(zip(answer.columns, row, strict=True)) for row in answer.rows()]
+
+        return self.ask(text, parameters, rows)
+
+    def ask(self, text: str, parameters: Mapping[str, Any], convert: Callable[[Answer], Converted]) -> Converted:
+        """Return the converted result of one statement that only reads. Raises SqlError."""
         import duckdb
 
         try:
@@ -255,8 +275,7 @@ class Snapshot:
                 answer = self._answer(text, parameters)
             if answer is None:
                 raise SqlError("that statement has no answer; ask with SELECT, DESCRIBE, SUMMARIZE or SHOW TABLES")
-            table = apart(answer.to_arrow_table())
-            return table.replace_schema_metadata({NOTE: "; ".join(self.views.told)}) if self._noted(text) else table
+            return convert(Answer(answer, "; ".join(self.views.told) if self._noted(text) else ""))
         except duckdb.Error as error:
             raise self._wrong(error) from error
 
@@ -307,7 +326,8 @@ class Snapshot:
             f"SELECT DISTINCT ON (ordinal) * FROM {read_parquet(files, union=True)} WHERE batch = $b ORDER BY ordinal",
             params={"b": batch},
         )
-        return {row["ordinal"]: row for row in rows.to_arrow_table().to_pylist()}
+        names = rows.columns
+        return {row["ordinal"]: row for row in (dict(zip(names, values, strict=True)) for values in rows.fetchall())}
 
     def register(self, name: str, table: Any) -> None:
         """Register an Arrow table under a name on this connection."""
@@ -323,17 +343,3 @@ class Snapshot:
         except duckdb.Error as error:
             raise self._wrong(error) from error
         return rows
-
-
-def apart(answer: pa.Table) -> pa.Table:
-    """Return the table with unique column names: repeated names (`SELECT * FROM runs JOIN executions …`) become run, run_1."""
-    names: list[str] = []
-    for name in answer.column_names:
-        others = (f"{name}_{number}" for number in itertools.count(1))
-        names.append(
-            name if name not in names else next(other for other in others if other not in (*names, *answer.column_names))
-        )
-    return answer.rename_columns(names)
-
-
-__all__ = ["Found", "Snapshot", "Store", "check_free", "read_parquet"]

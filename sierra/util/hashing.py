@@ -1,7 +1,7 @@
 """Content identity: canonical JSON (RFC 8785), SHA-256, Merkle hashes.
 
 A pre-image is a JSON object that states the kind of record and the version of its format; `digest` hashes its RFC 8785 form. A
-pre-image must not contain a time, a host, a user or an absolute path. The golden hashes of `tests/unit/test_identity.py` pin every
+pre-image must not contain a time, a host, a user or an absolute path. Golden hashes in `tests/unit/test_identity.py` pin every
 format.
 """
 

@@ -109,7 +109,7 @@ def _runners(snapshot: Snapshot, side: Side) -> Rows:
         "SELECT DISTINCT s.runner FROM sessions s JOIN used USING (session) UNION "
         "SELECT DISTINCT r.runner FROM replays r JOIN used ON used.session = r.replay"
     )
-    rows: list[dict[str, Any]] = snapshot.sql(statement).to_pylist()
+    rows: list[dict[str, Any]] = snapshot.rows(statement)
     return rows
 
 
@@ -169,7 +169,7 @@ def other_rules(snapshot: Snapshot, before: Sequence[str], after: Sequence[str])
 
 
 def _declared(snapshot: Snapshot, ids: Sequence[str]) -> list[str]:
-    rows = snapshot.sql("SELECT declared FROM ingest_rules WHERE list_contains($i, ingest_rules)", i=list(ids)).to_pylist()
+    rows = snapshot.rows("SELECT declared FROM ingest_rules WHERE list_contains($i, ingest_rules)", i=list(ids))
     return [row["declared"] for row in rows]
 
 
@@ -188,5 +188,5 @@ def _used(snapshot: Snapshot, side: Side, what: str) -> list[str]:
 def _rows(snapshot: Snapshot, ids: Sequence[str], what: str) -> list[dict[str, Any]]:
     table = {"environment": "environments", "isolation": "isolations"}.get(what, what)
     statement = f"SELECT * FROM {table} WHERE list_contains($i, {what})"  # noqa: S608 - our own names
-    rows: list[dict[str, Any]] = snapshot.sql(statement, i=list(ids)).to_pylist()
+    rows: list[dict[str, Any]] = snapshot.rows(statement, i=list(ids))
     return rows

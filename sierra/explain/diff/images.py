@@ -36,7 +36,7 @@ def image(snapshot: Snapshot, store: Store, before: Side, after: Side, root: Pat
 
 
 def _row(snapshot: Snapshot, identity: str | None) -> Mapping[str, Any] | None:
-    rows: list[dict[str, Any]] = snapshot.sql("SELECT * FROM images WHERE image = $i", i=identity).to_pylist()
+    rows: list[dict[str, Any]] = snapshot.rows("SELECT * FROM images WHERE image = $i", i=identity)
     return rows[0] if rows else None
 
 

@@ -129,7 +129,7 @@ def gather(snapshot: Snapshot, found: Found, table: str) -> Side:
 
 
 def _rows(snapshot: Snapshot, text: str, **parameters: Any) -> list[dict[str, Any]]:
-    rows: list[dict[str, Any]] = snapshot.sql(text, **parameters).to_pylist()
+    rows: list[dict[str, Any]] = snapshot.rows(text, **parameters)
     return rows
 
 

@@ -54,7 +54,7 @@ def of_one(
 
 def _execution(snapshot: Snapshot, side: Side) -> dict[str, Any] | None:
     statement = f"SELECT e.* FROM all_judgements e JOIN {side.table} t ON t.execution = e.judgement"  # noqa: S608 - our own names
-    rows: list[dict[str, Any]] = snapshot.sql(statement).to_pylist()
+    rows: list[dict[str, Any]] = snapshot.rows(statement)
     return rows[0] if rows else None
 
 
@@ -105,7 +105,7 @@ def _outputs(
 
 def _declared(snapshot: Snapshot, rules: str, project: LoadedProject) -> dict[str, Output]:
     """Return the declared outputs with volatile parts and tolerances; the project's current ones override the recorded ones."""
-    rows = snapshot.sql("SELECT declared FROM ingest_rules WHERE ingest_rules = $r", r=rules).to_pylist()
+    rows = snapshot.rows("SELECT declared FROM ingest_rules WHERE ingest_rules = $r", r=rules)
     recorded = rules_of(json.loads(rows[0]["declared"]))[0] if rows else {}
     return {**recorded, **project.config.outputs}
 
@@ -140,11 +140,10 @@ def of_shared(snapshot: Snapshot, store: Store, project: LoadedProject, notes: l
         return
     details: list[str] = []
     differing = 0
-    looked = snapshot.sql(OTHERS, most=LOOKED_AT).to_pylist()
+    looked = snapshot.rows(OTHERS, most=LOOKED_AT)
     for row in looked:
         was, now = (
-            snapshot.sql("SELECT * FROM all_judgements WHERE judgement = $e", e=row[name]).to_pylist()[0]
-            for name in ("was", "now")
+            snapshot.rows("SELECT * FROM all_judgements WHERE judgement = $e", e=row[name])[0] for name in ("was", "now")
         )
         found = list(_outputs(snapshot, store, project, was, now, notes, f"run {short(row['run'])}: "))
         differing += bool(found)

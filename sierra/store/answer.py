@@ -1,0 +1,74 @@
+"""The answer to one SQL statement: as Python rows for few rows, or as an Arrow table.
+
+Rows need neither pyarrow nor numpy, which take longer to load than most queries take. Values of types that DuckDB's own
+conversion would change (nanoseconds, for example) come through Arrow.
+"""
+
+from __future__ import annotations
+
+import itertools
+import re
+from datetime import UTC, datetime, timedelta
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+INSTANT = "TIMESTAMP WITH TIME ZONE"
+NUMBERS = r"U?(TINY|SMALL|BIG|HUGE)INT|U?INTEGER|DOUBLE|FLOAT|DECIMAL\(\d+,\d+\)"
+SIMPLE = re.compile(rf"(VARCHAR|BOOLEAN|{NUMBERS}|DATE|TIMESTAMP|BLOB|JSON)(\[\])*")
+"""The types of values that are the same as Python objects from DuckDB and from Arrow; `HUGEINT` is more exact."""
+
+
+class Answer:
+    """A statement's result. Each method executes the statement, so it is used once, while its snapshot is open."""
+
+    def __init__(self, relation: Any, notes: str = "") -> None:
+        """`relation` is DuckDB's; `notes` are about columns of the result."""
+        self._relation = relation
+        self._types = [str(one) for one in relation.types]
+        self.columns = unique(relation.columns)
+        self.notes = notes
+
+    @property
+    def numeric(self) -> list[str]:
+        """Return the names of the columns of numbers."""
+        return [name for name, kind in zip(self.columns, self._types, strict=True) if re.fullmatch(NUMBERS, kind)]
+
+    def rows(self) -> list[tuple[Any, ...]]:
+        """Return all rows as Python objects; times are in UTC."""
+        if not all(kind == INSTANT or SIMPLE.fullmatch(kind) for kind in self._types):
+            return [tuple(row.values()) for row in self.arrow().to_pylist()]
+        instants = [place for place, kind in enumerate(self._types) if kind == INSTANT]
+        if not instants:
+            rows: list[tuple[Any, ...]] = self._relation.fetchall()
+            return rows
+        return [_with_times(row, instants) for row in self._microseconds().fetchall()]
+
+    def arrow(self) -> pa.Table:
+        """Return the result as an Arrow table."""
+        return self._relation.to_arrow_table().rename_columns(self.columns)
+
+    def _microseconds(self) -> Any:
+        """Return the relation with times as microseconds since 1970: DuckDB needs a further library to convert times."""
+        kinds = enumerate(self._types, start=1)
+        texts = [f"epoch_us(#{place})" if kind == INSTANT else f"#{place}" for place, kind in kinds]
+        return self._relation.project(", ".join(texts))
+
+
+def _with_times(row: tuple[Any, ...], places: list[int]) -> tuple[Any, ...]:
+    values = list(row)
+    for place in places:
+        if values[place] is not None:
+            values[place] = EPOCH + timedelta(microseconds=values[place])
+    return tuple(values)
+
+
+def unique(columns: list[str]) -> list[str]:
+    """Return unique column names: repeated ones (`SELECT * FROM runs JOIN executions …`) become run, run_1."""
+    names: list[str] = []
+    for name in columns:
+        others = (f"{name}_{number}" for number in itertools.count(1))
+        names.append(name if name not in names else next(other for other in others if other not in (*names, *columns)))
+    return names
