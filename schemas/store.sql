@@ -323,7 +323,7 @@ CREATE TABLE images (
     "labels" VARCHAR,  -- its labels, as JSON
     "variables" VARCHAR,  -- what it sets for its programs, as JSON
     "packages" VARCHAR,  -- what is installed, as JSON: by dpkg, apk and python, a list of name==version each
-    "spec" VARCHAR,  -- what is known of how it was made: a definition file, or a history
+    "recipe" VARCHAR,  -- what is known of how it was made: a definition file, or a history
     "files" VARCHAR,  -- SHA-256 of the list of its files in objects: a JSON object a line, with path, type, size, sha256
     "size" BIGINT  -- size of its files [bytes]
 );

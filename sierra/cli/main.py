@@ -17,6 +17,7 @@ def main() -> NoReturn:
     signals.heed()
     with guarded():
         code = _ended()
+    signals.ignore()
     sys.exit(code if isinstance(code, int) else 0)
 
 

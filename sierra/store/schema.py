@@ -422,7 +422,7 @@ RECORDED = {
             ("labels", TEXT, "its labels, as JSON"),
             ("variables", TEXT, "what it sets for its programs, as JSON"),
             ("packages", TEXT, "what is installed, as JSON: by dpkg, apk and python, a list of name==version each"),
-            ("spec", TEXT, "what is known of how it was made: a definition file, or a history"),
+            ("recipe", TEXT, "what is known of how it was made: a definition file, or a history"),
             ("files", ID, "SHA-256 of the list of its files in objects: a JSON object a line, with path, type, size, sha256"),
             ("size", INT, "size of its files", "bytes"),
         ),

@@ -127,12 +127,16 @@ class Writer:
         return self.folder / (name + SUFFIX)
 
     def rows(self, name: str, rows: Iterable[Mapping[str, Any]]) -> None:
-        """Write records of one table; write no file if there are none."""
+        """Write records of one table; write no file if there are none. Raises ValueError for a column that it has not."""
         import pyarrow as pa
 
-        rows = list(rows)
+        rows, schema = list(rows), arrow_schema(name)
+        known = set(schema.names)
+        for row in rows:
+            if not row.keys() <= known:  # Arrow would leave the value out
+                raise ValueError(f"the table {name} has no column {min(row.keys() - known)!r}")
         if rows:
-            self.table(name, pa.Table.from_pylist(rows, schema=arrow_schema(name)))
+            self.table(name, pa.Table.from_pylist(rows, schema=schema))
 
     def table(self, name: str, table: Any) -> None:
         """Write an Arrow table unchanged."""

@@ -19,6 +19,13 @@ def heed() -> None:
             signal.signal(number, _interrupt)
 
 
+def ignore() -> None:
+    """Ignore these signals from now on: the process ends already, and a second one must not change its exit status."""
+    if threading.current_thread() is threading.main_thread():
+        for number in ENDING:
+            signal.signal(number, signal.SIG_IGN)
+
+
 @contextlib.contextmanager
 def noted(already: bool = False) -> Iterator[list[int]]:
     """Collect the signals to end that arrive inside the `with` block, so that they do not interrupt it.

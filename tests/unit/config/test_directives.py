@@ -28,7 +28,7 @@ SLURM = [
     ("-t 10", "use wall = SECONDS"),
     ("--mem=4G", "use memory"),
     ("-c4", "use cpus = N"),
-    ("--ntasks=4", "one task on one node"),
+    ("--ntasks=4", "runs on one node"),
     ("--partition short", "use partition"),
     ("mail-type=FAIL", "should be as it stands after #SBATCH, as in --mail-type=FAIL"),
     ("#SBATCH --nice", "should be as it stands after #SBATCH"),

@@ -299,7 +299,7 @@ def test_a_finding_takes_an_execution_out_of_all_tables(project: Project) -> Non
     batch = stores.ask(project.root, "n=1")
     [first, _] = project.sql("SELECT execution FROM runs ORDER BY number").column(0).to_pylist()
     writer = project.store.writer(project.paths.store / "work" / "w", batch)
-    found = {"execution": first, "found": datetime.now(UTC), "status": "mismatch", "reason": "so it is"}
+    found = {"execution": first, "found_at": datetime.now(UTC), "status": "mismatch", "reason": "so it is", "lamport": 1 << 50}
     writer.rows("findings", [found])
     project.store.publish(writer)
     assert project.sql("SELECT number, status FROM runs ORDER BY 1").to_pylist() == [
