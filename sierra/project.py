@@ -9,8 +9,8 @@ table = project.statistics(summary.batch, "swarm", "coverage").to_pandas()
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -202,10 +202,23 @@ class Project:
         return listing.batches(self.store)
 
     def show(self, prefix: str) -> dict[str, Any]:
-        """Return the record of a batch, an experiment, a run or an execution, by a prefix of its id."""
+        """Return the record of a batch, an experiment, a run or an execution, by a prefix of its id.
+
+        For a batch, `history` is the recorded commit as the repository has it now; see `sierra.provenance.history.Known`.
+        """
         from sierra.execution import listing
 
-        return listing.show(self.store, prefix)
+        shown = listing.show(self.store, prefix)
+        return shown | {"history": self._history(shown["source"])} if shown["kind"] == "batch" else shown
+
+    def _history(self, source: Mapping[str, Any] | None) -> dict[str, Any] | None:
+        """Return the recorded commit of a source as the repository has it now; None if the repository does not have it."""
+        if not (source and source["commit"]):
+            return None
+        from sierra.provenance import history
+
+        known = history.known(self.root, source["commit"])
+        return asdict(known) if known else None
 
     def replay(
         self,

@@ -39,7 +39,10 @@ def show(
         return
     failures, used, around = shown.pop("failures", []), shown.pop("programs", []), shown.pop("environment", None)
     image, reach, isolations = _contained(shown)
+    commit = shown.pop("history", None)
     _print(shown)
+    if commit:
+        _print_commit(commit)
     if image:
         print_image(image, reach)
         for one in isolations:
@@ -53,6 +56,22 @@ def show(
     _print_failures(failures)
     if shown["kind"] in ("run", "execution"):
         print(f"\nsierra files {shown[shown['kind']][:10]} PATH writes a file out again, and --to FOLDER all of them")
+
+
+def _print_commit(known: Mapping[str, Any]) -> None:
+    """Print the recorded commit as the repository has it now."""
+    from sierra.cli.output import fields
+
+    commit = known["commit"]
+    print("\ncommit, as the repository has it now:")
+    told = {
+        "subject": commit["subject"],
+        "author": f"{commit['author']}, {commit['date']:%Y-%m-%d}",
+        "described": known["described"],
+        "in": ", ".join(known["branches"]) or "no branch or tag",
+        "remote": known["remote"] or "none",
+    }
+    fields(told, "  ")
 
 
 def _contained(shown: dict[str, Any]) -> tuple[dict[str, Any] | None, list[str], list[dict[str, Any]]]:

@@ -1,4 +1,4 @@
-"""The difference between two recorded states of the code: commits, files, and the patch from one to the other.
+"""The difference between two recorded states of the code: files, and the patch from one to the other.
 
 A tree contains the content of the files, committed or not. If git has both trees, git makes the patch. Otherwise it is made
 here from the contents of the files, which are in git or in the store.
@@ -7,7 +7,6 @@ here from the contents of the files, which are in git or in the store.
 from __future__ import annotations
 
 import contextlib
-import re
 import shutil
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -15,14 +14,12 @@ from pathlib import Path
 from typing import Literal
 
 from sierra.errors import Missing
+from sierra.provenance.history import HASH
 from sierra.provenance.source.capture import SWHID
 from sierra.provenance.source.git import Git, in_repository
 from sierra.provenance.source.manifest import REPOSITORY, parts, read
 from sierra.util.textdiff import patch
 
-SHOWN = 20
-"""Maximum number of commits that are listed."""
-HASH = re.compile(r"[0-9a-f]{40}([0-9a-f]{24})?")
 COLORLESS = ("--no-color", "--no-ext-diff", "--no-textconv", "--find-renames=100%")
 
 
@@ -56,28 +53,6 @@ class Difference:
     """The lines of the patch."""
     unknown: tuple[str, ...] = ()
     """Paths of files that the patch lacks, because their contents are neither in git nor in the store."""
-
-
-@dataclass(frozen=True, slots=True)
-class Commits:
-    """The commits that only one of two histories has: their numbers, and up to `SHOWN` of each, newest first."""
-
-    on: int = 0
-    """Number of commits that the later one has and the earlier one does not have."""
-    back: int = 0
-    log_on: tuple[str, ...] = ()
-    log_back: tuple[str, ...] = ()
-    missing: tuple[str, ...] = ()
-    """The given commits that the repository does not have."""
-
-
-def commits(root: Path, before: str, after: str) -> Commits:
-    """Return the commits between two commits, as far as the repository of the project in `root` has them."""
-    git = _Git(root)
-    if missing := tuple(commit for commit in dict.fromkeys((before, after)) if not git.has(commit, "commit")):
-        return Commits(missing=missing)
-    counts, logs = zip(*(git.between(*pair) for pair in ((before, after), (after, before))), strict=True)
-    return Commits(counts[0], counts[1], logs[0], logs[1])
 
 
 def between(before: State, after: State, root: Path, content: Callable[[str], bytes | None]) -> Difference:
@@ -167,13 +142,6 @@ class _Git:
 
     def blob(self, blob: str) -> bytes | None:
         return self._run("cat-file", "blob", blob) if HASH.fullmatch(blob) else None
-
-    def between(self, before: str, after: str) -> tuple[int, tuple[str, ...]]:
-        """Return the number and the newest of the commits that `after` has and `before` does not have."""
-        span = f"{before}..{after}"
-        count = int(self._run("rev-list", "--count", span, "--") or 0)
-        log = self._run("log", "--no-color", "--no-show-signature", f"--max-count={SHOWN}", "--format=%h %s", span, "--") or b""
-        return count, tuple(log.decode("utf-8", "replace").splitlines())
 
     def counts(self, before: str, after: str) -> dict[str, tuple[int | None, int | None]]:
         """Return the numbers of added and removed lines by path; None for files that git treats as binary."""

@@ -8,8 +8,9 @@ from pathlib import Path
 from sierra.errors import Damaged, NotFound
 from sierra.explain.diff.model import ARROW, Difference
 from sierra.explain.diff.operands import Side
-from sierra.provenance import patch
-from sierra.provenance.patch import Commits, File, State
+from sierra.provenance import history, patch
+from sierra.provenance.history import Commits
+from sierra.provenance.patch import File, State
 from sierra.store.store import Store
 from sierra.util.text import few
 
@@ -67,7 +68,7 @@ def _blob(store: Store, blob: str) -> bytes | None:
 
 def _commits(root: Path, before: Side, after: Side) -> Commits:
     was, now = (side.source.get("commit") for side in (before, after))
-    return patch.commits(root, was, now) if was and now and was != now else Commits()
+    return history.between(root, was, now) if was and now and was != now else Commits()
 
 
 def _how(commits: Commits, after: Side) -> str:
@@ -86,9 +87,22 @@ def _how(commits: Commits, after: Side) -> str:
 
 def _logs(commits: Commits) -> Iterator[str]:
     for sign, count, log in (("+", commits.on, commits.log_on), ("-", commits.back, commits.log_back)):
-        yield from (f"{sign} {line}" for line in log)
+        yield from (f"{sign} {commit}" for commit in log)
         if count > len(log):
             yield f"{sign} … {count - len(log)} more commits"
+    if commits.on or commits.back:
+        yield _relation(commits)
+
+
+def _relation(commits: Commits) -> str:
+    """Return a sentence on whether one of two commits is an ancestor of the other."""
+    if not commits.back:
+        return "the first commit is an ancestor of the second"
+    if not commits.on:
+        return "the second commit is an ancestor of the first"
+    return (
+        f"neither commit is an ancestor of the other; both follow {commits.base[:10] if commits.base else 'no common commit'}"
+    )
 
 
 def has_commits(before: Side, after: Side) -> bool:

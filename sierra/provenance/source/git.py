@@ -57,18 +57,18 @@ class Git:
         `network`, the user's settings for reaching other machines apply too. If `optional` is true, a failure is not an error
         and returns no output. The same applies to the exit status `none`.
         """
-        environment = _environment() | ({name: os.environ[name] for name in NETWORK if name in os.environ} if network else {})
+        variables = environment() | ({name: os.environ[name] for name in NETWORK if name in os.environ} if network else {})
         if index is not None:
-            environment["GIT_INDEX_FILE"] = str(index)
+            variables["GIT_INDEX_FILE"] = str(index)
         cwd = self.top if at_top else self.root
         if into is not None:
-            environment |= {"GIT_DIR": str(self.folder), "GIT_WORK_TREE": str(into)}
+            variables |= {"GIT_DIR": str(self.folder), "GIT_WORK_TREE": str(into)}
             cwd = into
         try:
             done = subprocess.run(
                 [str(self._program), *ALWAYS, *arguments],
                 cwd=cwd,
-                env=environment,
+                env=variables,
                 input=given,
                 capture_output=True,
                 check=False,
@@ -84,7 +84,7 @@ class Git:
         return subprocess.Popen(
             [str(self._program), *ALWAYS, *arguments],
             cwd=self.root,
-            env=_environment(),
+            env=environment(),
             bufsize=1 << 18,
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
@@ -154,10 +154,16 @@ def _command(arguments: Sequence[str]) -> str:
     return next(word for word, before in zip(arguments, ("", *arguments), strict=False) if "-c" not in (word, before))
 
 
-def _environment() -> dict[str, str]:
+def foreign() -> list[str]:
+    """Return the names of variables that would make git use another repository or other settings than those of the folder."""
+    return [name for name in os.environ if name.startswith("GIT_") and not name.startswith("GIT_CONFIG_")]
+
+
+def environment() -> dict[str, str]:
     """Return the environment in which git runs.
 
     MALLOC_TRIM_THRESHOLD_ is for `git fast-import`: without it, glibc may spend most of the time on returning memory.
     """
-    kept = {name: value for name, value in os.environ.items() if not name.startswith("GIT_") or name.startswith("GIT_CONFIG_")}
+    dropped = set(foreign())
+    kept = {name: value for name, value in os.environ.items() if name not in dropped}
     return kept | {"GIT_OPTIONAL_LOCKS": "0", "GIT_TERMINAL_PROMPT": "0", "LC_ALL": "C", "MALLOC_TRIM_THRESHOLD_": "100000000"}

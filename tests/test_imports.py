@@ -1,0 +1,58 @@
+"""A command imports only the libraries that it needs."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests import projects
+
+CALL = """
+import json, sys
+from sierra.cli.main import main
+sys.argv = ["sierra", *sys.argv[1:]]
+try:
+    main()
+except SystemExit:
+    names = {name.partition(".")[0] for name in sys.modules}
+    print(json.dumps(sorted(names)), file=sys.stderr)
+"""
+SOMETIMES = {"duckdb", "git", "logging", "lxml", "matplotlib", "numpy", "pyarrow", "pydantic", "scipy"}
+NEVER = {"fabric", "invoke", "IPython", "pandas", "paramiko", "seaborn"}
+
+
+@pytest.fixture(scope="module")
+def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A project in git, with a batch."""
+    root = projects.commit(projects.make(tmp_path_factory.mktemp("imports") / "project"))
+    assert projects.quick(root, "run", "population_size=1", "--no-figures").returncode == 0
+    return root
+
+
+def imported(root: Path, *words: str) -> set[str]:
+    ended = subprocess.run([sys.executable, "-c", CALL, *words], cwd=root, capture_output=True, text=True, check=True)
+    return {str(name) for name in json.loads(ended.stderr.splitlines()[-1])} & (SOMETIMES | NEVER)
+
+
+def test_help_imports_no_library_but_that_of_the_command_line(root: Path) -> None:
+    assert imported(root, "--help") == set()
+
+
+@pytest.mark.parametrize("words", [("ls",), ("status",), ("sql", "SELECT 1")], ids=" ".join)
+def test_reading_imports_neither_git_nor_what_figures_need(root: Path, words: tuple[str, ...]) -> None:
+    assert imported(root, *words) <= {"duckdb", "logging", "lxml", "numpy", "pyarrow", "pydantic"}
+
+
+@pytest.mark.parametrize("words", [("run", "population_size=1", "--no-figures"), ("run", "population_size=1", "-n")])
+def test_running_imports_neither_git_nor_what_figures_need(root: Path, words: tuple[str, ...]) -> None:
+    assert not imported(root, *words) & {"git", "matplotlib", "scipy", *NEVER}
+
+
+def test_showing_a_batch_that_has_a_commit_imports_git(root: Path) -> None:
+    [batch] = json.loads(projects.quick(root, "ls", "--json").stdout)
+    assert "git" in imported(root, "show", batch["batch"])
+    assert not imported(root, "show", batch["batch"]) & NEVER
