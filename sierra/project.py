@@ -202,14 +202,45 @@ class Project:
         return listing.batches(self.store)
 
     def show(self, prefix: str) -> dict[str, Any]:
-        """Return the record of a batch, an experiment, a run or an execution, by a prefix of its id.
+        """Return the record of a batch, an experiment, a run, an execution or a session, by a prefix of its id.
 
-        For a batch, `history` is the recorded commit as the repository has it now; see `sierra.provenance.history.Known`.
+        For a batch, `history` is the recorded commit as the repository has it now; see `sierra.provenance.history.Known`. For a
+        batch (its last session), an execution and a session, `log_file` is the path of the session's log file, or None.
+        Raises NotFound.
         """
         from sierra.execution import listing
 
-        shown = listing.show(self.store, prefix)
-        return shown | {"history": self._history(shown["source"])} if shown["kind"] == "batch" else shown
+        try:
+            shown = listing.show(self.store, prefix)
+        except NotFound:
+            if (session := self._session(prefix)) is None:
+                raise
+            return session
+        if shown["kind"] == "batch":
+            last = next((self._log_file(row["session"]) for row in reversed(shown["sessions"])), None)
+            return shown | {"history": self._history(shown["source"]), "log_file": last}
+        return shown | {"log_file": self._log_file(shown["session"])} if shown["kind"] == "execution" else shown
+
+    def _session(self, prefix: str) -> dict[str, Any] | None:
+        """Return the record of a session, or only its log file if it is not recorded; None if there is not exactly one."""
+        from sierra.store import session_log
+
+        start = prefix.lower()
+        recorded = self.store.rows("SELECT * FROM sessions WHERE starts_with(session, $p)", p=start)
+        logged = (path.stem for path in session_log.logs(self.store.paths) if path.stem.startswith(start))
+        found: dict[str, dict[str, Any]] = {session: {"session": session} for session in logged}
+        found |= {row["session"]: row for row in recorded}
+        if len(found) != 1:
+            return None
+        [(session, row)] = found.items()
+        return {"kind": "session", **row, "log_file": self._log_file(session)}
+
+    def _log_file(self, session: str) -> str | None:
+        """Return the path of a session's log file; None if it has none any more."""
+        from sierra.store import session_log
+
+        path = session_log.find(self.store.paths, session)
+        return str(path) if path else None
 
     def _history(self, source: Mapping[str, Any] | None) -> dict[str, Any] | None:
         """Return the recorded commit of a source as the repository has it now; None if the repository does not have it."""

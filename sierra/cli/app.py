@@ -53,9 +53,25 @@ def _version(wanted: bool) -> None:
         raise typer.Exit
 
 
+def _listen(context: typer.Context, level: int) -> int:
+    """Print messages to standard error until the command has ended: events at level 1, also details at level 2."""
+    if level:
+        from sierra.util import log
+        from sierra.util.log_handlers import Stderr, listen
+
+        context.call_on_close(listen(Stderr(log.INFO if level == 1 else log.DEBUG)))
+    return level
+
+
 @app.callback()
 def _options(
     version: Annotated[bool, typer.Option("--version", help="Say the version.", callback=_version, is_eager=True)] = False,
+    verbose: Annotated[
+        int,
+        typer.Option(
+            "-v", "--verbose", count=True, callback=_listen, help="Log events to standard error; -vv: also commands and runs."
+        ),
+    ] = 0,
 ) -> None:
     """From a research query to evidence that a stranger can check.
 

@@ -37,6 +37,9 @@ def show(
     if as_json:
         print_json(shown)
         return
+    if shown["kind"] == "session":
+        _print(shown)
+        return
     failures, used, around = shown.pop("failures", []), shown.pop("programs", []), shown.pop("environment", None)
     image, reach, isolations = _contained(shown)
     commit = shown.pop("history", None)

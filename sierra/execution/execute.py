@@ -21,6 +21,9 @@ from sierra.execution.sessions import Session
 from sierra.execution.summary import Summary, of_session
 from sierra.ingest.consistency import find_odd
 from sierra.store.store import Store
+from sierra.util.log import Log
+
+log = Log(__name__)
 
 
 def run(plan: Plan, store: Store, options: RunOptions) -> Summary:
@@ -37,6 +40,7 @@ def run(plan: Plan, store: Store, options: RunOptions) -> Summary:
     session = Session(store.paths, None if make().stays else plan.project.config.store.place())
     try:
         session.take_number()
+        log.info("query %s: batch %s on %s with %s", plan.text, plan.batch.id, options.runner, plan.engine.name)
         if not records.is_kept(plan, store):
             records.keep(plan, store, session)
         stays = make().stays
@@ -48,6 +52,7 @@ def run(plan: Plan, store: Store, options: RunOptions) -> Summary:
             executor.failed |= odd
         executor.answer()
         summary = _sum_up(executor)
+        log.info("%d runs: %d executed, %d failed, %d missing", summary.runs, summary.executed, summary.failed, summary.missing)
         if session.paths not in executor.left:
             slots = None if stays else options.slots
             records.close(plan, store, session, asdict(summary), started=began, runner=options.runner, slots=slots)

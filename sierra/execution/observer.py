@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from sierra.model import Status
+from sierra.util.log import Log
+
+log = Log(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,6 +74,7 @@ class Tally:
 
     def ended(self, run: str, status: Status) -> None:
         """Count a run that has ended. It is called again if the status changes."""
+        log.debug("run %s: %s", run, status)
         self.statuses[run] = status
         if status is Status.OK:
             self.failed.discard(run)

@@ -19,6 +19,9 @@ from sierra.runners.journal import Journal
 from sierra.store.layout import RUN_OUTPUT, SessionPaths
 from sierra.store.store import Store
 from sierra.util.fs import inside
+from sierra.util.log import Log
+
+log = Log(__name__)
 
 
 def finish_dead(store: Store) -> int:
@@ -29,7 +32,9 @@ def finish_dead(store: Store) -> int:
             orphans.end(found)
         for paths in found:
             _sweep(paths)
-            recovered += recover(store, paths)
+            count = recover(store, paths)
+            recovered += count
+            log.warning("session %s has died; %d of its finished executions are recorded now", paths.root.name, count)
     return recovered
 
 

@@ -21,11 +21,14 @@ import errno
 import fcntl
 import json
 import os
+import platform
 import secrets
 import socket
+import sys
 import tempfile
 import time
-from collections.abc import Iterator
+import traceback
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +36,11 @@ from sierra.errors import Missing
 from sierra.store import marks, session_numbers
 from sierra.store.layout import SessionPaths, StorePaths
 from sierra.store.segments import disk_errors
+from sierra.util.log import Log
+from sierra.version import __version__
 from sierra.worker import worker
+
+log = Log(__name__)
 
 BEAT_S, SILENT_S = 20.0, 120.0
 """Seconds between two signs of life of an owner on a file system without locks, and the silence after which it is dead."""
@@ -42,8 +49,11 @@ BEAT_S, SILENT_S = 20.0, 120.0
 class Session:
     """One session of a living process."""
 
-    def __init__(self, store: StorePaths, elsewhere: Path | None = None) -> None:
-        """Start a session. Its runs execute in a folder below `elsewhere`, if that is given. Raises Missing."""
+    def __init__(self, store: StorePaths, elsewhere: Path | None = None, *, logged: bool = True) -> None:
+        """Start a session. Its runs execute in a folder below `elsewhere`, if that is given. Raises Missing.
+
+        If `logged`, it has a log file: see `sierra.store.session_log`.
+        """
         self.id = secrets.token_hex(8)
         self.paths: SessionPaths = store.session(self.id)
         self.store = store
@@ -57,6 +67,7 @@ class Session:
             _own(self.paths, 0)
             self._lock = _locked(self.paths.lock)
         _sign(self._lock)
+        self._log_begin("begins" if logged else None)
         if elsewhere is not None:
             self._execute_below(elsewhere)
 
@@ -82,7 +93,27 @@ class Session:
                 return None
             made._generation = generation
         _sign(made._lock)
+        made._log_begin(f"is taken over as generation {made._generation}")
         return made
+
+    def _log_begin(self, what: str | None) -> None:
+        """Open the log file and log how this process has got the session; with None, log nothing."""
+        self._end_log: Callable[[], None] = lambda: None
+        if what is None:
+            return
+        from sierra.store.session_log import open_log
+
+        self._end_log = open_log(self.store, self.id)
+        python, host = platform.python_version(), socket.gethostname()
+        log.info("session %s %s: process %d on %s, SIERRA %s, Python %s", self.id, what, os.getpid(), host, __version__, python)
+
+    def _log_end(self) -> None:
+        if error := sys.exc_info()[1]:
+            log.warning("session %s ends by %s: %s", self.id, type(error).__name__, error)
+            log.debug("".join(traceback.format_exception(error)))
+        else:
+            log.info("session %s %s", self.id, "ends" if self.recorded else "is left, to be continued")
+        self._end_log()
 
     def _execute_below(self, folder: Path) -> None:
         try:
@@ -129,6 +160,7 @@ class Session:
         if self._lock is not None:
             os.close(self._lock)
             self._lock = None
+        self._log_end()
 
 
 def others(store: StorePaths, own: str) -> set[str]:

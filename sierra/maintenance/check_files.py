@@ -17,7 +17,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from sierra.maintenance.findings import Finding, Kind
-from sierra.store import marks
+from sierra.store import marks, session_log
 from sierra.store.errors import first_line
 from sierra.store.layout import WORK, StorePaths
 from sierra.store.objects import GROUP, ROWS
@@ -51,7 +51,7 @@ FIXED = {"format": FORMAT, ".gitignore": "*\n", "CACHEDIR.TAG": CACHEDIR}
 """Files that are the same in every store."""
 DERIVED = frozenset(("files", "numbers"))
 """Files that are derived from others, and made again if they are missing."""
-FOLDERS = frozenset(("segments", "work", "damaged", "kept", "images"))
+FOLDERS = frozenset(("segments", "work", "damaged", "kept", "images", "logs"))
 
 
 @dataclass(slots=True)
@@ -140,6 +140,11 @@ def _top(paths: StorePaths) -> Iterator[Finding]:
             yield Finding(Kind.LEFT, _shown(paths, path), "put aside by a repair; sierra gc --damaged removes it")
         else:
             yield Finding(Kind.FOREIGN, _shown(paths, path), "is no segment, and is left alone; move it away if it is yours")
+    known = set(session_log.logs(paths))
+    for entry in _entries(paths.logs):
+        path = Path(entry.path)
+        if path not in known:
+            yield Finding(Kind.FOREIGN, _shown(paths, path), "is no log of a session; move it away if it is yours")
 
 
 def has_segments(paths: StorePaths) -> bool:

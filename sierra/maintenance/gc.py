@@ -22,6 +22,7 @@ from sierra.containers.images.inspect import unfinished
 from sierra.execution import recover, sessions
 from sierra.maintenance.check_files import UNFINISHED, put_aside
 from sierra.maintenance.transaction import changing, publish, undisturbed
+from sierra.store import session_log
 from sierra.store.compaction import Compaction, Drop, Group, groups, out_of_use, tidy, touched
 from sierra.store.layout import StorePaths
 from sierra.store.scans import read_parquet
@@ -60,12 +61,14 @@ class Collection:
     """Files that became tables and whose bytes are removed; only on request."""
     recovered: int = 0
     """Executions that finished in sessions that died, and that are recorded now."""
+    logs: int = 0
+    """Log files of sessions that are not recorded and have ended."""
     left: int = 0
     """Segments that another process was still reading; the next gc removes them."""
 
     @property
     def nothing(self) -> bool:
-        return not any((self.sessions, self.unfinished, self.replaced, self.objects, self.merged, self.damaged))
+        return not any((self.sessions, self.unfinished, self.replaced, self.objects, self.merged, self.damaged, self.logs))
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,6 +104,7 @@ def plan(store: Store, *, damaged: bool = False, raw: bool = False) -> Collectio
         len(merged),
         aside,
         made.raw,
+        logs=len(_logs(store)),
     )
 
 
@@ -120,6 +124,8 @@ def collect(
         worker.remove(str(path)) if path.is_dir() else path.unlink(missing_ok=True)
     for path in put_aside(paths) if damaged else ():
         worker.remove(str(path))
+    for path in _logs(store):
+        path.unlink(missing_ok=True)
     left = 0
     with changing(paths) as session:
         made = _plan(store, raw=raw)
@@ -138,6 +144,17 @@ def collect(
                 tidy(paths, session.paths.root / "old")
                 left = len(out_of_use(paths))
     return replace(first, recovered=recovered, left=left)
+
+
+SESSIONS = "SELECT session FROM sessions UNION SELECT session FROM executions UNION SELECT replay FROM replays"
+
+
+def _logs(store: Store) -> list[Path]:
+    """Return the log files of sessions that are not recorded and have ended."""
+    if not (found := session_log.logs(store.paths)):
+        return []
+    known = {row["session"] for row in store.rows(SESSIONS)} | {one.root.name for one in sessions.all_of(store.paths)}
+    return [path for path in found if path.stem not in known]
 
 
 def _unfinished(paths: StorePaths) -> Iterator[Path]:
@@ -230,6 +247,7 @@ def text(collection: Collection) -> list[str]:
         (collection.objects - collection.raw, "recorded files that nothing refers to"),
         (collection.raw, RAW_LOST),
         (collection.merged, f"small segments, merged into {collection.into}"),
+        (collection.logs, "log files of sessions that are not recorded"),
         (collection.damaged, "damaged segments that a repair put aside"),
     )
     return [f"{count} {what}" for count, what in told if count]

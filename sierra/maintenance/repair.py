@@ -34,6 +34,9 @@ from sierra.store.layout import StorePaths
 from sierra.store.segments import FORMAT, MANIFEST, Segment, manifest
 from sierra.util.fs import write_whole
 from sierra.util.hashing import sha256, short
+from sierra.util.log import Log
+
+log = Log(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,6 +75,8 @@ def repair(paths: StorePaths, root: Path, *, dry_run: bool = False, tell: Tell =
     if done and not dry_run:
         checked = fsck.check(paths, root, tell)
     done += _salvage(paths, root, checked, dry_run, tell)
+    for line in done if not dry_run else ():
+        log.warning("repaired: %s", line)
     return Repair(tuple(done), checked.report if dry_run or not done else fsck.check(paths, root, tell).report)
 
 

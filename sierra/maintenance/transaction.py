@@ -25,7 +25,7 @@ ATTEMPTS = 5
 @contextlib.contextmanager
 def changing(store: StorePaths) -> Iterator[Session]:
     """Yield a new session to write in. If its process is killed, the next session or `gc` removes what it leaves."""
-    session = Session(store)
+    session = Session(store, logged=False)
     try:
         yield session
     finally:

@@ -43,7 +43,10 @@ from sierra.store.order import stamp
 from sierra.store.samples import like
 from sierra.store.store import Found, Store
 from sierra.util.hashing import short
+from sierra.util.log import Log
 from sierra.version import __version__
+
+log = Log(__name__)
 
 ARITHMETIC = ("machine", "cpu_flags", "gpus", "libc", "container")
 """Facts about a machine that may change the results of the same programs."""
@@ -111,6 +114,7 @@ def replay(
     kept = store.paths.kept(session.id) if options.keep else None
     try:
         session.take_number()
+        log.info("replay of %s %s on %s with %s", record.found.kind, record.found.id, options.runner, engine.name)
         root = session.paths.source
         checkout = record.of.checkout(project, store)
         checkout.make(root)

@@ -12,7 +12,6 @@ import threading
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict
 from functools import lru_cache
-from pathlib import Path
 from typing import Any
 
 from sierra.config.project_file import ClusterTable
@@ -22,7 +21,10 @@ from sierra.runners import orphans
 from sierra.runners.base import Look, Work
 from sierra.runners.journal import Journal, Stalled, Started
 from sierra.store.layout import SessionPaths
+from sierra.util.log import Log, shown
 from sierra.worker import worker
+
+log = Log(__name__)
 
 
 class Local:
@@ -41,8 +43,10 @@ class Local:
         self._session = session
         self._journal = Journal(session.journal)
         self._journal.skip()
+        argv = (sys.executable, "-I", "-S", worker.__file__, str(session.runs), str(self._slots), str(session.journal))
+        log.debug("worker: %s", shown(argv))
         self._process = subprocess.Popen(
-            [sys.executable, "-I", "-S", str(Path(worker.__file__)), str(session.runs), str(self._slots), str(session.journal)],
+            argv,
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,
@@ -58,8 +62,10 @@ class Local:
         """Send all jobs, and hold the pipe open until the worker has ended."""
         pipe: Any = process.stdin
         try:
-            for text in map(line, jobs):
-                pipe.write(text)
+            for number, job in enumerate(jobs):
+                if number == 0:
+                    log.debug("first run: %s", shown(job.client.argv if job.client else job.argv))
+                pipe.write(line(job))
             pipe.write(b'{"end": true}\n')
             pipe.flush()
             process.wait()
@@ -101,6 +107,7 @@ class Local:
     def _check(self, process: subprocess.Popen[bytes]) -> None:
         """Raise the error of a worker that has failed. It has ended, and everything that it recorded has been read."""
         ending = _ending(process)
+        log.debug("worker: %s", ending)
         if self._trouble is not None:
             raise self._trouble
         if process.returncode not in (0, 1):

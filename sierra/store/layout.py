@@ -24,6 +24,7 @@ PROJECT/.sierra/work/<session>/     the work of a session; removed once it is re
 PROJECT/.sierra/images/<id>/        the description of an image, and its files as apptainer runs them; rebuilt from the image
     image.json  files.jsonl  rootfs.sqfs  rootfs.<user>/
 PROJECT/.sierra/damaged/<segment>/  segments that `sierra fsck --repair` moved out of the way
+PROJECT/.sierra/logs/<session>.log  the messages of a session, and <session>.old the earlier ones; see sierra.store.session_log
 PROJECT/.sierra/kept/<replay>/      files that `sierra replay --keep` leaves: source/, and each run's folder by its id
 """
 
@@ -82,7 +83,20 @@ class StorePaths:
     MARK: ClassVar[str] = "mark"
     """The name of the file that shows that SIERRA made a folder; see `sierra.store.marks`."""
     NAMES: ClassVar[frozenset[str]] = frozenset(
-        (".gitignore", "CACHEDIR.TAG", "damaged", "files", "format", "id", "images", "kept", "numbers", "segments", "work")
+        (
+            ".gitignore",
+            "CACHEDIR.TAG",
+            "damaged",
+            "files",
+            "format",
+            "id",
+            "images",
+            "kept",
+            "logs",
+            "numbers",
+            "segments",
+            "work",
+        )
     )
     """The names of all entries of a store."""
     root: Path
@@ -151,6 +165,14 @@ class StorePaths:
     def kept(self, replay: str) -> Path:
         """Return the folder of the files that `sierra replay --keep` leaves."""
         return inside(self.root / "kept", replay)
+
+    @property
+    def logs(self) -> Path:
+        """The folder of the sessions' log files; may be deleted."""
+        return self.root / "logs"
+
+    def log(self, session: str) -> Path:
+        return self.logs / f"{session}.log"
 
     def session(self, session: str) -> SessionPaths:
         return SessionPaths(self.work / session)

@@ -28,6 +28,9 @@ from sierra.containers.engines import podman_config
 from sierra.containers.engines.base import Capabilities
 from sierra.store.layout import user_engines
 from sierra.util.cache import Cache
+from sierra.util.log import Log
+
+log = Log(__name__)
 
 MOST = 64
 DECIDING = ("PATH", "HOME", "CONTAINERS_CONF", "XDG_CONFIG_HOME", "XDG_CACHE_HOME")
@@ -169,7 +172,7 @@ def start(
 def run(command: Sequence[str], environment: Mapping[str, str] | None = None) -> subprocess.CompletedProcess[str]:
     """Run a command to its end, or until the timeout, which counts as a failure."""
     try:
-        return subprocess.run(
+        done = subprocess.run(
             command,
             stdin=subprocess.DEVNULL,
             capture_output=True,
@@ -180,6 +183,8 @@ def run(command: Sequence[str], environment: Mapping[str, str] | None = None) ->
             cwd="/",
             check=False,
         )
+        log.command(command, done.returncode, done.stderr)
+        return done
     except subprocess.TimeoutExpired:
         return subprocess.CompletedProcess(command, 1, "", f"it did not answer within {PATIENCE_S:.0f} s")
     except OSError as error:

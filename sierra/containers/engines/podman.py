@@ -24,6 +24,9 @@ from sierra.containers.images import Image, Kind, podman_storage, short
 from sierra.errors import Missing
 from sierra.model import Client, Result
 from sierra.store.layout import StorePaths
+from sierra.util.log import Log
+
+log = Log(__name__)
 
 LABEL = "org.sierra.session"
 CID = "\0/.cid"
@@ -125,4 +128,5 @@ def _podman(*words: str, session: str) -> str:
         told = subprocess.run(("podman", *words), capture_output=True, text=True, env=environment(session), check=False)
     except OSError:
         return ""
+    log.command(("podman", *words), told.returncode, told.stderr)
     return told.stdout

@@ -21,6 +21,9 @@ from sierra.containers.images.sif import read as read_sif
 from sierra.errors import Missing
 from sierra.store.layout import user_engines
 from sierra.util.cache import Cache
+from sierra.util.log import Log
+
+log = Log(__name__)
 
 MOST = 64
 
@@ -73,6 +76,7 @@ def _unpack(squashfs: Path, folder: Path) -> None:
         said = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, text=True, errors="replace", check=False)
     except OSError as error:
         raise Missing("unsquashfs is not installed; it comes with squashfs-tools (apt-get install squashfs-tools)") from error
+    log.command(command, said.returncode, said.stderr)
     try:
         if said.returncode:
             lines = (said.stderr + said.stdout).strip().splitlines() or ["it said nothing"]

@@ -27,9 +27,12 @@ from sierra.containers.images.oci import image_of
 from sierra.errors import Damaged, Missing
 from sierra.store.layout import user_images
 from sierra.util.cache import Cache
+from sierra.util.log import Log
 from sierra.util.signals import noted
 from sierra.worker import worker
 from sierra.worker.processes import marked
+
+log = Log(__name__)
 
 MOST = 512
 PATIENCE = 20.0
@@ -232,6 +235,7 @@ def run(
         if process is not None:
             _stop(process, mark, builds=builds)
         raise
+    log.command(command, process.returncode, err or "")
     return subprocess.CompletedProcess(command, process.returncode, out, err)
 
 

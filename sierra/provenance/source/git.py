@@ -16,6 +16,9 @@ from functools import cached_property
 from pathlib import Path
 
 from sierra.errors import Missing
+from sierra.util.log import Log
+
+log = Log(__name__)
 
 ALWAYS = (
     *("-c", "core.hooksPath=/dev/null"),  # updating a ref and writing an index run hooks
@@ -75,6 +78,7 @@ class Git:
             )
         except OSError as error:
             raise Missing(f"git cannot be run in {cwd}: {error.strerror}") from error
+        log.command(("git", *arguments), done.returncode, "" if optional else done.stderr.decode("utf-8", "replace"))
         if done.returncode not in (0, none) and not optional:
             raise Missing(self._complaint(_command(arguments), done.stderr.decode("utf-8", "replace")))
         return b"" if done.returncode else done.stdout

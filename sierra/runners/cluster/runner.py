@@ -48,9 +48,11 @@ from sierra.runners.schedulers.base import State, Task
 from sierra.store.layout import SessionPaths
 from sierra.store.segments import disk_errors
 from sierra.util.fs import write_whole
+from sierra.util.log import Log
 from sierra.util.text import counted, few
 from sierra.worker import array_task, worker
 
+log = Log(__name__)
 FIRST_POLL_S, LAST_POLL_S = 1.0, 15.0
 """Shortest and longest time between two queries to the scheduler. The time grows while nothing happens."""
 QUIET_S = 3.0
@@ -632,6 +634,7 @@ class Cluster:
         if text not in self._said:
             self._said.add(text)
             self._notes.append(text)
+            log.info("%s", text)
 
 
 def _means(times: Times | None, first: Sequence[int]) -> tuple[float | None, float | None]:

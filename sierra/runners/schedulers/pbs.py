@@ -40,6 +40,9 @@ from sierra.runners.schedulers.base import Bounds, Limit, Request, Scheduler, St
 from sierra.runners.schedulers.qsub import Dialect
 from sierra.runners.schedulers.refusals import PBS, about
 from sierra.util.fs import write_whole
+from sierra.util.log import Log
+
+log = Log(__name__)
 
 PATIENCE_S = 20.0
 SUBMITTING_S = 120.0
@@ -230,7 +233,7 @@ def _call(
     if environment is None:
         environment = {name: value for name, value in os.environ.items() if name in PASSED} | {"LC_ALL": "C"}
     try:
-        return subprocess.run(
+        done = subprocess.run(
             argv,
             cwd=folder,
             env=environment,
@@ -241,6 +244,8 @@ def _call(
             timeout=patience,
             check=False,
         )
+        log.command(argv, done.returncode, done.stderr)
+        return done
     except FileNotFoundError as error:
         raise Missing(f"no {argv[0]} here; PBS's commands are on login nodes") from error
     except OSError as error:

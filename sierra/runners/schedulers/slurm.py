@@ -31,7 +31,10 @@ from sierra.runners.schedulers import slurm_limits
 from sierra.runners.schedulers.base import Bounds, Limit, Request, State, Task, least
 from sierra.runners.schedulers.refusals import SLURM, about
 from sierra.runners.schedulers.slurm_limits import Partitions, seconds
+from sierra.util.log import Log
 from sierra.util.text import ranges
+
+log = Log(__name__)
 
 PATIENCE_S = 20.0
 POLL_S = 0.5
@@ -301,6 +304,7 @@ def _submit(script: str, folder: Path) -> tuple[int, str, str]:
         while True:
             try:
                 out, err = process.communicate(given, timeout=POLL_S)
+                log.command(argv, process.returncode, err.decode(errors="replace"))
                 return process.returncode, out.decode(errors="replace"), err.decode(errors="replace")
             except subprocess.TimeoutExpired as waiting:
                 given = None
@@ -328,6 +332,7 @@ def _answer(program: str, *words: str) -> str:
         )
     except subprocess.TimeoutExpired:
         raise Missing(f"SLURM does not answer {program} within {PATIENCE_S:.0f} s") from None
+    log.command((program, *words), done.returncode, done.stderr)
     if done.returncode != 0:
         raise Missing(f"SLURM: {_line(done.stderr or done.stdout)}")
     return done.stdout
