@@ -224,8 +224,11 @@ class Project:
     def _session(self, prefix: str) -> dict[str, Any] | None:
         """Return the record of a session, or only its log file if it is not recorded; None if there is not exactly one."""
         from sierra.store import session_log
+        from sierra.store.store import PREFIX
 
         start = prefix.lower()
+        if not PREFIX.fullmatch(start):
+            return None
         recorded = self.store.rows("SELECT * FROM sessions WHERE starts_with(session, $p)", p=start)
         logged = (path.stem for path in session_log.logs(self.store.paths) if path.stem.startswith(start))
         found: dict[str, dict[str, Any]] = {session: {"session": session} for session in logged}

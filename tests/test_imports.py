@@ -44,7 +44,7 @@ def test_help_imports_no_library_but_that_of_the_command_line(root: Path) -> Non
 
 @pytest.mark.parametrize("words", [("ls",), ("status",), ("sql", "SELECT 1")], ids=" ".join)
 def test_reading_imports_neither_git_nor_what_figures_need(root: Path, words: tuple[str, ...]) -> None:
-    assert imported(root, *words) <= {"duckdb", "lxml", "numpy", "pyarrow", "pydantic"}
+    assert imported(root, *words) <= {"duckdb", "logging", "lxml", "numpy", "pyarrow", "pydantic"}
 
 
 @pytest.mark.parametrize("words", [("run", "population_size=1", "--no-figures"), ("run", "population_size=1", "-n")])
