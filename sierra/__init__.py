@@ -1,32 +1,104 @@
 """SIERRA: from a research question to results that anyone can verify.
 
-import sierra
+>>> import sierra
+>>> project = sierra.open(".")
+>>> summary = project.run("population_size=1,2", runs=2)
+>>> print(project.sql("SELECT count(*) AS rows FROM swarm", within=summary.batch).to_pylist())
+[{'rows': 20}]
 
-project = sierra.open(".")
-summary = project.run("population_size.Log8", runs=10)
-project.statistics(summary.batch, "swarm", "coverage").to_pandas()
+All names here are loaded when they are first used, so that `import sierra` is fast.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import importlib
+from typing import TYPE_CHECKING, Any
 
 from sierra.version import __version__
 
 if TYPE_CHECKING:
     import os
 
+    from sierra.errors import (
+        ConfigError,
+        Damaged,
+        Missing,
+        NotFound,
+        QueryError,
+        SierraError,
+        SqlError,
+        TemplateError,
+        UsageError,
+    )
+    from sierra.execution.observer import Observer, Progress
+    from sierra.execution.plans import Plan
+    from sierra.execution.summary import Summary
     from sierra.project import Project
+    from sierra.replay.verdicts import Replay
+    from sierra.store.result import Result
+
+HOMES = {
+    "ConfigError": "sierra.errors",
+    "Damaged": "sierra.errors",
+    "Missing": "sierra.errors",
+    "NotFound": "sierra.errors",
+    "Observer": "sierra.execution.observer",
+    "Plan": "sierra.execution.plans",
+    "Progress": "sierra.execution.observer",
+    "Project": "sierra.project",
+    "QueryError": "sierra.errors",
+    "Replay": "sierra.replay.verdicts",
+    "Result": "sierra.store.result",
+    "SierraError": "sierra.errors",
+    "SqlError": "sierra.errors",
+    "Summary": "sierra.execution.summary",
+    "TemplateError": "sierra.errors",
+    "UsageError": "sierra.errors",
+}
+"""The module that defines each public name."""
 
 
 def open(path: str | os.PathLike[str] = ".") -> Project:
-    """Return the project that contains `path`, with its store; see `sierra.project.Project`.
+    """Return the project that contains `path`, with its store; see `Project`.
 
-    Raises sierra.errors.Missing if neither a `sierra.toml` nor a store is in that folder or above it.
+    Raises Missing if neither a `sierra.toml` nor a store is in that folder or above it.
+
+    >>> project = open(".")
+    >>> sorted(project.config.variables)
+    ['noise', 'population_size']
     """
     from sierra.project import Project
 
     return Project(path)
 
 
-__all__ = ["__version__", "open"]
+def __getattr__(name: str) -> Any:
+    if name not in HOMES:
+        raise AttributeError(f"module 'sierra' has no attribute {name!r}")
+    return getattr(importlib.import_module(HOMES[name]), name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *HOMES})
+
+
+__all__ = [
+    "ConfigError",
+    "Damaged",
+    "Missing",
+    "NotFound",
+    "Observer",
+    "Plan",
+    "Progress",
+    "Project",
+    "QueryError",
+    "Replay",
+    "Result",
+    "SierraError",
+    "SqlError",
+    "Summary",
+    "TemplateError",
+    "UsageError",
+    "__version__",
+    "open",
+]

@@ -1,14 +1,13 @@
 """The Python interface of SIERRA: the actions of the command line, as functions that return values.
 
-project = sierra.open(".")
-summary = project.run("population_size.Log8", runs=10)
-frame = project.sql("SELECT * FROM swarm WHERE clock = 60", within=summary.batch).to_pandas()
-table = project.statistics(summary.batch, "swarm", "coverage").to_pandas()
+The examples in docstrings are executed by a test, in a project with the variables `population_size` and `noise` whose runs
+write a table `swarm` with the columns `tick` and `coverage`.
 """
 
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
 from functools import cached_property
@@ -21,7 +20,7 @@ from sierra.store.layout import ProjectPaths, StorePaths
 from sierra.store.store import Store
 
 if TYPE_CHECKING:
-    import pyarrow as pa
+    import pandas as pd
 
     from sierra.containers.images import Contents, Image
     from sierra.containers.images.listing import Known
@@ -43,10 +42,19 @@ if TYPE_CHECKING:
     from sierra.replay.verdicts import Replay, Tolerances
     from sierra.runners.cluster.estimate import Estimate
     from sierra.store.export import Listing, Outcome
+    from sierra.store.result import Result
 
 
 class Project:
-    """A project: its `sierra.toml`, and the store beside it."""
+    """A project: its `sierra.toml`, and the store beside it. `sierra.open` makes one.
+
+    Methods accept ids as prefixes of at least 4 digits. All errors are subclasses of `SierraError`. A method that waits for
+    runs shows its progress in a notebook; elsewhere it shows none. `progress` overrides this: True shows it, False does not.
+
+    >>> project = sierra.open(".")
+    >>> project.root.name
+    'project'
+    """
 
     def __init__(self, path: str | os.PathLike[str] = ".") -> None:
         """Open the project that contains the folder `path`, or only the store there. Raises Missing if there is neither."""
@@ -62,6 +70,17 @@ class Project:
 
         outputs = stored_plan.last_outputs(self.store)
         return replace(self._found, config=self._found.config.model_copy(update={"outputs": outputs}))
+
+    def _repr_html_(self) -> str:
+        from sierra.util import html
+        from sierra.util.hashing import short
+
+        batches = self.batches[-html.ROWS :] if self.stored() else []
+        rows = ((short(row["batch"]), row["query"], row["runs"], row["failed"], row["missing"]) for row in batches)
+        return html.page(f"SIERRA project {self.root}", ("batch", "query", "runs", "failed", "missing"), rows)
+
+    def __repr__(self) -> str:
+        return f"sierra.open({str(self.root)!r})"
 
     @property
     def root(self) -> Path:
@@ -97,7 +116,12 @@ class Project:
         `sets` are pairs of XPath and value. `engine` is the engine that isolates the runs; it overrides the project's. `heed`
         receives the progress of planning: see `sierra.design.experiments.Heed`.
 
-        A prefix of a recorded batch's id instead of a query plans that batch with the recorded code and inputs.
+        A prefix of a recorded batch's id instead of a query plans that batch with the recorded code and inputs. Raises
+        QueryError, UsageError, TemplateError, and Missing for a program that is not found.
+
+        >>> plan = project.plan("population_size=1,2,4", runs=3)
+        >>> len(plan.batch.experiments), len(plan.batch.runs)
+        (3, 9)
         """
         from sierra.execution import stored_plan
         from sierra.query import request as requests
@@ -137,16 +161,29 @@ class Project:
         engine: str | None = None,
         runner: str = "local",
         detach: bool = False,
+        progress: bool | None = None,
     ) -> Summary:
         """Run a query: execute its missing runs, record them, and draw the figures.
 
         `jobs` is the number of runs that execute at the same time (default: the user's setting, or the number of usable cores).
-        `observer` receives the progress: see `sierra.execution.observer.Observer`. `runner` is where runs execute: `local`, or
-        the name of a cluster; with `detach`, this function returns once the jobs are submitted.
+        `observer` receives the progress and notices instead: see `Observer`. `runner` is where runs execute: `local`, or the
+        name of a cluster; with `detach`, this function returns once the jobs are submitted. The summary counts failed runs; they
+        raise no error. Raises the errors of `plan`, and Missing if the disk is full.
+
+        >>> summary = project.run("population_size=1,2", runs=2, figures=False)
+        >>> summary.runs, summary.failed, summary.missing
+        (4, 0, 0)
         """
         plan = self.plan(*query, runs=runs, controller=controller, scenario=scenario, sets=sets, engine=engine)
         return self.execute(
-            plan, jobs=jobs, fail_fast=fail_fast, figures=figures, observer=observer, runner=runner, detach=detach
+            plan,
+            jobs=jobs,
+            fail_fast=fail_fast,
+            figures=figures,
+            observer=observer,
+            runner=runner,
+            detach=detach,
+            progress=progress,
         )
 
     def execute(
@@ -159,12 +196,16 @@ class Project:
         observer: Observer | None = None,
         runner: str = "local",
         detach: bool = False,
+        progress: bool | None = None,
     ) -> Summary:
-        """Execute a plan. `observer` receives progress and notices: see `sierra.execution.observer.Observer`."""
+        """Execute a plan as `run` does. `observer` receives progress and notices, and decides about jobs on a cluster.
+
+        >>> project.execute(project.plan("population_size=1,2", runs=2), figures=False).executed
+        0
+        """
         from sierra import runners
         from sierra.execution import execute
         from sierra.execution.executor import RunOptions
-        from sierra.execution.observer import Observer
 
         stays = runners.find(runner, self.config.runners)(1).stays
         if detach and not stays:
@@ -175,7 +216,7 @@ class Project:
             _slots(jobs),
             runner,
             fail_fast,
-            observer=observer or Observer(),
+            observer=observer or _observer(progress),
             detach=detach,
         )
         store = Store.create(self.paths.store)
@@ -184,19 +225,43 @@ class Project:
         summary = replace(summary, notes=(*probed, *summary.notes))
         return self._drawn(summary) if figures else summary
 
-    def sql(self, text: str, *, within: str | None = None, **parameters: Any) -> pa.Table:
-        """Return the result of one SQL statement as an Arrow table (`.to_pandas()` makes it a data frame).
+    def sql(self, text: str, *, within: str | None = None, **parameters: Any) -> Result:
+        """Return the result of one SQL statement: an Arrow table that notebooks show (see `Result`).
 
         `$name` in the statement takes its value from the keyword. `within` is a prefix of a batch's id: then members, runs
         and outputs are those of that batch. Otherwise they are those of all batches, whatever code made them. If a column v
         holds numbers in some runs and texts in others, the texts are in v_text, and the schema's metadata `sierra:note`
         reports it. Raises SqlError.
+
+        >>> project.sql("SELECT max(coverage) AS most FROM swarm WHERE tick = $t", within=summary.batch, t=0).num_rows
+        1
         """
-        return self.store.sql(text, within=None if within is None else self.batch(within), **parameters)
+        from sierra.store.result import Result
+
+        return Result(self.store.sql(text, within=None if within is None else self.batch(within), **parameters))
+
+    def frame(self, table: str, *, within: str | None = None, **parameters: Any) -> pd.DataFrame:
+        """Return a table of the store, or the result of a SQL statement, as a pandas data frame.
+
+        `table` is a name, as `SHOW TABLES` lists them, or a statement; the other arguments are those of `sql`. The frame has a
+        row for each row and a column for each column of the table; `DESCRIBE` gives the units. Raises SqlError, and Missing if
+        pandas is not installed (the extra `figures`).
+
+        >>> project.frame("swarm", within=summary.batch).shape[0]
+        20
+        >>> list(project.frame("SELECT avg(coverage) AS mean FROM swarm").columns)
+        ['mean']
+        """
+        named = re.fullmatch(r"[^\W\d]\w*", table)
+        return self.sql(f'FROM "{table}"' if named else table, within=within, **parameters).frame()
 
     @property
     def batches(self) -> list[dict[str, Any]]:
-        """All batches, the most recently requested last; see `sierra.execution.listing.batches`."""
+        """All batches, the most recently requested last: a dictionary for each, with the columns of `sierra ls --json`.
+
+        >>> project.batches[-1]["query"]
+        'population_size=1,2'
+        """
         from sierra.execution import listing
 
         return listing.batches(self.store)
@@ -207,6 +272,9 @@ class Project:
         For a batch, `history` is the recorded commit as the repository has it now; see `sierra.provenance.history.Known`. For a
         batch (its last session), an execution and a session, `log_file` is the path of the session's log file, or None.
         Raises NotFound.
+
+        >>> project.show(summary.batch)["kind"]
+        'batch'
         """
         from sierra.execution import listing
 
@@ -266,38 +334,53 @@ class Project:
         keep: bool = False,
         record: bool = True,
         observer: Observer | None = None,
+        progress: bool | None = None,
     ) -> Replay:
-        """Replay what an id names from the record alone, and compare the results: see `sierra.replay.verdicts.Replay`.
+        """Replay what an id names from the record alone, and compare the results.
 
         `runs`: replay at most this number of runs of each experiment, the first ones. `tolerances`: by output and column (`*`:
         all); they override those in `sierra.toml`. `keep`: do not remove the restored source and the folders of the runs.
         Without `record`, nothing is written to the store, which may be read-only. `observer` receives differences from the
         recorded environment before anything executes. Raises NotFound, and Missing if something necessary no longer exists.
+
+        >>> print(project.replay(summary.batch, runs=1).verdict)
+        identical
         """
         from sierra.replay import replay
 
         options = replay.ReplayOptions(_slots(jobs), runs, runner, engine, tolerances or {}, keep)
         execute = replay.replay if record else replay.unrecorded
-        return execute(self._loaded, self.store, prefix, options, observer)
+        return execute(self._loaded, self.store, prefix, options, observer or _observer(progress))
 
     def proposal(self, plan: Plan, runner: str, *, detach: bool = False) -> Estimate | None:
         """Return an estimate of the cluster resources that a plan needs: see `sierra.runners.cluster.estimate`.
 
         Return None if the runner is not a cluster, or if no run must be submitted.
+
+        >>> print(project.proposal(project.plan("population_size=8"), "local"))
+        None
         """
         from sierra.execution import estimate
 
         return estimate.proposal(plan, self.stored(), runner, detach=detach)
 
     def status(self, prefix: str | None = None, *, observer: Observer | None = None) -> list[Standing]:
-        """Return the state of cluster jobs, of all batches or of one. Record the runs that have finished there first."""
+        """Return the state of cluster jobs, of all batches or of one. Record the runs that have finished there first.
+
+        >>> project.status()
+        []
+        """
         from sierra.execution import status
 
         store = self.stored()
         return status.standing(store, prefix, observer) if store else []
 
     def left(self, summary: Summary) -> list[Standing]:
-        """Return the state of the cluster jobs that the summary's session left running."""
+        """Return the state of the cluster jobs that the summary's session left running.
+
+        >>> project.left(summary)
+        []
+        """
         from sierra.execution import status
 
         found = (status.submitted(self.store.paths.session(session)) for session in summary.detached)
@@ -309,16 +392,26 @@ class Project:
         *,
         figures: bool = True,
         observer: Observer | None = None,
+        progress: bool | None = None,
     ) -> Summary:
-        """Reattach to a detached batch and wait for it; see `sierra.execution.takeover.follow`."""
-        from sierra.execution import takeover
-        from sierra.execution.observer import Observer
+        """Reattach to a detached batch and wait for it. Raises NotFound if the batch has no jobs on a cluster.
 
-        summary = takeover.follow(self.store, prefix, observer or Observer())
+        >>> project.attach(summary.batch)
+        Traceback (most recent call last):
+        sierra.errors.NotFound: ...
+        """
+        from sierra.execution import takeover
+
+        summary = takeover.follow(self.store, prefix, observer or _observer(progress))
         return self._drawn(summary) if figures else summary
 
     def cancel(self, prefix: str, *, observer: Observer | None = None) -> list[Cancelled]:
-        """Cancel a batch's jobs on a cluster, and keep finished runs. Raises NotFound if the batch has no jobs there."""
+        """Cancel a batch's jobs on a cluster, and keep finished runs. Raises NotFound if the batch has no jobs there.
+
+        >>> project.cancel(summary.batch)
+        Traceback (most recent call last):
+        sierra.errors.NotFound: ...
+        """
         from sierra.execution import takeover
         from sierra.execution.observer import Observer
 
@@ -329,13 +422,21 @@ class Project:
 
         Differences that probably affect results come first: see `sierra.explain.diff.compare.Comparison`.
         Raises NotFound, UsageError.
+
+        >>> other = project.run("population_size=1,2", runs=1, figures=False)
+        >>> [one.name for one in project.diff(summary.batch, other.batch).differences]
+        ['runs']
         """
         from sierra.explain import diff
 
         return diff.compare(self._loaded, self.store, before, after)
 
     def why(self, prefix: str) -> Why:
-        """Explain why runs were executed or not, which executions are effective, and what the query would execute now."""
+        """Explain why runs were executed or not, which executions are effective, and what the query would execute now.
+
+        >>> project.why(summary.batch).found.kind
+        'batch'
+        """
         from sierra.explain import why
 
         return why.why(self._loaded, self.store, prefix)
@@ -410,19 +511,31 @@ class Project:
         return source.share(self.root, "fetch", remote)
 
     def fsck(self, *, tell: Callable[[str], None] = lambda text: None) -> Report:
-        """Check all records and files: see `sierra.maintenance.fsck.Report`. `tell` receives the progress."""
+        """Check all records and files: see `sierra.maintenance.fsck.Report`. `tell` receives the progress.
+
+        >>> project.fsck().findings
+        ()
+        """
         from sierra.maintenance import fsck
 
         return fsck.check(StorePaths(self.paths.store), self.root, tell).report
 
     def repair(self, *, dry_run: bool = False, tell: Callable[[str], None] = lambda text: None) -> Repair:
-        """Repair the store and check it: see `sierra.maintenance.repair`. Nothing is deleted."""
+        """Repair the store and check it: see `sierra.maintenance.repair`. Nothing is deleted.
+
+        >>> project.repair(dry_run=True).done
+        ()
+        """
         from sierra.maintenance import repair
 
         return repair.repair(StorePaths(self.paths.store), self.root, dry_run=dry_run, tell=tell)
 
     def removal(self, *prefixes: str) -> Removal:
-        """Return what `remove` would delete for these ids of batches, experiments, runs or executions. Raises NotFound."""
+        """Return what `remove` would delete for these ids of batches, experiments, runs or executions. Raises NotFound.
+
+        >>> type(project.removal(summary.batch)).__name__
+        'Removal'
+        """
         from sierra.maintenance import remove
 
         return remove.plan(self.store, prefixes)
@@ -432,13 +545,20 @@ class Project:
 
         Runs that other batches have keep their executions. Raises NotFound for an unknown id, Missing if the disk is full, and
         SierraError while one of the batches is executing. If it raises, nothing changes.
+
+        >>> print(project.remove(summary.batch, agree=lambda removal: False))
+        None
         """
         from sierra.maintenance import remove
 
         return remove.remove(self.store, prefixes, agree)
 
     def collection(self, *, damaged: bool = False, raw: bool = False) -> Collection:
-        """Return what `collect` would remove: see `sierra.maintenance.gc.Collection`."""
+        """Return what `collect` would remove: see `sierra.maintenance.gc.Collection`.
+
+        >>> project.collection().sessions
+        0
+        """
         from sierra.maintenance import gc
 
         return gc.plan(self.store, damaged=damaged, raw=raw)
@@ -454,6 +574,9 @@ class Project:
 
         `damaged`: also remove segments that a repair put aside; `raw`: also remove the bytes of files that became tables.
         Raises Missing if the disk is full; nothing is lost then.
+
+        >>> project.collect(agree=lambda collection: False) is None or project.collection().nothing
+        True
         """
         from sierra.maintenance import gc
 
@@ -463,6 +586,9 @@ class Project:
         """Return a list of the recorded files of what an id names; with `to`, write them there and return the outcomes.
 
         `paths` are paths in the listing, or globs; without any, all files. Raises NotFound for a path that matches nothing.
+
+        >>> len(project.files(summary.batch, "swarm.csv").files)
+        4
         """
         from sierra.store import export
 
@@ -470,11 +596,18 @@ class Project:
         return listed if to is None else list(export.extract(self.store, listed, Path(to)))
 
     def figures(self, prefix: str | None = None, name: str | None = None) -> list[Path]:
-        """Draw a batch's figures again (all, or the one called `name`); return the files. Default: the batch requested last."""
+        """Draw a batch's figures again (all, or the one called `name`); return the files. Default: the batch requested last.
+
+        >>> sorted({path.suffix for path in project.figures(summary.batch)})
+        ['.pdf', '.png', '.svg']
+        """
         return self.draw(prefix, name)[0]
 
     def draw(self, prefix: str | None = None, name: str | None = None) -> tuple[list[Path], list[str]]:
-        """Draw as `figures` does; return the files, and what could not be drawn and why."""
+        """Draw as `figures` does; return the files, and what could not be drawn and why.
+
+        >>> drawn, notes = project.draw(summary.batch)
+        """
         return self._deliver(self.batch(prefix), name)
 
     def statistics(
@@ -486,21 +619,30 @@ class Project:
         measure: str | None = "final",
         threshold: float | None = None,
         times: str | None = None,
-    ) -> pa.Table:
+    ) -> Result:
         """Return all statistics of a column over the runs of each experiment of a batch: n, mean, sd, interval, median, ….
 
         First, `measure` reduces each run to one value (`final`, `mean`, or `time_to` a `threshold`). With `measure=None`,
         there is a row for each experiment and time instead: the runs' `own` times, or common ones (`carry`: last values
         carried forward, `linear`: interpolated). Column `experiment` is the experiment's place in the batch; the values of the
         axes follow it. The schema's metadata hold the statement (`sierra:sql`) and notes on everything that is not in the
-        numbers (`sierra:note`).
+        numbers (`sierra:note`). Values have the unit of the column. Raises NotFound, UsageError.
+
+        >>> project.statistics(summary.batch, "swarm", "coverage", measure="mean").column("n").to_pylist()
+        [2, 2]
         """
         from sierra.deliverables import render
+        from sierra.store.result import Result
 
-        return render.statistics(self._loaded, self.store, self.batch(prefix), output, column, measure, threshold, times)
+        batch = self.batch(prefix)
+        return Result(render.statistics(self._loaded, self.store, batch, output, column, measure, threshold, times))
 
     def batch(self, prefix: str | None = None) -> str:
-        """Return the id of a batch from a prefix; without one, that of the batch requested last. Raises NotFound, Missing."""
+        """Return the id of a batch from a prefix; without one, that of the batch requested last. Raises NotFound, Missing.
+
+        >>> project.batch(summary.batch[:10]) == summary.batch
+        True
+        """
         if prefix is not None:
             found = self.store.resolve(prefix)
             if found.kind != "batch":
@@ -531,6 +673,12 @@ class Project:
         from sierra.deliverables import render
 
         return render.figures(self._loaded, self.store, batch, name, again=again)
+
+
+def _observer(wanted: bool | None) -> Observer:
+    from sierra.execution import progress
+
+    return progress.observer(wanted)
 
 
 def _slots(jobs: int | None) -> int:

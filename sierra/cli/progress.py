@@ -14,6 +14,7 @@ from sierra.cli import detach
 from sierra.cli.output import note, raw, safe
 from sierra.errors import UsageError
 from sierra.execution.observer import Observer, Progress
+from sierra.execution.progress import text
 from sierra.util.text import counted
 
 FIRST_S, LAST_S = 10.0, 300.0
@@ -89,7 +90,7 @@ class _Lines(Display):
     def progress(self, progress: Progress) -> None:
         now = time.monotonic()
         if now - self._said >= min(max(FIRST_S, SHARE * (now - self._began)), LAST_S):
-            line = text(progress, now - self._began)
+            line = safe(text(progress, now - self._began))
             if line != self._last:
                 print(line, file=sys.stderr, flush=True)
             self._said, self._last = now, line
@@ -129,32 +130,5 @@ class _Bar(Display):
             self._task,
             total=progress.total,
             completed=progress.reused + progress.done,
-            description=text(progress, time.monotonic() - self._began),
+            description=safe(text(progress, time.monotonic() - self._began)),
         )
-
-
-def text(progress: Progress, seconds: float) -> str:
-    """Return progress in words: numbers of done, failed and running runs, speed, and remaining time."""
-    done = progress.reused + progress.done
-    parts = [f"{done}/{progress.total} runs"]
-    if progress.failed:
-        parts.append(f"{progress.failed} failed")
-    if progress.running:
-        parts.append(f"{progress.running} running")
-    if progress.queued:
-        why = f" ({safe(progress.waits)})" if progress.waits else ""
-        parts.append(f"{counted(progress.queued, 'element')} queued{why}")
-    if progress.elsewhere:
-        parts.append(f"{progress.elsewhere} in another session")
-    if progress.done and seconds > 0:
-        rate = progress.done / seconds
-        parts.append(f"{rate:.1f}/s")
-        parts.append(f"{duration((progress.total - done) / rate)} left")
-    return ", ".join(parts)
-
-
-def duration(seconds: float) -> str:
-    whole = round(seconds)
-    hours, rest = divmod(whole, 3600)
-    minutes, seconds_left = divmod(rest, 60)
-    return f"{hours}:{minutes:02}:{seconds_left:02}" if hours else f"{minutes}:{seconds_left:02}"

@@ -77,4 +77,4 @@ def stats(
         raise UsageError("--times gives a row for each time, --measure one for each experiment; choose one of them")
     reduced = None if times else (measure or Measure.final).value
     table = project().statistics(batch, output, column, measure=reduced, threshold=threshold, times=times and times.value)
-    write(Result.of_arrow(table), Format.json if as_json else format, file)
+    write(Result.of_arrow(table.arrow), Format.json if as_json else format, file)

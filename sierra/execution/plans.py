@@ -29,6 +29,8 @@ from sierra.query import grammar
 from sierra.query.request import QueryRequest
 from sierra.store.layout import CONFIG, DRAWN, FIGURES, LOCK, PYPROJECT, STORE, ProjectPaths, StorePaths
 from sierra.store.schema import RESERVED, check_name
+from sierra.util import html
+from sierra.util.hashing import short
 from sierra.util.text import few
 from sierra.version import __version__
 
@@ -71,6 +73,13 @@ class Plan:
     seen: ChangeGuard
     """Guard that notices changes of the code and programs since planning."""
     notes: tuple[str, ...] = ()
+
+    def _repr_html_(self) -> str:
+        batch = self.batch
+        axes = tuple(axis.name for axis in batch.axes)
+        rows = ((*experiment.values.values(), len(experiment.runs)) for experiment in batch.experiments)
+        title = f"plan of batch {short(batch.id)}: {self.text}, {len(batch.runs)} runs"
+        return html.page(title, (*axes, "runs"), rows, self.notes, total=len(batch.experiments))
 
     def snapshot(self, content: Callable[[str], bytes | None]) -> Checkout:
         """Return a checkout of the current code; `content` returns a file that git does not have, by git's hash."""

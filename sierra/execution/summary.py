@@ -11,6 +11,8 @@ from sierra.execution import listing
 from sierra.execution.plans import Plan, out_of_reach
 from sierra.model import Batch
 from sierra.store.store import Store
+from sierra.util import html
+from sierra.util.hashing import short
 
 SHOWN_REASONS = 10
 
@@ -67,6 +69,14 @@ class Summary:
     figures: tuple[str, ...] = ()
     figure_error: str | None = None
     """Reason why no figure could be written (a full disk, a file in the way); the results themselves are recorded."""
+
+    def _repr_html_(self) -> str:
+        names = ("runs", "succeeded", "failed")
+        axes = list(self.counts[0].values) if self.counts else []
+        rows = ([*one.values.values(), one.runs, one.succeeded, one.failed] for one in self.counts)
+        told = f"{self.runs} runs: {self.executed} executed, {self.reused} reused, {self.failed} failed, {self.missing} missing"
+        title = f"batch {short(self.batch)}: {self.query}"
+        return html.page(title, (*axes, *names), rows, (told, *self.notes), total=len(self.counts))
 
 
 def of_session(

@@ -13,6 +13,8 @@ from sierra.replay.compare import Agreement, Verdict, worst
 from sierra.replay.equivalence import Metric
 from sierra.store.files import Taken
 from sierra.store.store import Found
+from sierra.util import html
+from sierra.util.hashing import short
 
 Tolerances = Mapping[str, Mapping[str, Tolerance]]
 """Tolerances by output (`*`: all) and column (`*`: all others)."""
@@ -66,6 +68,12 @@ class Replay:
     """Number of runs that the id names, compared or not."""
     kept: Path | None = None
     """Folder where the restored source and the folders of the runs are kept."""
+
+    def _repr_html_(self) -> str:
+        axes = tuple(self.experiments[0].values) if self.experiments else ()
+        rows = ((*one.values.values(), len(one.runs), one.verdict) for one in self.experiments)
+        title = f"replay of {self.found.kind} {short(self.found.id)}: {self.verdict}"
+        return html.page(title, (*axes, "runs", "verdict"), rows, self.notes, total=len(self.experiments))
 
     @property
     def runs(self) -> tuple[Compared, ...]:

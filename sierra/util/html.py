@@ -1,0 +1,36 @@
+"""Short HTML for notebooks. All texts are escaped, because they may come from a stranger's record."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from html import escape
+from typing import Any
+
+ROWS = 20
+"""Maximum number of rows that are shown of a table."""
+LONGEST = 120
+"""Maximum number of characters of a value."""
+
+
+def page(
+    title: str, columns: Sequence[str], rows: Iterable[Sequence[Any]], notes: Iterable[str] = (), *, total: int = 0
+) -> str:
+    """Return a title, a table of the first rows and notes. `total`: the number of rows that there are, if it is known."""
+    shown = [tuple(row) for _, row in zip(range(ROWS), rows, strict=False)]
+    more = (f"{total} rows, {len(shown)} of them shown",) if total > len(shown) else ()
+    head = "".join(f"<th>{_text(column)}</th>" for column in columns)
+    body = "".join(f"<tr>{''.join(f'<td>{_text(value)}</td>' for value in row)}</tr>" for row in shown)
+    table = f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>" if columns else ""
+    said = "".join(f"<div>{_text(note)}</div>" for note in (*more, *notes))
+    return f"<div><strong>{_text(title)}</strong>{table}{said}</div>"
+
+
+def _text(value: Any) -> str:
+    match value:
+        case None:
+            return ""
+        case float():
+            text = f"{value:.6g}"
+        case _:
+            text = str(value)
+    return escape(text if len(text) <= LONGEST else f"{text[:LONGEST]}…")

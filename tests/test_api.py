@@ -1,0 +1,211 @@
+"""The Python interface: its names, its examples, and how notebooks show its values."""
+
+from __future__ import annotations
+
+import ast
+import doctest
+import subprocess
+import sys
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+from typing import Any
+
+import duckdb
+import pytest
+
+import sierra
+from sierra.execution import progress
+from sierra.execution.observer import Progress
+from tests import projects
+
+WITHOUT_EXAMPLE = {
+    *("pin", "build_image", "import_image", "export_image", "image", "images"),  # need a container image
+    *("push_sources", "fetch_sources"),  # need a git remote
+    *("root", "config", "store", "stored"),
+}
+OPTIONS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
+
+
+@pytest.fixture(scope="module")
+def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return projects.make(tmp_path_factory.mktemp("api") / "project")
+
+
+@pytest.fixture(scope="module")
+def project(root: Path) -> sierra.Project:
+    return sierra.open(root)
+
+
+@pytest.fixture(scope="module")
+def summary(project: sierra.Project) -> sierra.Summary:
+    return project.run("population_size=1,2", runs=2, figures=False)
+
+
+def public() -> dict[str, Any]:
+    """The public methods and properties of Project that have a docstring of their own."""
+    return {name: member for name, member in vars(sierra.Project).items() if not name.startswith("_")}
+
+
+@pytest.mark.parametrize("name", sierra.__all__)
+def test_each_public_name_is_there_and_documented(name: str) -> None:
+    member = getattr(sierra, name)
+    assert name == "__version__" or member.__doc__
+    assert name in dir(sierra)
+
+
+def test_a_name_that_is_not_there_is_an_attribute_error() -> None:
+    with pytest.raises(AttributeError, match="no attribute 'Projct'"):
+        _ = sierra.Projct  # type: ignore[attr-defined]
+
+
+def test_importing_sierra_imports_no_library() -> None:
+    program = "import sys; before = set(sys.modules); import sierra; print({n.partition('.')[0] for n in sys.modules} - before)"
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert not {"duckdb", "pyarrow", "pydantic", "lxml", "numpy", "git", "pandas"} & ast.literal_eval(ended.stdout)
+
+
+def test_each_method_of_a_project_has_a_docstring_with_an_example() -> None:
+    documented = {name for name, member in public().items() if member.__doc__ and ">>>" in member.__doc__}
+    assert public().keys() - WITHOUT_EXAMPLE - documented == set()
+    assert all(member.__doc__ for member in public().values())
+
+
+def test_all_examples_in_docstrings_hold(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    root = projects.make(tmp_path / "project")
+    monkeypatch.chdir(root)
+    finder, runner = doctest.DocTestFinder(recurse=False), doctest.DocTestRunner(optionflags=OPTIONS)
+    project = sierra.open()
+    names: dict[str, Any] = {"sierra": sierra, "open": sierra.open, "project": project}
+    for thing in (sierra, sierra.open, sierra.Project):
+        _run(finder, runner, thing, names)
+    names["summary"] = project.run("population_size=1,2", runs=2, figures=False)
+    for member in public().values():
+        _run(finder, runner, member, names)
+    assert runner.summarize(verbose=False).failed == 0
+    assert runner.tries > 30
+
+
+def _run(finder: doctest.DocTestFinder, runner: doctest.DocTestRunner, thing: Any, names: dict[str, Any]) -> None:
+    name = getattr(thing, "__name__", "thing")
+    target = getattr(thing, "fget", getattr(thing, "func", thing))
+    for test in finder.find(target, name, module=False, globs=dict(names)):  # type: ignore[arg-type]
+        runner.run(test)
+
+
+def test_a_frame_is_a_table_or_a_statement(project: sierra.Project, summary: sierra.Summary) -> None:
+    frame = project.frame("swarm", within=summary.batch)
+    assert frame.shape[0] == 20
+    assert {"tick", "coverage", "population_size"} <= set(frame.columns)
+    assert project.frame("SELECT $x AS x", x=3)["x"].tolist() == [3]
+    with pytest.raises(sierra.SqlError, match="swrm"):
+        project.frame("swrm")
+
+
+def test_without_pandas_the_error_names_the_extra(root: Path, summary: sierra.Summary) -> None:
+    program = (
+        "import sys\n"
+        "class No:\n"
+        "    def find_spec(self, name, path=None, target=None):\n"
+        "        if name == 'pandas': raise ModuleNotFoundError(name)\n"
+        "sys.meta_path.insert(0, No())\n"
+        "import importlib.util, sierra\n"
+        "real = importlib.util.find_spec\n"
+        "importlib.util.find_spec = lambda name, *more: None if name == 'pandas' else real(name, *more)\n"
+        "try: sierra.open().frame('swarm')\n"
+        "except sierra.Missing as error: print(error)\n"
+    )
+    ended = subprocess.run([sys.executable, "-c", program], cwd=root, capture_output=True, text=True, check=True)
+    assert ended.stdout == "pandas is not installed; pip install 'sierra-experiments[figures]'\n"
+
+
+def test_a_result_is_an_arrow_table_for_other_libraries(project: sierra.Project, summary: sierra.Summary) -> None:
+    result = project.sql("SELECT run, tick FROM swarm WHERE tick < 2", within=summary.batch)
+    assert (len(result), result.num_rows, result.column_names) == (8, 8, ["run", "tick"])
+    assert result["tick"].to_pylist() == result.column("tick").to_pylist()
+    assert duckdb.sql("SELECT sum(tick) FROM result").fetchall() == [(4,)]
+    assert result == project.sql("SELECT run, tick FROM swarm WHERE tick < 2", within=summary.batch)
+
+
+HOSTILE = "<script>alert('x')</script>"
+
+
+def test_notebooks_show_escaped_and_short_html(project: sierra.Project, summary: sierra.Summary) -> None:
+    shown = project.sql('SELECT $x AS "<b>", range AS n FROM range(1000)', x=HOSTILE)._repr_html_()
+    assert "<script" not in shown
+    assert "<b>" not in shown
+    assert "&lt;script&gt;" in shown
+    assert "1000 rows, 20 of them shown" in shown
+    assert shown.count("<tr>") == 21
+    assert "population_size=1,2" in project._repr_html_()
+    assert "4 runs: 4 executed" in summary._repr_html_()
+    assert "<td>2</td>" in project.plan("population_size=1,2", runs=2)._repr_html_()
+    assert "identical" in project.replay(summary.batch, runs=1)._repr_html_()
+
+
+def test_a_project_without_a_store_is_shown_too(tmp_path: Path) -> None:
+    assert "SIERRA project" in sierra.open(projects.make(tmp_path / "<i>"))._repr_html_()
+    assert "<i>" not in sierra.open(tmp_path / "<i>")._repr_html_()
+
+
+class Handle:
+    """The place in a notebook where a text is shown."""
+
+    def __init__(self, shown: list[str]) -> None:
+        self._shown = shown
+
+    def update(self, told: dict[str, str], *, raw: bool) -> None:
+        assert raw
+        self._shown.append(told["text/plain"])
+
+
+@pytest.fixture
+def notebook(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """The modules of a notebook's kernel; what is shown there."""
+    shown: list[str] = []
+
+    def display(told: dict[str, str], *, raw: bool, display_id: bool) -> Handle:
+        assert raw
+        assert display_id
+        shown.append(told["text/plain"])
+        return Handle(shown)
+
+    for name, content in (
+        ("IPython", {"get_ipython": lambda: SimpleNamespace(kernel=object())}),
+        ("IPython.display", {"display": display}),
+        ("ipykernel", {}),
+    ):
+        module = ModuleType(name)
+        vars(module).update(content)
+        monkeypatch.setitem(sys.modules, name, module)
+    return shown
+
+
+def test_a_notebook_shows_progress_by_default_and_not_if_it_is_not_wanted(
+    tmp_path: Path, notebook: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    project = sierra.open(projects.make(tmp_path))
+    project.run("population_size=1", figures=False)
+    assert notebook[-1].startswith("2/2 runs")
+    count = len(notebook)
+    project.run("population_size=2", figures=False, progress=False)
+    assert len(notebook) == count
+    assert capsys.readouterr() == ("", "")
+
+
+def test_a_script_shows_progress_only_if_it_asks_for_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    project = sierra.open(projects.make(tmp_path))
+    project.run("population_size=1", figures=False)
+    assert capsys.readouterr() == ("", "")
+    project.run("population_size=2", figures=False, progress=True)
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.splitlines()[-1].startswith("2/2 runs")
+
+
+def test_in_a_notebook_without_display_progress_is_printed(
+    notebook: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.delitem(sys.modules, "IPython.display")
+    progress.observer().progress(Progress(total=2, reused=0, done=2, failed=0, running=0))
+    assert capsys.readouterr().err.startswith("2/2 runs")
+    assert notebook == []
