@@ -14,7 +14,7 @@ def attach(
         str,
         typer.Argument(
             metavar="HASH",
-            autocompletion=complete.ids,
+            autocompletion=complete.sessions,
             help="A batch, or a session of `sierra status`, by the beginning of its id.",
         ),
     ],

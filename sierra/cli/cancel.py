@@ -18,7 +18,7 @@ def cancel(
         str,
         typer.Argument(
             metavar="HASH",
-            autocompletion=complete.ids,
+            autocompletion=complete.sessions,
             help="A batch, or a session of `sierra status`, by the beginning of its id.",
         ),
     ],

@@ -1,24 +1,40 @@
-"""Shell completion of batches' ids, names of variables and queries, and tables.
+"""Shell completion of ids, names in `sierra.toml`, tables and columns.
 
-It must answer within the time of a key press, so it looks only at file names and never queries the store. On any error it
-prints nothing, because its output would appear in the line that the user types.
+It must answer within the time of a key press. It looks at file names first, and queries the store only for what these do not
+tell: the columns of a table that exists, and ids of runs after 4 digits. On any error it prints nothing, because its output
+would appear in the line that the user types.
 """
 
 from __future__ import annotations
 
 import contextlib
+import re
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import typer
+
 if TYPE_CHECKING:
     from sierra.config.project_file import LoadedProject
 
+SESSION = re.compile("[0-9a-f]{16}")
 IGNORED = (Exception, SystemExit)
 """Errors that are ignored: nothing is completed then."""
 
 
-def ids(incomplete: str) -> list[str]:
+MOST = 50
+"""The largest number of completions that the store is asked for."""
+DIGITS = re.compile("[0-9a-f]{4,}")
+IDS = """
+SELECT DISTINCT left(id, greatest(10, length($p) + 2)) AS id FROM (
+    SELECT run AS id FROM members UNION ALL SELECT experiment FROM experiments UNION ALL SELECT execution FROM executions
+) WHERE starts_with(id, $p) LIMIT $most
+"""
+COLUMNS = "SELECT column_name AS id FROM information_schema.columns WHERE table_name = $t LIMIT $most"
+
+
+def batches(incomplete: str) -> list[str]:
     """Return prefixes of batches' ids."""
     found: set[str] = set()
     with contextlib.suppress(*IGNORED):
@@ -26,13 +42,63 @@ def ids(incomplete: str) -> list[str]:
     return _beginning(found, incomplete.lower())
 
 
+def ids(incomplete: str) -> list[str]:
+    """Return prefixes of batches' ids; if there are none, and 4 digits are given, those of experiments, runs and executions."""
+    return batches(incomplete) or (_asked(IDS, p=incomplete.lower()) if DIGITS.fullmatch(incomplete.lower()) else [])
+
+
+def sessions(incomplete: str) -> list[str]:
+    """Return prefixes of batches' ids, and ids of sessions that have not ended."""
+    return [*batches(incomplete), *_sessions(incomplete, "work")]
+
+
+def anything(incomplete: str) -> list[str]:
+    """Return prefixes of ids of any kind."""
+    return [*batches(incomplete), *_sessions(incomplete, "logs")] or ids(incomplete)
+
+
+def _sessions(incomplete: str, folder: str) -> list[str]:
+    """Return the ids of the sessions that have something in a folder of the store."""
+    found: set[str] = set()
+    with contextlib.suppress(*IGNORED):
+        found = {path.stem for path in (_folder().parent / folder).iterdir() if SESSION.fullmatch(path.stem)}
+    return _beginning(found, incomplete.lower())
+
+
 def criteria(incomplete: str) -> list[str]:
-    """Return the names of queries, and those of variables with a dot at the end."""
+    """Return the names of queries, and those of variables with a dot at the end; after 4 digits, also ids of batches."""
     found: list[str] = []
     with contextlib.suppress(*IGNORED):
         config = _project().config
-        found = [*config.queries, *(f"{name}." for name in config.variables), "montecarlo.C"]
-    return _beginning(found, incomplete)
+        groups = [f"{name}=" for name in ("controller", "scenario") if getattr(config, f"{name}s")]
+        found = [*config.queries, *(f"{name}." for name in config.variables), *groups, "montecarlo.C"]
+    return [*_beginning(found, incomplete), *(batches(incomplete) if DIGITS.match(incomplete) else ())]
+
+
+def controllers(incomplete: str) -> list[str]:
+    """Return the names of controllers."""
+    return _named("controllers", incomplete)
+
+
+def scenarios(incomplete: str) -> list[str]:
+    """Return the names of scenarios."""
+    return _named("scenarios", incomplete)
+
+
+def figures(incomplete: str) -> list[str]:
+    """Return the names of the figures in `sierra.toml`."""
+    return _named("figures", incomplete)
+
+
+def runners(incomplete: str) -> list[str]:
+    """Return the names of runners."""
+    return sorted({*_named("runners", incomplete), *_beginning(("local", "slurm", "pbs"), incomplete)})
+
+
+def columns(context: typer.Context, incomplete: str) -> list[str]:
+    """Return the columns of the table that the command line names before."""
+    table = context.params.get("output")
+    return _beginning(_asked(COLUMNS, t=table), incomplete) if table in tables("") else []
 
 
 def tables(incomplete: str) -> list[str]:
@@ -44,6 +110,23 @@ def tables(incomplete: str) -> list[str]:
         names = (path.name for segment in _segments() for path in (_folder() / segment).iterdir())
         files = (name.removesuffix(SUFFIX) for name in names if name.startswith(OUTPUT) and name.endswith(SUFFIX))
         found = {name.removeprefix(OUTPUT).partition("~")[0] for name in files}
+    return _beginning(found, incomplete)
+
+
+def _asked(statement: str, **parameters: str) -> list[str]:
+    """Return the ids or names that a statement finds in the store."""
+    with contextlib.suppress(*IGNORED):
+        from sierra.cli.open_project import project
+
+        return [row["id"] for row in project().store.rows(statement, most=MOST, **parameters)]
+    return []
+
+
+def _named(section: str, incomplete: str) -> list[str]:
+    """Return the names in a section of `sierra.toml`."""
+    found: list[str] = []
+    with contextlib.suppress(*IGNORED):
+        found = list(getattr(_project().config, section))
     return _beginning(found, incomplete)
 
 
@@ -66,6 +149,3 @@ def _segments() -> Iterator[str]:
 
 def _beginning(names: Iterable[str], incomplete: str) -> list[str]:
     return sorted(name for name in names if name.startswith(incomplete))
-
-
-__all__ = ["criteria", "ids", "tables"]

@@ -13,9 +13,11 @@ from sierra.cli import complete
 def figures(
     prefix: Annotated[
         str | None,
-        typer.Argument(metavar="HASH", autocompletion=complete.ids, help="The batch (default: the last asked for)."),
+        typer.Argument(metavar="HASH", autocompletion=complete.batches, help="The batch (default: the last asked for)."),
     ] = None,
-    name: Annotated[str | None, typer.Argument(metavar="NAME", help="One figure (default: all).")] = None,
+    name: Annotated[
+        str | None, typer.Argument(metavar="NAME", autocompletion=complete.figures, help="One figure (default: all).")
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print a JSON list of files instead.")] = False,
 ) -> None:
     """Draw the figures of a batch again.

@@ -9,6 +9,7 @@ import typer
 
 
 def ls(
+    long: Annotated[bool, typer.Option("--long", help="Show whole ids, and cut no text to the width of the terminal.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print a JSON list instead.")] = False,
 ) -> None:
     """List batches, most recent last.
@@ -26,15 +27,17 @@ def ls(
         print_json(batches)
         return
     columns = {
-        "batch": [short(row["batch"]) for row in batches],
+        "batch": [row["batch"] if long else short(row["batch"]) for row in batches],
         "submitted": [row["submitted"] or row["created"] for row in batches],
-        **{name: [row[name] for row in batches] for name in ("query", "controller", "scenario")},
+        "query": [row["query"] for row in batches],
+        **_where_any("controller", [row["controller"] or "" for row in batches]),
+        **_where_any("scenario", [row["scenario"] or "" for row in batches]),
         **_where_any("set", [" ".join(row["overrides"]) for row in batches]),
         **_where_any("changed", [", ".join(row["changed"]) for row in batches]),
         **{name: [row[name] for row in batches] for name in ("experiments", "runs")},
         "state": [_state(row) for row in batches],
     }
-    table(tuple(columns), zip(*columns.values(), strict=True), right=("experiments", "runs"))
+    table(tuple(columns), zip(*columns.values(), strict=True), right=("experiments", "runs"), width=0 if long else None)
 
 
 def _where_any(name: str, texts: Sequence[str]) -> dict[str, Sequence[str]]:

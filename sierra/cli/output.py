@@ -75,18 +75,51 @@ def as_json(value: Any) -> str:
     return json.dumps(_finite(value), indent=2, default=_plain, allow_nan=False)
 
 
-def table(columns: Sequence[str], rows: Iterable[Sequence[Any]], *, right: Iterable[str] = ()) -> None:
-    """Print a table without lines, as wide as its content; long texts are not cut."""
-    columns = [cell(column) for column in columns]
+def table(
+    columns: Sequence[str], rows: Iterable[Sequence[Any]], *, right: Iterable[str] = (), width: int | None = None
+) -> None:
+    """Print a table without lines. It is as wide as its content; on a terminal, long texts are cut so that it fits.
+
+    `width` is the width of the terminal; 0 cuts nothing.
+    """
+    columns, rows = [cell(column) for column in columns], [list(row) for row in rows]
     texts = [[cell(value) for value in row] for row in rows]
-    widths = [max([len(column), *(len(row[place]) for row in texts)]) for place, column in enumerate(columns)]
     to_the_right = set(right)
-    for row in ([*columns], *texts):
+    widths = [max([len(column), *(len(row[place]) for row in texts)]) for place, column in enumerate(columns)]
+    cuttable = [place for place in range(len(columns)) if any(isinstance(row[place], str) for row in rows)]
+    widths = _fitted(widths, cuttable, terminal_width() if width is None else width)
+    texts = [[_cut(text, widths[place]) for place, text in enumerate(row)] for row in texts]
+    for row in ([_cut(column, wide) for column, wide in zip(columns, widths, strict=True)], *texts):
         padded = [
-            text.rjust(width) if column in to_the_right else text.ljust(width)
-            for text, width, column in zip(row, widths, columns, strict=True)
+            text.rjust(wide) if column in to_the_right else text.ljust(wide)
+            for text, wide, column in zip(row, widths, columns, strict=True)
         ]
         print("  ".join(padded).rstrip())
+
+
+def terminal_width() -> int:
+    """Return the number of columns of the terminal; 0 if standard output is not a terminal."""
+    return shutil.get_terminal_size().columns if sys.stdout.isatty() else 0
+
+
+NARROWEST = 12
+"""The width below which no column is cut: an id of 10 digits fits."""
+
+
+def _fitted(widths: list[int], cuttable: Sequence[int], room: int) -> list[int]:
+    """Return the widths of columns; the widest of those that may be cut are cut to the room, as far as that is possible."""
+    widths, excess = list(widths), sum(widths) + 2 * (len(widths) - 1) - room
+    while room and excess > 0 and cuttable:
+        widest = max(cuttable, key=lambda place: widths[place])
+        if widths[widest] <= NARROWEST:
+            break
+        widths[widest] -= 1
+        excess -= 1
+    return widths
+
+
+def _cut(text: str, width: int) -> str:
+    return text if len(text) <= width else f"{text[: width - 1]}…"
 
 
 def cell(value: Any) -> str:

@@ -15,14 +15,16 @@ SESSION = 8
 """The number of digits of a session's id that are shown; its jobs have them in their names, too."""
 
 
-def show(found: Sequence[Standing]) -> None:
+def show(found: Sequence[Standing], *, long: bool = False) -> None:
     """Print a line for each session on a cluster, and explanations below."""
     from sierra.cli.output import readable, table
     from sierra.util.hashing import short
 
-    rows = [dict(zip(COLUMNS, _row(one), strict=True)) for one in found]
+    rows = [dict(zip(COLUMNS, _row(one, long=long), strict=True)) for one in found]
     columns = [name for name in COLUMNS if any(row[name] != "" for row in rows)]
-    table(columns, [[row[name] for name in columns] for row in rows], right=("runs", "done", "failed"))
+    table(
+        columns, [[row[name] for name in columns] for row in rows], right=("runs", "done", "failed"), width=0 if long else None
+    )
     for one in found:
         if one.stuck:
             print(f"{short(one.batch)} ({one.session[:SESSION]}) never begins: {readable(one.stuck)}")
@@ -59,16 +61,16 @@ def state(one: Standing) -> str:
     return ", ".join([*words, *(["never begins"] if one.stuck else [])])
 
 
-def _row(one: Standing) -> Sequence[Any]:
+def _row(one: Standing, *, long: bool) -> Sequence[Any]:
     from sierra.cli.output import readable
     from sierra.util.hashing import short
     from sierra.util.text import few
 
     query = readable(one.query or "(a replay)")
     return (
-        short(one.batch),
-        query if len(query) <= LONGEST else f"{query[: LONGEST - 1]}…",
-        one.session[:SESSION],
+        one.batch if long else short(one.batch),
+        query if long or len(query) <= LONGEST else f"{query[: LONGEST - 1]}…",
+        one.session if long else one.session[:SESSION],
         one.runner,
         few(one.jobs, 3) or "not known",
         one.runs,

@@ -31,14 +31,24 @@ def run(
         ),
     ],
     runs: Annotated[int | None, typer.Option("--runs", metavar="N", help="Runs per experiment.")] = None,
-    controller: Annotated[str | None, typer.Option("--controller", metavar="NAME", help="The controller.")] = None,
-    scenario: Annotated[str | None, typer.Option("--scenario", metavar="NAME", help="The scenario.")] = None,
+    controller: Annotated[
+        str | None, typer.Option("--controller", metavar="NAME", autocompletion=complete.controllers, help="The controller.")
+    ] = None,
+    scenario: Annotated[
+        str | None, typer.Option("--scenario", metavar="NAME", autocompletion=complete.scenarios, help="The scenario.")
+    ] = None,
     sets: Annotated[
         list[str] | None, typer.Option("--set", metavar="XPATH=VALUE", help="Change the template in all runs. May be repeated.")
     ] = None,
     jobs: Annotated[int | None, typer.Option("-j", "--jobs", metavar="N", help="Runs at a time (default: cores).")] = None,
     runner: Annotated[
-        str, typer.Option("--on", metavar="RUNNER", help="Where runs execute: local, slurm, pbs, or a cluster of sierra.toml.")
+        str,
+        typer.Option(
+            "--on",
+            metavar="RUNNER",
+            autocompletion=complete.runners,
+            help="Where runs execute: local, slurm, pbs, or a cluster of sierra.toml.",
+        ),
     ] = "local",
     detach: Annotated[bool, typer.Option("--detach", help="Submit to a cluster, and leave it to itself at once.")] = False,
     engine: Annotated[

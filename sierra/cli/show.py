@@ -19,15 +19,21 @@ AT_MOST = {"attempts": 20, "nondeterminism": 10, "verdicts": 20}
 def show(
     prefix: Annotated[
         str,
-        typer.Argument(metavar="HASH", autocompletion=complete.ids, help="The beginning of an id, as `sierra ls` shows them."),
+        typer.Argument(
+            metavar="HASH", autocompletion=complete.anything, help="The beginning of an id, as `sierra ls` shows them."
+        ),
     ],
+    long: Annotated[bool, typer.Option("--long", help="Show whole ids, and cut no text to the width of the terminal.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead.")] = False,
 ) -> None:
-    """Show all about a batch, an experiment, a run or an execution.
+    """Show all about a batch, an experiment, a run, an execution or a session.
+
+    A batch and a session name their log file: what happened while runs executed.
 
     \b
-    Example:
+    Examples:
       sierra show 3f9a1c
+      sierra show 3f9a1c --long
     """
     from sierra.cli.open_project import project
     from sierra.cli.output import print_json
@@ -38,12 +44,12 @@ def show(
         print_json(shown)
         return
     if shown["kind"] == "session":
-        _print(shown)
+        _print(shown, long=long)
         return
     failures, used, around = shown.pop("failures", []), shown.pop("programs", []), shown.pop("environment", None)
     image, reach, isolations = _contained(shown)
     commit = shown.pop("history", None)
-    _print(shown)
+    _print(shown, long=long)
     if commit:
         _print_commit(commit)
     if image:
@@ -105,25 +111,28 @@ def _print_failures(failures: Sequence[Mapping[str, Any]]) -> None:
         print(f"  and {len(failures) - SHOWN_REASONS} more reasons, of {runs} runs (--json has them all)")
 
 
-def _print(shown: dict[str, Any]) -> None:
-    """Print plain values first, then tables and logs."""
+def _print(shown: dict[str, Any], *, long: bool) -> None:
+    """Print plain values first, then tables and logs. Ids are short unless `long`, apart from the id of the whole."""
     from sierra.cli.output import fields, fitting, short_id, table
     from sierra.util.text import few
 
+    def told(value: Any) -> Any:
+        return value if long else short_id(value)
+
     plain = {name: value for name, value in shown.items() if not isinstance(value, dict | list) and name != "log_tail"}
-    fields(plain)
+    fields({name: value if name == shown["kind"] else told(value) for name, value in plain.items()})
     for name, value in shown.items():
         if isinstance(value, dict):
             print(f"\n{name}:")
-            fields(value, "  ")
+            fields({inner: told(one) for inner, one in value.items()}, "  ")
         elif isinstance(value, list) and value:
             print(f"\n{name}:")
             if isinstance(value[0], dict):
                 columns = list(dict.fromkeys(key for row in value for key in row if key != "log_tail"))
                 most = AT_MOST.get(name, len(value))
-                rows = [[short_id(row.get(column)) for column in columns] for row in value[:most]]
-                wide = fitting(columns, rows)
-                table(columns[:wide], [row[:wide] for row in rows])
+                rows = [[told(row.get(column)) for column in columns] for row in value[:most]]
+                wide = len(columns) if long else fitting(columns, rows)
+                table(columns[:wide], [row[:wide] for row in rows], width=0 if long else None)
                 if wide < len(columns):
                     print(f"(and {few(columns[wide:], MORE)}, in --json)")
                 if len(value) > most:

@@ -43,9 +43,14 @@ def sql(
     batch: Annotated[
         str | None,
         typer.Option(
-            "--batch", "-b", metavar="HASH", autocompletion=complete.ids, help="See the runs and outputs of this batch alone."
+            "--batch",
+            "-b",
+            metavar="HASH",
+            autocompletion=complete.batches,
+            help="See the runs and outputs of this batch alone.",
         ),
     ] = None,
+    long: Annotated[bool, typer.Option("--long", help="Show whole ids, and cut no text to the width of the terminal.")] = False,
     output: Annotated[Path | None, typer.Option("--output", "-o", metavar="FILE", help="Write it to a file.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Short for --format json.")] = False,
 ) -> None:
@@ -70,13 +75,13 @@ def sql(
     if statement is None:
         from sierra.cli.sql_prompt import prompt
 
-        prompt(lambda text: write(_ask(opened.store, text, within, Format.table), Format.table, None))
+        prompt(lambda text: write(_ask(opened.store, text, within, Format.table), Format.table, None, long=long))
         return
     text = sys.stdin.read() if statement == "-" else statement
     if not text.strip():
         raise UsageError('no statement; ask something, as in: sierra sql "SHOW TABLES"')
     format = Format.json if as_json else format
-    write(_ask(opened.store, text, within, format), format, output)
+    write(_ask(opened.store, text, within, format), format, output, long=long)
 
 
 def _ask(store: Store, text: str, within: str | None, format: Format) -> Result:
@@ -126,7 +131,7 @@ class Result:
         return cls(table.column_names, [tuple(row.values()) for row in table.to_pylist()], numeric, notes, table)
 
 
-def write(answer: Result, format: Format, output: Path | None) -> None:
+def write(answer: Result, format: Format, output: Path | None, *, long: bool = False) -> None:
     """Write a result in a format to a file or to standard output, and its notes to standard error."""
     from sierra.cli.output import note
 
@@ -134,7 +139,7 @@ def write(answer: Result, format: Format, output: Path | None) -> None:
         note(answer.notes)
     if output is None and format is Format.parquet and sys.stdout.isatty():
         raise UsageError("Parquet is not for a terminal; say where with -o FILE")
-    brief = output is None and format is Format.table and sys.stdout.isatty()
+    brief = output is None and format is Format.table and sys.stdout.isatty() and not long
     data = _table(answer, brief=True) if brief else FORMATS[format](answer)
     if output is not None:
         write_whole(output, data)
@@ -148,16 +153,16 @@ def write(answer: Result, format: Format, output: Path | None) -> None:
 
 
 def _table(answer: Result, *, brief: bool = False) -> bytes:
-    """Return a text table; with `brief`, ids are shortened for a terminal."""
+    """Return a text table; with `brief`, ids are shortened and texts are cut for a terminal."""
     import contextlib
     import io
 
-    from sierra.cli.output import short_id, table
+    from sierra.cli.output import short_id, table, terminal_width
 
-    text = io.StringIO()
+    text, width = io.StringIO(), terminal_width() if brief else 0
     rows = [[short_id(value) if brief else value for value in row] for row in answer.rows[:SHOWN_ROWS]]
     with contextlib.redirect_stdout(text):
-        table(answer.columns, rows, right=answer.numeric)
+        table(answer.columns, rows, right=answer.numeric, width=width)
         if len(answer.rows) > SHOWN_ROWS:
             print(f"({len(answer.rows)} rows, {SHOWN_ROWS} of them shown; --format csv writes all)")
     return text.getvalue().encode()

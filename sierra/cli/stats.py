@@ -34,11 +34,11 @@ def stats(
         str,
         typer.Argument(metavar="OUTPUT", autocompletion=complete.tables, help="The output, as SHOW TABLES in SQL has it."),
     ],
-    column: Annotated[str, typer.Argument(metavar="COLUMN", help="One of its columns.")],
+    column: Annotated[str, typer.Argument(metavar="COLUMN", autocompletion=complete.columns, help="One of its columns.")],
     batch: Annotated[
         str | None,
         typer.Option(
-            "--batch", "-b", metavar="HASH", autocompletion=complete.ids, help="The batch (default: the last asked for)."
+            "--batch", "-b", metavar="HASH", autocompletion=complete.batches, help="The batch (default: the last asked for)."
         ),
     ] = None,
     measure: Annotated[

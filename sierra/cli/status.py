@@ -15,10 +15,11 @@ def status(
         str | None,
         typer.Argument(
             metavar="HASH",
-            autocompletion=complete.ids,
+            autocompletion=complete.sessions,
             help="A batch, or a session, by the beginning of its id (default: all).",
         ),
     ] = None,
+    long: Annotated[bool, typer.Option("--long", help="Show whole ids, and cut no text to the width of the terminal.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print a JSON list instead.")] = False,
 ) -> None:
     """Show the state of cluster jobs.
@@ -40,6 +41,6 @@ def status(
     if as_json:
         print_json([asdict(one) for one in found])
     elif found:
-        render_status.show(found)
+        render_status.show(found, long=long)
     else:
         print("nothing is on a cluster" if prefix is None else f"nothing of {prefix} is on a cluster")

@@ -48,6 +48,10 @@ class Result:
     def __eq__(self, other: object) -> bool:
         return bool(self.arrow == (other.arrow if isinstance(other, Result) else other))
 
+    def equals(self, other: object) -> bool:
+        """Return True if the other result, or Arrow table, has the same columns and rows."""
+        return self == other
+
     def __arrow_c_stream__(self, requested_schema: object = None) -> object:
         return self.arrow.__arrow_c_stream__(requested_schema)
 
