@@ -120,10 +120,21 @@ def _say_example(folder: Path, files: list[str], *, as_json: bool) -> None:
 
     command = f"{_there(folder)}sierra run population_size.Log8"
     if as_json:
-        print_json({"written": [str(folder / file) for file in files], "next": command})
+        print_json({"written": [str(folder / file) for file in files], "first": _absent(folder), "next": command})
         return
     print(f"{folder}: {', '.join(files)}")
+    if absent := _absent(folder):
+        print(f"first: {absent}")
     print(f"now: {command}")
+
+
+def _absent(folder: Path) -> str | None:
+    """Return the command that installs what the example needs; None if all of that is installed."""
+    from sierra.config import project_file
+    from sierra.provenance import requirements
+
+    absent = requirements.missing(project_file.load(folder).config, contained=False)
+    return requirements.remedy(absent) if absent else None
 
 
 def _there(folder: Path) -> str:

@@ -26,7 +26,7 @@ def show(
     long: Annotated[bool, typer.Option("--long", help="Show whole ids, and cut no text to the width of the terminal.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead.")] = False,
 ) -> None:
-    """Show all about a batch, an experiment, a run, an execution or a session.
+    """Show all about a batch, experiment, run, execution or session.
 
     A batch and a session name their log file: what happened while runs executed.
 

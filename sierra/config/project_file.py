@@ -535,6 +535,9 @@ class Project(Table):
         (),
         description="the program and its arguments; {input}, {output}, {seed}, {project}, {python} stand for the run's own",
     )
+    requires: tuple[Annotated[str, Field(pattern=r"^[A-Za-z0-9]")], ...] = Field(
+        (), description="Python packages that `{python}` needs, as pip takes them; checked before anything executes"
+    )
     platform: str = Field("command", description="how the simulator is driven: `command`, `argos`, or one that is installed")
     runs: PositiveInt = Field(10, description="runs per experiment")
     controller: str | None = Field(None, description="the controller, where none is asked for")

@@ -12,6 +12,7 @@ from datetime import UTC, datetime
 from functools import partial
 
 from sierra import runners
+from sierra.errors import Missing
 from sierra.execution import records, recover
 from sierra.execution.executor import Executor, RunOptions
 from sierra.execution.plans import Plan, context, versioned
@@ -20,6 +21,7 @@ from sierra.execution.reuse import is_answered, states
 from sierra.execution.sessions import Session
 from sierra.execution.summary import Summary, of_session
 from sierra.ingest.consistency import find_odd
+from sierra.provenance import requirements
 from sierra.store.store import Store
 from sierra.util.log import Log
 
@@ -35,6 +37,8 @@ def run(plan: Plan, store: Store, options: RunOptions) -> Summary:
     began = datetime.now(UTC)
     if is_answered(plan, store):
         return of_session(plan, store, len({run.id for run in plan.batch.runs}))
+    if absent := requirements.missing(plan.project.config, contained=plan.engine.name != "none"):
+        raise Missing(f"runs need Python packages that are not installed ({', '.join(absent)}): {requirements.remedy(absent)}")
     plan = versioned(plan)
     make = partial(runners.find(options.runner, plan.project.config.runners), options.slots)
     session = Session(store.paths, None if make().stays else plan.project.config.store.place())

@@ -29,7 +29,12 @@ class Check:
     remedy: str = ""
 
 
-LIBRARIES = ("duckdb", "pyarrow", "lxml", "pydantic", "matplotlib", "typer", "rich")
+LIBRARIES = ("duckdb", "pyarrow", "lxml", "pydantic", "matplotlib", "scipy", "gitpython", "typer", "rich")
+OPTIONAL = {
+    "mujoco": "needed for the example: pip install 'sierra-experiments[example]'",
+    "pandas": "needed for data frames: pip install 'sierra-experiments[figures]'",
+}
+"""Libraries of extras, and what they are needed for."""
 
 
 def all_checks() -> list[Check]:
@@ -68,10 +73,11 @@ def _libraries() -> Iterator[Check]:
             yield Check(name, "ok", metadata.version(name))
         except metadata.PackageNotFoundError:
             yield Check(name, "missing", "not installed", f"pip install {name}")
-    try:
-        yield Check("mujoco", "ok", metadata.version("mujoco"))
-    except metadata.PackageNotFoundError:
-        yield Check("mujoco", "absent", "not installed", "needed for the example: pip install 'mujoco>=4,<4.1'")
+    for name, use in OPTIONAL.items():
+        try:
+            yield Check(name, "ok", metadata.version(name))
+        except metadata.PackageNotFoundError:
+            yield Check(name, "absent", "not installed", use)
 
 
 def _programs() -> Iterator[Check]:
@@ -119,7 +125,7 @@ def _project() -> Iterator[Check]:
     from sierra import platforms, templates
     from sierra.containers import images, isolation
     from sierra.execution import commands
-    from sierra.provenance import programs
+    from sierra.provenance import programs, requirements
 
     try:
         project = sierra.open()
@@ -144,6 +150,11 @@ def _project() -> Iterator[Check]:
     template = project.config.template
     yield _tried("template", lambda: f"{template}, {templates.read(project.root / template).sha256[:10]}")
     yield _tried("command", find_program)
+    if project.config.requires:
+        absent = requirements.missing(project.config, contained=project.config.container is not None)
+        state: Literal["ok", "missing"] = "missing" if absent else "ok"
+        told = f"not installed: {', '.join(absent)}" if absent else ", ".join(project.config.requires)
+        yield Check("requires", state, told, requirements.remedy(absent) if absent else "")
     if project.paths.store.exists():
         yield _tried("store", lambda: f"{len(project.batches)} batches")
 
