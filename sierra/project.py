@@ -138,7 +138,12 @@ class Project:
         return self.resolve(request, engine=engine, heed=heed)
 
     def resolve(self, request: QueryRequest, *, engine: str | None = None, heed: Heed | None = None) -> Plan:
-        """Return the plan of a query request: see `plan`."""
+        """Return the plan of a query request: see `plan`.
+
+        >>> from sierra.query.request import request
+        >>> len(project.resolve(request(["population_size=1,2"], runs=2)).batch.runs)
+        4
+        """
         from sierra.design.experiments import deaf
         from sierra.execution import plans
         from sierra.explain.changes import respelled
@@ -167,8 +172,8 @@ class Project:
 
         `jobs` is the number of runs that execute at the same time (default: the user's setting, or the number of usable cores).
         `observer` receives the progress and notices instead: see `Observer`. `runner` is where runs execute: `local`, or the
-        name of a cluster; with `detach`, this function returns once the jobs are submitted. The summary counts failed runs; they
-        raise no error. Raises the errors of `plan`, and Missing if the disk is full.
+        name of a cluster; with `detach`, this function returns once the jobs are submitted. The summary counts failed runs;
+        they raise no error. Raises the errors of `plan`, and Missing if the disk is full.
 
         >>> summary = project.run("population_size=1,2", runs=2, figures=False)
         >>> summary.runs, summary.failed, summary.missing

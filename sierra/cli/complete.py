@@ -28,7 +28,7 @@ MOST = 50
 DIGITS = re.compile("[0-9a-f]{4,}")
 IDS = """
 SELECT DISTINCT left(id, greatest(10, length($p) + 2)) AS id FROM (
-    SELECT run AS id FROM members UNION ALL SELECT experiment FROM experiments UNION ALL SELECT execution FROM executions
+    SELECT run AS id FROM batch_runs UNION ALL SELECT experiment FROM experiments UNION ALL SELECT execution FROM executions
 ) WHERE starts_with(id, $p) LIMIT $most
 """
 COLUMNS = "SELECT column_name AS id FROM information_schema.columns WHERE table_name = $t LIMIT $most"

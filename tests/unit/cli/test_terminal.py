@@ -79,7 +79,7 @@ def test_names_are_completed(root: Path, words: str, found: list[str]) -> None:
 
 @pytest.mark.parametrize("kind", ["run", "experiment", "execution"])
 def test_ids_are_completed_after_4_digits(root: Path, kind: str) -> None:
-    table = {"run": "members", "experiment": "experiments", "execution": "executions"}[kind]
+    table = {"run": "batch_runs", "experiment": "experiments", "execution": "executions"}[kind]
     [row, *_] = sierra.open(root).sql(f"SELECT {kind} FROM {table} ORDER BY 1").to_pylist()
     assert row[kind][:10] in completed(root, f"sierra show {row[kind][:4]}")
 
@@ -114,7 +114,7 @@ def test_tables_fit_the_terminal_unless_asked_not_to(root: Path, terminal: None)
     assert "…" in shown
     assert "complete" in shown
     assert LONG in projects.quick(root, "ls", "--long").stdout
-    statement = "SELECT query, run FROM sessions JOIN members USING (batch) ORDER BY lamport DESC LIMIT 1"
+    statement = "SELECT query, run FROM sessions JOIN batch_runs USING (batch) ORDER BY lamport DESC LIMIT 1"
     assert max(map(len, projects.quick(root, "sql", statement).stdout.splitlines())) <= 80
     assert LONG in projects.quick(root, "sql", "--long", statement).stdout
 
@@ -122,18 +122,18 @@ def test_tables_fit_the_terminal_unless_asked_not_to(root: Path, terminal: None)
 def test_ids_are_short_unless_asked_for(root: Path) -> None:
     batch = sierra.open(root).batches[0]["batch"]
     shown = json.loads(projects.quick(root, "show", batch, "--json").stdout)
-    assert len(shown["recipe"]["recipe"]) == 64
+    assert len(shown["spec"]["spec"]) == 64
     short, long = projects.quick(root, "show", batch).stdout, projects.quick(root, "show", batch, "--long").stdout
     assert batch in short
-    assert shown["recipe"]["recipe"][:10] in short
-    assert shown["recipe"]["recipe"] not in short
-    assert shown["recipe"]["recipe"] in long
+    assert shown["spec"]["spec"][:10] in short
+    assert shown["spec"]["spec"] not in short
+    assert shown["spec"]["spec"] in long
     assert batch in projects.quick(root, "ls", "--long").stdout
     assert batch not in projects.quick(root, "ls").stdout
 
 
 def test_what_is_piped_is_never_cut(root: Path) -> None:
-    statement = "SELECT repeat('x', 500) AS text, run FROM members LIMIT 1"
+    statement = "SELECT repeat('x', 500) AS text, run FROM batch_runs LIMIT 1"
     answer = projects.quick(root, "sql", statement).stdout
     assert "x" * 500 in answer
     assert len(answer.split()[-1]) == 64

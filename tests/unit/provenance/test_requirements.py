@@ -1,0 +1,27 @@
+"""Required Python packages are checked before anything executes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import sierra
+from tests import projects
+
+
+def test_a_package_that_is_missing_is_named_before_anything_executes(tmp_path: Path) -> None:
+    config = projects.CONFIG.replace('"python3 ', '"{python} ')
+    root = projects.make(tmp_path, 'requires = ["absent-package>=1", "duckdb"]\n' + config)
+    ended = projects.quick(root, "run", "population_size=1")
+    assert ended.returncode == 3
+    assert "absent-package>=1" in ended.stderr
+    assert "duckdb" not in ended.stderr
+    assert ended.stderr.count("\n") == 1
+    assert sierra.open(root).batches == []
+    checked = projects.quick(root, "doctor")
+    assert "not installed: absent-package>=1" in checked.stdout
+    assert projects.quick(root, "run", "population_size=1", "-n").returncode == 0
+
+
+def test_what_is_required_is_checked_only_in_the_python_of_the_runs(tmp_path: Path) -> None:
+    root = projects.make(tmp_path, 'requires = ["absent-package"]\n' + projects.CONFIG)
+    assert projects.quick(root, "run", "population_size=1", "--no-figures").returncode == 0
