@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 from pathlib import Path, PurePosixPath
@@ -21,13 +22,23 @@ def inside(root: Path, name: str, *, link: bool = False) -> Path:
     if not parts or "\0" in name or parts[0].startswith("/") or ".." in parts:
         raise Damaged(_outside(root, name))
     path = root.joinpath(*parts)
+    target = path.parent if link else path
     try:
-        end = (path.parent if link else path).resolve()
-    except (OSError, RuntimeError) as error:  # a link to itself
+        end = target.resolve()
+    except (OSError, RuntimeError) as error:  # a link to itself, before Python 3.13
         raise Damaged(_outside(root, name)) from error
-    if not end.is_relative_to(root.resolve()):
+    if not end.is_relative_to(root.resolve()) or _is_loop(target):
         raise Damaged(_outside(root, name))
     return path
+
+
+def _is_loop(path: Path) -> bool:
+    """Check whether a path leads through a symbolic link to itself, which Python 3.13 and newer resolve without an error."""
+    try:
+        path.stat()
+    except OSError as error:
+        return error.errno == errno.ELOOP
+    return False
 
 
 def _outside(root: Path, name: str) -> str:
