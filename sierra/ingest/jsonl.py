@@ -8,10 +8,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from sierra.ingest.base import FILE
 from sierra.ingest.counting import count_lines, lines_of
 from sierra.ingest.messages import shown
 from sierra.ingest.model import Part, Written
+from sierra.ingest.table_reader import FILE
 from sierra.ingest.text import Text
 from sierra.store.errors import first_line
 from sierra.store.names import identifier, quote

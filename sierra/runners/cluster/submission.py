@@ -17,6 +17,7 @@ from typing import Any
 
 from sierra.config.project_file import ClusterTable
 from sierra.errors import Damaged
+from sierra.runners import schedulers
 from sierra.runners.schedulers.base import Bounds, Request, State, Task
 from sierra.store.layout import SessionPaths
 from sierra.store.segments import disk_errors
@@ -83,8 +84,8 @@ class Submission:
 
     @property
     def cluster(self) -> ClusterTable:
-        """The project's table for the cluster at that time."""
-        return ClusterTable.model_validate({**self.table, "scheduler": self.scheduler})
+        """The project's table for the cluster at that time. Raises ConfigError if its scheduler is not installed any more."""
+        return schedulers.recorded_table(self.scheduler, self.table)
 
     def save(self, session: SessionPaths) -> None:
         with disk_errors(session.root):
