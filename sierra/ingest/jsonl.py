@@ -66,7 +66,7 @@ class Jsonl(Text):
                     continue
                 try:
                     pairs = json.loads(text, object_pairs_hook=_Pairs)
-                except ValueError:
+                except (ValueError, RecursionError):
                     return f"line {line}: is cut short, or no JSON: {shown(text.strip())[:80]!r}"
                 if not isinstance(pairs, _Pairs):
                     return f"line {line}: is not an object: {text.strip()[:80]!r}"
