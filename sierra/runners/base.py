@@ -157,7 +157,7 @@ def find(name: str, tables: Tables | None = None) -> Callable[[int], Runner]:
     if found is None:
         check({name: (tables or {}).get(name, {})})
         return partial(RUNNERS.make, name, tables or {})
-    return cluster(name, *found)
+    return on_cluster(name, *found)
 
 
 def check(tables: Tables) -> None:
@@ -167,7 +167,7 @@ def check(tables: Tables) -> None:
             RUNNERS.options(name, table)
 
 
-def cluster(name: str, scheduler: str, table: ClusterTable) -> Callable[[int], Runner]:
+def on_cluster(name: str, scheduler: str, table: ClusterTable) -> Callable[[int], Runner]:
     """Return a factory that makes the runner of a cluster from a number of slots, which has no effect there."""
     from sierra.runners.cluster.runner import Cluster
 

@@ -92,7 +92,8 @@ def _plugins() -> Iterator[Check]:
         for name in kind.added():
             try:
                 found = kind.load(name)
-                keys = ", ".join(found.Options.model_fields) or "none"
+                own = found.Options.model_fields.keys() - kind.options_base.model_fields.keys()
+                keys = ", ".join(key for key in found.Options.model_fields if key in own) or "none"
                 yield Check(f"{kind.word} {name}", "ok", f"from {kind.packages(name)[0]}, options: {keys}")
             except SierraError as error:
                 told, _, remedy = str(error).rpartition("; ")

@@ -2,11 +2,13 @@
 
 import random
 import sys
+from pathlib import Path
 
-given = dict(line.replace(" ", "").split("=") for line in open(sys.argv[1]).read().splitlines() if "=" in line)
+lines = Path(sys.argv[1]).read_text().splitlines()
+given = dict(line.replace(" ", "").split("=") for line in lines if "=" in line)
 chance = random.Random(int(given["seed"]))
 distance = 0.0
-with open("walk.track", "w") as track:
+with Path("walk.track").open("w") as track:
     print("track 1\ntick distance", file=track)
     for tick in range(int(given["steps"])):
         distance += sum(float(given["speed"]) * chance.random() for _ in range(int(given["tortoises"])))

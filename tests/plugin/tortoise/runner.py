@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
 from typing import ClassVar
 
@@ -35,4 +36,6 @@ class Niced(Local):
         first = ("nice", "-n", str(self._niceness))
         if job.client is not None:
             return replace(job, client=replace(job.client, argv=(*first, *job.client.argv)))
+        if shutil.which(job.argv[0], path=job.environment["PATH"]) is None:
+            return job  # so that the worker reports that there is no such program
         return replace(job, argv=(*first, *job.argv))

@@ -1,7 +1,8 @@
 """The scheduler `spool`: elements are processes of this machine, and their states are files in a folder.
 
-It is as small as a scheduler can be. A real one calls the commands of a batch system. The files of a job are in `SPOOL/NAME/JOB`:
-`script`, `elements`, and for each element `N.pid` (it has begun), `N.ended` (its exit status) and `N.cancelled`.
+It is as small as a scheduler can be. A real one calls the commands of a batch system. The files of a job are in
+`SPOOL/NAME/JOB`: `script`, `elements`, and for each element `N.pid` (it has begun), `N.ended` (its exit status) and
+`N.cancelled`.
 """
 
 from __future__ import annotations
@@ -21,7 +22,6 @@ from pydantic import Field
 from sierra.plugin import Bounds, ClusterTable, Missing, Request, State, Task
 
 LAUNCH = """
-trap : TERM
 wait_for() { while kill -0 "$(cat "$1.pid")" 2>/dev/null && ! test -e "$1.ended"; do sleep 0.1; done; }
 echo $$ > "$1/$2.pid.new" && mv "$1/$2.pid.new" "$1/$2.pid"
 for before in $(cat "$4/elements" 2>/dev/null); do
@@ -129,9 +129,7 @@ def _state(element: Path) -> State:
     pid = _pid(element)
     if pid is None:
         return State.ENDED if element.with_suffix(".cancelled").exists() else State.QUEUED
-    if _is_alive(pid):
-        return State.RUNNING
-    return State.ENDED
+    return State.RUNNING if _is_alive(pid) else State.ENDED
 
 
 def _pid(element: Path) -> int | None:
@@ -140,8 +138,11 @@ def _pid(element: Path) -> int | None:
     return None
 
 
-def _is_alive(pid: int) -> bool:
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] not in "ZX"
-    except OSError:
-        return False
+def _is_alive(group: int) -> bool:
+    """Return True if a process of this group still runs. The process that began it may have ended before the others."""
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):
+            state, _, found = stat.read_text().rpartition(")")[2].split()[:3]
+            if int(found) == group and state not in "ZX":
+                return True
+    return False
