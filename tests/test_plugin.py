@@ -91,6 +91,14 @@ def project(installed: Path, tmp_path: Path) -> Path:
     return plugins.project(tmp_path / "project")
 
 
+@pytest.fixture
+def plain(tmp_path: Path) -> Path:
+    """A project that uses shipped plug-ins only, with a batch."""
+    folder = projects.make(tmp_path / "plain")
+    succeed(folder, "run", "population_size=1", "--runs", "1", "--no-figures")
+    return folder
+
+
 def succeed(folder: Path, *words: str) -> str:
     done = projects.quick(folder, *words)
     assert done.returncode == 0, done.stdout + done.stderr
@@ -156,6 +164,33 @@ def test_an_option_of_a_reader_changes_tables_and_executes_nothing(project: Path
     [other] = rows(project, "SELECT max(distance) AS far FROM walk")
     assert other["far"] == pytest.approx(metric["far"] / 100)
     assert projects.quick(project, "fsck").returncode == 0
+
+
+READER = """
+from sierra.plugin import NoOptions
+class Made:
+    contract = 1
+    Options = NoOptions
+    def __init__(self, options): pass
+    def read(self, path): return {"length": [len(path.read_bytes())], "version": [VERSION]}
+"""
+
+
+def test_a_new_version_of_a_reader_reads_recorded_files_again(plain: Path, tmp_path: Path) -> None:
+    with (plain / "sim.py").open("a") as file:
+        file.write("open('notes.text', 'w').write('four')\n")
+    append(plain, '[outputs.notes]\nfile = "notes.text"\n')
+    told = []
+    for version in ("1", "2", "1"):
+        lib = tmp_path / version
+        if not lib.exists():
+            plugins.write(lib, "texts", {"sierra.readers text": "Made"}, f"VERSION = {version}\n{READER}", version)
+        run = ("run", "population_size=1", "--runs", "2", "--no-figures")
+        done = projects.sierra(plain, *run, environment={"PYTHONPATH": str(lib)})
+        told.append((done.returncode, done.stdout.splitlines()[-1].partition(" (")[0]))
+        assert {(row["length"], row["version"]) for row in rows(plain, "SELECT * FROM notes")} == {(4, int(version))}
+    assert told == [(0, "2 runs: 2 executed, 0 reused"), *[(0, "2 runs: 0 executed, 2 reused")] * 2]
+    assert "unknown reader 'text'" in refused(plain, "replay", sierra.open(plain).batches[-1]["batch"])
 
 
 def test_a_damaged_file_of_a_foreign_format_fails_its_run_alone(project: Path) -> None:
@@ -370,14 +405,6 @@ def test_the_engine_conforms_as_far_as_an_engine_that_contains_nothing_can(insta
 
 
 # A plug-in that cannot be used
-
-
-@pytest.fixture
-def plain(tmp_path: Path) -> Path:
-    """A project that uses shipped plug-ins only, with a batch."""
-    folder = projects.make(tmp_path / "plain")
-    succeed(folder, "run", "population_size=1", "--runs", "1", "--no-figures")
-    return folder
 
 
 @pytest.mark.parametrize(

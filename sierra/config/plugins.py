@@ -15,12 +15,14 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
-from importlib.metadata import EntryPoint
-from types import TracebackType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from sierra.config.project_file import ClusterTable, Project, Table, options
 from sierra.errors import ConfigError, PluginError, SierraError
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
+    from types import TracebackType
 
 VERSION = 1
 """The version of all contracts. It increases when a plug-in for an earlier version would not work any more."""
