@@ -59,7 +59,7 @@ class Trial:
             holds(path.read_bytes() == content, "the reader changes the file")
         rows: dict[str, list[dict[str, Any]]] = {}
         for part in sorted(target.parent.iterdir()):
-            for row in pq.read_table(part).to_pylist():
+            for row in pq.ParquetFile(part).read().to_pylist():
                 rows.setdefault(row["execution"], []).append({key: row[key] for key in row if key not in OWN})
         return reading, rows
 

@@ -58,8 +58,8 @@ class Spool:
     @staticmethod
     def refuses(line: str) -> str | None:
         name = line.split("=")[0].strip()
-        if name == "--elements":
-            return "use elements = N"
+        if name == "--array":
+            return "use array_tasks = N"
         return None if name.startswith("--note") else "spool knows only --note=TEXT"
 
     def version(self) -> str:

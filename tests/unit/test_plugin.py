@@ -214,7 +214,7 @@ def test_a_runner_of_another_package_is_configured_by_its_table(project: Path) -
 def spool(project: Path, tmp_path: Path) -> Path:
     """A project with a cluster of the scheduler `spool`."""
     (tmp_path / "spool").mkdir()
-    append(project, f'[runners.here]\nscheduler = "spool"\nspool = "{tmp_path}/spool"\nelements = 2\nniceness = 3\n')
+    append(project, f'[runners.here]\nscheduler = "spool"\nspool = "{tmp_path}/spool"\narray_tasks = 2\nniceness = 3\n')
     return project
 
 
@@ -224,6 +224,7 @@ def test_a_scheduler_of_another_package_executes_a_batch(spool: Path) -> None:
     assert {row["niceness"] for row in rows(spool, "SELECT niceness FROM walk")} == {os.nice(0) + 3}
 
 
+@pytest.mark.integration
 def test_jobs_of_a_foreign_scheduler_are_left_and_followed(spool: Path) -> None:
     succeed(spool, "run", "herd=1", "--no-figures", "--on", "here", "--detach")
     [standing] = json.loads(succeed(spool, "status", "--json"))
@@ -232,6 +233,7 @@ def test_jobs_of_a_foreign_scheduler_are_left_and_followed(spool: Path) -> None:
     assert len(rows(spool, "SELECT DISTINCT run FROM walk")) == 2
 
 
+@pytest.mark.integration
 def test_jobs_of_a_foreign_scheduler_are_cancelled(spool: Path) -> None:
     (spool / "tortoise.py").write_text("import time\ntime.sleep(600)\n")
     succeed(spool, "run", "herd=1", "--no-figures", "--on", "here", "--detach")
@@ -245,8 +247,8 @@ def test_a_foreign_scheduler_refuses_lines_and_keys_of_its_own(spool: Path) -> N
     run = ("run", "herd=1", "--no-figures", "--on", "here")
     append(spool, 'directives = ["--note=a paper"]\n')
     assert "#SPOOL --note=a paper" in succeed(spool, *run, "--dry-run")
-    change(spool, "--note=a paper", "--elements=9")
-    told = "sierra: [runners.here]: directive '--elements=9' of 'here' can't be added: use elements = N"
+    change(spool, "--note=a paper", "--array=9")
+    told = "sierra: [runners.here]: directive '--array=9' of 'here' can't be added: use array_tasks = N"
     assert refused(spool, *run) == told
     change(spool, "niceness = 3", "nicenes = 3")
     assert refused(spool, *run) == "sierra: [runners.here]: unknown key 'nicenes'; did you mean 'niceness'?"
@@ -387,12 +389,14 @@ def parquet(folder: Path) -> dict[bytes, Any]:
     return {(folder / "one.parquet").read_bytes(): columns}
 
 
+@pytest.mark.integration
 def test_the_runner_conforms(installed: Path, tmp_path: Path) -> None:
     from tortoise.runner import Niced, NicedOptions  # type: ignore[import-not-found]
 
     runner_conformance.check_runner(lambda slots: Niced(slots, NicedOptions(niceness=3)), tmp_path)
 
 
+@pytest.mark.integration
 def test_the_scheduler_conforms(installed: Path, tmp_path: Path) -> None:
     (tmp_path / "spool").mkdir()
     (tmp_path / "trial").mkdir()
