@@ -6,6 +6,7 @@ import contextlib
 import functools
 import io
 import os
+import signal
 import subprocess
 import sys
 from collections.abc import Mapping
@@ -15,6 +16,7 @@ from typing import Any
 import typer.main
 
 from sierra.cli import main
+from sierra.util import signals
 from tests import forkserver
 
 typer.main.get_command = functools.cache(typer.main.get_command)
@@ -91,6 +93,7 @@ def quick(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
     """The same within this process, where that it is one of its own is not the subject: no time goes into starting Python."""
     out, err = io.TextIOWrapper(io.BytesIO(), "utf-8"), io.StringIO()
     before = sys.argv, sys.stdin
+    handlers = {number: signal.getsignal(number) for number in signals.ENDING}
     sys.argv, sys.stdin = ["sierra", *words], io.StringIO()
     try:
         with contextlib.chdir(folder), contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
@@ -101,4 +104,6 @@ def quick(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
         return subprocess.CompletedProcess(words, int(str(ended.code or 0)), said, err.getvalue())
     finally:
         sys.argv, sys.stdin = before
+        for number, handler in handlers.items():  # a program that ends ignores them, and so would all that this process starts
+            signal.signal(number, handler)
     raise AssertionError("the command line always exits")
