@@ -27,6 +27,10 @@ class ConfigError(UsageError):
     """An invalid `sierra.toml`."""
 
 
+class PluginError(ConfigError):
+    """A plug-in of another package that cannot be used."""
+
+
 class TemplateError(UsageError):
     """A template that cannot be read, or a change that does not fit it."""
 

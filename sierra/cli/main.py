@@ -63,11 +63,15 @@ def _usage(error: Any) -> int:
 def _unforeseen(error: Exception) -> int:
     if os.environ.get("SIERRA_DEBUG"):
         raise error
-    message = f"a fault in SIERRA itself: {type(error).__name__}: {error}"
+    from sierra.config.plugins import culprit
+
+    theirs = culprit(error)
+    message = f"a fault in {theirs or 'SIERRA itself'}: {type(error).__name__}: {error}"
+    told = "please report it to its authors" if theirs else "please report it"
     try:
-        return _say(f"{message}; please report it with {_report(error)}", 1)
+        return _say(f"{message}; {told} with {_report(error)}", 1)
     except OSError:
-        return _say(f"{message}; please report it (SIERRA_DEBUG=1 shows where)", 1)
+        return _say(f"{message}; {told} (SIERRA_DEBUG=1 shows where)", 1)
 
 
 def _report(error: Exception) -> str:

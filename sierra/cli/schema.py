@@ -27,7 +27,7 @@ def schema(
     """
     from dataclasses import asdict
 
-    from sierra.cli.output import print_json, table
+    from sierra.cli.output import note, print_json, table
     from sierra.errors import NotFound
     from sierra.setup import schemas
 
@@ -35,7 +35,7 @@ def schema(
         schemas.write(write)
         return
     if toml:
-        print(schemas.toml_schema() if as_json else schemas.toml(), end="")
+        print(schemas.toml_schema(note) if as_json else schemas.toml(note), end="")
         return
     tables = schemas.tables()
     if name is not None and name not in tables:

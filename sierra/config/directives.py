@@ -107,13 +107,12 @@ ATTRIBUTES: Mapping[str, str] = {"depend": WAITS, "block": FOLLOWED, "interactiv
 """The reason for each attribute after `-W`."""
 
 
-def complaint(scheduler: str, line: str) -> str | None:
-    """Return the reason why a line cannot be added for that scheduler, with an alternative; None if it can be added.
+CHECKED = ("slurm", "pbs")
+"""The schedulers whose lines are checked here; others refuse lines themselves (see `sierra.runners.schedulers.base`)."""
 
-    Lines for other schedulers than SLURM and PBS are not checked.
-    """
-    if scheduler not in ("slurm", "pbs"):
-        return None
+
+def complaint(scheduler: str, line: str) -> str | None:
+    """Return the reason why a line cannot be added for a scheduler of `CHECKED`, with an alternative; None if it can."""
     if not line.lstrip().startswith("-"):
         return f"should be as it stands after #{'SBATCH' if scheduler == 'slurm' else 'PBS'}, as in {_example(scheduler)}"
     found = _slurm(line) if scheduler == "slurm" else _pbs(line)

@@ -14,8 +14,9 @@ import os
 import re
 import shlex
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Any, Literal, TypeVar
 
@@ -45,6 +46,8 @@ Scalar = str | int | float
 Words = str | tuple[str, ...]
 """A list of texts, or its short form."""
 OptionsT = TypeVar("OptionsT", bound=BaseModel)
+SAME_FORMAT = {"tsv": "csv", "ndjson": "jsonl"}
+"""Endings of output files with the format that another ending is named after."""
 SETTINGS: Mapping[int | str, str] = {
     **dict.fromkeys(("queue", "partitions"), "partition"),
     **dict.fromkeys(("time", "walltime", "time_limit"), "wall"),
@@ -245,7 +248,7 @@ class Output(Table):
     """One kind of file that runs write, and the table that it becomes."""
 
     file: Inside = Field(min_length=1, description="path or glob, relative to the run's output folder")
-    format: Literal["csv", "parquet", "jsonl", "file"] | None = Field(
+    format: Annotated[str, WithJsonSchema({"type": "string", "enum": ["csv", "parquet", "jsonl", "file"]})] | None = Field(
         None, description="how it is read; `file` is kept and no table; by its ending where absent"
     )
     delimiter: str = Field("", max_length=1, description="what separates the columns of a CSV; found out where absent")
@@ -277,10 +280,9 @@ class Output(Table):
 
     @property
     def kind(self) -> str:
-        if self.format:
-            return self.format
+        """Return the name of its format: as declared, or from the ending of the file. There may be no reader of that name."""
         ending = self.file.rsplit(".", 1)[-1].lower()
-        return {"csv": "csv", "tsv": "csv", "parquet": "parquet", "jsonl": "jsonl", "ndjson": "jsonl"}.get(ending, "file")
+        return self.format or SAME_FORMAT.get(ending, ending)
 
 
 class Success(Table):
@@ -375,15 +377,6 @@ class ClusterTable(Table):
     attempts: PositiveInt = Field(
         3, description="times that a run is begun, the last one alone, or an element without any, before it has failed"
     )
-
-
-def _submittable(tables: Mapping[str, ClusterTable]) -> Mapping[str, ClusterTable]:
-    """Check that the additional lines of clusters do not contradict lines that SIERRA writes itself."""
-    for name, table in tables.items():
-        for line in table.directives:
-            if why := directives.complaint(table.scheduler or name, line):
-                raise ValueError(f"directive {line!r} of {name!r} can't be added: {why}")
-    return tables
 
 
 class Source(Table):
@@ -575,8 +568,13 @@ class Project(Table):
     queries: Mapping[Name, QueryTable] = Field(default_factory=dict, description="research queries, by name")
     figures: Mapping[Name, Figure] = Field(default_factory=dict, description="figures, by name")
     platforms: Mapping[str, Mapping[str, Any]] = Field(default_factory=dict, description="options of platforms, by name")
-    runners: Annotated[Mapping[str, ClusterTable], AfterValidator(_submittable)] = Field(
+    runners: Mapping[str, Mapping[str, Any]] = Field(
         default_factory=dict, description="clusters for `--on`, by name: `slurm`, `pbs`, or one of your own with a `scheduler`"
+    )
+    templates: Mapping[str, Mapping[str, Any]] = Field(default_factory=dict, description="options of template formats, by name")
+    engines: Mapping[str, Mapping[str, Any]] = Field(default_factory=dict, description="options of container engines, by name")
+    readers: Mapping[str, Mapping[str, Any]] = Field(
+        default_factory=dict, description="options of the readers of output formats, by name"
     )
 
 
@@ -629,16 +627,34 @@ def load_store(folder: Path) -> LoadedProject:
 
 
 def parse(table: Mapping[str, Any], origin: str) -> Project:
-    """Validate a table from TOML; messages call it `origin`."""
-    return options(Project, table, origin)
+    """Validate a table from TOML; messages call it `origin`.
+
+    The tables of plug-ins are validated when they are used (see `sierra.config.plugins`), those of shipped schedulers here too.
+    """
+    project = options(Project, table, origin)
+    for name, runner in project.runners.items():
+        if (scheduler := runner.get("scheduler", name)) in directives.CHECKED:
+            cluster = options(ClusterTable, runner, origin, ("runners", name))
+            check_directives(cluster, partial(directives.complaint, scheduler), f"{origin}: runners", name)
+    return project
 
 
-def options(model: type[OptionsT], table: Mapping[str, Any], origin: str) -> OptionsT:
-    """Validate a table by its model: the project's, or a platform's own. A text is not accepted as a number."""
+def check_directives(table: ClusterTable, complaint: Callable[[str], str | None], where: str, name: str) -> None:
+    """Raise ConfigError if a line of a cluster contradicts lines that SIERRA writes itself; `complaint` returns the reason."""
+    for line in table.directives:
+        if why := complaint(line):
+            raise ConfigError(f"{where}: directive {line!r} of {name!r} can't be added: {why}")
+
+
+def options(model: type[OptionsT], table: Mapping[str, Any], origin: str, within: tuple[str, ...] = ()) -> OptionsT:
+    """Validate a table by its model: the project's, or that of a plug-in. A text is not accepted as a number.
+
+    `within` is the place of the table in `origin`, for messages.
+    """
     try:
         return model.model_validate(_frozen(table, origin), strict=True)
     except ValidationError as error:
-        raise ConfigError(f"{origin}: {_explain(error, model)}") from error
+        raise ConfigError(f"{origin}: {_explain(error, model, within)}") from error
 
 
 def _frozen(value: Any, origin: str) -> Any:
@@ -668,10 +684,10 @@ def read_toml(file: Path) -> dict[str, Any]:
         raise Missing(f"{file}: {error.strerror}") from error
 
 
-def _explain(error: ValidationError, model: type[BaseModel] = Project) -> str:
+def _explain(error: ValidationError, model: type[BaseModel], within: tuple[str, ...] = ()) -> str:
     """Return the first error in one line; for an unknown key, with the most similar valid key."""
     complaint = error.errors()[0]
-    where = ".".join(str(part) for part in complaint["loc"])
+    where = ".".join(str(part) for part in (*within, *complaint["loc"]))
     if complaint["type"] == "extra_forbidden":
         return f"unknown key {where!r}{_nearest(model, complaint['loc'])}"
     if complaint["type"] == "missing":
@@ -702,7 +718,7 @@ def _written(value: Any) -> str:
 def _nearest(model: type[BaseModel], location: tuple[int | str, ...]) -> str:
     """Return a hint with the known keys of the table that contains `location`, or the most similar one."""
     known = sorted(_keys(model, location[:-1]))
-    if location[0] == "runners" and location[-1] in SETTINGS:
+    if issubclass(model, ClusterTable) and location[-1] in SETTINGS:
         return f"; here it is {SETTINGS[location[-1]]!r}"
     close = difflib.get_close_matches(str(location[-1]), known, 1, cutoff=0.5)
     if close:

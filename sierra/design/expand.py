@@ -13,14 +13,12 @@ from sierra.design.experiments import Heed, deaf
 from sierra.errors import QueryError
 from sierra.model import Batch, Cell, Design, Experiment, Run, RunSpec, Value
 from sierra.platforms.base import Platform
-from sierra.templates.base import Renderer, Template
+from sierra.templates.base import Files, Renderer, Template
 from sierra.util.hashing import canonical, canonical_plain, digest, merkle, sha256
 
 STREAM = 1 << 16
 STREAMS = (1 << 15) - 1
 """Run numbers per stream of seeds (STREAM), and number of streams (STREAMS); each `montecarlo` experiment has its own."""
-
-Files = tuple[tuple[str, bytes], ...]
 
 
 class Expansion:
@@ -76,13 +74,20 @@ class Expansion:
 
     def _files(self, cell: Cell, render: Renderer, number: int, seed: int) -> Files:
         lists = {name: values[number % len(values)] for name, values in self._design.lists.items()}
-        return self._platform.files(render({**cell.values, **lists, "seed": seed, "run": number}))
+        rendered = render({**cell.values, **lists, "seed": seed, "run": number})
+        return self._platform.files(rendered) if isinstance(rendered, bytes) else _named(rendered, self._platform)
 
     def _seed(self, cell: Cell, number: int) -> int:
         stream = ""
         if self._design.independent_seeds:
             stream = canonical({axis.name: exact(cell.values[axis.name]) for axis in self._design.axes}).decode()
         return seeds.seed(self._design.query.base_seed, cell.stream * STREAM + number, stream)
+
+
+def _named(rendered: Files, platform: Platform) -> Files:
+    """Return the files of a document, with those that the platform makes from the file without a name first."""
+    main = [file for name, content in rendered if not name for file in platform.files(content)]
+    return (*main, *(file for file in rendered if file[0]))
 
 
 def _check_streams(last: int, runs: int) -> None:

@@ -23,7 +23,7 @@ from functools import cached_property
 
 from sierra.config.project_file import ChangeTable, Group, Project
 from sierra.design import overwritten
-from sierra.design.overwritten import Layer, Template
+from sierra.design.overwritten import Layer
 from sierra.errors import ConfigError, QueryError
 from sierra.model import (
     Add,
@@ -43,6 +43,7 @@ from sierra.model import (
 )
 from sierra.platforms.base import Platform, Reader
 from sierra.query import ranges
+from sierra.templates.base import Template
 
 GROUPED = ("controller", "scenario")
 AT_MOST = 1_000_000
@@ -67,7 +68,7 @@ class Changed:
     @cached_property
     def _read(self) -> Template:
         rendered = self.template.changed(self.changes, self.values).render()
-        return type(self.template)(rendered, "the changed template")
+        return self.template.reread(rendered, "the changed template")
 
 
 Heed = Callable[[int, int, int], None]

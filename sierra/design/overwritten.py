@@ -10,35 +10,18 @@ from __future__ import annotations
 
 import itertools
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 from sierra.design import seeds
 from sierra.errors import QueryError, TemplateError
 from sierra.model import Cell, Change, Design, Set, Value
-from sierra.platforms.base import Reader
+from sierra.templates.base import Rendered, Template
 
 MARK = "sierraMarkInPlaceOfAValue"
 CONSTANT = re.compile(r"""\[\s*(?:\d+|@([\w:.-]+)\s*=\s*(?:'[^']*'|"[^"]*"))\s*\]""")
 """A test in a path, by number or by the value of an attribute."""
 SOME_SEED = seeds.LARGEST - 271_828
-
-
-class Document(Protocol):
-    """A template after changes; see `sierra.templates.base.Document`."""
-
-    def render(self) -> bytes: ...
-
-    def per_run(self, changes: Sequence[Change]) -> Callable[[Mapping[str, Value]], bytes]: ...
-
-
-class Template(Reader, Protocol):
-    """The part of a template that a design needs; see `sierra.templates.base.Template`."""
-
-    def __init__(self, data: bytes, name: str) -> None: ...
-
-    def changed(self, changes: Sequence[Change], values: Mapping[str, Value]) -> Document: ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +59,7 @@ class Input:
     values: Mapping[str, Value]
     of_run: Mapping[str, Value]
 
-    def render(self) -> bytes:
+    def render(self) -> Rendered:
         document = self.template.changed(self._changes(each_run=False), self.values)
         per_run = self._changes(each_run=True)
         return document.per_run(per_run)({**self.values, **self.of_run}) if per_run else document.render()
@@ -95,7 +78,7 @@ class Input:
     def holds(self, sets: Sequence[Set]) -> bool | None:
         """Return True if setting these values again changes nothing, or None if their paths select nothing now."""
         again = [replace(change, expect=None) for change in sets]
-        made = type(self.template)(self.render(), "an input")
+        made = self.template.reread(self.render(), "an input")
         before = made.changed((), self.values).render()
         try:
             return made.changed(again, self.values).render() == before
@@ -175,8 +158,9 @@ def _lost(marked: Input, number: int) -> bool:
         return False
 
 
-def _marks(rendered: bytes) -> int:
-    return rendered.replace(b"\0", b"").count(MARK.encode())  # also in UTF-16
+def _marks(rendered: Rendered) -> int:
+    contents = [rendered] if isinstance(rendered, bytes) else [content for _, content in rendered]
+    return sum(content.replace(b"\0", b"").count(MARK.encode()) for content in contents)  # also in UTF-16
 
 
 def _overwritten(made: Input, number: int, change: Set) -> str:

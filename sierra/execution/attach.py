@@ -56,7 +56,7 @@ def _submitted(session: Session) -> tuple[Context, Runner]:
     """
     try:
         context, made = Context.load(session.paths.context), Submission.load(session.paths)
-        return context, runners.find(made.runner, {made.runner: made.cluster})(1)
+        return context, runners.on_cluster(made.runner, made.scheduler, made.cluster)(1)
     except BaseException:
         session.leave()
         raise

@@ -2,17 +2,20 @@
 
 Placeholders of a command: `{input}` is the first input file, `{output}` the folder to write to (also the working
 directory), `{run}` the run's own folder, `{seed}` its seed, `{project}` the project's root, and `{python}` the Python
-that runs SIERRA. `{{name}}` stands for the text `{name}`. A word that names a file relative to the project's root
-becomes `{project}/word`, because runs have folders of their own.
+that runs SIERRA. The word `{arguments}` stands for the arguments that the template gives. `{{name}}` stands for the text
+`{name}`. A word that names a file relative to the project's root becomes `{project}/word`, because runs have folders of
+their own.
 """
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import shutil
 import sys
 from collections.abc import Iterable, Mapping
+from itertools import chain
 from pathlib import Path
 from typing import cast
 
@@ -23,12 +26,15 @@ from sierra.errors import ConfigError
 from sierra.model import Client, Job, Limits, Run, RunSpec
 from sierra.platforms.base import Platform
 from sierra.store.layout import RUN_HOME, RUN_OUTPUT, RUN_TMP
+from sierra.templates.base import ARGUMENTS, Files
 from sierra.util.hashing import digest_plain
 from sierra.worker import worker
 
 PLACEHOLDER = re.compile(r"\{\{([a-z_]+)\}\}|\{([a-z_]+)\}")
 ABOVE = re.compile(r"(?<!\{)\{project\}((?:/\.\.)+)(?=/|$)")
-KNOWN = ("input", "output", "run", "seed", "project", "python")
+KNOWN = ("input", "output", "run", "seed", "project", "python", "arguments")
+SPLICED = "{arguments}"
+"""The word of a command that stands for several: those in the input file `ARGUMENTS`."""
 FIXED = {
     "PYTHONHASHSEED": "0",
     "PYTHONDONTWRITEBYTECODE": "1",
@@ -61,6 +67,8 @@ def command(platform: Platform, root: Path, *, contained: bool = False) -> tuple
             raise ConfigError(
                 f"command: {word!r} leaves the project, and a container has no more; name it in [container] mounts"
             )
+        if SPLICED in word.replace(f"{{{SPLICED}}}", "") and word != SPLICED:
+            raise ConfigError(f"command: {SPLICED} stands for several words; write it as a word of its own, not {word!r}")
         for _, name in PLACEHOLDER.findall(word):
             if name and name not in KNOWN:
                 known = ", ".join("{" + known + "}" for known in KNOWN)
@@ -124,6 +132,14 @@ def fill(
         return os.path.normpath(f"{(project or root).resolve()}{match[1]}")
 
     return tuple(PLACEHOLDER.sub(filled, ABOVE.sub(above, word)) for word in words)
+
+
+def arguments(files: Files) -> tuple[str, ...]:
+    """Return the arguments in the input files of a run. Raises ConfigError if there are none."""
+    content = next((content for name, content in files if name == ARGUMENTS), None)
+    if content is None:
+        raise ConfigError(f"command: {SPLICED} needs a template that gives arguments; this one gives none")
+    return tuple(json.loads(content))
 
 
 def limits(project: Project) -> Limits:
@@ -190,21 +206,25 @@ class CommandBuilder:
         execution = execution_id(self._environment["SIERRA_SESSION"], run.id)
         seed = str(run.seed)
         own = {"SIERRA_RUN_ID": run.id, "SIERRA_SEED": seed, "SIERRA_EXECUTION": execution}
-        argv = self._argv(files[0][0], seed)
+        argv = self._argv(files, seed)
         variables = {**self._environment, **own}
         client = self._shared or self._contained(argv, variables)
         return Job(run.id, execution, argv, variables, files, self._bounds, client, shared=self._shared is not None)
 
-    def _argv(self, file: str, seed: str) -> tuple[str, ...]:
-        """Return the command of a run. If it does not depend on the seed, it is built once per input file name."""
+    def _argv(self, files: Files, seed: str) -> tuple[str, ...]:
+        """Return the command of a run. If it does not depend on the run, it is built once per input file name."""
+        file = files[0][0]
         if (same := self._same.get(file)) is not None:
             return same
         here = self._here
         values = {"input": f"{here}/{file}", "output": f"{here}/{RUN_OUTPUT}", "run": here, "seed": seed}
-        argv = self._fill(self._spec.command, values)
+        given = arguments(files) if SPLICED in self._spec.command else ()
+        argv = tuple(
+            chain.from_iterable(given if word == SPLICED else self._fill((word,), values) for word in self._spec.command)
+        )
         if self._search is not None:  # a node may find another program with that name
             argv = (shutil.which(argv[0], path=self._search) or argv[0], *argv[1:])
-        if not any("{seed}" in word for word in self._spec.command):
+        if not any("{seed}" in word or word == SPLICED for word in self._spec.command):
             self._same[file] = argv
         return argv
 

@@ -10,7 +10,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from sierra.containers.isolation import Isolation
-from sierra.design.expand import Files
 from sierra.errors import Missing
 from sierra.execution import recover, sessions, timing
 from sierra.execution.attach import attach
@@ -26,6 +25,7 @@ from sierra.provenance.program import Programs
 from sierra.runners.base import Runner
 from sierra.store.layout import SessionPaths
 from sierra.store.store import Store
+from sierra.templates.base import Files
 from sierra.util.signals import noted
 from sierra.util.text import counted, few
 

@@ -11,15 +11,18 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from sierra import platforms, templates
+from sierra.config import plugins
 from sierra.config.project_file import LoadedProject, Output, Project, Success
 from sierra.containers import engines, images, isolation
 from sierra.containers.engines.base import PROJECT, Engine
 from sierra.containers.images import Image
-from sierra.design.expand import Expansion, Files
+from sierra.design.expand import Expansion
 from sierra.design.experiments import Heed, deaf, design, mentions
 from sierra.errors import ConfigError, Missing, QueryError
 from sierra.execution import commands
 from sierra.execution.checkout import Checkout, programs_in
+from sierra.ingest.base import Used
+from sierra.ingest.base import used as used_readers
 from sierra.ingest.context import Context
 from sierra.model import Batch, Design, Experiment, Limits, Purpose, Query, Run, RunSpec, Set
 from sierra.provenance import environment, referenced_files, source, versions
@@ -29,6 +32,7 @@ from sierra.query import grammar
 from sierra.query.request import QueryRequest
 from sierra.store.layout import CONFIG, DRAWN, FIGURES, LOCK, PYPROJECT, STORE, ProjectPaths, StorePaths
 from sierra.store.schema import RESERVED, check_name
+from sierra.templates.base import ARGUMENTS, Files
 from sierra.util import html
 from sierra.util.hashing import short
 from sierra.util.text import few
@@ -70,6 +74,8 @@ class Plan:
     template_sha256: str
     outputs: Mapping[str, Output]
     success: Success
+    readers: Used
+    """Readers of other packages that the outputs need."""
     seen: ChangeGuard
     """Guard that notices changes of the code and programs since planning."""
     notes: tuple[str, ...] = ()
@@ -129,7 +135,9 @@ def plan(project: LoadedProject, request: QueryRequest, *, engine: str | None = 
     query = resolve(project, request)
     config, root = project.config, project.root
     _check_names(project)
-    template = templates.read(root / config.template)
+    plugins.check(config)
+    readers = used_readers(config.outputs, config.readers)
+    template = templates.read(root / config.template, config.templates)
     platform = platforms.find(config.platform, config)
     contained, image = _contained(project, engine)
     box = config.container if image else None
@@ -152,6 +160,8 @@ def plan(project: LoadedProject, request: QueryRequest, *, engine: str | None = 
     designed = design(query, config, platform, template, heed)
     expansion = Expansion(designed, template, platform, spec)
     batch = expansion.batch(heed)
+    if commands.SPLICED in command and ARGUMENTS not in batch.runs[0].names:
+        raise ConfigError(f"command: {commands.SPLICED} needs a template that gives arguments; {config.template} gives none")
     used = programs_in(spec, code.manifest, root, data)
     checkout = _committed(root, spec, code, used) if code.checkout else None
     executed = checkout.programs() if checkout else used
@@ -174,6 +184,7 @@ def plan(project: LoadedProject, request: QueryRequest, *, engine: str | None = 
         template_sha256=template.sha256,
         outputs=config.outputs,
         success=config.success,
+        readers=readers,
         seen=seen(root, b"" if checkout else code.manifest, executed),
         notes=(
             *code.notes,
@@ -193,7 +204,7 @@ def _contained(project: LoadedProject, name: str | None) -> tuple[Engine, Image 
     Raises ConfigError, Missing.
     """
     container = project.config.container
-    engine = engines.find(name or (container.engine if container else "none"))
+    engine = engines.find(name or (container.engine if container else "none"), project.config.engines)
     if engine.name == "none":
         return engine, None
     if container is None:
@@ -273,6 +284,8 @@ def context(plan: Plan, session: str = "", number: int | None = None) -> Context
         success=plan.success,
         number=number,
         raw=plan.project.config.store.raw,
+        readers=plan.readers,
+        engines=plan.project.config.engines,
     )
 
 
@@ -317,7 +330,7 @@ def _doubts(designed: Design, command: Sequence[str]) -> Iterator[str]:
     for name, values in designed.lists.items():
         if len(values) < designed.query.runs:
             yield f"[per_run] {name} has {len(values)} items for {designed.query.runs} runs: run {len(values)} takes the first"
-    if "{input}" not in mentioned and "{run}" not in mentioned:
+    if not any(word in mentioned for word in ("{input}", "{run}", commands.SPLICED)):
         yield "the command does not name {input}: unless it finds the generated file itself, all experiments are the same"
 
 

@@ -42,7 +42,7 @@ def _sweep(paths: SessionPaths) -> None:
     """Remove the containers that a session has left."""
     with contextlib.suppress(OSError, ValueError, KeyError, TypeError, SierraError):  # it died before anything was started
         context = Context.load(paths.context)
-        engines.find(context.engine).sweep([paths.root.name])
+        engines.find(context.engine, context.engines).sweep([paths.root.name])
 
 
 def recover(store: Store, paths: SessionPaths) -> int:

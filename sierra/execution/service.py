@@ -14,7 +14,6 @@ from sierra.config.project_file import LoadedProject
 from sierra.containers.engines.base import Engine
 from sierra.containers.images import Image
 from sierra.containers.isolation import contain
-from sierra.design.expand import Files
 from sierra.execution import commands
 from sierra.execution.follow import Followed, follow
 from sierra.execution.observer import Tally
@@ -26,6 +25,7 @@ from sierra.provenance import environment
 from sierra.provenance.program import Programs
 from sierra.runners.base import Runner, Work, needed
 from sierra.store.store import Store
+from sierra.templates.base import Files
 
 
 @dataclass(frozen=True, slots=True)

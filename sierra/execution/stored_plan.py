@@ -12,15 +12,16 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from sierra.config.plugins import Tables
 from sierra.config.project_file import LoadedProject, Output, Success
 from sierra.containers import engines, images, isolation
 from sierra.containers.engines.base import Engine
 from sierra.containers.images import Contents, Image
-from sierra.design.expand import Files
 from sierra.errors import Damaged, Missing, NotFound, UsageError
 from sierra.execution import commands
 from sierra.execution.checkout import Checkout
 from sierra.execution.plans import Plan
+from sierra.ingest.base import Used, described
 from sierra.ingest.context import rules_of
 from sierra.model import Axis, Batch, Experiment, Query, Run, RunSpec
 from sierra.provenance import environment
@@ -30,6 +31,7 @@ from sierra.query import grammar
 from sierra.query.request import repeated
 from sierra.store.files import INPUT_FOLDER, Taken, contents, recorded
 from sierra.store.store import Snapshot, Store
+from sierra.templates.base import Files
 from sierra.util.fs import inside
 from sierra.util.hashing import short
 from sierra.version import __version__
@@ -76,6 +78,8 @@ class Recalled:
     fingerprint: str
     outputs: Mapping[str, Output]
     success: Success
+    readers: Used
+    """Readers of other packages with the recorded options."""
 
     def checkout(self, project: LoadedProject, store: Store) -> Checkout:
         """Return the checkout that restores the code."""
@@ -92,7 +96,7 @@ def recall(store: Store, batch: str, programs: str, ingest_rules: str) -> Recall
         rules = _one(snapshot, "SELECT declared FROM ingest_rules WHERE ingest_rules = $r", r=ingest_rules)
         used = snapshot.rows("SELECT * FROM programs WHERE programs = $p", p=programs)
         code = snapshot.rows('SELECT files, "commit" FROM sources WHERE tree = $t LIMIT 1', t=made["source"])
-    outputs, success = rules_of(json.loads(rules["declared"]))
+    outputs, success, readers = rules_of(json.loads(rules["declared"]))
     spec = RunSpec(
         made["platform"],
         tuple(made["command"]),
@@ -102,11 +106,18 @@ def recall(store: Store, batch: str, programs: str, ingest_rules: str) -> Recall
         tuple(made["host_access"] or ()),
     )
     manifest, commit = (store.object(code[0]["files"]), code[0]["commit"]) if code else (b"", None)
-    return Recalled(batch, spec, manifest, commit, used, programs, outputs, success)
+    return Recalled(batch, spec, manifest, commit, used, programs, outputs, success, installed(readers))
 
 
-def engine(store: Store, batch: str, spec: RunSpec, name: str | None, *, hosted: bool) -> Engine:
+def installed(readers: Used) -> Used:
+    """Return recorded readers with their recorded options, and with the packages that are installed now."""
+    return described(readers, {name: reader["options"] for name, reader in readers.items()})
+
+
+def engine(store: Store, batch: str, spec: RunSpec, name: str | None, tables: Tables, *, hosted: bool) -> Engine:
     """Return the engine for the runs of a spec: the requested one, or the one that this batch used last.
+
+    `tables` are `[engines.…]`.
 
     Raises UsageError if the engine does not fit the spec.
     """
@@ -123,7 +134,7 @@ def engine(store: Store, batch: str, spec: RunSpec, name: str | None, *, hosted:
             "SELECT arg_max(engine, lamport) AS engine FROM sessions WHERE batch = $b AND engine <> 'none'", b=batch
         )
         name = row["engine"] or "podman"
-    return engines.find(name)
+    return engines.find(name, tables)
 
 
 def image(project: LoadedProject, store: Store, spec: RunSpec) -> Image | None:
@@ -211,12 +222,13 @@ def plan(project: LoadedProject, store: Store, prefix: str, *, contained: str | 
         checkout=checkout,
         programs=used,
         environment=environment.capture(__version__, project.config.environment.record),
-        engine=engine(store, found.id, recalled.spec, contained, hosted=False),
+        engine=engine(store, found.id, recalled.spec, contained, project.config.engines, hosted=False),
         image=image(project, store, recalled.spec),
         limits=commands.limits(project.config),
         template_sha256=row["template_sha256"],
         outputs=recalled.outputs,
         success=recalled.success,
+        readers=recalled.readers,
         seen=seen(project.root, b"", used),
     )
 

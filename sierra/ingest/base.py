@@ -1,247 +1,89 @@
-"""The base class of all readers: it sorts files by their columns, writes valid files, and notes faults."""
+"""The OutputReader contract, and the functions that find readers for the outputs of a project.
+
+A reader makes a table from each file of one format. SIERRA ships `csv`, `parquet` and `jsonl`, which read many files at once
+(see `sierra.ingest.table_reader`). Others are entry points of the group `sierra.readers` (see `sierra.plugin`). The name of the
+entry point is the format: `[outputs.NAME] format` names it, or else the ending of `file` does. Files that are not declared in
+`[outputs]` become tables only if they have the ending of a shipped format, because the result of an execution must not depend
+on what is installed.
+
+The format, the options and the package of a reader decide what is recorded, as the other rules in `[outputs]` do: they are part
+of the hash of these rules (`Context.reading`). If one changes, executions are evaluated again from their recorded files.
+`sierra.testing.readers` has the conformance suite.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
+import json
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar, Protocol
 
-from sierra.errors import Missing
-from sierra.ingest.messages import shown
-from sierra.ingest.model import AtFaultError, Part, Reading, Shape, Siblings, Written
-from sierra.store.counting import rows_by_file
-from sierra.store.errors import duckdb_error, first_line
-from sierra.store.names import column_names, identifier
-from sierra.store.scans import copy, parquet_metadata, read_parquet
+from sierra.config.plugins import READERS, Tables
+from sierra.config.project_file import Output, Table
+from sierra.errors import ConfigError
 
-FILE = "# file"
-"""DuckDB's name for the column with a row's file; real columns are unlikely to have this name."""
-PARTS = 1000
-"""The limit on different sets of columns in one output. Each set is a file in each segment; files must not grow with runs."""
+Columns = Mapping[str, Sequence[Any]]
+"""A table: the values of each column, by its name. All columns have the same length."""
+FILE_FORMAT = "file"
+"""The format of outputs that are kept as files and become no table."""
 
 
-class Reader:
-    """The base class of the readers of all formats.
+class UnreadableError(ValueError):
+    """A file that a reader cannot read. The text is one line that says what is wrong, and in which line or record."""
 
-    It sorts files by their columns, writes valid files, and notes faults.
-    """
 
-    def __init__(self, connection: Any, shape: Shape, target: Path, siblings: Siblings) -> None:
-        self.sql = connection
-        self.shape = shape
-        self.siblings = siblings
-        self.parts = list(shape.parts)
-        self.part = Part(())
-        """The part that is being read."""
-        self.target = self._first = target
-        self._more = 0
-        """The number of Parquet files for files whose values differ from most files of their part."""
-        self.rows: dict[tuple[str, str], int] = {}
-        self.counted: dict[tuple[str, str], int] = {}
-        self.columns: dict[tuple[str, str], Mapping[str, str]] = {}
-        self.hints: dict[tuple[str, str], dict[str, str]] = {}
-        self.faults: dict[str, str] = {}
-        self.error: type[Exception] = duckdb_error()
+class OutputReader(Protocol):
+    """A format of output files: one file becomes the rows of a table."""
 
-    def read(self, files: Sequence[Written]) -> Reading:
-        for place, some in self._by_part(files):
-            sound = self.sound(some)
-            if place is None:  # without rows and columns
-                self._without_rows(sound)
-            elif sound:
-                self.part = self.parts[place]
-                self.target = self._first.with_stem(f"{self._first.stem}~{place + 1}") if place else self._first
-                self._one(sound)
-        ended = sum(file.ended for file in files if (file.execution, file.name) in self.rows)
-        shape = self.shape
-        shape = replace(shape, parts=tuple(self.parts), files=shape.files + len(self.rows), ended=shape.ended + ended)
-        return Reading(self.rows, self.counted, self.columns, self.hints, self.faults, shape)
+    Options: ClassVar[type[Table]]
+    """The model of `[readers.NAME]`. Options may change tables: they are part of the hash of the project's rules."""
 
-    def _without_rows(self, files: Sequence[Written]) -> None:
-        """Record that files have neither rows nor columns, if a count of their rows agrees."""
-        self.part = Part(())
-        for file, fault in self._miscounted(files, {}):
-            self.fault(file, fault)
-        for file in self.sound(files):
-            self.rows[file.execution, file.name] = 0
-            self.columns[file.execution, file.name] = {}
+    def __init__(self, options: Any) -> None:
+        """Make the reader; `options` is an object of `Options`."""
+        ...
 
-    def _one(self, files: Sequence[Written]) -> None:
-        """Read the files of one part. Files that turn out to be at fault are left out."""
-        while files:
-            try:
-                self.one(files)
-            except AtFaultError as error:
-                for file, fault in error.faults:
-                    self.fault(file, fault)
-                for file in files:
-                    self.hints.pop((file.execution, file.name), None)
-                files = self.sound(files)
-            else:
-                return
+    def read(self, path: Path) -> Columns:
+        """Return the table in a file.
 
-    def _miscounted(self, files: Sequence[Written], rows: Mapping[tuple[str, str], int]) -> Iterator[tuple[Written, str]]:
-        """Yield the files whose own count differs from `rows`, each with an error message."""
-        for file in files:
-            key = file.execution, file.name
-            read = rows.get(key, 0)
-            counted = self.count(file, read)
-            if isinstance(counted, int):
-                self.counted[key] = counted
-            if counted != read:
-                yield file, counted if isinstance(counted, str) else self.miscount(file, counted, read)
+        Values are None, bool, int, float, str, or what `pyarrow.table` accepts. The order of rows and columns is that of the
+        file. The same bytes must always give the same table. Only this file is read, and nothing is written. A column should
+        have the same type in all files: files with other types than their siblings are reported.
 
-    def count(self, file: Written, read: int) -> int | str:
-        """Return the number of rows in a file, counted without DuckDB, or why it cannot be counted.
-
-        `read` is the number of rows that DuckDB has read. A slow count is only needed if a quick count differs from `read`.
+        Raises UnreadableError for a file that is cut short or damaged. The execution that wrote it has failed then. Any other
+        error fails it too, but is reported as a fault of the reader.
         """
-        raise NotImplementedError
-
-    def miscount(self, file: Written, counted: int, read: int) -> str:
-        """Return the message for a file with a different number of rows than were read."""
-        return f"{counted} rows are in it, but {read} were read: it is not as other readers take it"
-
-    def sort(self, files: Sequence[Written]) -> Mapping[str, Part | None]:
-        """Return the columns (and the delimiter) of each valid file by its path; None if it has no rows and no columns."""
-        raise NotImplementedError
-
-    def one(self, files: Sequence[Written]) -> None:
-        """Read the files of one part."""
-        raise NotImplementedError
-
-    def targets(self) -> Iterator[Path]:
-        """Yield target paths for the files of one part: first for the usual kinds of values, then for others."""
-        yield self.target
-        while True:
-            self._more += 1
-            yield self._first.with_stem(f"{self._first.stem}~{PARTS + self._more}")
-
-    def _by_part(self, files: Sequence[Written]) -> list[tuple[int | None, list[Written]]]:
-        """Return the files of each part with the part's position; None for files without rows and columns."""
-        found = self.sort(files)
-        places = {self.key(part): place for place, part in enumerate(self.parts)}
-        members: dict[int | None, list[Written]] = {}
-        for file in self.sound(files):
-            part = found[file.path]
-            place = None if part is None else places.setdefault(self.key(part), len(places))
-            if place is not None and place >= PARTS:
-                self.fault(file, f"has other columns than {PARTS} other sets of columns; a table has at most so many")
-                continue
-            if part is not None and place == len(self.parts):
-                self.parts.append(part)
-            members.setdefault(place, []).append(file)
-        return list(members.items())
-
-    def key(self, part: Part) -> Any:
-        """Return the key that files of one part share. The order of columns matters only in a CSV."""
-        return frozenset(part.names)
-
-    def fault(self, file: Written, what: str) -> None:
-        self.faults.setdefault(file.execution, f"{shown(file.name)}: {what.replace(file.path, shown(file.name))}")
-
-    def sound(self, files: Iterable[Written]) -> list[Written]:
-        return [file for file in files if file.execution not in self.faults]
-
-    def done(self, target: Path, files: Sequence[Written], kinds: Mapping[str, Mapping[str, str]]) -> None:
-        """Record the files that were written to `target`; `kinds` are the kinds of values in their columns, by path."""
-        for file in files:
-            self.columns[file.execution, file.name] = kinds[file.path]
-        self.rows |= dict.fromkeys(((file.execution, file.name) for file in files), 0)
-        stored = dict(zip(self.part.names, column_names(self.part.names), strict=True))
-        lacking = self._lacking(target)
-        partly = [name for name in self.part.names if stored[name] in lacking]
-        for key, count, filled in self._count(target, files, [stored[name] for name in partly]):
-            self.rows[key] = count
-            empty = {name for name, values in zip(partly, filled, strict=True) if not values}
-            if empty:
-                self.columns[key] = {n: "empty" if n in empty else kind for n, kind in self.columns[key].items()}
-        for file in files:
-            key = file.execution, file.name
-            if not self.rows[key]:
-                self.columns[key] = dict.fromkeys(self.columns[key], "empty")
-
-    def _lacking(self, target: Path) -> set[str]:
-        """Return the columns of a Parquet file that have no value in some row."""
-        rows = self.sql.execute(
-            f"SELECT path_in_schema FROM {parquet_metadata(str(target))} GROUP BY 1 "
-            "HAVING coalesce(max(stats_null_count), 1) > 0"
-        ).fetchall()
-        return {row[0].partition(", ")[0] for row in rows} | {row[0] for row in rows}
-
-    def halve(self, files: Sequence[Written], attempt: Callable[[Sequence[Written]], Any], explain: Callable[..., str]) -> None:
-        """Find the files for which `attempt` fails, by repeated halving, and mark them as faulty."""
-        try:
-            if files:
-                attempt(files)
-        except self.error as error:
-            if len(files) == 1:
-                self.fault(files[0], explain(files[0], error))
-            else:
-                for half in (files[: len(files) // 2], files[len(files) // 2 :]):
-                    self.halve(half, attempt, explain)
-
-    def write(self, target: Path, files: Sequence[Written], source: str, columns: Mapping[str, str]) -> None:
-        """Write the rows of `source` (a relation on $files) with their run and execution; `columns` are expressions by name."""
-        import pyarrow as pa
-
-        owners = pa.table(
-            {
-                "path": [file.path for file in files],
-                "run": [file.run for file in files],
-                "execution": [file.execution for file in files],
-                "name": [shown(file.name) for file in files],
-            }
-        )
-        named = ", ".join(
-            f"{expression} AS {identifier(name)}"
-            for name, expression in zip(column_names(list(columns)), columns.values(), strict=True)
-        )
-        name = "o.name AS file, " if self.shape.many else ""
-        self.sql.register("owners", owners)
-        self.sql.execute("SET threads = 1")  # several threads would write the pieces of a large file in any order
-        try:
-            rows = f"SELECT o.run, o.execution, {name}{named} FROM {source} t JOIN owners o ON t.{identifier(FILE)} = o.path"
-            self.sql.execute(copy(rows, target), these(files))
-            self._check_rows(target, files)
-        except (self.error, AtFaultError):
-            target.unlink(missing_ok=True)
-            raise
-        finally:
-            self.sql.execute("RESET threads")
-            self.sql.unregister("owners")
-
-    def _check_rows(self, target: Path, files: Sequence[Written]) -> None:
-        """Raise AtFaultError if `target` has a different number of rows of a file than the file itself."""
-        only = self._names(files)
-        written = rows_by_file(target)
-        if faults := list(self._miscounted(files, {(one, only[one, name]): rows for (one, name), rows in written.items()})):
-            raise AtFaultError(faults)
-
-    def _names(self, files: Sequence[Written]) -> dict[tuple[str, str | None], str]:
-        """Return the files' names by their keys in a Parquet file: the execution, and the file if a run writes several."""
-        many = self.shape.many
-        return {(file.execution, shown(file.name) if many else None): file.name for file in files}
-
-    def _count(
-        self, target: Path, files: Sequence[Written], columns: Sequence[str]
-    ) -> Iterator[tuple[tuple[str, str], int, Sequence[int]]]:
-        """Yield for each execution and file the number of written rows, and the number of values in these columns."""
-        name = "file" if self.shape.many else "NULL"
-        only = self._names(files)
-        filled = "".join(f", count({identifier(column)})" for column in columns)
-        statement = f"SELECT execution, {name}, count(*){filled} FROM {read_parquet([str(target)])} GROUP BY 1, 2"
-        for execution, file, count, *values in self.sql.execute(statement).fetchall():
-            yield (execution, only[execution, file]), count, values
-
-    def fetch(self, statement: str, files: Sequence[Written]) -> list[tuple[Any, ...]]:
-        rows: list[tuple[Any, ...]] = self.sql.execute(statement, these(files)).fetchall() if files else []
-        return rows
-
-    def unwritten(self, error: Exception) -> Missing:
-        return Missing(f"cannot write to {self.target.parent}: {first_line(error)}")
+        ...
 
 
-def these(files: Sequence[Written]) -> dict[str, list[str]]:
-    return {"files": [file.path for file in files]}
+Used = Mapping[str, Mapping[str, Any]]
+"""The readers of other packages by format, each with its `package` and its `options`, as JSON."""
+
+
+def used(outputs: Mapping[str, Output], tables: Tables) -> Used:
+    """Return the readers of other packages that these outputs need; `tables` are `[readers.…]`.
+
+    Raises ConfigError if an output names a format that nothing reads, or if options are invalid.
+    """
+    formats = {output.kind: output.format for output in outputs.values() if output.kind != FILE_FORMAT}
+    named = [name for name, explicit in formats.items() if explicit is not None]
+    if unknown := sorted(set(named) - set(READERS.names())):
+        first = next(name for name, output in outputs.items() if output.format == unknown[0])
+        known = ", ".join((*READERS.names(), FILE_FORMAT))
+        raise ConfigError(f"[outputs.{first}] format: unknown format {unknown[0]!r}; known are {known}")
+    return described((name for name in formats if name in READERS.added()), tables)
+
+
+def described(formats: Iterable[str], tables: Tables) -> Used:
+    """Return the readers of these formats with their packages and options, as they are installed now."""
+    found: dict[str, Mapping[str, Any]] = {}
+    for name in sorted(set(formats)):
+        READERS.load(name)
+        options = READERS.options(name, tables.get(name, {})).model_dump(mode="json")
+        found[name] = {"package": READERS.packages(name)[0], "options": options}
+    return found
+
+
+def make(name: str, described: str) -> OutputReader:
+    """Return the reader of a format of another package; `described` is its entry of `Used`, as JSON."""
+    made: OutputReader = READERS.make(name, {name: json.loads(described)["options"]})
+    return made

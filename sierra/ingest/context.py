@@ -5,12 +5,14 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from sierra.config.plugins import Tables
 from sierra.config.project_file import Output, Success
 from sierra.errors import Damaged
+from sierra.ingest.base import Used
 from sierra.store.order import stamp
 from sierra.store.segments import disk_errors
 from sierra.util.fs import read_record, write_whole
@@ -20,7 +22,20 @@ ID, SESSION = re.compile("[0-9a-f]{64}"), re.compile("[0-9a-f]{16}")
 UNREAD = {"units", "time", "tolerance", "ordered", "volatile"}
 """The settings of an output that do not influence how it is recorded."""
 SAVED = (
-    *("session", "batch", "purpose", "environment", "programs", "engine", "isolation", "shared", "enforced", "number", "raw"),
+    *(
+        "session",
+        "batch",
+        "purpose",
+        "environment",
+        "programs",
+        "engine",
+        "isolation",
+        "shared",
+        "enforced",
+        "number",
+        "raw",
+        "engines",
+    ),
 )
 
 
@@ -50,6 +65,10 @@ class Context:
 
     raw: bool = True
     """True if the bytes of files that become tables are stored too."""
+    readers: Used = field(default_factory=dict)
+    """The readers of other packages that the outputs need."""
+    engines: Tables = field(default_factory=dict)
+    """The options of engines in `sierra.toml`."""
 
     @property
     def ingest_rules(self) -> str:
@@ -68,24 +87,28 @@ class Context:
 
     def _tables(self) -> dict[str, Any]:
         outputs = {name: output.model_dump(mode="json") for name, output in self.outputs.items()}
-        return {"outputs": outputs, "success": self.success.model_dump(mode="json")}
+        return {"outputs": outputs, "success": self.success.model_dump(mode="json"), **self._others()}
+
+    def _others(self) -> dict[str, Any]:
+        """Return the readers of other packages, if there are any: the hashes of rules without them stay the same."""
+        return {"readers": self.readers} if self.readers else {}
 
     def _declared(self, without: set[str]) -> str:
         outputs = {name: output.model_dump(mode="json", exclude=without) for name, output in self.outputs.items()}
-        return digest("reading", {"outputs": outputs, "success": self.success.model_dump(mode="json")})
+        return digest("reading", {"outputs": outputs, "success": self.success.model_dump(mode="json"), **self._others()})
 
     def save(self, path: Path) -> None:
         fields = {name: getattr(self, name) for name in SAVED}
         fields |= self._tables()
         with disk_errors(path.parent):
-            write_whole(path, json.dumps(fields).encode())
+            write_whole(path, json.dumps(fields, default=str).encode())
 
     @classmethod
     def load(cls, path: Path) -> Context:
         """Load a saved context. Raises FileNotFoundError, and Damaged if the file is not a valid context."""
         fields = read_record(path)
         try:
-            fields["outputs"], fields["success"] = rules_of(fields)
+            fields["outputs"], fields["success"], fields["readers"] = rules_of(fields)
             made = cls(**fields)
             if ID.fullmatch(made.batch) and SESSION.fullmatch(made.session):
                 return made
@@ -94,7 +117,7 @@ class Context:
         raise Damaged(f"{path}: is no context that this SIERRA wrote; move {path.parent} away, or go on with the one that did")
 
 
-def rules_of(declared: Mapping[str, Any]) -> tuple[dict[str, Output], Success]:
-    """Return the declarations of outputs and success from the form of `Context.declared`."""
+def rules_of(declared: Mapping[str, Any]) -> tuple[dict[str, Output], Success, Used]:
+    """Return the declarations of outputs and success, and the readers, from the form of `Context.declared`."""
     outputs = {name: Output.model_validate(output) for name, output in declared["outputs"].items()}
-    return outputs, Success.model_validate(declared["success"])
+    return outputs, Success.model_validate(declared["success"]), dict(declared.get("readers", {}))

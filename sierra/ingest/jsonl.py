@@ -8,10 +8,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from sierra.ingest.base import FILE
 from sierra.ingest.counting import count_lines, lines_of
 from sierra.ingest.messages import shown
 from sierra.ingest.model import Part, Written
+from sierra.ingest.table_reader import FILE
 from sierra.ingest.text import Text
 from sierra.store.errors import first_line
 from sierra.store.names import identifier, quote
@@ -66,7 +66,7 @@ class Jsonl(Text):
                     continue
                 try:
                     pairs = json.loads(text, object_pairs_hook=_Pairs)
-                except ValueError:
+                except (ValueError, RecursionError):
                     return f"line {line}: is cut short, or no JSON: {shown(text.strip())[:80]!r}"
                 if not isinstance(pairs, _Pairs):
                     return f"line {line}: is not an object: {text.strip()[:80]!r}"

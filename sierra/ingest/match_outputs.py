@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator, Mapping
 from pathlib import PurePosixPath
 
-from sierra.config.project_file import Output
+from sierra.config.plugins import READERS
+from sierra.config.project_file import SAME_FORMAT, Output
+from sierra.ingest.base import Used
 from sierra.ingest.messages import shown
 from sierra.ingest.model import Shape
 from sierra.model import OutputFile, Result
 from sierra.store.schema import check_name
 from sierra.util.text import natural
 
-AUTOMATIC = {".csv": "csv", ".tsv": "csv", ".parquet": "parquet", ".jsonl": "jsonl", ".ndjson": "jsonl"}
 AUTOMATIC_AT_MOST = 20
 """The limit on undeclared tables of one run; if a run has more such files, all of them are recorded as files."""
 NOTED_AT_MOST = 1000
@@ -26,8 +28,10 @@ NOT_UTF8 = "with a name that is no UTF-8"
 class OutputMatcher:
     """The assignment of files to tables; it remembers the files that look like tables but are recorded as files."""
 
-    def __init__(self, outputs: Mapping[str, Output]) -> None:
+    def __init__(self, outputs: Mapping[str, Output], readers: Used) -> None:
+        """`readers` are the readers of other packages; outputs of any other format that is not shipped are kept as files."""
         self._outputs = outputs
+        self._readers = {name: json.dumps(reader, sort_keys=True) for name, reader in readers.items()}
         self.kept: dict[str, dict[str, None]] = {}
         """The files that are recorded as files although they look like tables, by reason."""
 
@@ -37,12 +41,12 @@ class OutputMatcher:
         for file in sorted(result.outputs, key=lambda file: natural(file.path)):
             declared = next((n for n, o in self._outputs.items() if o.matches(file.path)), None)
             kind = self._outputs[declared].kind if declared else _automatic(file.path)
-            if kind in (None, "file"):
+            if kind not in READERS.shipped and kind not in self._readers:
                 continue
             if shown(file.path) != file.path:
                 self._keep(NOT_UTF8, file)
             elif declared is not None:
-                yield declared, _shape(self._outputs[declared]), file
+                yield declared, self._shape(self._outputs[declared]), file
             elif "/" in file.path:
                 self._keep(IN_FOLDERS, file)
             else:
@@ -58,7 +62,12 @@ class OutputMatcher:
                 self._keep(TAKEN, file)
             else:
                 taken.add(name.lower())
-                yield name, Shape(_automatic(file.path)), file  # type: ignore[arg-type]
+                yield name, Shape(_automatic(file.path) or ""), file
+
+    def _shape(self, output: Output) -> Shape:
+        many = any(c in output.file for c in "*?[")
+        reader = self._readers.get(output.kind, "")
+        return Shape(output.kind, output.delimiter, output.header, output.columns, many, reader=reader)
 
     def _keep(self, why: str, file: OutputFile) -> None:
         """Note that a file is recorded as a file although it looks like a table."""
@@ -76,9 +85,6 @@ def table_name(path: str) -> str:
 
 def _automatic(path: str) -> str | None:
     """Return the format of a file with a table's suffix, or None."""
-    return AUTOMATIC.get(PurePosixPath(path).suffix.lower())
-
-
-def _shape(output: Output) -> Shape:
-    many = any(c in output.file for c in "*?[")
-    return Shape(output.kind, output.delimiter, output.header, output.columns, many)  # type: ignore[arg-type]
+    ending = PurePosixPath(path).suffix.lower().removeprefix(".")
+    name = SAME_FORMAT.get(ending, ending)
+    return name if name in READERS.shipped else None

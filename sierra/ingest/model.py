@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
-from typing import Literal
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +38,8 @@ class Part:
 class Shape:
     """Instructions for reading the files of one output: as declared, and as found in earlier files."""
 
-    format: Literal["csv", "parquet", "jsonl"]
+    format: str
+    """The name of its reader."""
     delimiter: str = ""
     """The delimiter of a CSV; if it is empty, it is determined for each part."""
     header: bool = True
@@ -52,6 +52,8 @@ class Shape:
     """The number of files that were read before."""
     ended: int = 0
     """The number of these files with a line feed at their end."""
+    reader: str = ""
+    """The package and the options of the reader, as JSON; empty for a shipped reader."""
 
 
 Group = Hashable

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from sierra.errors import Damaged
-from sierra.ingest.base import FILE, Reader
 from sierra.ingest.model import AtFaultError, Part, Shape, Siblings, Written
+from sierra.ingest.table_reader import FILE, TableReader
 from sierra.ingest.types import alike
 from sierra.store.column_types import EMPTY, HUGE, is_inexact, is_whole, kind_of
 from sierra.store.counting import rows_in
@@ -20,7 +20,7 @@ DIGITS = 38
 """The maximum number of digits of a DuckDB DECIMAL. DuckDB silently reads longer decimals as DOUBLE."""
 
 
-class Parquet(Reader):
+class Parquet(TableReader):
     """The reader of Parquet, which has types of its own."""
 
     def __init__(self, connection: Any, shape: Shape, target: Path, siblings: Siblings) -> None:

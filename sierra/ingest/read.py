@@ -19,17 +19,16 @@ underscore.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from sierra.ingest.base import Reader
-from sierra.ingest.csv import Csv, delimiter_of
-from sierra.ingest.jsonl import Jsonl
+from sierra.config.plugins import READERS
+from sierra.ingest.csv import delimiter_of
 from sierra.ingest.messages import difference, shown
 from sierra.ingest.model import Reading, Shape, Siblings, Written
-from sierra.ingest.parquet import Parquet
+from sierra.ingest.table_reader import TableReader
 from sierra.store.column_types import AS_TEXT, is_number, own_kind, right_kind
 from sierra.store.scans import Aliases
 
@@ -56,7 +55,12 @@ def read(connection: Any, files: Sequence[Written], shape: Shape, target: Path, 
     Raises Missing if valid rows cannot be written.
     """
     connection.execute("SET disabled_optimizers = 'join_order,build_side_probe_side'")  # rows keep their order
-    readers: Mapping[str, type[Reader]] = {"csv": Csv, "parquet": Parquet, "jsonl": Jsonl}
+    found = READERS.load(shape.format)
+    if not issubclass(found, TableReader):
+        from sierra.ingest.converted import Converted
+
+        found = Converted
     with Aliases() as aliases:
         named = [replace(file, path=aliases.of(file.path)) for file in files]
-        return readers[shape.format](connection, shape, target, siblings or Siblings()).read(named)
+        reading: Reading = found(connection, shape, target, siblings or Siblings()).read(named)
+        return reading

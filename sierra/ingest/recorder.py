@@ -69,7 +69,7 @@ class Recorder:
         self._bytes = 0
         self._began = self._flushed = time.monotonic()
         self._shapes: dict[str, Shape] = {}
-        self._assigning = OutputMatcher(context.outputs)
+        self._assigning = OutputMatcher(context.outputs, context.readers)
         self._left_out: dict[str, None] = {}
 
     def add(self, result: Result) -> Status:
@@ -89,7 +89,8 @@ class Recorder:
         if self.context.isolation is None or self.context.shared or result.exit_code == 0:
             return result
         said = kept_of(f"{result.directory}/{RUN_STDERR}")[0][-LOG_SHOWN:].decode("utf-8", "replace")
-        return engines.find(self.context.engine).classify(result, said, frozenset(self.context.enforced))
+        engine = engines.find(self.context.engine, self.context.engines)
+        return engine.classify(result, said, frozenset(self.context.enforced))
 
     def beside(self, rows: Iterable[tuple[str, Mapping[str, Any]]], copies: Iterable[Result]) -> None:
         """Add other records: rows by table, and runs that were executed once more than requested."""

@@ -34,6 +34,7 @@ from typing import Any
 
 from sierra.config.project_file import Output, Success
 from sierra.errors import Damaged
+from sierra.ingest.base import Used
 from sierra.ingest.context import Context, rules_of
 from sierra.ingest.match_outputs import OutputMatcher
 from sierra.ingest.model import Shape
@@ -79,7 +80,8 @@ class Past:
     exit_code: int
     outputs: Mapping[str, Output]
     success: Success
-    """The rules of its last judgement are `outputs` and `success`."""
+    readers: Used
+    """The rules of its last judgement are `outputs`, `success` and `readers`."""
     artifacts: tuple[Artifact, ...]
     judgement: str
     """The judgement under which its artifacts and rows are recorded."""
@@ -193,20 +195,21 @@ def _past(snapshot: Snapshot, context: Context, runs: Iterable[str], *, mismatch
     for row in rows:
         if row["ingest_rules"] in rules:
             named = {name: row[name] for name in ("run", "execution", "status", "reason", "found", "exit_code", "judgement")}
-            outputs, success = rules[row["ingest_rules"]]
-            one = Past(**named, outputs=outputs, success=success, artifacts=tuple(artifacts[row["judgement"]]))
+            outputs, success, readers = rules[row["ingest_rules"]]
+            one = Past(**named, outputs=outputs, success=success, readers=readers, artifacts=tuple(artifacts[row["judgement"]]))
             yield replace(one, tabled=_is_tabled(one, context))
 
 
 def _is_tabled(one: Past, context: Context) -> bool:
     """Check that the files that become tables are already recorded as these tables, read in the same way, with their rows."""
     recorded = {(row["output"], row["path"]) for row in one.artifacts if row["rows"] is not None}
-    before, now = ({(n, file.path): shape for n, shape, file in _tables(one, o)} for o in (one.outputs, context.outputs))
+    before, now = ({(n, file.path): shape for n, shape, file in _tables(one, rules)} for rules in (one, context))
     return before == now and now.keys() == recorded
 
 
-def _tables(one: Past, outputs: Mapping[str, Output]) -> Iterator[tuple[str, Shape, OutputFile]]:
-    return OutputMatcher(outputs).of(one.result(one.execution, Path(), {}))
+def _tables(one: Past, rules: Past | Context) -> Iterator[tuple[str, Shape, OutputFile]]:
+    """Yield the files of an execution that become tables by these rules."""
+    return OutputMatcher(rules.outputs, rules.readers).of(one.result(one.execution, Path(), {}))
 
 
 def _is_hopeless(one: Past, context: Context) -> bool:
@@ -240,7 +243,7 @@ def _lacking(one: Past, context: Context, sizes: Mapping[str, int]) -> str | Non
 
 def needed(one: Past, context: Context) -> list[Artifact]:
     """Return the files to read for an evaluation: files that become tables and are not yet tables, and the markers."""
-    tables = set() if one.tabled else {file.path for _, _, file in _tables(one, context.outputs)}
+    tables = set() if one.tabled else {file.path for _, _, file in _tables(one, context)}
     markers = {context.success.marker, *(() if one.succeeded else (one.success.marker,))} - {""}
     files = [row for row in one.artifacts if row["kind"] != "log" and row["path"] in tables | markers]
     return [*files, *(row for row in one.artifacts if row["kind"] == "log" and row["path"] in markers)]
@@ -260,7 +263,7 @@ class Rejudged:
 def judge_anew(store: Store, session: SessionPaths, context: Context, runs: Iterable[str], *, mismatched: bool) -> Rejudged:
     """Evaluate and record these runs as far as possible. Raises Missing if the disk is full; then nothing is lost."""
     anew = Rejudged()
-    assigning, shapes = OutputMatcher(context.outputs), dict[str, Shape]()
+    assigning, shapes = OutputMatcher(context.outputs, context.readers), dict[str, Shape]()
     for foreseen in foresee(store, context, runs, mismatched=mismatched):
         anew.unread |= foreseen.lacking
         for some in _by_weight(sorted(foreseen.possible.values(), key=lambda one: one.tabled), context):

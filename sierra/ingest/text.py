@@ -7,9 +7,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from sierra.ingest.base import FILE, Reader, these
 from sierra.ingest.messages import shown
 from sierra.ingest.model import AtFaultError, Group, Written
+from sierra.ingest.table_reader import FILE, TableReader, these
 from sierra.ingest.types import alike, kinds_of
 from sierra.store.column_types import LOGICAL, WHOLE, bit, common, is_whole, kind_of, narrowest, no_nan, odd, right_kind
 from sierra.store.errors import first_line
@@ -24,7 +24,7 @@ AT_ONCE = 50
 """The number of columns that a statement tests side by side; DuckDB's planning cost grows with its square."""
 
 
-class Text(Reader):
+class Text(TableReader):
     """The base class of readers of formats whose fields are texts: the texts of a column decide its type."""
 
     def relation(self, names: Sequence[str], types: Mapping[str, str]) -> str:

@@ -141,7 +141,7 @@ def _readings(records: Records) -> Iterator[Finding]:
             name: {key: value for key, value in output.items() if key not in {"mismatch", *UNREAD}}
             for name, output in declared["outputs"].items()
         }
-        return digest("reading", {"outputs": heeded, "success": declared["success"]})
+        return digest("reading", {**declared, "outputs": heeded})
 
     yield from _own(records, "ingest_rules", "ingest_rules", ingest_rules)
 

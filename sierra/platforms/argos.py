@@ -59,7 +59,7 @@ from typing import Annotated, ClassVar
 
 from pydantic import Field, NonNegativeInt, PositiveInt, StringConstraints
 
-from sierra.config.project_file import Project, Table, options
+from sierra.config.project_file import Project, Table
 from sierra.errors import ConfigError, QueryError, TemplateError
 from sierra.model import (
     Add,
@@ -187,8 +187,8 @@ class Argos:
 
     Options: ClassVar[type[Table]] = ArgosOptions
 
-    def __init__(self, project: Project) -> None:
-        self._options = options(ArgosOptions, project.platforms.get("argos", {}), TABLE)
+    def __init__(self, project: Project, options: ArgosOptions) -> None:
+        self._options = options
         if project.command and not any("{input}" in word for word in project.command):
             raise ConfigError('platform "argos" needs {input} in its command, as in: command = "argos3 -n -c {input}"')
         self._command = project.command or COMMAND

@@ -1,7 +1,7 @@
 """The Platform contract for driving one simulator or robot stack, and the functions to find a platform by name.
 
-Shipped platforms are `command` (any program) and `argos`. Others are entry points of the group `sierra.platforms`; each names
-a class that implements `Platform`. `sierra.testing.platforms` checks that they fulfil the contract.
+Shipped platforms are `command` (any program) and `argos`. Others are entry points of the group `sierra.platforms` (see
+`sierra.plugin`). `sierra.testing.platforms` checks that they fulfil the contract.
 """
 
 from __future__ import annotations
@@ -9,15 +9,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, ClassVar, Protocol
 
-from sierra.config.project_file import Project, Table, options
-from sierra.errors import ConfigError
+from sierra.config.plugins import PLATFORMS
+from sierra.config.project_file import Project, Table
 from sierra.model import Axis, Change, Criterion, Point
-from sierra.util import entry_points
-
-SHIPPED = {
-    "command": "sierra.platforms.command:Command",
-    "argos": "sierra.platforms.argos:Argos",
-}
 
 
 class Reader(Protocol):
@@ -38,8 +32,11 @@ class Platform(Protocol):
     Options: ClassVar[type[Table]]
     """The model of `[platforms.NAME]`. Such a table is always checked, even if another platform is used."""
 
-    def __init__(self, project: Project) -> None:
-        """Raise ConfigError if the project's options for this platform are invalid."""
+    def __init__(self, project: Project, options: Any) -> None:
+        """Make the platform. `options` is an object of `Options`.
+
+        Raises ConfigError if the project or the options are invalid for this platform.
+        """
         ...
 
     def changes(self, template: Reader) -> tuple[Change, ...]:
@@ -90,18 +87,11 @@ def find(name: str, project: Project) -> Platform:
 
     Raises ConfigError if there is none, or if a table `[platforms.NAME]` is invalid for that platform.
     """
-    for other, table in project.platforms.items():
-        if other not in names():
-            raise ConfigError(f"[platforms.{other}]: unknown platform {other!r}; known are {', '.join(names())}")
-        options(_load(other).Options, table, f"[platforms.{other}]")
-    made: Platform = _load(name)(project)
+    PLATFORMS.check(project.platforms)
+    made: Platform = PLATFORMS.make(name, project.platforms, project)
     return made
 
 
 def names() -> tuple[str, ...]:
     """Return the names of all available platforms, the shipped ones first."""
-    return entry_points.names("platform", SHIPPED)
-
-
-def _load(name: str) -> Any:
-    return entry_points.find("platform", SHIPPED, name)
+    return PLATFORMS.names()

@@ -6,23 +6,19 @@ from collections.abc import Mapping
 from pathlib import PurePosixPath
 from typing import ClassVar
 
-from sierra.config.project_file import Project, Table, options
+from sierra.config.plugins import NoOptions
+from sierra.config.project_file import Project, Table
 from sierra.errors import ConfigError
 from sierra.model import Axis, Change, Criterion, Point
 from sierra.platforms.base import Reader
 
 
-class CommandOptions(Table):
-    """`[platforms.command]`: it has no options."""
-
-
 class Command:
     """The platform `command`: arguments with placeholders; the project defines everything else."""
 
-    Options: ClassVar[type[Table]] = CommandOptions
+    Options: ClassVar[type[Table]] = NoOptions
 
-    def __init__(self, project: Project) -> None:
-        options(CommandOptions, project.platforms.get("command", {}), "[platforms.command]")
+    def __init__(self, project: Project, options: NoOptions) -> None:
         if not project.command:
             raise ConfigError('platform "command" needs a command, as in: command = "python3 sim.py {input}"')
         self._command = project.command

@@ -19,7 +19,6 @@ from sierra import runners
 from sierra.config.project_file import LoadedProject, Output
 from sierra.containers.engines.base import Engine
 from sierra.containers.isolation import Isolation
-from sierra.design.expand import Files
 from sierra.errors import Missing, NotFound, UsageError
 from sierra.execution import commands, recover, stored_plan, timing
 from sierra.execution.observer import Observer, Relay, Tally
@@ -42,6 +41,7 @@ from sierra.store.names import column_names
 from sierra.store.order import stamp
 from sierra.store.samples import like
 from sierra.store.store import Found, Store
+from sierra.templates.base import Files
 from sierra.util.hashing import short
 from sierra.util.log import Log
 from sierra.version import __version__
@@ -106,7 +106,7 @@ def replay(
     record = _look_up(store, store.resolve(prefix), options.runs)
     declared = _declared(record, project, options.tolerances)
     was = _metrics(project, store, record, declared)
-    engine = stored_plan.engine(store, record.of.batch, record.of.spec, options.engine, hosted=True)
+    engine = stored_plan.engine(store, record.of.batch, record.of.spec, options.engine, project.config.engines, hosted=True)
     image = stored_plan.image(project, store, record.of.spec)
     runner = runners.find(options.runner, project.config.runners)(options.slots)
     began = datetime.now(UTC)
@@ -145,6 +145,8 @@ def replay(
             record.of.success,
             number=session.number,
             raw=project.config.store.raw,
+            readers=record.of.readers,
+            engines=project.config.engines,
         )
         made = {one.run: commands.execution_id(session.id, one.run) for one in record.runs}
         tally = Tally(Relay(observer, leave=False), len(record.runs))

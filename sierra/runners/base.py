@@ -1,8 +1,9 @@
 """The Runner contract, and functions that find a runner by its name.
 
 SIERRA ships `local`, `slurm` and `pbs`. The last two are one runner over two schedulers (see `sierra.runners.schedulers.base`).
-Plug-ins add others as entry points: of the group `sierra.runners`, each naming a class that fulfils `Runner`, or of the group
-`sierra.schedulers`. `sierra.testing.runners` has the conformance suite.
+Plug-ins add others as entry points of the groups `sierra.runners` and `sierra.schedulers` (see `sierra.plugin`). The options of
+a runner are in `[runners.NAME]`; those of a scheduler are in the table of each cluster that uses it.
+`sierra.testing.runners` has the conformance suite.
 """
 
 from __future__ import annotations
@@ -12,17 +13,15 @@ import shutil
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol
 
-from sierra.config.project_file import ClusterTable
+from sierra.config.plugins import RUNNERS, SCHEDULERS, Tables
+from sierra.config.project_file import ClusterTable, Table
 from sierra.errors import ConfigError, SierraError
 from sierra.model import Job, Requirement, Result, Times
 from sierra.provenance.program import INSTALLED, Kind, Program, Programs
 from sierra.runners import schedulers
 from sierra.store.layout import SessionPaths
-from sierra.util import entry_points
-
-SHIPPED = {"local": "sierra.runners.local:Local"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,9 +72,11 @@ class Runner(Protocol):
     name: str
     stays: bool
     """True if the work that it starts survives this process. Otherwise, the work ends with the process."""
+    Options: ClassVar[type[Table]]
+    """The model of `[runners.NAME]`. Options must not change the results of runs, because they are not part of identities."""
 
-    def __init__(self, slots: int, table: ClusterTable) -> None:
-        """Make a runner. `slots` is the number of runs that this machine executes at a time; `table` is the project's."""
+    def __init__(self, slots: int, options: Any) -> None:
+        """Make a runner. `slots` is the number of runs that this machine executes at a time; `options` is of `Options`."""
         ...
 
     def submit(self, work: Work, session: SessionPaths) -> None:
@@ -147,39 +148,46 @@ def _is_called(program: Program, search: str) -> bool:
     return os.sep not in program.name and shutil.which(program.name, path=search) == program.path
 
 
-def find(name: str, tables: Mapping[str, ClusterTable] | None = None) -> Callable[[int], Runner]:
-    """Return a factory that makes the named runner from a number of slots; `tables` are the clusters that the project names.
+def find(name: str, tables: Tables | None = None) -> Callable[[int], Runner]:
+    """Return a factory that makes the named runner from a number of slots; `tables` are `[runners.…]` of the project.
 
-    Raises ConfigError if there is no such runner.
+    Raises ConfigError if there is no such runner, or if its table is invalid.
     """
     found = scheduler_of(name, tables)
     if found is None:
-        return partial(_runner(name), table=ClusterTable())
+        check({name: (tables or {}).get(name, {})})
+        return partial(RUNNERS.make, name, tables or {})
+    return on_cluster(name, *found)
+
+
+def check(tables: Tables) -> None:
+    """Check all `[runners.…]` of a project. Raises ConfigError for an unknown runner or scheduler, or for invalid settings."""
+    for name, table in tables.items():
+        if scheduler_of(name, tables) is None:
+            RUNNERS.options(name, table)
+
+
+def on_cluster(name: str, scheduler: str, table: ClusterTable) -> Callable[[int], Runner]:
+    """Return a factory that makes the runner of a cluster from a number of slots, which has no effect there."""
     from sierra.runners.cluster.runner import Cluster
 
-    scheduler, table = found
     made: Callable[[int], Runner] = partial(Cluster, table=table, name=name, scheduler=scheduler)
     return made
 
 
-def scheduler_of(name: str, tables: Mapping[str, ClusterTable] | None = None) -> tuple[str, ClusterTable] | None:
+def scheduler_of(name: str, tables: Tables | None = None) -> tuple[str, ClusterTable] | None:
     """Return the scheduler of the named cluster, and the cluster's table; None if the name is another runner's.
 
-    Raises ConfigError if there is no runner of that name.
+    Raises ConfigError if there is no runner of that name, or if the cluster's table is invalid.
     """
     table = (tables or {}).get(name)
-    if table is None and name in entry_points.names("runner", SHIPPED):
+    asked = table.get("scheduler") if table is not None else None
+    if asked is None and name in RUNNERS.names():
         return None
-    known = entry_points.names("scheduler", schedulers.SHIPPED)
-    scheduler = (table and table.scheduler) or name
-    if scheduler in known:
-        return scheduler, table or ClusterTable()
+    scheduler = asked or name
+    if scheduler in SCHEDULERS.names():
+        return scheduler, schedulers.table(scheduler, table or {}, name)
     if table is not None:
-        raise ConfigError(f"[runners.{name}] needs a scheduler: {', '.join(known)}")
-    named = dict.fromkeys((*entry_points.names("runner", SHIPPED), *known, *(tables or {})))
+        raise ConfigError(f"[runners.{name}] needs a scheduler: {', '.join(SCHEDULERS.names())}")
+    named = dict.fromkeys((*RUNNERS.names(), *SCHEDULERS.names(), *(tables or {})))
     raise ConfigError(f"unknown runner {name!r}; known are {', '.join(named)}")
-
-
-def _runner(name: str) -> Callable[..., Runner]:
-    made: Callable[..., Runner] = entry_points.find("runner", SHIPPED, name)
-    return made

@@ -12,9 +12,10 @@ import threading
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict
 from functools import lru_cache
-from typing import Any
+from typing import Any, ClassVar
 
-from sierra.config.project_file import ClusterTable
+from sierra.config.plugins import NoOptions
+from sierra.config.project_file import Table
 from sierra.errors import Missing
 from sierra.model import Client, Job, Limits, Result
 from sierra.runners import orphans
@@ -32,8 +33,9 @@ class Local:
 
     name = "local"
     stays = False
+    Options: ClassVar[type[Table]] = NoOptions
 
-    def __init__(self, slots: int, table: ClusterTable) -> None:
+    def __init__(self, slots: int, options: Any = None) -> None:
         self._slots = slots
         self._process: subprocess.Popen[bytes] | None = None
         self._trouble: BaseException | None = None

@@ -12,7 +12,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Literal
 
-from sierra.config import user
+from sierra.config import plugins, user
 from sierra.containers.engines.base import Capabilities
 from sierra.errors import SierraError
 from sierra.provenance.environment import usable_cores
@@ -39,7 +39,7 @@ OPTIONAL = {
 
 def all_checks() -> list[Check]:
     """Return the results of all checks, those of the machine first."""
-    return [check for part in (_machine, _settings, _libraries, _programs, _engines, _project) for check in part()]
+    return [check for part in (_machine, _settings, _libraries, _programs, _plugins, _engines, _project) for check in part()]
 
 
 def _machine() -> Iterator[Check]:
@@ -86,6 +86,20 @@ def _programs() -> Iterator[Check]:
     yield Check("git", "ok" if path else "absent", path or "not installed", remedy)
 
 
+def _plugins() -> Iterator[Check]:
+    """Yield the plug-ins of other packages, each loaded. One that cannot be used affects only the commands that use it."""
+    for kind in plugins.KINDS:
+        for name in kind.added():
+            try:
+                found = kind.load(name)
+                own = found.Options.model_fields.keys() - kind.options_base.model_fields.keys()
+                keys = ", ".join(key for key in found.Options.model_fields if key in own) or "none"
+                yield Check(f"{kind.word} {name}", "ok", f"from {kind.packages(name)[0]}, options: {keys}")
+            except SierraError as error:
+                told, _, remedy = str(error).rpartition("; ")
+                yield Check(f"{kind.word} {name}", "missing", told, remedy)
+
+
 def _engines() -> Iterator[Check]:
     """Yield the state of each engine, found by starting something with it. An engine is needed only by projects that use it."""
     from sierra.containers import engines
@@ -94,7 +108,10 @@ def _engines() -> Iterator[Check]:
     for name in engines.names():
         if name == "none":
             continue
-        able = engines.find(name).probe()
+        try:
+            able = engines.find(name).probe()
+        except SierraError:  # it cannot be loaded, or needs options: reported as a plug-in, or with the project
+            continue
         if able.trouble:
             found, _, remedy = able.trouble.partition("; ")
             yield Check(name, "absent", found, remedy)
@@ -122,9 +139,10 @@ def _said(able: Capabilities) -> Iterator[str]:
 
 def _project() -> Iterator[Check]:
     import sierra
-    from sierra import platforms, templates
+    from sierra import platforms, runners, templates
     from sierra.containers import images, isolation
     from sierra.execution import commands
+    from sierra.ingest.base import used
     from sierra.provenance import programs, requirements
 
     try:
@@ -147,8 +165,17 @@ def _project() -> Iterator[Check]:
         variables = commands.declared(commands.environment(platform, project.config), project.root)
         return programs.find(words, variables, project.root).all[0].path
 
+    def check_options() -> str:
+        plugins.check(project.config)
+        runners.check(project.config.runners)
+        used(project.config.outputs, project.config.readers)
+        return "those of all plug-ins are valid"
+
+    yield _tried("options", check_options)
     template = project.config.template
-    yield _tried("template", lambda: f"{template}, {templates.read(project.root / template).sha256[:10]}")
+    yield _tried(
+        "template", lambda: f"{template}, {templates.read(project.root / template, project.config.templates).sha256[:10]}"
+    )
     yield _tried("command", find_program)
     if project.config.requires:
         absent = requirements.missing(project.config, contained=project.config.container is not None)

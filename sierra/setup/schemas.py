@@ -11,18 +11,18 @@ import json
 import re
 import textwrap
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from itertools import chain
 from pathlib import Path
 from typing import Any
 
 from pydantic import TypeAdapter
 
-from sierra.config.project_file import Project
-from sierra.platforms.base import SHIPPED
+from sierra.config.plugins import ENGINES, KINDS, PLATFORMS, READERS, RUNNERS, SCHEDULERS, TEMPLATES, Kind
+from sierra.config.project_file import ClusterTable, Project
+from sierra.errors import PluginError
 from sierra.query.request import QueryRequest, RequestFile
 from sierra.store.schema import DERIVED, RECORDED, Table, sql
-from sierra.util import entry_points
 
 TOML = "sierra.toml.schema.json"
 QUERY = "query.schema.json"
@@ -33,6 +33,8 @@ Everything that sierra.toml may hold; in pyproject.toml, it may stand in [tool.s
 A line that begins with # and no blank is an example: take the # away to use it. A sentence about it stands before it,
 with its type in brackets, what it is where it is absent, and whether it must be there. An XPath is XPath 1.0."""
 
+Note = Callable[[str], None]
+"""A function that receives a line for people."""
 BARE = re.compile(r"[A-Za-z0-9_-]+")
 """The pattern of a TOML key that needs no quotes."""
 EXAMPLES = r"""
@@ -210,16 +212,19 @@ label = "loop_controller"
 """A `sierra.toml` with all keys, for the commented TOML; a key that it lacks is shown with its default."""
 
 
-def json_schema() -> Mapping[str, Any]:
-    """Return the JSON Schema of `sierra.toml` (draft 2020-12), with the options of the shipped platforms."""
+def json_schema(note: Note | None = None) -> Mapping[str, Any]:
+    """Return the JSON Schema of `sierra.toml` (draft 2020-12) with the options of the shipped plug-ins.
+
+    With `note`, those of the installed plug-ins are included. `note` receives a line for each one that cannot be used.
+    """
     schema = Project.model_json_schema(by_alias=True)
-    platforms = schema["properties"]["platforms"]
-    platforms["properties"] = {}
-    for name in SHIPPED:
-        theirs = entry_points.find("platform", SHIPPED, name).Options.model_json_schema(by_alias=True)
-        schema["$defs"] |= theirs.pop("$defs", {})
-        schema["$defs"][f"platforms.{name}"] = theirs | {"title": f"platforms.{name}"}
-        platforms["properties"][name] = {"$ref": f"#/$defs/platforms.{name}"}
+    for kind in (PLATFORMS, RUNNERS, TEMPLATES, ENGINES, READERS):
+        table = schema["properties"][f"{kind.word}s"]
+        named = {name: _define(schema, f"{kind.word}s.{name}", kind.load(name).Options) for name in _with_options(kind, note)}
+        table |= {"properties": named} if named else {}
+    _clusters(schema, note)
+    _formats(schema, note)
+    schema["$defs"] = dict(sorted(schema["$defs"].items()))
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": "sierra.toml", **schema}
 
 
@@ -230,14 +235,57 @@ def query_schema() -> str:
     return json.dumps(whole, indent=2, ensure_ascii=False) + "\n"
 
 
-def toml_schema() -> str:
-    """Return the JSON Schema of `sierra.toml` as text."""
-    return json.dumps(json_schema(), indent=2, ensure_ascii=False) + "\n"
+def _with_options(kind: Kind, note: Note | None) -> Iterator[str]:
+    """Yield the plug-ins of a kind that can be used; of the shipped ones, those that have options, and all platforms."""
+    yield from (name for name in kind.shipped if kind is PLATFORMS or kind.load(name).Options.model_fields)
+    yield from _usable(kind, note)
 
 
-def toml() -> str:
+def _usable(kind: Kind, note: Note | None) -> Iterator[str]:
+    """Yield the plug-ins of other packages that can be used, if there is a `note` for the others."""
+    for name in kind.added() if note else ():
+        try:
+            kind.load(name)
+        except PluginError as error:
+            if note:
+                note(str(error))
+        else:
+            yield name
+
+
+def _define(schema: dict[str, Any], title: str, model: Any) -> dict[str, str]:
+    """Add the schema of a plug-in's options; return the reference to it."""
+    theirs = model.model_json_schema(by_alias=True)
+    schema["$defs"] |= theirs.pop("$defs", {})
+    schema["$defs"][title] = theirs | {"title": title}
+    return {"$ref": f"#/$defs/{title}"}
+
+
+def _clusters(schema: dict[str, Any], note: Note | None) -> None:
+    """Add the tables of clusters: those of the shipped schedulers, and those of the installed ones."""
+    schema["$defs"]["ClusterTable"] = ClusterTable.model_json_schema(by_alias=True)
+    runners = schema["properties"]["runners"]
+    clusters = [{"$ref": "#/$defs/ClusterTable"}]
+    for name in _usable(SCHEDULERS, note):
+        clusters.append(_define(schema, f"schedulers.{name}", SCHEDULERS.load(name).Options))
+        runners.setdefault("properties", {}).setdefault(name, clusters[-1])
+    runners["additionalProperties"] = clusters[0] if len(clusters) == 1 else {"anyOf": clusters}
+
+
+def _formats(schema: dict[str, Any], note: Note | None) -> None:
+    """Add the names of installed readers to the formats of outputs."""
+    formats = schema["$defs"]["Output"]["properties"]["format"]["anyOf"][0]["enum"]
+    formats.extend(name for name in _usable(READERS, note) if name not in formats)
+
+
+def toml_schema(note: Note | None = None) -> str:
+    """Return the JSON Schema of `sierra.toml` as text; `note` as in `json_schema`."""
+    return json.dumps(json_schema(note), indent=2, ensure_ascii=False) + "\n"
+
+
+def toml(note: Note | None = None) -> str:
     """Return all keys of `sierra.toml` as TOML that is commented out: `# sentence`, then `#key = value`."""
-    return "\n".join([*_prose(INTRODUCTION), "", *_Reference(json_schema()).lines()]) + "\n"
+    return "\n".join([*_prose(INTRODUCTION), "", *_Reference(json_schema(note)).lines()]) + "\n"
 
 
 def tables() -> Mapping[str, Table]:
@@ -279,7 +327,7 @@ class _Reference:
                 yield f"#{name} = {_written(values[name])}"
         for name in below:
             yield ""
-            yield from self._below((*path, name), known[name], values[name])
+            yield from self._below((*path, name), known.get(name) or _of_any(model), values[name])
 
     def _lacking(self, model: Mapping[str, Any], examples: list[dict[str, Any]]) -> dict[str, Any]:
         if not self._first(f"{model.get('title')}, completed"):
@@ -351,7 +399,7 @@ class _Reference:
 def _has_header(path: tuple[str, ...], value: Any) -> bool:
     """Return whether a value has a header of its own; tables within tables are written in one line."""
     tables = isinstance(value, dict) or (isinstance(value, list) and value != [] and isinstance(value[0], dict))
-    return tables and path in ((), ("platforms",))
+    return tables and path in ((), *((f"{kind.word}s",) for kind in KINDS))
 
 
 def _of_any(schema: Mapping[str, Any]) -> Mapping[str, Any]:

@@ -1,23 +1,32 @@
 """The Template contract: one template becomes each run's input. Includes the functions to read one.
 
-The shipped format is `xml`. Others are entry points of the group `sierra.templates`; each names a class that implements
-`Template`. The ending of a file selects its format (`.json` selects an entry point `json`). Any other ending, such as
-`.argos`, `.world` or `.launch`, means XML.
+The shipped format is `xml`. Others are entry points of the group `sierra.templates` (see `sierra.plugin`). The ending of a file
+selects its format (`.json` selects an entry point `json`). Any other ending, such as `.argos` or `.world`, means XML.
+`sierra.testing.templates` has the conformance suite.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol
 
+from sierra.config.plugins import TEMPLATES, Tables
+from sierra.config.project_file import Table
 from sierra.errors import Missing, TemplateError
 from sierra.model import Change, Value
-from sierra.util import entry_points
 
-SHIPPED = {"xml": "sierra.templates.xml:XmlTemplate"}
+Files = tuple[tuple[str, bytes], ...]
+"""Names and contents of files."""
+Rendered = bytes | Files
+"""A document as input of a run: the content of one file, which the platform names, or several files.
 
-Renderer = Callable[[Mapping[str, Value]], bytes]
+Of several files, the one with the empty name is the one that the platform names; it is `{input}`. The others keep their names,
+which are the same for all runs of a template. If no name is empty, the first file is `{input}`.
+"""
+ARGUMENTS = "arguments.json"
+"""The name of a file with arguments: a list of texts, as JSON. In a command, they take the place of the word `{arguments}`."""
+Renderer = Callable[[Mapping[str, Value]], Rendered]
 """A function that makes one run's input from the values of that run; the result does not depend on earlier calls."""
 
 
@@ -26,14 +35,26 @@ class Template(Protocol):
 
     It must be safe for hostile content: nothing outside `data` is read, and time and memory stay in proportion to it. The same
     template, changes and values must give the same bytes on every machine, because a run's identity includes their hash. All
-    messages are one line and name the template.
+    messages are one line and name the template. A value that is a plain word stands in the rendered bytes as it is.
+
+    Paths are texts in a notation of the format: XPath 1.0 for XML. So are the pieces that `Add` adds (`Add.xml`). A format may
+    refuse kinds of changes that it does not support, by TemplateError.
     """
 
+    Options: ClassVar[type[Table]]
+    """The model of `[templates.NAME]`. Options may change the rendered bytes, and so the identities of runs."""
     sha256: str
     """The SHA-256 of the file's bytes, as 64 hexadecimal digits."""
 
-    def __init__(self, data: bytes, name: str) -> None:
-        """Read a file's bytes; messages call it `name`. Raises TemplateError if it does not have this format."""
+    def __init__(self, data: bytes, name: str, options: Any) -> None:
+        """Read a file's bytes; messages call it `name`. `options` is an object of `Options`.
+
+        Raises TemplateError if it does not have this format.
+        """
+        ...
+
+    def reread(self, rendered: Rendered, name: str) -> Template:
+        """Return the template that a rendered document would be, as if its files were read. Messages call it `name`."""
         ...
 
     def find(self, path: str) -> tuple[str, ...]:
@@ -64,8 +85,8 @@ class Template(Protocol):
 class Document(Protocol):
     """A template after an experiment's changes. It is immutable."""
 
-    def render(self) -> bytes:
-        """Return the document as a file's content."""
+    def render(self) -> Rendered:
+        """Return the document as the input of a run."""
         ...
 
     def per_run(self, changes: Sequence[Change]) -> Renderer:
@@ -77,8 +98,11 @@ class Document(Protocol):
         ...
 
 
-def read(path: Path) -> Template:
-    """Return the template in a file. Raises Missing if the file cannot be read, TemplateError if it is not a template."""
+def read(path: Path, tables: Tables | None = None) -> Template:
+    """Return the template in a file; `tables` are `[templates.…]` of the project.
+
+    Raises Missing if the file cannot be read, TemplateError if it is not a template.
+    """
     name = _one_line(str(path))
     try:
         if path.exists() and not path.is_file():
@@ -86,17 +110,14 @@ def read(path: Path) -> Template:
         data = path.read_bytes()
     except (OSError, ValueError) as error:
         raise Missing(f"{name}: {getattr(error, 'strerror', None) or error}; the template cannot be read") from error
-    made: Template = _load(path.suffix.removeprefix(".").lower())(data, name)
+    ending = path.suffix.removeprefix(".").lower()
+    made: Template = TEMPLATES.make(ending if ending in TEMPLATES.names() else "xml", tables or {}, data, name)
     return made
 
 
 def formats() -> tuple[str, ...]:
     """Return the names of all available template formats, the shipped ones first."""
-    return entry_points.names("template", SHIPPED)
-
-
-def _load(ending: str) -> Any:
-    return entry_points.find("template", SHIPPED, ending if ending in formats() else "xml")
+    return TEMPLATES.names()
 
 
 def _one_line(text: str) -> str:

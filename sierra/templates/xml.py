@@ -29,14 +29,16 @@ import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 from lxml import etree
 
+from sierra.config.plugins import NoOptions
+from sierra.config.project_file import Table
 from sierra.errors import ConfigError, TemplateError
 from sierra.model import Add, Change, Remove, Rename, Set, Value
 from sierra.templates import xpath_trial
-from sierra.templates.base import Renderer
+from sierra.templates.base import Rendered
 from sierra.templates.expressions import fill, names
 from sierra.templates.numbers import same
 from sierra.util.hashing import sha256
@@ -53,10 +55,17 @@ _XML = "http://www.w3.org/XML/1998/namespace"
 class XmlTemplate:
     """The template format `xml`; see `sierra.templates.base.Template`."""
 
-    def __init__(self, data: bytes, name: str) -> None:
+    Options: ClassVar[type[Table]] = NoOptions
+
+    def __init__(self, data: bytes, name: str, options: Any = None) -> None:
         self.sha256 = sha256(data)
         tree = parse(data, name)
         self._document = XmlDocument(copy.deepcopy(tree.getroot()), _frame(data, tree.docinfo.encoding, name))
+
+    def reread(self, rendered: Rendered, name: str) -> XmlTemplate:
+        if not isinstance(rendered, bytes):
+            raise TemplateError(f"{name}: an XML template is one file, not {len(rendered)}")
+        return XmlTemplate(rendered, name)
 
     def find(self, path: str) -> tuple[str, ...]:
         """Return the text of each match; for an element, the text before its first child."""
@@ -80,7 +89,7 @@ class XmlDocument:
     def render(self) -> bytes:
         return self._frame.around(self._body())
 
-    def per_run(self, changes: Sequence[Change]) -> Renderer:
+    def per_run(self, changes: Sequence[Change]) -> Callable[[Mapping[str, Value]], bytes]:
         self.changed(changes, _unfilled)
         sets = [change for change in changes if isinstance(change, Set)]
         if len(sets) == len(changes):
@@ -149,7 +158,7 @@ class XmlDocument:
         text: str = etree.tostring(self._root, encoding="unicode", with_tail=False)
         return text
 
-    def _gapped(self, changes: Sequence[Set]) -> Renderer:
+    def _gapped(self, changes: Sequence[Set]) -> Callable[[Mapping[str, Value]], bytes]:
         """Split the document at the values that differ between runs, so that each run only fills these gaps."""
         mark = "gap"
         while mark in self._body():

@@ -29,6 +29,7 @@ from sierra.containers.engines.base import HOSTNAME, INSIDE, WRITABLE, Capabilit
 from sierra.containers.images import Image, Kind
 from sierra.model import Client, Result
 from sierra.store.layout import RUN_HOME, RUN_OUTPUT, RUN_TMP, StorePaths
+from sierra.testing.options import says_what_its_options_are
 from sierra.worker import processes
 
 PATIENCE_S = 30.0
@@ -224,8 +225,9 @@ def check(engine: Engine, image: Image | None, project: Path, folder: Path) -> N
 
 
 def says_what_it_can(trial: Trial) -> None:
-    """Check that the engine works here, reports its version in one line, and repeats its answer at once."""
+    """Check that the engine works here, declares its options, reports its version in one line, and repeats itself at once."""
     able = trial.able
+    says_what_its_options_are(trial.engine)
     _holds(not able.trouble, able.trouble)
     _is_one_line(able.version)
     took = []

@@ -6,7 +6,7 @@
         conformance.check(MyScheduler(ClusterTable()), tmp_path)
 
     def test_it_is_a_runner(tmp_path):
-        conformance.check_runner(lambda slots: MyRunner(slots, ClusterTable()), tmp_path)
+        conformance.check_runner(lambda slots: MyRunner(slots, MyOptions()), tmp_path)
 
 `folder` is an empty folder that nodes share. The suite needs a real cluster: it submits small jobs, finds them again and
 cancels them. Each claim is one function of a `Trial` (for schedulers) or of an `Ordeal` (for runners), and can be called alone.
@@ -27,11 +27,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from sierra.config.project_file import ClusterTable
 from sierra.model import Job, Limits, Result
 from sierra.provenance import environment
 from sierra.runners.base import Look, Runner, Work
 from sierra.runners.schedulers.base import NAME_LENGTH, Request, Scheduler, State, Task
 from sierra.store.layout import RUN_OUTPUT, RUN_STDERR, RUN_STDOUT, SessionPaths
+from sierra.testing.options import says_what_its_options_are
 
 PATIENCE_S = 60.0
 POLL_S = 0.1
@@ -93,6 +95,14 @@ def check(scheduler: Scheduler, folder: Path) -> None:
     finally:
         for name in trial.made:
             scheduler.cancel(name)
+
+
+def refuses_lines_in_one_line(trial: Trial) -> None:
+    """Check that its options are clusters' settings, and that the answer to any additional line is None or one line."""
+    says_what_its_options_are(trial.scheduler, ClusterTable)
+    for line in ("", "-x", "--an-option-of-no-scheduler=1", "words", "'unclosed"):
+        told = trial.scheduler.refuses(line)
+        _holds(told is None or len(told.splitlines()) == 1, f"the reason to refuse {line!r} is {told!r}, not None or one line")
 
 
 def says_its_version(trial: Trial) -> None:
@@ -234,6 +244,7 @@ def cancels_nothing_where_there_is_none(trial: Trial) -> None:
 
 
 CLAIMS: tuple[Callable[[Trial], None], ...] = (
+    refuses_lines_in_one_line,
     says_its_version,
     knows_what_is_allowed,
     explains_in_a_line,
@@ -403,6 +414,7 @@ class Errand:
 def check_runner(make: Callable[[int], Runner], folder: Path) -> None:
     """Check all claims. `make` makes a new runner with a number of slots, like a result of `sierra.runners.base.find`."""
     ordeal = Ordeal(make, folder)
+    says_what_its_options_are(make(1))
     stays = make(1).stays
     try:
         for claim in (*RUNNER_CLAIMS, *(STAYING_CLAIMS if stays else LEAVING_CLAIMS)):

@@ -20,11 +20,12 @@ import yaml
 
 from sierra import platforms
 from sierra.config import project_file
-from tests import projects
+from tests import plugins, projects
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 TUTORIAL = DOCS / "tutorial.md"
+PLUGINS = DOCS / "how-to" / "plugins.md"
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(DOCS.rglob("*.md"))]
 EXECUTED = [ROOT / "README.md", TUTORIAL, *sorted((DOCS / "how-to").glob("*.md"))]
 FENCE = re.compile(r"(?ms)^```(?P<kind>\w*)(?: title=\"(?P<title>[^\"]+)\")?\n(?P<text>.*?)^```$")
@@ -89,6 +90,7 @@ def follow(page: Path, folder: Path) -> None:
         if "not executed" in block.notes:
             continue
         if block.title:
+            (folder / block.title).parent.mkdir(parents=True, exist_ok=True)
             (folder / block.title).write_text(block.text, "utf-8")
         elif block.kind in ("sh", "console"):
             codes = []
@@ -131,7 +133,12 @@ def test_the_commands_of_a_page_run_and_print_what_it_shows(
 ) -> None:
     as_user(monkeypatch)
     folder = tmp_path / "project"
-    if page.parent.name == "how-to":
+    if page == PLUGINS:
+        plugins.project(folder)
+        place = plugins.install(tmp_path / "package")
+        monkeypatch.syspath_prepend(str(place))
+        monkeypatch.setenv("PYTHONPATH", str(place))
+    elif page.parent.name == "how-to":
         shutil.copytree(project, folder)
     else:
         folder.mkdir()
@@ -140,6 +147,13 @@ def test_the_commands_of_a_page_run_and_print_what_it_shows(
         for name in ("sim.py", "arena.xml"):
             shutil.copy(project / name, folder)
     follow(page, folder)
+
+
+def test_the_page_on_plugins_shows_the_package_that_is_tested() -> None:
+    for block in blocks(PLUGINS):
+        if block.title:
+            file = plugins.SOURCE / ("project" if block.title == "sierra.toml" else "") / block.title
+            assert file.read_text("utf-8") == block.text, f"{name_of(PLUGINS)}, line {block.line}"
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
@@ -151,7 +165,8 @@ def test_the_settings_that_a_page_shows_are_valid(page: Path) -> None:
                 settings |= {"template": "arena.xml", "command": "true"}
             where = f"{name_of(page)}, line {block.line}"
             loaded = project_file.parse(settings, where)
-            platforms.find(loaded.platform, loaded)
+            if page != PLUGINS:  # its platform is of a package that is not installed here
+                platforms.find(loaded.platform, loaded)
 
 
 def test_every_command_is_executed_or_says_why_not() -> None:

@@ -17,7 +17,10 @@ from collections.abc import Set as AbstractSet
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import Any, ClassVar
 
+from sierra.config.plugins import NoOptions
+from sierra.config.project_file import Table
 from sierra.containers import images
 from sierra.containers.engines import apptainer_start, sandboxes
 from sierra.containers.engines.apptainer_start import Way
@@ -54,6 +57,10 @@ class Apptainer:
     """The engine `apptainer`."""
 
     name = "apptainer"
+    Options: ClassVar[type[Table]] = NoOptions
+
+    def __init__(self, options: Any = None) -> None:
+        """Make the engine; it has no options."""
 
     def probe(self) -> Capabilities:
         return apptainer_start.apptainer()

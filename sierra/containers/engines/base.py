@@ -1,7 +1,7 @@
 """The Engine contract: a way to run processes in containers; and the function that finds an engine by name.
 
-Shipped engines: `none`, `podman` and `apptainer`. Other packages add engines by entry points of the group `sierra.engines`;
-each names a class that implements `Engine`, and `sierra.testing.engines` tests it.
+Shipped engines: `none`, `podman` and `apptainer`. Other packages add engines by entry points of the group `sierra.engines` (see
+`sierra.plugin`), and `sierra.testing.engines` tests them.
 
 Engine and runner are independent: an engine turns a process into the client that starts it in a container, and no other part of
 the program knows which engine it is. All engines give a process the same environment: a read-only root, no network, no
@@ -16,18 +16,14 @@ from collections.abc import Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import Any, ClassVar, Protocol
 
+from sierra.config.plugins import ENGINES, NoOptions, Tables
+from sierra.config.project_file import Table
 from sierra.containers.images import Image
 from sierra.model import Client, Result
 from sierra.store.layout import StorePaths
-from sierra.util import entry_points
 
-SHIPPED = {
-    "none": "sierra.containers.engines.base:NoEngine",
-    "podman": "sierra.containers.engines.podman:Podman",
-    "apptainer": "sierra.containers.engines.apptainer:Apptainer",
-}
 INSIDE = "/run/sierra"
 """The folder in a container with SIERRA's files: `run`, `project` and, if runs share the container, `runs` and `worker.py`."""
 PROJECT = f"{INSIDE}/project"
@@ -126,6 +122,12 @@ class Engine(Protocol):
     """The contract of an engine. An engine has no state: it may be created at any time and used by many threads."""
 
     name: str
+    Options: ClassVar[type[Table]]
+    """The model of `[engines.NAME]`. Options must not change the results of runs, because they are not part of identities."""
+
+    def __init__(self, options: Any) -> None:
+        """Make the engine; `options` is an object of `Options`."""
+        ...
 
     def probe(self) -> Capabilities:
         """Start a container to find out what works. The result is cached until something changes (boot, user, version).
@@ -169,6 +171,10 @@ class NoEngine:
     """The engine `none`: programs run without a container."""
 
     name = "none"
+    Options: ClassVar[type[Table]] = NoOptions
+
+    def __init__(self, options: Any = None) -> None:
+        """Make the engine; it has no options."""
 
     def probe(self) -> Capabilities:
         return Capabilities("none")
@@ -186,12 +192,12 @@ class NoEngine:
         return result
 
 
-def find(name: str) -> Engine:
-    """Return the engine with this name. Raises ConfigError if there is none."""
-    made: Engine = entry_points.find("engine", SHIPPED, name)()
+def find(name: str, tables: Tables | None = None) -> Engine:
+    """Return the engine with this name; `tables` are `[engines.…]` of the project. Raises ConfigError if there is none."""
+    made: Engine = ENGINES.make(name, tables or {})
     return made
 
 
 def names() -> tuple[str, ...]:
     """Return the names of all engines that are known here."""
-    return entry_points.names("engine", SHIPPED)
+    return ENGINES.names()

@@ -16,7 +16,10 @@ from collections.abc import Iterator, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import replace
 from pathlib import Path
+from typing import Any, ClassVar
 
+from sierra.config.plugins import NoOptions
+from sierra.config.project_file import Table
 from sierra.containers.engines import capabilities
 from sierra.containers.engines.base import HOSTNAME, Capabilities, ContainerSpec, Process
 from sierra.containers.engines.clients import killed, last_line, mounted, signalled
@@ -45,6 +48,10 @@ class Podman:
     """The engine `podman`."""
 
     name = "podman"
+    Options: ClassVar[type[Table]] = NoOptions
+
+    def __init__(self, options: Any = None) -> None:
+        """Make the engine; it has no options."""
 
     def probe(self) -> Capabilities:
         return capabilities.podman()

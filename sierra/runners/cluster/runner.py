@@ -29,9 +29,9 @@ import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
-from sierra.config.project_file import ClusterTable
+from sierra.config.project_file import ClusterTable, Table
 from sierra.errors import Full, Missing, SierraError
 from sierra.model import Result, Times
 from sierra.provenance import machine
@@ -80,6 +80,7 @@ class Cluster:
     """The runner of one named cluster, with its scheduler."""
 
     stays = True
+    Options: ClassVar[type[Table]] = ClusterTable
 
     def __init__(self, slots: int, table: ClusterTable, *, name: str, scheduler: str) -> None:
         self.name = name

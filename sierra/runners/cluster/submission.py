@@ -8,6 +8,7 @@ process dies in between, there is no id, and the job is found by its name.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import time
 from collections import Counter
@@ -16,7 +17,8 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from sierra.config.project_file import ClusterTable
-from sierra.errors import Damaged
+from sierra.errors import ConfigError, Damaged
+from sierra.runners import schedulers
 from sierra.runners.schedulers.base import Bounds, Request, State, Task
 from sierra.store.layout import SessionPaths
 from sierra.store.segments import disk_errors
@@ -83,8 +85,8 @@ class Submission:
 
     @property
     def cluster(self) -> ClusterTable:
-        """The project's table for the cluster at that time."""
-        return ClusterTable.model_validate({**self.table, "scheduler": self.scheduler})
+        """The project's table for the cluster at that time. Raises ConfigError if its scheduler is not installed any more."""
+        return schedulers.recorded_table(self.scheduler, self.table)
 
     def save(self, session: SessionPaths) -> None:
         with disk_errors(session.root):
@@ -97,7 +99,9 @@ class Submission:
         fields = read_record(session.submission)
         try:
             made = cls(**{**fields, "counts": tuple(fields["counts"]), "past": tuple(fields.get("past", ()))})
-            made.cluster, made.bounds  # noqa: B018 - they are validated
+            made.bounds  # noqa: B018 - it is validated
+            with contextlib.suppress(ConfigError):  # the scheduler is not installed any more: its jobs are kept
+                made.cluster  # noqa: B018
         except (TypeError, ValueError, LookupError) as error:
             raise Damaged(f"{session.submission}: was written by another version of SIERRA; go on with that one") from error
         return made

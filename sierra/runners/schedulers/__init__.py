@@ -2,6 +2,6 @@
 
 from __future__ import annotations
 
-from sierra.runners.schedulers.base import SHIPPED, Scheduler, find
+from sierra.runners.schedulers.base import Scheduler, find, recorded_table, table
 
-__all__ = ["SHIPPED", "Scheduler", "find"]
+__all__ = ["Scheduler", "find", "recorded_table", "table"]

@@ -1,7 +1,7 @@
 """The Scheduler contract, and a function that finds a scheduler by its name.
 
-SIERRA ships `slurm` and `pbs`. Plug-ins for others (LSF, HTCondor) come as entry points of the group `sierra.schedulers`, each
-naming a class that fulfils `Scheduler`. `sierra.testing.runners` has the conformance suite, which needs a real cluster.
+SIERRA ships `slurm` and `pbs`. Plug-ins for others (LSF, HTCondor) come as entry points of the group `sierra.schedulers` (see
+`sierra.plugin`). `sierra.testing.runners` has the conformance suite, which needs a real cluster.
 
 A scheduler's answer is only a hint. The truth about a run is what an element has recorded (see `sierra.worker.array_task`). The
 scheduler is asked for one thing: whether more may come. So it need not know how jobs ended, it may forget them, and it may be
@@ -14,15 +14,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
-from typing import Protocol
+from typing import Any, ClassVar, Protocol
 
-from sierra.config.project_file import ClusterTable
-from sierra.util import entry_points
+from sierra.config.plugins import SCHEDULERS
+from sierra.config.project_file import ClusterTable, check_directives, options
 
-SHIPPED = {
-    "slurm": "sierra.runners.schedulers.slurm:Slurm",
-    "pbs": "sierra.runners.schedulers.pbs:Pbs",
-}
 NAME_LENGTH = 15
 """Length of the longest job name that all schedulers accept."""
 
@@ -115,9 +111,19 @@ class Scheduler(Protocol):
     """One way to execute elements on a cluster's nodes."""
 
     name: str
+    Options: ClassVar[type[ClusterTable]]
+    """The model of `[runners.…]` for clusters with this scheduler: `ClusterTable`, or a subclass with keys of its own."""
 
-    def __init__(self, table: ClusterTable) -> None:
-        """Make a scheduler from the project's `table` for the cluster."""
+    def __init__(self, table: Any) -> None:
+        """Make a scheduler from the project's `table` for the cluster, an object of `Options`."""
+        ...
+
+    @staticmethod
+    def refuses(line: str) -> str | None:
+        """Return the reason why a line of `directives` cannot be added to scripts, with an alternative; None if it can.
+
+        Lines that contradict what `script` writes must be refused: many schedulers use one of the two without a message.
+        """
         ...
 
     @property
@@ -176,5 +182,18 @@ class Scheduler(Protocol):
 
 def find(name: str) -> type[Scheduler]:
     """Return the scheduler of that name. Raises ConfigError if there is none."""
-    found: type[Scheduler] = entry_points.find("scheduler", SHIPPED, name)
+    found: type[Scheduler] = SCHEDULERS.load(name)
     return found
+
+
+def table(scheduler: str, settings: Mapping[str, Any], name: str) -> ClusterTable:
+    """Return the table of a cluster, validated by its scheduler. `name` is the cluster's, for messages. Raises ConfigError."""
+    found = find(scheduler)
+    made = options(found.Options, settings, f"[runners.{name}]")
+    check_directives(made, found.refuses, f"[runners.{name}]", name)
+    return made
+
+
+def recorded_table(scheduler: str, settings: Mapping[str, Any]) -> ClusterTable:
+    """Return the table of a cluster from its JSON form. Raises ConfigError for an unknown scheduler, ValueError otherwise."""
+    return find(scheduler).Options.model_validate({**settings, "scheduler": scheduler})

@@ -31,7 +31,9 @@ import subprocess
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
+from typing import ClassVar
 
+from sierra.config import directives
 from sierra.config.project_file import ClusterTable
 from sierra.errors import ConfigError, Full, Missing
 from sierra.runners import schedulers
@@ -82,6 +84,7 @@ class Pbs:
     """The scheduler `pbs`, in any of its dialects."""
 
     name = "pbs"
+    Options: ClassVar[type[ClusterTable]] = ClusterTable
 
     def __init__(self, table: ClusterTable) -> None:
         self._table = table
@@ -90,6 +93,10 @@ class Pbs:
         self._submitted = 0
         """A counter that grows when a submission begins and when it ends. A look in another thread may not have seen the new
         job."""
+
+    @staticmethod
+    def refuses(line: str) -> str | None:
+        return directives.complaint("pbs", line)
 
     @property
     def requeue(self) -> tuple[str, ...]:

@@ -24,7 +24,9 @@ import subprocess
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import ClassVar
 
+from sierra.config import directives
 from sierra.config.project_file import ClusterTable
 from sierra.errors import ConfigError, Full, Missing, SierraError
 from sierra.runners.schedulers import slurm_limits
@@ -81,11 +83,16 @@ class Slurm:
     """The scheduler `slurm`."""
 
     name = "slurm"
+    Options: ClassVar[type[ClusterTable]] = ClusterTable
 
     forgets = False
 
     def __init__(self, table: ClusterTable) -> None:
         self._table = table
+
+    @staticmethod
+    def refuses(line: str) -> str | None:
+        return directives.complaint("slurm", line)
 
     @property
     def requeue(self) -> tuple[str, ...]:

@@ -24,13 +24,13 @@ from typing import Any, ClassVar
 import pytest
 
 import sierra
+from sierra.config.plugins import SCHEDULERS
 from sierra.config.project_file import ClusterTable
 from sierra.errors import ConfigError, Full, Missing, SierraError
 from sierra.execution.observer import Progress
 from sierra.execution.sessions import Session
 from sierra.execution.summary import Summary
 from sierra.project import Project
-from sierra.runners import schedulers
 from sierra.runners.cluster import collect, runner
 from sierra.runners.cluster.result_log import Attempt, Pack
 from sierra.runners.schedulers.base import Bounds, Request, State, Task
@@ -53,6 +53,7 @@ class Here:
     """A scheduler whose only node is this host, and that can be told to misbehave."""
 
     name = "here"
+    Options: ClassVar[type[ClusterTable]] = ClusterTable
     tasks: ClassVar[list[tuple[str, str, int, subprocess.Popen[bytes]]]] = []
     requests: ClassVar[list[Request]] = []
     numbers: ClassVar[Iterator[int]] = itertools.count(1)
@@ -73,6 +74,10 @@ class Here:
 
     def __init__(self, table: ClusterTable) -> None:
         self._table = table
+
+    @staticmethod
+    def refuses(line: str) -> str | None:
+        return None
 
     forgets: ClassVar[bool] = False
     requeue: ClassVar[tuple[str, ...]] = ()
@@ -159,7 +164,7 @@ class Clustered:
 
 @pytest.fixture
 def here(monkeypatch: pytest.MonkeyPatch) -> Iterator[type[Here]]:
-    monkeypatch.setitem(schedulers.SHIPPED, "here", f"{__name__}:Here")
+    monkeypatch.setitem(SCHEDULERS.shipped, "here", f"{__name__}:Here")
     monkeypatch.setattr(Here, "full", 0)
     monkeypatch.setattr(Here, "word", "ENDED")
     monkeypatch.setattr(Here, "cancelled", None)
@@ -220,7 +225,7 @@ def test_a_session_whose_scheduler_is_not_installed_here_is_kept(
     made.project.run(*QUERY, runs=1, runner="here", detach=True, figures=False)
     session = made.session()
     with monkeypatch.context() as patch:
-        patch.delitem(schedulers.SHIPPED, "here")
+        patch.delitem(SCHEDULERS.shipped, "here")
         with pytest.raises(ConfigError, match="scheduler"):
             made.project.attach(session.name, figures=False)
         made.project.status()
@@ -624,10 +629,10 @@ def test_nodes_say_themselves_that_they_lack_a_device(contained: Callable[..., P
 
 DIES = """
 import os, sierra
-from sierra.runners.base import schedulers
+from sierra.config.plugins import SCHEDULERS
 from tests.integration.clusters.test_silent_failures import Here
 
-schedulers.SHIPPED["here"] = "tests.integration.clusters.test_silent_failures:Here"
+SCHEDULERS.shipped["here"] = "tests.integration.clusters.test_silent_failures:Here"
 Here.submit = lambda self, request: os._exit(9)
 sierra.open(".").run("size=1,2,3", runs=8, runner="here", figures=False)
 """

@@ -164,9 +164,9 @@ def test_lasting_is_tried_once_for_all_values(tmp_path: Path, monkeypatch: pytes
     folder, read = project(tmp_path / "p"), []
     init = XmlTemplate.__init__
 
-    def counted(self: XmlTemplate, data: bytes, name: str) -> None:
+    def counted(self: XmlTemplate, data: bytes, name: str, options: object = None) -> None:
         read.append(name)
-        init(self, data, name)
+        init(self, data, name, options)
 
     monkeypatch.setattr(XmlTemplate, "__init__", counted)
     numbers = []

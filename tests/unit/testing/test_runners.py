@@ -27,11 +27,11 @@ TABLE: dict[str, Any] = {"array_tasks": 2, "cpus": 2}
 
 
 def local(slots: int) -> Runner:
-    return Local(slots, ClusterTable())
+    return Local(slots)
 
 
 def cluster(name: str) -> Callable[[int], Runner]:
-    return runners.find(name, {name: ClusterTable(**TABLE)})
+    return runners.find(name, {name: TABLE})
 
 
 def test_local_conforms(tmp_path: Path) -> None:

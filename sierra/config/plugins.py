@@ -1,0 +1,240 @@
+"""The registry of plug-ins: classes of six kinds that are found by name, shipped with SIERRA or added by other packages.
+
+A package adds a class by an entry point of the group of its kind. The shipped classes are entry points too, but they are
+written here, so that no metadata is read for them. A plug-in is imported when its name is used, and not before. A command that
+uses no plug-in imports none. A plug-in that cannot be used is an error of one line, only for commands that use it.
+
+A class of another package has `contract = 1`, the version of the contracts that it was made for, and `Options`, the model of
+its table in `sierra.toml`. Tables stay as they are until their plug-in is used. Then `options` validates them.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from functools import cache
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from sierra.config.project_file import ClusterTable, Project, Table, options
+from sierra.errors import ConfigError, PluginError, SierraError
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
+    from types import TracebackType
+
+VERSION = 1
+"""The version of all contracts. It increases when a plug-in for an earlier version would not work any more."""
+
+Tables = Mapping[str, Mapping[str, Any]]
+"""The tables of one kind in `sierra.toml`, by the names of plug-ins."""
+
+_loaded: dict[str, str] = {}
+"""The plug-ins of other packages that were loaded, in words, by the name of their top-level module."""
+
+
+class NoOptions(Table):
+    """A plug-in without options."""
+
+
+@dataclass(frozen=True, slots=True)
+class Offer:
+    """One entry point: a name for a class, and the package that offers it."""
+
+    name: str
+    point: EntryPoint
+    package: str = ""
+    """Name and version of the package, as in `sonar 1.2`; empty for SIERRA."""
+
+    @property
+    def remedy(self) -> str:
+        return f"install a version of {self.package.partition(' ')[0]} that works, or uninstall it"
+
+
+@dataclass(frozen=True)
+class Kind:
+    """One kind of plug-in."""
+
+    word: str
+    """The singular word that messages use."""
+    protocol: str
+    """The contract, as `module:Protocol`."""
+    shipped: Mapping[str, str]
+    """The shipped classes by name, as `module:Class`."""
+    options_base: type[Table] = Table
+    """The class that the `Options` of these plug-ins inherit from."""
+
+    @property
+    def group(self) -> str:
+        """Return the group of entry points; it ends with the name of the tables in `sierra.toml`."""
+        return f"sierra.{self.word}s"
+
+    def names(self) -> tuple[str, ...]:
+        """Return the names of all plug-ins of this kind, the shipped ones first."""
+        return (*self.shipped, *sorted(self._others().keys() - self.shipped.keys()))
+
+    def added(self) -> tuple[str, ...]:
+        """Return the names that other packages offer, shipped names included."""
+        return tuple(sorted(self._others()))
+
+    def packages(self, name: str) -> tuple[str, ...]:
+        """Return the packages that offer a name, except SIERRA."""
+        return tuple(offer.package for offer in self._others().get(name, ()))
+
+    def load(self, name: str) -> Any:
+        """Return the class of that name.
+
+        Raises ConfigError if there is none, and PluginError if the class cannot be used.
+        """
+        others = self._others().get(name, ())
+        here = self.shipped.get(name)
+        if len(others) + (here is not None) > 1:
+            packages = sorted([*(offer.package for offer in others), *(["SIERRA itself"] if here else [])])
+            raise PluginError(
+                f"the {self.word} {name!r} is offered by {' and by '.join(packages)}; uninstall all but one of these packages"
+            )
+        if here is not None:
+            return _attribute(here)
+        if not others:
+            raise ConfigError(f"unknown {self.word} {name!r}; known are {', '.join(self.names())}")
+        return self._checked(others[0])
+
+    def options(self, name: str, table: Mapping[str, Any], where: str = "") -> Any:
+        """Return the options of a plug-in from its table; messages call it `where`. Raises ConfigError."""
+        return options(self.load(name).Options, table, where or f"[{self.word}s.{name}]")
+
+    def make(self, name: str, tables: Tables, *arguments: Any) -> Any:
+        """Return a new object of a plug-in's class, made from `arguments` and from its options in `tables`."""
+        found, chosen = self.load(name), self.options(name, tables.get(name, {}))
+        try:
+            return found(*arguments, chosen)
+        except SierraError:
+            raise
+        except Exception as error:
+            if not (others := self._others().get(name)):
+                raise
+            raise _broken(self, others[0], "made", error) from error
+
+    def check(self, tables: Tables) -> None:
+        """Check all tables of this kind. Raises ConfigError for an unknown name, or options that are invalid."""
+        for name, table in tables.items():
+            if name not in self.names():
+                raise ConfigError(f"[{self.word}s.{name}]: unknown {self.word} {name!r}; known are {', '.join(self.names())}")
+            self.options(name, table)
+
+    def _checked(self, offer: Offer) -> Any:
+        """Return the class of another package. Raises PluginError if it cannot be loaded or breaks the contract."""
+        try:
+            found = offer.point.load()
+        except (Exception, SystemExit) as error:
+            raise _broken(self, offer, "loaded", error) from error
+        said = f"the {self.word} {offer.name!r} of {offer.package}"
+        version = getattr(found, "contract", None)
+        if version != VERSION:
+            made = "says no version of the contract" if version is None else f"is made for version {version} of the contract"
+            raise PluginError(f"{said} {made}, and this SIERRA has version {VERSION}; {offer.remedy}")
+        if not isinstance(found, type):
+            raise PluginError(f"{said} is not a class ({offer.point.value}); {offer.remedy}")
+        if lacking := [name for name in _members(_attribute(self.protocol)) if not hasattr(found, name)]:
+            raise PluginError(f"{said} lacks {', '.join(lacking)}; {offer.remedy}")
+        model = found.Options  # type: ignore[attr-defined]
+        if not (isinstance(model, type) and issubclass(model, self.options_base)):
+            raise PluginError(f"{said}: Options is not a subclass of {self.options_base.__name__}; {offer.remedy}")
+        _loaded[found.__module__.partition(".")[0]] = said
+        return found
+
+    def _others(self) -> Mapping[str, tuple[Offer, ...]]:
+        return _offers(self.group, tuple(sys.path))
+
+
+PLATFORMS = Kind(
+    "platform",
+    "sierra.platforms.base:Platform",
+    {"command": "sierra.platforms.command:Command", "argos": "sierra.platforms.argos:Argos"},
+)
+TEMPLATES = Kind("template", "sierra.templates.base:Template", {"xml": "sierra.templates.xml:XmlTemplate"})
+RUNNERS = Kind("runner", "sierra.runners.base:Runner", {"local": "sierra.runners.local:Local"})
+SCHEDULERS = Kind(
+    "scheduler",
+    "sierra.runners.schedulers.base:Scheduler",
+    {"slurm": "sierra.runners.schedulers.slurm:Slurm", "pbs": "sierra.runners.schedulers.pbs:Pbs"},
+    ClusterTable,
+)
+ENGINES = Kind(
+    "engine",
+    "sierra.containers.engines.base:Engine",
+    {
+        "none": "sierra.containers.engines.base:NoEngine",
+        "podman": "sierra.containers.engines.podman:Podman",
+        "apptainer": "sierra.containers.engines.apptainer:Apptainer",
+    },
+)
+READERS = Kind(
+    "reader",
+    "sierra.ingest.base:OutputReader",
+    {"csv": "sierra.ingest.csv:Csv", "parquet": "sierra.ingest.parquet:Parquet", "jsonl": "sierra.ingest.jsonl:Jsonl"},
+)
+KINDS = (PLATFORMS, TEMPLATES, RUNNERS, SCHEDULERS, ENGINES, READERS)
+
+
+def check(project: Project) -> None:
+    """Check the tables of all plug-ins in `sierra.toml` that could change results. Raises ConfigError."""
+    PLATFORMS.check(project.platforms)
+    TEMPLATES.check(project.templates)
+    ENGINES.check(project.engines)
+    READERS.check(project.readers)
+
+
+def culprit(error: BaseException) -> str | None:
+    """Return the plug-in, in words, in whose code an error arose; None if it arose in SIERRA."""
+    found: str | None = None
+    at: TracebackType | None = error.__traceback__
+    while at is not None:
+        module = str(at.tb_frame.f_globals.get("__name__", "")).partition(".")[0]
+        if module == __name__.partition(".")[0] or module in _loaded:
+            found = _loaded.get(module)
+        at = at.tb_next
+    return found
+
+
+@cache
+def _offers(group: str, path: tuple[str, ...]) -> Mapping[str, tuple[Offer, ...]]:
+    """Return the entry points of a group in the packages installed on `path`, by name."""
+    found: dict[str, list[Offer]] = {}
+    for point in _installed(path).select(group=group):
+        package = f"{point.dist.name} {point.dist.version}" if point.dist else point.value
+        found.setdefault(point.name, []).append(Offer(point.name, point, package))
+    return {name: tuple(offers) for name, offers in found.items()}
+
+
+@cache
+def _installed(path: tuple[str, ...]) -> Any:
+    """Return all entry points of the packages installed on `path`.
+
+    The result is cached: a search takes 6 ms, and a plan may need it.
+    """
+    from importlib.metadata import entry_points
+
+    return entry_points()
+
+
+def _attribute(name: str) -> Any:
+    """Return what `module:name` names."""
+    module, _, attribute = name.partition(":")
+    return getattr(import_module(module), attribute)
+
+
+def _members(protocol: type) -> Iterable[str]:
+    """Yield the names that a class must have to fulfil a protocol: its methods, properties and class variables."""
+    for name, value in vars(protocol).items():
+        if not name.startswith("_") and (callable(value) or isinstance(value, property | staticmethod | classmethod)):
+            yield name
+    yield from (name for name, kind in vars(protocol).get("__annotations__", {}).items() if "ClassVar" in str(kind))
+
+
+def _broken(kind: Kind, offer: Offer, what: str, error: BaseException) -> PluginError:
+    told = " ".join(f"{type(error).__name__}: {error}".split())
+    return PluginError(
+        f"the {kind.word} {offer.name!r} of {offer.package} ({offer.point.value}) cannot be {what}: {told}; {offer.remedy}"
+    )

@@ -1,0 +1,251 @@
+"""The base class of the shipped readers: it sorts files by their columns, writes valid files, and notes faults."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, ClassVar
+
+from sierra.config.plugins import NoOptions
+from sierra.config.project_file import Table
+from sierra.errors import Missing
+from sierra.ingest.messages import shown
+from sierra.ingest.model import AtFaultError, Part, Reading, Shape, Siblings, Written
+from sierra.store.counting import rows_by_file
+from sierra.store.errors import duckdb_error, first_line
+from sierra.store.names import column_names, identifier
+from sierra.store.scans import copy, parquet_metadata, read_parquet
+
+FILE = "# file"
+"""DuckDB's name for the column with a row's file; real columns are unlikely to have this name."""
+PARTS = 1000
+"""The limit on different sets of columns in one output. Each set is a file in each segment; files must not grow with runs."""
+
+
+class TableReader:
+    """The base class of the shipped readers, which read many files at once.
+
+    It sorts files by their columns, writes valid files, and notes faults.
+    """
+
+    Options: ClassVar[type[Table]] = NoOptions
+
+    def __init__(self, connection: Any, shape: Shape, target: Path, siblings: Siblings) -> None:
+        self.sql = connection
+        self.shape = shape
+        self.siblings = siblings
+        self.parts = list(shape.parts)
+        self.part = Part(())
+        """The part that is being read."""
+        self.target = self._first = target
+        self._more = 0
+        """The number of Parquet files for files whose values differ from most files of their part."""
+        self.rows: dict[tuple[str, str], int] = {}
+        self.counted: dict[tuple[str, str], int] = {}
+        self.columns: dict[tuple[str, str], Mapping[str, str]] = {}
+        self.hints: dict[tuple[str, str], dict[str, str]] = {}
+        self.faults: dict[str, str] = {}
+        self.error: type[Exception] = duckdb_error()
+
+    def read(self, files: Sequence[Written]) -> Reading:
+        for place, some in self._by_part(files):
+            sound = self.sound(some)
+            if place is None:  # without rows and columns
+                self._without_rows(sound)
+            elif sound:
+                self.part = self.parts[place]
+                self.target = self._first.with_stem(f"{self._first.stem}~{place + 1}") if place else self._first
+                self._one(sound)
+        ended = sum(file.ended for file in files if (file.execution, file.name) in self.rows)
+        shape = self.shape
+        shape = replace(shape, parts=tuple(self.parts), files=shape.files + len(self.rows), ended=shape.ended + ended)
+        return Reading(self.rows, self.counted, self.columns, self.hints, self.faults, shape)
+
+    def _without_rows(self, files: Sequence[Written]) -> None:
+        """Record that files have neither rows nor columns, if a count of their rows agrees."""
+        self.part = Part(())
+        for file, fault in self._miscounted(files, {}):
+            self.fault(file, fault)
+        for file in self.sound(files):
+            self.rows[file.execution, file.name] = 0
+            self.columns[file.execution, file.name] = {}
+
+    def _one(self, files: Sequence[Written]) -> None:
+        """Read the files of one part. Files that turn out to be at fault are left out."""
+        while files:
+            try:
+                self.one(files)
+            except AtFaultError as error:
+                for file, fault in error.faults:
+                    self.fault(file, fault)
+                for file in files:
+                    self.hints.pop((file.execution, file.name), None)
+                files = self.sound(files)
+            else:
+                return
+
+    def _miscounted(self, files: Sequence[Written], rows: Mapping[tuple[str, str], int]) -> Iterator[tuple[Written, str]]:
+        """Yield the files whose own count differs from `rows`, each with an error message."""
+        for file in files:
+            key = file.execution, file.name
+            read = rows.get(key, 0)
+            counted = self.count(file, read)
+            if isinstance(counted, int):
+                self.counted[key] = counted
+            if counted != read:
+                yield file, counted if isinstance(counted, str) else self.miscount(file, counted, read)
+
+    def count(self, file: Written, read: int) -> int | str:
+        """Return the number of rows in a file, counted without DuckDB, or why it cannot be counted.
+
+        `read` is the number of rows that DuckDB has read. A slow count is only needed if a quick count differs from `read`.
+        """
+        raise NotImplementedError
+
+    def miscount(self, file: Written, counted: int, read: int) -> str:
+        """Return the message for a file with a different number of rows than were read."""
+        return f"{counted} rows are in it, but {read} were read: it is not as other readers take it"
+
+    def sort(self, files: Sequence[Written]) -> Mapping[str, Part | None]:
+        """Return the columns (and the delimiter) of each valid file by its path; None if it has no rows and no columns."""
+        raise NotImplementedError
+
+    def one(self, files: Sequence[Written]) -> None:
+        """Read the files of one part."""
+        raise NotImplementedError
+
+    def targets(self) -> Iterator[Path]:
+        """Yield target paths for the files of one part: first for the usual kinds of values, then for others."""
+        yield self.target
+        while True:
+            self._more += 1
+            yield self._first.with_stem(f"{self._first.stem}~{PARTS + self._more}")
+
+    def _by_part(self, files: Sequence[Written]) -> list[tuple[int | None, list[Written]]]:
+        """Return the files of each part with the part's position; None for files without rows and columns."""
+        found = self.sort(files)
+        places = {self.key(part): place for place, part in enumerate(self.parts)}
+        members: dict[int | None, list[Written]] = {}
+        for file in self.sound(files):
+            part = found[file.path]
+            place = None if part is None else places.setdefault(self.key(part), len(places))
+            if place is not None and place >= PARTS:
+                self.fault(file, f"has other columns than {PARTS} other sets of columns; a table has at most so many")
+                continue
+            if part is not None and place == len(self.parts):
+                self.parts.append(part)
+            members.setdefault(place, []).append(file)
+        return list(members.items())
+
+    def key(self, part: Part) -> Any:
+        """Return the key that files of one part share. The order of columns matters only in a CSV."""
+        return frozenset(part.names)
+
+    def fault(self, file: Written, what: str) -> None:
+        self.faults.setdefault(file.execution, f"{shown(file.name)}: {what.replace(file.path, shown(file.name))}")
+
+    def sound(self, files: Iterable[Written]) -> list[Written]:
+        return [file for file in files if file.execution not in self.faults]
+
+    def done(self, target: Path, files: Sequence[Written], kinds: Mapping[str, Mapping[str, str]]) -> None:
+        """Record the files that were written to `target`; `kinds` are the kinds of values in their columns, by path."""
+        for file in files:
+            self.columns[file.execution, file.name] = kinds[file.path]
+        self.rows |= dict.fromkeys(((file.execution, file.name) for file in files), 0)
+        stored = dict(zip(self.part.names, column_names(self.part.names), strict=True))
+        lacking = self._lacking(target)
+        partly = [name for name in self.part.names if stored[name] in lacking]
+        for key, count, filled in self._count(target, files, [stored[name] for name in partly]):
+            self.rows[key] = count
+            empty = {name for name, values in zip(partly, filled, strict=True) if not values}
+            if empty:
+                self.columns[key] = {n: "empty" if n in empty else kind for n, kind in self.columns[key].items()}
+        for file in files:
+            key = file.execution, file.name
+            if not self.rows[key]:
+                self.columns[key] = dict.fromkeys(self.columns[key], "empty")
+
+    def _lacking(self, target: Path) -> set[str]:
+        """Return the columns of a Parquet file that have no value in some row."""
+        rows = self.sql.execute(
+            f"SELECT path_in_schema FROM {parquet_metadata(str(target))} GROUP BY 1 "
+            "HAVING coalesce(max(stats_null_count), 1) > 0"
+        ).fetchall()
+        return {row[0].partition(", ")[0] for row in rows} | {row[0] for row in rows}
+
+    def halve(self, files: Sequence[Written], attempt: Callable[[Sequence[Written]], Any], explain: Callable[..., str]) -> None:
+        """Find the files for which `attempt` fails, by repeated halving, and mark them as faulty."""
+        try:
+            if files:
+                attempt(files)
+        except self.error as error:
+            if len(files) == 1:
+                self.fault(files[0], explain(files[0], error))
+            else:
+                for half in (files[: len(files) // 2], files[len(files) // 2 :]):
+                    self.halve(half, attempt, explain)
+
+    def write(self, target: Path, files: Sequence[Written], source: str, columns: Mapping[str, str]) -> None:
+        """Write the rows of `source` (a relation on $files) with their run and execution; `columns` are expressions by name."""
+        import pyarrow as pa
+
+        owners = pa.table(
+            {
+                "path": [file.path for file in files],
+                "run": [file.run for file in files],
+                "execution": [file.execution for file in files],
+                "name": [shown(file.name) for file in files],
+            }
+        )
+        named = ", ".join(
+            f"{expression} AS {identifier(name)}"
+            for name, expression in zip(column_names(list(columns)), columns.values(), strict=True)
+        )
+        name = "o.name AS file, " if self.shape.many else ""
+        self.sql.register("owners", owners)
+        self.sql.execute("SET threads = 1")  # several threads would write the pieces of a large file in any order
+        try:
+            rows = f"SELECT o.run, o.execution, {name}{named} FROM {source} t JOIN owners o ON t.{identifier(FILE)} = o.path"
+            self.sql.execute(copy(rows, target), these(files))
+            self._check_rows(target, files)
+        except (self.error, AtFaultError):
+            target.unlink(missing_ok=True)
+            raise
+        finally:
+            self.sql.execute("RESET threads")
+            self.sql.unregister("owners")
+
+    def _check_rows(self, target: Path, files: Sequence[Written]) -> None:
+        """Raise AtFaultError if `target` has a different number of rows of a file than the file itself."""
+        only = self._names(files)
+        written = rows_by_file(target)
+        if faults := list(self._miscounted(files, {(one, only[one, name]): rows for (one, name), rows in written.items()})):
+            raise AtFaultError(faults)
+
+    def _names(self, files: Sequence[Written]) -> dict[tuple[str, str | None], str]:
+        """Return the files' names by their keys in a Parquet file: the execution, and the file if a run writes several."""
+        many = self.shape.many
+        return {(file.execution, shown(file.name) if many else None): file.name for file in files}
+
+    def _count(
+        self, target: Path, files: Sequence[Written], columns: Sequence[str]
+    ) -> Iterator[tuple[tuple[str, str], int, Sequence[int]]]:
+        """Yield for each execution and file the number of written rows, and the number of values in these columns."""
+        name = "file" if self.shape.many else "NULL"
+        only = self._names(files)
+        filled = "".join(f", count({identifier(column)})" for column in columns)
+        statement = f"SELECT execution, {name}, count(*){filled} FROM {read_parquet([str(target)])} GROUP BY 1, 2"
+        for execution, file, count, *values in self.sql.execute(statement).fetchall():
+            yield (execution, only[execution, file]), count, values
+
+    def fetch(self, statement: str, files: Sequence[Written]) -> list[tuple[Any, ...]]:
+        rows: list[tuple[Any, ...]] = self.sql.execute(statement, these(files)).fetchall() if files else []
+        return rows
+
+    def unwritten(self, error: Exception) -> Missing:
+        return Missing(f"cannot write to {self.target.parent}: {first_line(error)}")
+
+
+def these(files: Sequence[Written]) -> dict[str, list[str]]:
+    return {"files": [file.path for file in files]}

@@ -1,0 +1,146 @@
+"""All that a package needs to add to SIERRA: the contracts of plug-ins, the records they get and return, and the errors.
+
+A plug-in is a class of one of six kinds. A package offers it by an entry point in its `pyproject.toml`. The name of the entry
+point is the name by which users choose the plug-in:
+
+    [project.entry-points."sierra.platforms"]
+    sonar = "sonar_sierra.platform:Sonar"
+
+=========================  =================  =========================================  ============================
+group of entry points      contract           chosen by                                  options
+=========================  =================  =========================================  ============================
+`sierra.platforms`         `Platform`         `platform = "NAME"`                        `[platforms.NAME]`
+`sierra.templates`         `Template`         the ending of `template`                   `[templates.NAME]`
+`sierra.runners`           `Runner`           `sierra run … --on NAME`                   `[runners.NAME]`
+`sierra.schedulers`        `Scheduler`        `[runners.…] scheduler = "NAME"`           the same table
+`sierra.engines`           `Engine`           `[container] engine = "NAME"`, `--engine`  `[engines.NAME]`
+`sierra.readers`           `OutputReader`     `[outputs.…] format`, or the ending        `[readers.NAME]`
+=========================  =================  =========================================  ============================
+
+Each class has two class attributes beside what its contract says:
+
+- `contract = 1`: the version of the contracts that it was made for, as a number. SIERRA refuses any other than `VERSION`.
+- `Options`: a model of its table in `sierra.toml`: a subclass of `Table`, `NoOptions` if there are none, or `ClusterTable` (or
+  a subclass) for schedulers. Unknown keys are errors. The class gets a valid object of it as the last argument when it is made.
+  `sierra schema --toml` and `sierra doctor` list the options of each installed plug-in.
+
+**Identity.** A run's id is the hash of its inputs, command, environment, source and image. The options of a platform and of a
+template format are part of it as far as they change these. The options of a reader, and its package's version, are part of the
+hash of the rules by which executions are evaluated. The options of a runner, a scheduler and an engine are part of no id, so
+they must not change results.
+
+**Errors.** Raise `ConfigError` for invalid settings, `TemplateError` for a template, `Missing` for something that does not
+exist on this machine, `UnreadableError` for an output file, with one line: what is wrong, which one, what would be right. Any
+other error counts as a fault of the plug-in, and SIERRA says so in one line that names the package.
+
+**Loading.** A plug-in is imported when a command uses its name. An import that fails breaks only these commands. Two packages
+that offer the same name for one kind are an error that names both; the shipped names cannot be replaced.
+
+`sierra.testing` has a conformance suite for each kind: `platforms`, `templates`, `runners` (for schedulers too), `engines` and
+`readers`. The contracts themselves are the docstrings of the classes below.
+"""
+
+from __future__ import annotations
+
+from sierra.config.plugins import KINDS, VERSION, Kind, NoOptions
+from sierra.config.project_file import ClusterTable, Project, Table, options
+from sierra.containers.engines.base import Capabilities, ContainerSpec, Engine, Mount, Process
+from sierra.containers.images import Image
+from sierra.errors import ConfigError, Full, Missing, PluginError, QueryError, SierraError, TemplateError, UsageError
+from sierra.ingest.base import Columns, OutputReader, UnreadableError
+from sierra.model import (
+    Add,
+    Axis,
+    Change,
+    Client,
+    Criterion,
+    Job,
+    Limits,
+    OutputFile,
+    Point,
+    Remove,
+    Rename,
+    Requirement,
+    Result,
+    Scale,
+    Set,
+    Times,
+    Value,
+)
+from sierra.platforms.base import Platform
+from sierra.platforms.base import Reader as TemplateView
+from sierra.query.ranges import values
+from sierra.runners.base import Look, Runner, Work
+from sierra.runners.local import Local
+from sierra.runners.schedulers.base import NAME_LENGTH, Bounds, Limit, Request, Scheduler, State, Task
+from sierra.store.layout import SessionPaths, StorePaths
+from sierra.templates.base import ARGUMENTS, Document, Files, Rendered, Renderer, Template
+from sierra.templates.expressions import fill
+
+__all__ = [
+    "ARGUMENTS",
+    "KINDS",
+    "NAME_LENGTH",
+    "VERSION",
+    "Add",
+    "Axis",
+    "Bounds",
+    "Capabilities",
+    "Change",
+    "Client",
+    "ClusterTable",
+    "Columns",
+    "ConfigError",
+    "ContainerSpec",
+    "Criterion",
+    "Document",
+    "Engine",
+    "Files",
+    "Full",
+    "Image",
+    "Job",
+    "Kind",
+    "Limit",
+    "Limits",
+    "Local",
+    "Look",
+    "Missing",
+    "Mount",
+    "NoOptions",
+    "OutputFile",
+    "OutputReader",
+    "Platform",
+    "PluginError",
+    "Point",
+    "Process",
+    "Project",
+    "QueryError",
+    "Remove",
+    "Rename",
+    "Rendered",
+    "Renderer",
+    "Request",
+    "Requirement",
+    "Result",
+    "Runner",
+    "Scale",
+    "Scheduler",
+    "SessionPaths",
+    "Set",
+    "SierraError",
+    "State",
+    "StorePaths",
+    "Table",
+    "Task",
+    "Template",
+    "TemplateError",
+    "TemplateView",
+    "Times",
+    "UnreadableError",
+    "UsageError",
+    "Value",
+    "Work",
+    "fill",
+    "options",
+    "values",
+]

@@ -1,0 +1,155 @@
+"""Conformance suite for readers of output formats, as functions that a plug-in's author calls in tests.
+
+    from sierra.testing import readers as conformance
+
+    def test_it_is_a_reader(tmp_path):
+        conformance.check("myformat", {b"...": {"tick": [0, 1], "energy": [0.5, 0.25]}}, [b"cut sho"], tmp_path)
+
+The package must be installed, because readers are found by their name. `tables` maps the bytes of files to their tables.
+`damaged` are files that must be refused. The files of one check have the same columns. Each claim is one function of a `Trial`,
+and can be called alone. A broken claim raises AssertionError with one line, even if Python runs with `-O`.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from sierra.config.plugins import READERS
+from sierra.ingest.base import Columns, described
+from sierra.ingest.model import Reading, Shape, Written
+from sierra.ingest.read import read
+from sierra.testing.options import holds, is_one_line, says_what_its_options_are
+from sierra.worker import worker
+
+GARBAGE = (b"", b"\0", b"\xff\xfe\x00", b"PAR1", b"{", b"[" * 10_000, b"\n\n\n", bytes(range(256)))
+OWN = ("run", "execution")
+"""Columns that SIERRA adds to each table."""
+
+
+@dataclass
+class Trial:
+    """A format to test, its files, and a folder for them."""
+
+    name: str
+    tables: Mapping[bytes, Columns]
+    damaged: Sequence[bytes]
+    folder: Path
+    options: Mapping[str, Any] = field(default_factory=dict)
+    _count: int = 0
+
+    def read(self, contents: Sequence[bytes]) -> tuple[Reading, dict[str, list[dict[str, Any]]]]:
+        """Read files as recording does; return the result, and the rows by execution in their order."""
+        import pyarrow.parquet as pq
+
+        from sierra.store.connections import connect
+
+        self._count += 1
+        place = self.folder / str(self._count)
+        files = [_write(place / f"{number}" / f"out.{self.name}", content) for number, content in enumerate(contents)]
+        target = place / "read" / "table.parquet"
+        target.parent.mkdir(parents=True)
+        shape = Shape(self.name, reader=self._described())
+        with connect() as connection:
+            reading = read(connection, [_written(path, number) for number, path in enumerate(files)], shape, target)
+        for path, content in zip(files, contents, strict=True):
+            holds(path.read_bytes() == content, "the reader changes the file")
+        rows: dict[str, list[dict[str, Any]]] = {}
+        for part in sorted(target.parent.iterdir()):
+            for row in pq.ParquetFile(part).read().to_pylist():
+                rows.setdefault(row["execution"], []).append({key: row[key] for key in row if key not in OWN})
+        return reading, rows
+
+    def _described(self) -> str:
+        if self.name in READERS.shipped:
+            return ""
+        return json.dumps(described([self.name], {self.name: self.options})[self.name], sort_keys=True)
+
+
+def check(
+    name: str,
+    tables: Mapping[bytes, Columns],
+    damaged: Sequence[bytes],
+    folder: Path,
+    options: Mapping[str, Any] | None = None,
+) -> None:
+    """Check all claims about the reader `name`. `folder` is an empty folder; `options` are those of `[readers.NAME]`."""
+    trial = Trial(name, tables, damaged, folder, options or {})
+    for claim in CLAIMS:
+        claim(trial)
+
+
+def declares_options(trial: Trial) -> None:
+    says_what_its_options_are(READERS.load(trial.name))
+
+
+def reads_each_table(trial: Trial) -> None:
+    """Check that a file gives its rows and columns, in their order, and again the same."""
+    for content, columns in trial.tables.items():
+        reading, rows = trial.read([content])
+        holds(not reading.faults, f"a valid file is refused: {list(reading.faults.values())}")
+        _are(rows.get("e0", []), columns)
+        holds(dict(reading.counted) == dict(reading.rows), "the number of rows is not that of the file")
+        again = trial.read([content])[0]
+        holds(again.columns == reading.columns, "other columns when read again")
+
+
+def reads_many_as_each_alone(trial: Trial) -> None:
+    """Check that files that are read together give what each gives alone."""
+    _, rows = trial.read(list(trial.tables))
+    for number, columns in enumerate(trial.tables.values()):
+        _are(rows.get(f"e{number}", []), columns)
+
+
+def refuses_damaged_files(trial: Trial) -> None:
+    """Check that a damaged file is refused in one line that names it, and that the others are read all the same."""
+    for content in trial.damaged:
+        reading, rows = trial.read([*trial.tables, content])
+        bad = f"e{len(trial.tables)}"
+        holds(list(reading.faults) == [bad], f"a damaged file is read: {content[:40]!r}")
+        is_one_line(reading.faults[bad])
+        holds(f"out.{trial.name}" in reading.faults[bad], f"{reading.faults[bad]!r} does not name the file")
+        holds("failed: " not in reading.faults[bad], f"it is a fault of the reader: {reading.faults[bad]}")
+        for number, columns in enumerate(trial.tables.values()):
+            _are(rows.get(f"e{number}", []), columns)
+
+
+def survives_garbage(trial: Trial) -> None:
+    """Check that any bytes are read, or refused in one line, without a fault of the reader itself."""
+    for content in GARBAGE:
+        reading, _ = trial.read([content])
+        for fault in reading.faults.values():
+            is_one_line(fault)
+            holds("failed: " not in fault, f"{content[:40]!r} is a fault of the reader: {fault}")
+
+
+def _are(rows: Sequence[Mapping[str, Any]], columns: Columns) -> None:
+    wanted = [dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=True)]
+    holds(len(rows) == len(wanted), f"{len(wanted)} rows are in the file, and {len(rows)} were read")
+    for row, expected in zip(rows, wanted, strict=True):
+        holds(row == expected and list(row) == list(expected), f"the row {expected} became {dict(row)}")
+
+
+def _write(path: Path, content: bytes) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(content)
+    return path
+
+
+def _written(path: Path, number: int) -> Written:
+    """Return a file as a worker describes it."""
+    seen = worker.describe(str(path), path.name)
+    facts = [seen[name] for name in ("path", "head", "lines", "ended", "bytes")]
+    return Written(str(path), f"r{number}", f"e{number}", *facts, *(seen.get(name) for name in ("quotes", "blank", "alike")))
+
+
+CLAIMS: tuple[Callable[[Trial], None], ...] = (
+    declares_options,
+    reads_each_table,
+    reads_many_as_each_alone,
+    refuses_damaged_files,
+    survives_garbage,
+)

@@ -1,0 +1,519 @@
+"""A package with one plug-in of each kind is installed and used; and a plug-in that cannot be used is told of in one line."""
+
+from __future__ import annotations
+
+import json
+import os
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import pytest
+
+import sierra
+from sierra import plugin
+from sierra.config import project_file
+from sierra.containers import engines
+from sierra.query import grammar
+from sierra.runners import schedulers
+from sierra.templates.xml import XmlTemplate
+from sierra.testing import engines as engine_conformance
+from sierra.testing import platforms as platform_conformance
+from sierra.testing import readers as reader_conformance
+from sierra.testing import runners as runner_conformance
+from sierra.testing import templates as template_conformance
+from tests import images, plugins, projects
+
+PLATFORM = """
+from sierra.plugin import NoOptions
+class Made:
+    contract = 1
+    Options = NoOptions
+    def __init__(self, project, options): self.words = project.command
+    def changes(self, template): return ()
+    def seed_changes(self): return ()
+    def criterion(self, criterion, template): return None
+    def criteria(self): return {}
+    def check(self, document, template): pass
+    def command(self): return self.words
+    def files(self, document): return (("input.xml", document),)
+    def environment(self): return {}
+"""
+"""A platform in a module, which tests break in one place."""
+FLAGS = """
+import hashlib, json
+from sierra.plugin import ARGUMENTS, NoOptions, TemplateError, fill
+class Made:
+    contract = 1
+    Options = NoOptions
+    def __init__(self, data, name, options):
+        self.sha256, self.name = hashlib.sha256(data).hexdigest(), name
+        self.given = dict(line.split(" ", 1) for line in data.decode().splitlines())
+    def reread(self, rendered, name):
+        words = json.loads(dict(rendered)[ARGUMENTS])
+        lines = (f"{name} {value}\\n" for name, value in zip(words[::2], words[1::2]))
+        return Made("".join(lines).encode(), name, None)
+    def find(self, path):
+        return (self.given[path],) if path in self.given else ()
+    def attributes(self):
+        return tuple(self.given.items())
+    def changed(self, changes, values):
+        made = Made(b"", self.name, None)
+        made.given = dict(self.given)
+        for change in changes:
+            if change.path not in made.given:
+                raise TemplateError(f"{self.name}: {change.why}: there is no {change.path}")
+            made.given[change.path] = fill(change.value, values)
+        return made
+    def render(self):
+        words = [word for pair in self.given.items() for word in pair]
+        return ((ARGUMENTS, json.dumps(words).encode()), ("notes.txt", " ".join(words).encode()))
+    def per_run(self, changes):
+        return lambda values: self.changed(changes, values).render()
+"""
+"""A template format whose files are arguments, and a second file."""
+
+
+@pytest.fixture(scope="module")
+def installed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """The package in tests/plugin, on the path of this process and of those that it starts."""
+    place = plugins.install(tmp_path_factory.mktemp("plugin"))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(place))
+        patch.setenv("PYTHONPATH", str(place))
+        yield place
+
+
+@pytest.fixture
+def project(installed: Path, tmp_path: Path) -> Path:
+    return plugins.project(tmp_path / "project")
+
+
+@pytest.fixture
+def plain(tmp_path: Path) -> Path:
+    """A project that uses shipped plug-ins only, with a batch."""
+    folder = projects.make(tmp_path / "plain")
+    succeed(folder, "run", "population_size=1", "--runs", "1", "--no-figures")
+    return folder
+
+
+def succeed(folder: Path, *words: str) -> str:
+    done = projects.quick(folder, *words)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+def refused(folder: Path, *words: str, code: int = 2) -> str:
+    """The one line that a command which fails prints."""
+    done = projects.quick(folder, *words)
+    assert done.returncode == code, done.stdout + done.stderr
+    lines = [line for line in done.stderr.splitlines() if not line.startswith("note: ")]
+    assert len(lines) == 1, done.stderr
+    return lines[0]
+
+
+def rows(folder: Path, query: str) -> list[dict[str, Any]]:
+    found: list[dict[str, Any]] = sierra.open(folder).sql(query).to_pylist()
+    return found
+
+
+def change(folder: Path, old: str, new: str) -> None:
+    file = folder / "sierra.toml"
+    text = file.read_text()
+    assert old in text
+    file.write_text(text.replace(old, new))
+
+
+def append(folder: Path, text: str) -> None:
+    with (folder / "sierra.toml").open("a") as file:
+        file.write(text)
+
+
+def nice_simulator(folder: Path) -> None:
+    """Let the simulator write how nice it is."""
+    (folder / "tortoise.py").write_text(
+        "import os\nopen('walk.track', 'w').write(f'track 1\\ntick niceness\\n0 {os.nice(0)}\\nend\\n')\n"
+    )
+    change(folder, "scale = 100.0", "scale = 1.0")
+
+
+# Each kind is used
+
+
+def test_a_platform_a_template_format_and_a_reader_of_another_package_make_a_batch(project: Path) -> None:
+    assert "4 runs: 4 executed" in succeed(project, "run", "herd=1,3", "--no-figures")
+    found = rows(project, "SELECT herd, count(*) AS n, max(tick) AS last, max(distance) AS far FROM walk GROUP BY 1 ORDER BY 1")
+    assert [(row["herd"], row["n"], row["last"]) for row in found] == [(1, 10, 4), (3, 10, 4)]
+    assert 25 < found[0]["far"] < 125, "five steps of at most 25 cm"
+    assert "4 runs: 0 executed, 4 reused" in succeed(project, "run", "herd=1,3", "--no-figures")
+
+
+def test_an_option_that_changes_inputs_changes_what_is_executed(project: Path) -> None:
+    succeed(project, "run", "herd=1", "--no-figures")
+    change(project, "steps = 5", "steps = 6")
+    assert "2 runs: 2 executed" in succeed(project, "run", "herd=1", "--no-figures")
+
+
+def test_an_option_of_a_reader_changes_tables_and_executes_nothing(project: Path) -> None:
+    succeed(project, "run", "herd=1", "--no-figures")
+    [metric] = rows(project, "SELECT max(distance) AS far FROM walk")
+    change(project, "scale = 100.0", "scale = 1.0")
+    assert "2 runs: 0 executed, 2 reused" in succeed(project, "run", "herd=1", "--no-figures")
+    [other] = rows(project, "SELECT max(distance) AS far FROM walk")
+    assert other["far"] == pytest.approx(metric["far"] / 100)
+    assert projects.quick(project, "fsck").returncode == 0
+
+
+READER = """
+from sierra.plugin import NoOptions
+class Made:
+    contract = 1
+    Options = NoOptions
+    def __init__(self, options): pass
+    def read(self, path): return {"length": [len(path.read_bytes())], "version": [VERSION]}
+"""
+
+
+@pytest.mark.integration
+def test_a_new_version_of_a_reader_reads_recorded_files_again(plain: Path, tmp_path: Path) -> None:
+    with (plain / "sim.py").open("a") as file:
+        file.write("open('notes.text', 'w').write('four')\n")
+    append(plain, '[outputs.notes]\nfile = "notes.text"\n')
+    told = []
+    for version in ("1", "2", "1"):
+        lib = tmp_path / version
+        if not lib.exists():
+            plugins.write(lib, "texts", {"sierra.readers text": "Made"}, f"VERSION = {version}\n{READER}", version)
+        run = ("run", "population_size=1", "--runs", "2", "--no-figures")
+        done = projects.sierra(plain, *run, environment={"PYTHONPATH": str(lib)})
+        told.append((done.returncode, done.stdout.splitlines()[-1].partition(" (")[0]))
+        assert {(row["length"], row["version"]) for row in rows(plain, "SELECT * FROM notes")} == {(4, int(version))}
+    assert told == [(0, "2 runs: 2 executed, 0 reused"), *[(0, "2 runs: 0 executed, 2 reused")] * 2]
+    assert "unknown reader 'text'" in refused(plain, "replay", sierra.open(plain).batches[-1]["batch"])
+
+
+def test_a_damaged_file_of_a_foreign_format_fails_its_run_alone(project: Path) -> None:
+    script = project / "tortoise.py"
+    script.write_text(
+        script.read_text().replace('print("end", file=track)', 'int(given["tortoises"]) > 1 or print("end", file=track)')
+    )
+    done = projects.quick(project, "run", "herd=1,2", "--no-figures")
+    assert done.returncode == 1
+    assert "walk.track: line 8: is cut short; the last line is not 'end'" in done.stdout + done.stderr
+    assert [row["herd"] for row in rows(project, "SELECT DISTINCT herd FROM walk")] == [1]
+
+
+def test_a_runner_of_another_package_is_configured_by_its_table(project: Path) -> None:
+    nice_simulator(project)
+    succeed(project, "run", "herd=1", "--no-figures", "--on", "niced")
+    assert {row["niceness"] for row in rows(project, "SELECT niceness FROM walk")} == {os.nice(0) + 5}
+
+
+@pytest.fixture
+def spool(project: Path, tmp_path: Path) -> Path:
+    """A project with a cluster of the scheduler `spool`."""
+    (tmp_path / "spool").mkdir()
+    append(project, f'[runners.here]\nscheduler = "spool"\nspool = "{tmp_path}/spool"\narray_tasks = 2\nniceness = 3\n')
+    return project
+
+
+def test_a_scheduler_of_another_package_executes_a_batch(spool: Path) -> None:
+    nice_simulator(spool)
+    assert "4 runs: 4 executed" in succeed(spool, "run", "herd=1,2", "--no-figures", "--on", "here")
+    assert {row["niceness"] for row in rows(spool, "SELECT niceness FROM walk")} == {os.nice(0) + 3}
+
+
+@pytest.mark.integration
+def test_jobs_of_a_foreign_scheduler_are_left_and_followed(spool: Path) -> None:
+    succeed(spool, "run", "herd=1", "--no-figures", "--on", "here", "--detach")
+    [standing] = json.loads(succeed(spool, "status", "--json"))
+    assert standing["runs"] == 2
+    succeed(spool, "attach", standing["batch"])
+    assert len(rows(spool, "SELECT DISTINCT run FROM walk")) == 2
+
+
+@pytest.mark.integration
+def test_jobs_of_a_foreign_scheduler_are_cancelled(spool: Path) -> None:
+    (spool / "tortoise.py").write_text("import time\ntime.sleep(600)\n")
+    succeed(spool, "run", "herd=1", "--no-figures", "--on", "here", "--detach")
+    [standing] = json.loads(succeed(spool, "status", "--json"))
+    succeed(spool, "cancel", standing["batch"])
+    assert json.loads(succeed(spool, "status", "--json")) == []
+
+
+def test_a_foreign_scheduler_refuses_lines_and_keys_of_its_own(spool: Path) -> None:
+    succeed(spool, "run", "herd=2", "--no-figures")
+    run = ("run", "herd=1", "--no-figures", "--on", "here")
+    append(spool, 'directives = ["--note=a paper"]\n')
+    assert "#SPOOL --note=a paper" in succeed(spool, *run, "--dry-run")
+    change(spool, "--note=a paper", "--array=9")
+    told = "sierra: [runners.here]: directive '--array=9' of 'here' can't be added: use array_tasks = N"
+    assert refused(spool, *run) == told
+    change(spool, "niceness = 3", "nicenes = 3")
+    assert refused(spool, *run) == "sierra: [runners.here]: unknown key 'nicenes'; did you mean 'niceness'?"
+    succeed(spool, "ls")
+
+
+def test_an_engine_of_another_package_starts_runs(project: Path) -> None:
+    nice_simulator(project)
+    layer = images.layer(("bin/python3", b"#!/bin/sh\n"))
+    images.docker_archive(project / "image.tar", [layer])
+    append(project, '[container]\nimage = "image.tar"\nengine = "direct"\n[engines.direct]\nniceness = 4\n')
+    succeed(project, "image", "pin")
+    done = projects.quick(project, "run", "herd=1", "--no-figures")
+    assert done.returncode == 0, done.stderr
+    assert "NOT ISOLATED: direct gives containers the network here (direct 1)" in done.stdout + done.stderr
+    assert {row["niceness"] for row in rows(project, "SELECT niceness FROM walk")} == {os.nice(0) + 4}
+    assert [row["engine"] for row in rows(project, "SELECT engine FROM sessions")] == ["direct"]
+
+
+# Each kind is known
+
+
+def test_doctor_lists_the_plugins_and_their_options(project: Path) -> None:
+    found = {check["name"]: check for check in json.loads(projects.quick(project, "doctor", "--json").stdout)}
+    for name, option in (
+        ("platform tortoise", "steps"),
+        ("template conf", "comment"),
+        ("reader track", "scale"),
+        ("runner niced", "niceness"),
+        ("scheduler spool", "niceness"),
+        ("engine direct", "niceness"),
+    ):
+        assert found[name]["state"] == "ok"
+        assert found[name]["found"].startswith("from sierra-tortoise 1.0, options: ")
+        assert option in found[name]["found"]
+    assert found["options"]["state"] == "ok"
+    change(project, "niceness = 5", "niceness = 50")
+    broken = {check["name"]: check for check in json.loads(projects.quick(project, "doctor", "--json").stdout)}
+    assert broken["options"]["found"].startswith("[runners.niced]: niceness should be less than or equal to 19")
+
+
+def test_the_schema_has_the_options_of_each_plugin(project: Path) -> None:
+    schema = json.loads(succeed(project, "schema", "--toml", "--json"))
+    settings = tomllib.loads((project / "sierra.toml").read_text())
+    jsonschema.Draft202012Validator(schema).validate(settings)
+    for place, key in (("platforms.tortoise", "steps"), ("readers.track", "scale"), ("runners.niced", "niceness")):
+        kind, name = place.split(".")
+        wrong = {**settings, kind: {name: {f"{key}_": 1}}}
+        assert list(jsonschema.Draft202012Validator(schema).iter_errors(wrong)), place
+    text = succeed(project, "schema", "--toml")
+    assert all(f"#[{table}]" in text for table in ("platforms.tortoise", "templates.conf", "readers.track", "runners.niced"))
+    assert all(f"#[{table}]" in text for table in ("runners.spool", "engines.direct"))
+    loaded = "\n".join(line[1:] for line in text.splitlines() if line.startswith("#") and not line.startswith("# "))
+    assert project_file.parse(tomllib.loads(loaded), "the reference").readers == {"track": {"scale": 1.0}}
+
+
+def test_the_published_schema_has_shipped_plugins_only(project: Path) -> None:
+    succeed(project, "schema", "--write", "written")
+    assert "tortoise" not in (project / "written" / "sierra.toml.schema.json").read_text()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ("steps = 5", "step = 5", "[platforms.tortoise]: unknown key 'step'; did you mean 'steps'?"),
+        ("scale = 100.0", "scal = 1.0", "[readers.track]: unknown key 'scal'; did you mean 'scale'?"),
+        ("scale = 100.0", "scale = -1", "[readers.track]: scale should be greater than 0, not -1"),
+        ("[readers.track]", "[readers.trak]", "[readers.trak]: unknown reader 'trak'; known are csv, parquet, jsonl, track"),
+        ("[readers.track]", "[templates.conf]", "[templates.conf]: unknown key 'scale'; known are comment"),
+        ("[readers.track]", "[engines.direct]", "[engines.direct]: unknown key 'scale'; known are niceness"),
+        (
+            'time = "tick"',
+            'time = "tick"\nformat = "trac"',
+            "[outputs.walk] format: unknown format 'trac'; known are csv, parquet, jsonl, track, file",
+        ),
+    ],
+)
+def test_options_are_checked_in_one_line(project: Path, old: str, new: str, told: str) -> None:
+    change(project, old, new)
+    assert refused(project, "run", "herd=1", "--no-figures") == f"sierra: {told}"
+
+
+# Each kind conforms
+
+
+def test_the_platform_conforms(project: Path) -> None:
+    loaded = sierra.open(project).config
+    template = plugin.KINDS[1].make("conf", {}, (project / "herd.conf").read_bytes(), "herd.conf")
+    from tortoise.platform import Tortoise  # type: ignore[import-not-found]
+
+    platform_conformance.check(Tortoise, loaded, template, {"herd": grammar.parse("herd.Log4")})
+
+
+def test_the_template_format_conforms(installed: Path) -> None:
+    from tortoise.template import Conf, ConfOptions  # type: ignore[import-not-found]
+
+    data = (plugins.SOURCE / "project" / "herd.conf").read_bytes()
+    template_conformance.check(lambda data, name: Conf(data, name, ConfOptions()), data, ["speed", "tortoises", "seed"])
+
+
+def test_xml_conforms() -> None:
+    data = b"<?xml version='1.0'?>\n<a b='1'><!-- c --><c>2</c><d>x</d></a>\n"
+    template_conformance.check(XmlTemplate, data, ["/a/@b", "//c", "//d"])
+
+
+def test_the_reader_conforms(installed: Path, tmp_path: Path) -> None:
+    tables = {
+        b"track 1\ntick far\n0 0.5\n1 2\nend\n": {"tick": [0, 1], "far": [50.0, 200.0]},
+        b"track 1\ntick far\nend\n": {"tick": [], "far": []},
+    }
+    damaged = [
+        b"track 1\ntick far\n0 0.5\n",
+        b"track 1\ntick far\n0\nend\n",
+        b"track 1\ntick far\n0 x\nend\n",
+        b"track 2\nend\n",
+    ]
+    reader_conformance.check("track", tables, damaged, tmp_path, {"scale": 100.0})
+
+
+@pytest.mark.parametrize(
+    ("name", "tables", "damaged"),
+    [
+        ("csv", {b"a,b\n1,x\n2,y\n": {"a": [1, 2], "b": ["x", "y"]}, b"a,b\n": {"a": [], "b": []}}, [b"a,b\n1\n", b""]),
+        ("jsonl", {b'{"a": 1, "b": "x"}\n{"a": 2, "b": "y"}\n': {"a": [1, 2], "b": ["x", "y"]}}, [b'{"a": 1\n', b"[1]\n"]),
+        ("parquet", None, [b"PAR1"]),
+    ],
+)
+def test_the_shipped_readers_conform(name: str, tables: Any, damaged: list[bytes], tmp_path: Path) -> None:
+    reader_conformance.check(name, tables or parquet(tmp_path), damaged, tmp_path / "trial")
+
+
+def parquet(folder: Path) -> dict[bytes, Any]:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    columns = {"a": [1, 2], "b": ["x", "y"], "c": [0.5, None]}
+    pq.write_table(pa.table(columns), folder / "one.parquet")
+    return {(folder / "one.parquet").read_bytes(): columns}
+
+
+@pytest.mark.integration
+def test_the_runner_conforms(installed: Path, tmp_path: Path) -> None:
+    from tortoise.runner import Niced, NicedOptions  # type: ignore[import-not-found]
+
+    runner_conformance.check_runner(lambda slots: Niced(slots, NicedOptions(niceness=3)), tmp_path)
+
+
+@pytest.mark.integration
+def test_the_scheduler_conforms(installed: Path, tmp_path: Path) -> None:
+    (tmp_path / "spool").mkdir()
+    (tmp_path / "trial").mkdir()
+    table = schedulers.table("spool", {"spool": str(tmp_path / "spool")}, "here")
+    runner_conformance.check(schedulers.find("spool")(table), tmp_path / "trial")
+
+
+def test_the_engine_conforms_as_far_as_an_engine_that_contains_nothing_can(installed: Path, tmp_path: Path) -> None:
+    engine_conformance.check(engines.find("direct"), None, tmp_path, tmp_path)
+
+
+# A plug-in that cannot be used
+
+
+@pytest.mark.parametrize(
+    ("code", "told"),
+    [
+        ("import nothing_of_this_name", "cannot be loaded: ModuleNotFoundError: No module named 'nothing_of_this_name'"),
+        ("raise SystemExit('no\\nlicence')", "cannot be loaded: SystemExit: no licence"),
+        ("def f(:", "cannot be loaded: SyntaxError: "),
+        ("", "cannot be loaded: AttributeError: "),
+        (
+            PLATFORM.replace("contract = 1", "contract = 2"),
+            "is made for version 2 of the contract, and this SIERRA has version 1",
+        ),
+        (PLATFORM.replace("contract = 1", ""), "says no version of the contract, and this SIERRA has version 1"),
+        (PLATFORM.replace("def files", "def file"), "lacks files"),
+        (PLATFORM.replace("Options = NoOptions", "Options = dict"), "Options is not a subclass of Table"),
+        (PLATFORM.replace("self.words = ", "self.words = 1 / 0 + "), "cannot be made: ZeroDivisionError: division by zero"),
+    ],
+)
+def test_a_plugin_that_cannot_be_used_is_told_of_in_one_line(
+    plain: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: str, told: str
+) -> None:
+    name = f"bad{abs(hash(code)) % 10**9}"
+    monkeypatch.syspath_prepend(str(plugins.write(tmp_path / "lib", name, {"sierra.platforms odd": "Made"}, code)))
+    succeed(plain, "run", "population_size=1,2", "--runs", "1", "--no-figures")
+    succeed(plain, "ls")
+    check = {one["name"]: one for one in json.loads(projects.quick(plain, "doctor", "--json").stdout)}["platform odd"]
+    change(plain, "template =", 'platform = "odd"\ntemplate =')
+    line = refused(plain, "run", "population_size=1")
+    assert line.startswith(f"sierra: the platform 'odd' of {name} 1")
+    assert told in line
+    assert line.endswith(f"; install a version of {name} that works, or uninstall it")
+    assert (check["state"], told in check["found"]) == (("ok", False) if "cannot be made" in told else ("missing", True))
+    succeed(plain, "ls")
+
+
+def test_a_name_that_two_packages_offer_is_an_error_that_names_both(
+    plain: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for package in ("first_of_two", "second_of_two"):
+        plugins.write(tmp_path / "lib", package, {"sierra.platforms twice": "Made"}, PLATFORM)
+    monkeypatch.syspath_prepend(str(tmp_path / "lib"))
+    succeed(plain, "run", "population_size=1", "--runs", "1", "--no-figures")
+    change(plain, "template =", 'platform = "twice"\ntemplate =')
+    told = "the platform 'twice' is offered by first_of_two 1 and by second_of_two 1; uninstall all but one of these packages"
+    assert refused(plain, "run", "population_size=1") == f"sierra: {told}"
+
+
+def test_a_package_cannot_take_a_shipped_name(plain: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(plugins.write(tmp_path / "lib", "taker", {"sierra.readers jsonl": "Made"}, PLATFORM)))
+    append(plain, '[outputs.log]\nfile = "log.jsonl"\nrequired = false\n')
+    line = refused(plain, "run", "population_size=3", "--runs", "1")
+    assert line.startswith("sierra: the reader 'jsonl' is offered by SIERRA itself and by taker 1; ")
+
+
+def test_a_fault_in_a_plugin_names_its_package(plain: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    code = PLATFORM.replace("return self.words", "return self.wrods")
+    monkeypatch.syspath_prepend(str(plugins.write(tmp_path / "lib", "faulty", {"sierra.platforms odd": "Made"}, code)))
+    change(plain, "template =", 'platform = "odd"\ntemplate =')
+    line = refused(plain, "run", "population_size=1", code=1)
+    told = "a fault in the platform 'odd' of faulty 1: AttributeError: 'Made' object has no attribute 'wrods'"
+    assert line.startswith(f"sierra: {told}; please report it to its authors with ")
+
+
+def test_a_plugin_is_imported_by_commands_that_use_it_only(
+    plain: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mark = tmp_path / "imported"
+    code = f"open({str(mark)!r}, 'w').close()\n{PLATFORM}"
+    monkeypatch.syspath_prepend(str(plugins.write(tmp_path / "lib", "lazy", {"sierra.platforms odd": "Made"}, code)))
+    for words in (("ls",), ("run", "population_size=1,2", "--runs", "1", "--no-figures"), ("sql", "SELECT 1")):
+        succeed(plain, *words)
+    assert not mark.exists()
+    change(plain, "template =", 'platform = "odd"\ntemplate =')
+    succeed(plain, "run", "population_size=1", "--runs", "1", "--no-figures")
+    assert mark.exists()
+
+
+# Templates that are not one file
+
+
+def test_a_template_may_give_arguments_and_several_files(plain: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(plugins.write(tmp_path / "lib", "flagged", {"sierra.templates flags": "Made"}, FLAGS)))
+    (plain / "sim.flags").write_text("--count 1\n--seed 0\n--label two words\n")
+    (plain / "sim.py").write_text(
+        "import os, sys\n"
+        "notes = open(os.environ['SIERRA_RUN_DIR'] + '/notes.txt').read()\n"
+        "print('count,label,notes', ','.join([sys.argv[2], sys.argv[6], notes]), sep='\\n', file=open('out.csv', 'w'))\n"
+    )
+    (plain / "sierra.toml").write_text(
+        'template = "sim.flags"\ncommand = "python3 sim.py {arguments}"\nseed = "--seed"\n[variables]\ncount = "--count"\n'
+    )
+    assert "4 runs: 4 executed" in succeed(plain, "run", "count=3,4", "--runs", "2", "--no-figures")
+    found = rows(plain, "SELECT count, label, notes FROM out ORDER BY count, notes")
+    assert [(row["count"], row["label"]) for row in found] == [(3, "two words")] * 2 + [(4, "two words")] * 2
+    assert all(row["notes"].startswith(f"--count {row['count']} --seed ") for row in found)
+    assert len({row["notes"] for row in found}) == 4
+    assert "identical" in succeed(plain, "replay", sierra.open(plain).batches[-1]["batch"])
+
+
+def test_arguments_need_a_template_that_gives_them(plain: Path) -> None:
+    change(plain, "python3 sim.py {input}", "python3 sim.py {arguments}")
+    told = "sierra: command: {arguments} needs a template that gives arguments; arena.xml gives none"
+    assert refused(plain, "run", "population_size=1") == told
+    change(plain, "{arguments}", "--all={arguments}")
+    told = "sierra: command: {arguments} stands for several words; write it as a word of its own, not '--all={arguments}'"
+    assert refused(plain, "run", "population_size=1") == told
