@@ -62,6 +62,7 @@ def test_every_run_is_executed_and_good(demo: tuple[Path, dict[str, Any]]) -> No
     }
 
 
+@pytest.mark.integration
 def test_coverage_grows_with_the_population(demo: tuple[Path, dict[str, Any]]) -> None:
     rows = sierra.open(demo[0]).sql(
         "SELECT population_size, avg(coverage) AS mean, count(DISTINCT run) AS runs "
@@ -93,6 +94,7 @@ def test_asking_again_executes_nothing(demo: tuple[Path, dict[str, Any]]) -> Non
     assert (again["batch"], again["executed"], again["reused"]) == (answer["batch"], 0, 6)
 
 
+@pytest.mark.integration
 def test_more_runs_execute_only_what_is_new(demo: tuple[Path, dict[str, Any]]) -> None:
     folder, _ = demo
     more = json.loads(quick_("run", "population_size=1,4", "--runs", "4", "--json", "--no-figures", cwd=folder))
