@@ -130,6 +130,7 @@ def test_a_session_that_nobody_wrote_is_named(recorded: Path, tmp_path: Path, na
             assert done.stderr.count("sierra: ") <= 1
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("name", ["sierra.toml", "sierra.lock", "pyproject.toml", "arena.xml", "figures/{batch}/.drawn.json"])
 def test_a_file_of_the_project_that_is_no_text_is_named(recorded: Path, tmp_path: Path, name: str) -> None:
     root = stores.copy(recorded, tmp_path / "project")

@@ -386,8 +386,9 @@ def test_a_repository_of_another_user_names_the_command(repository: Path, requir
 
 
 @pytest.fixture
-def reachable(repository: Path) -> Iterator[Path]:
+def reachable(repository: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """The repository where other users can reach it; pytest closes its own folder whenever another session of tests begins."""
+    monkeypatch.setenv("GIT_CONFIG_GLOBAL", os.devnull)
     with tempfile.TemporaryDirectory() as folder:
         yield shutil.copytree(repository, Path(folder, "p"), symlinks=True)
 
