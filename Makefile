@@ -46,7 +46,7 @@ demo: install ## copy the example to ./demo, unless it is there, and run a query
 	cd demo && ../$(BIN)/sierra run population_size.Log8 --runs 10
 
 test: install ## run the tests that need no cluster, container or network; more at once with WORKERS=8
-	$(PYTEST) -m "not integration and not nightly"
+	$(PYTEST) -m "not integration and not nightly" --ignore tests/integration --ignore tests/nightly
 
 integration: install ## run a real case of each part: podman, apptainer, SLURM, PBS, and what takes longer
 	$(PYTEST) -m "integration and not nightly"

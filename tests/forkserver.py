@@ -126,7 +126,9 @@ def run(
 
 def _can_fork(args: Any, cwd: Any, environment: Mapping[str, str] | None) -> bool:
     """Return whether a fork is as good as the program started anew."""
-    if isinstance(args, str | bytes) or Path(os.fspath(args[0])) != SIERRA or (cwd and not Path(os.fspath(cwd)).is_dir()):
+    if not hasattr(os, "pidfd_open") or isinstance(args, str | bytes):  # only Linux has the one
+        return False
+    if Path(os.fspath(args[0])) != SIERRA or (cwd and not Path(os.fspath(cwd)).is_dir()):
         return False
     wanted = os.environ if environment is None else environment
     return _read_at_start(wanted) == _read_at_start(_SERVER.environment if _SERVER else os.environ)

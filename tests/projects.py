@@ -70,9 +70,14 @@ def make(folder: Path, config: str = CONFIG, *, simulator: str = SIMULATOR, temp
 
 
 def commit(folder: Path, message: str = "first") -> Path:
-    """Commit all that is there, in a git repository that is made if there is none; the folder."""
+    """Commit all that is there, in a git repository that is made if there is none; the folder.
+
+    The same content at the same place in a history is the same commit, whenever it is made.
+    """
+    environment = os.environ | dict.fromkeys(("GIT_AUTHOR_DATE", "GIT_COMMITTER_DATE"), "2026-01-01T00:00:00Z")
+    author = ("-c", "user.name=a", "-c", "user.email=a@b")
     for words in (("init", "-q"), ("add", "."), ("commit", "-q", "-m", message)):
-        subprocess.run(["git", "-c", "user.name=a", "-c", "user.email=a@b", *words], cwd=folder, check=True)
+        subprocess.run(["git", *author, *words], cwd=folder, check=True, env=environment)
     return folder
 
 

@@ -27,6 +27,10 @@ print("complained", file=sys.stderr)
 )
 
 
+IRRELEVANT = (".git/index", ".git/hooks/", ".git/logs/")
+"""Files of a repository that differ though commits and what is checked out are the same."""
+
+
 def make(folder: Path) -> Path:
     """A project with three batches, two of which share runs, and a replay; its folder."""
     root = projects.make(folder, simulator=SIMULATOR)
@@ -39,10 +43,12 @@ def make(folder: Path) -> Path:
 
 
 def ask(root: Path, *query: str, **more: Any) -> str:
-    """The batch that answers a query. Where an equal project outside git was asked the same before, its store is copied."""
+    """The batch that answers a query. Where an equal project was asked the same before, its store is copied."""
     files = {str(path.relative_to(root)): path.read_bytes() for path in sorted(root.rglob("*")) if path.is_file()}
-    if any(name.startswith((".git/", ".sierra/")) for name in files):
+    if any(name.startswith(".sierra/") for name in files):
         return _asked(root, query, more)
+    for name in [name for name in files if name.startswith(IRRELEVANT)]:
+        del files[name]
     key = hashlib.sha256(repr((files, query, more)).encode()).hexdigest()
     kept = Path(os.environ["XDG_CACHE_HOME"], "asked", key)  # the tests' own: see conftest
     if kept.exists():

@@ -118,6 +118,7 @@ def test_run_answers_with_one_json_object(answer: dict[str, Any]) -> None:
     assert len(answer["figures"]) == 3
 
 
+@pytest.mark.integration
 def test_asking_again_from_a_subfolder_executes_nothing(answered: Path, answer: dict[str, Any]) -> None:
     ended = quick(answered / "deep", "run", "population_size.Log2", "noise=0:1:2", "--json", "--no-figures")
     again = json.loads(ended.stdout)

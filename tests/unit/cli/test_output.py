@@ -117,6 +117,7 @@ def test_a_format_that_is_no_text_is_damage(recorded: Path, tmp_path: Path) -> N
     assert projects.quick(root, "ls").returncode == 0
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("name", ["context.json", "claims.json", "owner.0", "submission.json", "asking.json", "journal.jsonl"])
 def test_a_session_that_nobody_wrote_is_named(recorded: Path, tmp_path: Path, name: str) -> None:
     root = stores.copy(recorded, tmp_path / "project")
@@ -129,6 +130,7 @@ def test_a_session_that_nobody_wrote_is_named(recorded: Path, tmp_path: Path, na
             assert done.stderr.count("sierra: ") <= 1
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("name", ["sierra.toml", "sierra.lock", "pyproject.toml", "arena.xml", "figures/{batch}/.drawn.json"])
 def test_a_file_of_the_project_that_is_no_text_is_named(recorded: Path, tmp_path: Path, name: str) -> None:
     root = stores.copy(recorded, tmp_path / "project")

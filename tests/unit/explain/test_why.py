@@ -83,6 +83,7 @@ def test_the_file_that_made_runs_new_is_named(root: Path) -> None:
     assert again[2].startswith(f"(sierra run {before[:10]} ")
 
 
+@pytest.mark.integration
 def test_a_grown_batch_says_where_its_runs_come_from(root: Path) -> None:
     small = ask(root)
     large = ask(root, runs=3)
@@ -112,6 +113,7 @@ def test_a_failure_is_why_it_was_executed_again(root: Path, tmp_path: Path) -> N
     assert [(event["executed"], event["failed"]) for event in said["history"]] == [(1, 1), (1, 0)]
 
 
+@pytest.mark.integration
 def test_another_program_is_why_and_what_it_made_stale(outside: tuple[Path, Install]) -> None:
     root, install = outside
     small = ask(root, "population_size=1", runs=1)
@@ -128,6 +130,7 @@ def test_another_program_is_why_and_what_it_made_stale(outside: tuple[Path, Inst
     assert causes(why(root, execution)) == causes(said)[1:]
 
 
+@pytest.mark.integration
 def test_a_good_execution_with_other_programs_than_were_last_asked_for_is_stale(outside: tuple[Path, Install]) -> None:
     root, install = outside
     batch = ask(root, "population_size=1", runs=1)
@@ -139,6 +142,7 @@ def test_a_good_execution_with_other_programs_than_were_last_asked_for_is_stale(
     assert standing["reason"].startswith("stale: the last successful execution differs from the batch's last session: sim: ")
 
 
+@pytest.mark.integration
 def test_other_rules_are_why(root: Path) -> None:
     batch = ask(root, "population_size=1")
     (root / "sierra.toml").write_text(projects.CONFIG + '[success]\nmarker = "swarm.csv"\ncontains = "coverage"\n')

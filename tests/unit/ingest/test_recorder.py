@@ -161,6 +161,7 @@ def test_large_whole_numbers_hide_behind_empty_columns_and_stay_exact(tmp_path: 
     assert {row[0] for row in rows} == {None, 2**60 + 1}
 
 
+@pytest.mark.integration
 def test_a_header_longer_than_what_the_worker_tells_is_read_whole(tmp_path: Path) -> None:
     names = [f"robot_{number}" for number in range(900)]
     content = ",".join(names) + "\n" + ",".join(["1"] * 900) + "\n"
@@ -378,6 +379,7 @@ def test_a_mismatch_is_listed_and_ends_the_command_with_1(make: Make) -> None:
     assert "out.csv: line 4" in failure["reason"]
 
 
+@pytest.mark.integration
 def test_several_faults_in_one_batch_are_each_said(make: Make) -> None:
     bad = seeds(10)
     project = make(

@@ -56,6 +56,7 @@ def test_runs_of_other_lengths_have_the_same_time_as_far_as_they_go(tmp_path: Pa
     assert TAKEN in told
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize(
     "written",
     [

@@ -66,6 +66,7 @@ def test_many_small_segments_become_few_and_every_row_stays(root: Path) -> None:
     assert sierra.open(root).run("population_size=1,2", figures=False).executed == 0
 
 
+@pytest.mark.integration
 def test_without_a_terminal_yes_is_needed(root: Path) -> None:
     before = stores.state(root)
     ended = projects.quick(root, "gc")

@@ -9,6 +9,7 @@ import os
 import shutil
 import socket
 import subprocess
+import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -384,7 +385,16 @@ def test_a_repository_of_another_user_names_the_command(repository: Path, requir
     one_line(caught)
 
 
-def test_a_repository_that_cannot_be_written_is_said_in_one_line(repository: Path) -> None:
+@pytest.fixture
+def reachable(repository: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """The repository where other users can reach it; pytest closes its own folder whenever another session of tests begins."""
+    monkeypatch.setenv("GIT_CONFIG_GLOBAL", os.devnull)
+    with tempfile.TemporaryDirectory() as folder:
+        yield shutil.copytree(repository, Path(folder, "p"), symlinks=True)
+
+
+def test_a_repository_that_cannot_be_written_is_said_in_one_line(reachable: Path) -> None:
+    repository = reachable
     fill(repository, {"a.txt": "changed"})
     subprocess.run(["chmod", "-R", "a-w", str(repository / ".git")], check=True)
     with somebody_else(repository), pytest.raises(Missing, match=r"cannot write to .*make it writable") as caught:

@@ -207,6 +207,7 @@ def test_a_tolerance_that_is_none_is_refused(make: Make, text: str) -> None:
     assert (ended.returncode, ended.stderr.count("\n")) == (2, 1)
 
 
+@pytest.mark.integration
 def test_a_tolerance_of_an_output_that_is_not_there_is_refused_before_anything_executes(make: Make) -> None:
     root = make()
     ended = projects.quick(root, "replay", ask(root), "--set-tolerance", "swamp.coverage=rel:1")

@@ -101,6 +101,7 @@ def test_more_robots_cover_more_and_collide_more() -> None:
     assert contacts[0] == 0 < contacts[1] < contacts[2]
 
 
+@pytest.mark.integration
 def test_pheromone_covers_more_than_a_random_walk() -> None:
     asked = {"population_size": 8}
     assert final("coverage", controller="pheromone", **asked) > 1.15 * final("coverage", **asked)
@@ -111,6 +112,7 @@ def test_clutter_costs_coverage() -> None:
     assert final("coverage", scenario="cluttered", **asked) < 0.95 * final("coverage", **asked)
 
 
+@pytest.mark.integration
 def test_a_crowd_starts_apart_and_nobody_leaves_the_arena() -> None:
     crowd = made(population_size=64, scenario="cluttered", max_speed=0)
     places = [(row["x"], row["y"]) for row in table(outputs(crowd)[1])[:64]]

@@ -186,6 +186,7 @@ def test_what_is_a_rate_is_one_in_all_experiments_and_at_all_times() -> None:
     assert note.startswith("mean, Wilson's 95 % CI of a rate, n = 5")
 
 
+@pytest.mark.integration
 @settings(max_examples=15, deadline=None)
 @given(st.lists(st.integers(-1000, 1000), min_size=1, max_size=40))
 def test_whiskers_end_at_values_that_were_observed(values: list[int]) -> None:
@@ -542,6 +543,7 @@ def simulated(simulate: Callable[..., Any]) -> Any:
     return project
 
 
+@pytest.mark.integration
 def test_statistics_are_a_command_whose_table_has_the_values_of_the_axes(simulated: Any) -> None:
     rows = json.loads(simulated.quick("stats", "swarm", "v", "--json").stdout)
     assert [(row["size"], row["n"], row["mean"], row["low"]) for row in rows] == [(1, 2, 3, 3), (2, 2, 6, 6), (3, 2, 9, 9)]
@@ -555,6 +557,7 @@ def test_statistics_are_a_command_whose_table_has_the_values_of_the_axes(simulat
     assert b"list_avg" in table.schema.metadata[b"sierra:sql"]
 
 
+@pytest.mark.integration
 def test_statistics_can_be_reduced_in_each_way_and_have_a_row_for_each_time(simulated: Any) -> None:
     def ask(*options: str) -> list[dict[str, Any]]:
         rows: list[dict[str, Any]] = json.loads(simulated.quick("stats", "swarm", "v", "--json", *options).stdout)
@@ -606,6 +609,7 @@ printf 't,good,n\n1,false,0\n2,%s,0\n' $good > swarm.csv
 """
 
 
+@pytest.mark.integration
 def test_truth_values_are_a_rate_with_wilsons_interval_and_that_is_said(simulate: Callable[..., Any]) -> None:
     project = simulate(BOOLEANS)
     assert project.quick("run", "size=1,3", "--runs", "5", "--no-figures").returncode == 0

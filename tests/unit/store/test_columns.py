@@ -54,6 +54,7 @@ def test_the_numbers_of_a_batch_are_numbers_whatever_another_holds(two: tuple[Pr
     assert project.statistics(numbers, "t", "v", measure="mean").column("mean").to_pylist() == pytest.approx([1037.5 / 3])
 
 
+@pytest.mark.integration
 def test_over_all_batches_numbers_stay_numbers_and_texts_stand_beside(two: tuple[Project, list[str]]) -> None:
     project, _ = two
     rows = project.sql("SELECT DISTINCT v, v_text FROM t ORDER BY ALL").to_pylist()

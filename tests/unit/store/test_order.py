@@ -138,6 +138,7 @@ def test_figures_show_what_was_executed_last(root: Path) -> None:
     assert all(before[path] != after[path] for path in before)
 
 
+@pytest.mark.integration
 def test_a_clock_may_jump_back_in_the_middle_of_a_session(root: Path) -> None:
     rewrite(root, later(2, -DAYS, only=lambda table: pc.equal(pc.bit_wise_and(table["lamport"], 1), 1)))
     assert found(root) == {2}

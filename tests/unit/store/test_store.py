@@ -102,6 +102,7 @@ def test_a_store_says_what_it_is(project: Project) -> None:
         Store(root / "elsewhere")
 
 
+@pytest.mark.integration
 def test_files_do_not_multiply_with_runs(project: Project) -> None:
     run(project, "n=1", runs=2)
     few = sum(1 for path in project.paths.store.rglob("*") if path.is_file())
@@ -185,6 +186,7 @@ def test_no_output_may_be_called_as_a_table_of_the_store() -> None:
 # ---------------------------------------------------------------- batches that meet
 
 
+@pytest.mark.integration
 def test_growing_a_batch_executes_only_what_is_new(project: Project) -> None:
     first = run(project, "n=1,2", runs=8)
     seen = set(project.sql("SELECT execution FROM executions").column(0).to_pylist())
@@ -197,6 +199,7 @@ def test_growing_a_batch_executes_only_what_is_new(project: Project) -> None:
     assert one(project, "SELECT count(*) FROM batch_runs") == 36
 
 
+@pytest.mark.integration
 def test_runs_that_batches_share_are_counted_once(project: Project) -> None:
     run(project, "n=1,2")
     shared = run(project, "n.Log4")
@@ -250,6 +253,7 @@ def test_a_damaged_segment_is_one_line(project: Project) -> None:
             ask()
 
 
+@pytest.mark.integration
 def test_the_axes_of_other_batches_rename_nothing_in_one_batch(project: Project) -> None:
     (project.root / "sim.sh").write_text("printf 'k\\n5\\n' > out.csv\n")
     batch = run(project, "n=1", runs=1).batch
@@ -295,6 +299,7 @@ def _with_program(project: Project, path: Path, value: int) -> Project:
     return sierra.open(project.root)
 
 
+@pytest.mark.integration
 def test_a_finding_takes_an_execution_out_of_all_tables(project: Project) -> None:
     batch = stores.ask(project.root, "n=1")
     [first, _] = project.sql("SELECT execution FROM runs ORDER BY number").column(0).to_pylist()
@@ -311,6 +316,7 @@ def test_a_finding_takes_an_execution_out_of_all_tables(project: Project) -> Non
     assert one(project, "SELECT count(*) FROM out") == 4
 
 
+@pytest.mark.integration
 def test_questions_are_answered_while_a_batch_runs(
     project: Project, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
 ) -> None:

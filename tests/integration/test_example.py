@@ -50,7 +50,6 @@ def test_the_example_is_a_project() -> None:
     assert "scalability" in project.queries
 
 
-@pytest.mark.integration
 def test_every_run_is_executed_and_good(demo: tuple[Path, dict[str, Any]]) -> None:
     _, answer = demo
     assert {name: answer[name] for name in ("experiments", "runs", "executed", "reused", "failed")} == {
@@ -79,7 +78,6 @@ def test_figures_are_drawn_in_three_formats(demo: tuple[Path, dict[str, Any]]) -
     assert all(Path(path).stat().st_size > 1000 for path in answer["figures"])
 
 
-@pytest.mark.integration
 def test_figures_drawn_again_are_the_same_bytes(demo: tuple[Path, dict[str, Any]]) -> None:
     folder, answer = demo
     before = {path: Path(path).read_bytes() for path in answer["figures"]}
@@ -99,7 +97,6 @@ def test_more_runs_execute_only_what_is_new(demo: tuple[Path, dict[str, Any]]) -
     assert (more["executed"], more["reused"]) == (2, 6)
 
 
-@pytest.mark.integration
 def test_two_variables_make_all_combinations_and_a_heat_map(demo: tuple[Path, dict[str, Any]]) -> None:
     folder, _ = demo
     asked = ("run", "controller=random_walk,pheromone", "population_size=1,4", "--runs", "1", "--json")
@@ -116,7 +113,6 @@ def test_two_variables_make_all_combinations_and_a_heat_map(demo: tuple[Path, di
     }
 
 
-@pytest.mark.integration
 def test_twenty_runs_replay_identically_whatever_becomes_of_the_code(tmp_path: Path) -> None:
     folder = tmp_path / "swarm"
     quick_("init", "--example", "swarm", str(folder), cwd=tmp_path)
