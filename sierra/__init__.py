@@ -19,6 +19,7 @@ from sierra.version import __version__
 if TYPE_CHECKING:
     import os
 
+    from sierra.api import Project
     from sierra.errors import (
         ConfigError,
         Damaged,
@@ -31,9 +32,8 @@ if TYPE_CHECKING:
         UsageError,
     )
     from sierra.execution.observer import Observer, Progress
-    from sierra.execution.plans import Plan
+    from sierra.execution.resolve_plan import Plan
     from sierra.execution.summary import Summary
-    from sierra.project import Project
     from sierra.replay.verdicts import Replay
     from sierra.store.result import Result
 
@@ -43,9 +43,9 @@ HOMES = {
     "Missing": "sierra.errors",
     "NotFound": "sierra.errors",
     "Observer": "sierra.execution.observer",
-    "Plan": "sierra.execution.plans",
+    "Plan": "sierra.execution.resolve_plan",
     "Progress": "sierra.execution.observer",
-    "Project": "sierra.project",
+    "Project": "sierra.api",
     "QueryError": "sierra.errors",
     "Replay": "sierra.replay.verdicts",
     "Result": "sierra.store.result",
@@ -67,7 +67,7 @@ def open(path: str | os.PathLike[str] = ".") -> Project:
     >>> sorted(project.config.variables)
     ['noise', 'population_size']
     """
-    from sierra.project import Project
+    from sierra.api import Project
 
     return Project(path)
 

@@ -45,7 +45,7 @@ from __future__ import annotations
 from sierra.config.plugins import KINDS, VERSION, Kind, NoOptions
 from sierra.config.project_file import ClusterTable, Project, Table, options
 from sierra.containers.engines.base import Capabilities, ContainerSpec, Engine, Mount, Process
-from sierra.containers.images import Image
+from sierra.containers.images.image import Image
 from sierra.errors import ConfigError, Full, Missing, PluginError, QueryError, SierraError, TemplateError, UsageError
 from sierra.ingest.base import Columns, OutputReader, UnreadableError
 from sierra.model import (
@@ -74,8 +74,8 @@ from sierra.runners.base import Look, Runner, Work
 from sierra.runners.local import Local
 from sierra.runners.schedulers.base import NAME_LENGTH, Bounds, Limit, Request, Scheduler, State, Task
 from sierra.store.layout import SessionPaths, StorePaths
+from sierra.templates.arithmetic import fill
 from sierra.templates.base import ARGUMENTS, Document, Files, Rendered, Renderer, Template
-from sierra.templates.expressions import fill
 
 __all__ = [
     "ARGUMENTS",

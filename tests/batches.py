@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 import sierra
-from sierra.project import Project
-from sierra.runners.cluster.result_log import Pack, Started
-from sierra.worker import processes
+from sierra.api import Project
+from sierra.runners.cluster.result_log_reader import Pack, Started
+from sierra.worker import marked_processes
 from tests import projects
 from tests.clusters import Slurm
 from tests.waiting import until
@@ -128,4 +128,4 @@ def at_rest(slurm: Slurm, project: Project) -> None:
     """Nothing runs on: neither jobs nor processes."""
     until(lambda: set(slurm.states().values()) & {"PENDING", "RUNNING", "COMPLETING"} == set(), "no job is left")
     sessions = {row["session"] for row in rows(project, "SELECT DISTINCT session FROM executions")}
-    until(lambda: not processes.marked({f"SIERRA_SESSION={one}".encode() for one in sessions}), "no process is left")
+    until(lambda: not marked_processes.marked({f"SIERRA_SESSION={one}".encode() for one in sessions}), "no process is left")

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from sierra.containers.images import machine
+from sierra.containers.images.image import machine
 
 Member = tuple[str, str | bytes] | tarfile.TarInfo
 """A path and what a file there holds; a folder ends with a slash; `->` in the path makes a link, `=>` a hard one."""

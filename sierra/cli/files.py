@@ -13,9 +13,9 @@ from sierra.cli import complete
 from sierra.errors import UsageError
 
 if TYPE_CHECKING:
-    from sierra.project import Project
-    from sierra.store.export import Listing, Outcome
-    from sierra.store.files import Recorded, Taken
+    from sierra.api import Project
+    from sierra.store.export_files import Listing, Outcome
+    from sierra.store.recorded_files import Recorded, Taken
 
 SPOOLED = 64 << 20
 SHOWN_FAILURES = 20
@@ -56,7 +56,7 @@ def files(
     """
     from sierra.cli.open_project import project
     from sierra.cli.output import print_json
-    from sierra.store.export import extract, listing
+    from sierra.store.export_files import extract, listing
 
     opened = project()
     listed = listing(opened.store, prefix, paths or ())
@@ -79,7 +79,7 @@ def _print_one(opened: Project, listed: Listing) -> None:
 
     from sierra.cli.output import note, readable
     from sierra.errors import Damaged
-    from sierra.store.export import content
+    from sierra.store.export_files import content
 
     if len(listed.files) > 1:
         raise UsageError(f"that is {len(listed.files)} files; name one of one run, or say where with --to FOLDER")

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 if TYPE_CHECKING:
-    from sierra.containers.images import Contents, Image
+    from sierra.containers.images.image import Image
+    from sierra.containers.images.image_contents import Contents
 
 app = typer.Typer(
     name="image",
@@ -184,7 +185,7 @@ def ls(as_json: AsJson = False) -> None:
 
     from sierra.cli.open_project import project
     from sierra.cli.output import print_json, readable, size, table
-    from sierra.containers.images import short
+    from sierra.containers.images.image import short
 
     known = project().images()
     if as_json:

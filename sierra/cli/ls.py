@@ -46,10 +46,10 @@ def _where_any(name: str, texts: Sequence[str]) -> dict[str, Sequence[str]]:
 
 
 def _state(row: dict[str, Any]) -> str:
-    from sierra.cli import detach
+    from sierra.cli import ask_detach
 
     parts = [f"{row[name]} {name}" for name in ("failed", "missing") if row[name]] or ["complete"]
-    parts += [f"on {one['runner']} now ({detach.named(one['jobs'])})" for one in row["clusters"]]
+    parts += [f"on {one['runner']} now ({ask_detach.named(one['jobs'])})" for one in row["clusters"]]
     if row["nondeterministic"]:
         parts.append(f"{row['nondeterministic']} not deterministic")
     return ", ".join(parts)

@@ -8,7 +8,7 @@ from importlib.machinery import ModuleSpec, PathFinder
 from types import ModuleType
 from typing import Any
 
-from sierra.project import Project
+from sierra.api import Project
 
 ALLOCATOR = "ARROW_DEFAULT_MEMORY_POOL"
 

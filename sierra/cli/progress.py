@@ -10,7 +10,7 @@ from typing import Any
 
 import typer
 
-from sierra.cli import detach
+from sierra.cli import ask_detach
 from sierra.cli.output import note, raw, safe
 from sierra.errors import UsageError
 from sierra.execution.observer import Observer, Progress
@@ -32,8 +32,8 @@ class Display(Observer):
         note(text)
 
     def leave(self) -> bool:
-        """Return whether cluster jobs continue when the user interrupts: see `sierra.cli.detach`."""
-        return detach.asked()
+        """Return whether cluster jobs continue when the user interrupts: see `sierra.cli.ask_detach`."""
+        return ask_detach.asked()
 
 
 @contextlib.contextmanager
@@ -121,7 +121,7 @@ class _Bar(Display):
     def leave(self) -> bool:
         self._bars.stop()
         try:
-            return detach.asked()
+            return ask_detach.asked()
         finally:
             self._bars.start()
 

@@ -32,7 +32,7 @@ def show(found: Sequence[Standing], *, long: bool = False) -> None:
 
 def lines(found: Sequence[Standing]) -> list[str]:
     """Return a line for each session of a batch on clusters."""
-    from sierra.cli.detach import named
+    from sierra.cli.ask_detach import named
     from sierra.cli.output import readable
 
     told = []

@@ -11,9 +11,9 @@ import typer
 from sierra.errors import Missing
 
 if TYPE_CHECKING:
+    from sierra.api import Project
     from sierra.execution.status import Standing
     from sierra.execution.summary import Summary
-    from sierra.project import Project
 
 COUNTED = ("runs", "succeeded", "failed")
 
@@ -67,7 +67,7 @@ def _answer(summary: Summary) -> dict[str, Any]:
 
 
 def _print(summary: Summary, left: Sequence[Standing]) -> None:
-    from sierra.cli import detach
+    from sierra.cli import ask_detach
     from sierra.cli.figures import from_here
     from sierra.cli.output import table
     from sierra.util.hashing import short
@@ -83,7 +83,7 @@ def _print(summary: Summary, left: Sequence[Standing]) -> None:
     print(f"{summary.runs} runs: {summary.executed} executed, {summary.reused} reused{awaited}{failed}{missing}{judged}")
     _print_failures(summary)
     if left:
-        print("\n".join(detach.lines(left, summary.batch)))
+        print("\n".join(ask_detach.lines(left, summary.batch)))
     elif summary.interrupted:
         print("interrupted: what had finished is recorded; ask the same again to go on")
     if summary.figures:

@@ -14,7 +14,7 @@ from sierra.errors import Missing, UsageError
 
 if TYPE_CHECKING:
     from sierra.config.project_file import Tolerance
-    from sierra.replay.compare import Agreement, Verdict
+    from sierra.replay.compare_values import Agreement, Verdict
     from sierra.replay.verdicts import Compared, OfExperiment, Replay
 
 SHOWN = 3
@@ -210,7 +210,7 @@ def _values(experiment: OfExperiment) -> str:
 
 def _alike(answer: Replay) -> dict[tuple[Verdict, str | None], list[tuple[Compared, Agreement]]]:
     """Return the outputs that are not identical, by verdict and path, the worst verdict first."""
-    from sierra.replay.compare import Verdict
+    from sierra.replay.compare_values import Verdict
 
     order = list(Verdict)
     found: dict[tuple[Verdict, str | None], list[tuple[Compared, Agreement]]] = {}
@@ -241,7 +241,7 @@ def _grown(agreement: Agreement) -> str:
     from itertools import dropwhile
 
     from sierra.cli.output import cell
-    from sierra.replay.compare import distance
+    from sierra.replay.compare_values import distance
 
     apart = list(dropwhile(lambda part: part[1] == 0, agreement.growth))
     same = agreement.growth[: len(agreement.growth) - len(apart)]

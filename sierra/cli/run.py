@@ -13,9 +13,9 @@ import typer
 from sierra.cli import complete
 
 if TYPE_CHECKING:
+    from sierra.api import Project
     from sierra.design.experiments import Heed
-    from sierra.execution.plans import Plan
-    from sierra.project import Project
+    from sierra.execution.resolve_plan import Plan
 
 STDERR = 2
 

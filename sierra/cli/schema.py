@@ -29,15 +29,15 @@ def schema(
 
     from sierra.cli.output import note, print_json, table
     from sierra.errors import NotFound
-    from sierra.setup import schemas
+    from sierra.setup import published_schemas
 
     if write is not None:
-        schemas.write(write)
+        published_schemas.write(write)
         return
     if toml:
-        print(schemas.toml_schema(note) if as_json else schemas.toml(note), end="")
+        print(published_schemas.toml_schema(note) if as_json else published_schemas.toml(note), end="")
         return
-    tables = schemas.tables()
+    tables = published_schemas.tables()
     if name is not None and name not in tables:
         raise NotFound(f"the store has no table {name!r} of its own; it has {', '.join(tables)} (sierra sql 'SHOW TABLES')")
     chosen = [tables[name]] if name else list(tables.values())

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from sierra.provenance.source.sharing import Shared
+    from sierra.provenance.source.share_refs import Shared
 
 app = typer.Typer(
     name="source",

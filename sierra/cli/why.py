@@ -10,9 +10,9 @@ import typer
 from sierra.cli import complete
 
 if TYPE_CHECKING:
-    from sierra.explain.effective import EffectiveRuns
+    from sierra.explain.effective_executions import EffectiveRuns
     from sierra.explain.history import Event
-    from sierra.explain.why import Why
+    from sierra.explain.why_executed import Why
 
 LINES = 10
 

@@ -33,7 +33,7 @@ from pydantic import (
     model_validator,
 )
 
-from sierra.config import directives
+from sierra.config import forbidden_directives as directives
 from sierra.errors import ConfigError, Missing
 from sierra.store.layout import CONFIG, PYPROJECT, STORE
 

@@ -20,12 +20,12 @@ from sierra.config.project_file import Figure, LoadedProject
 from sierra.deliverables.figures.base import Drawing, draw
 from sierra.errors import Missing, NotFound, SierraError, UsageError
 from sierra.model import Axis
-from sierra.store.columns import TEXT
 from sierra.store.layout import ProjectPaths
 from sierra.store.names import column_names
 from sierra.store.samples import MIXED, Column, Frame, OutputTable
 from sierra.store.segments import disk_errors
 from sierra.store.store import Store
+from sierra.store.union_files import TEXT
 from sierra.util.fs import write_whole
 from sierra.util.hashing import sha256, short
 from sierra.version import __version__
@@ -75,7 +75,7 @@ def statistics(
     threshold: float | None = None,
     times: str | None = None,
 ) -> Any:
-    """Return all statistics of one column, as `sierra.project.Project.statistics` does, with the values of the axes.
+    """Return all statistics of one column, as `sierra.api.Project.statistics` does, with the values of the axes.
 
     The columns are `experiment`, one for each axis, and those of the statistics. If an axis has the name of another column,
     that column gets a `_` after its name, as outputs' columns do in SQL. The schema's metadata hold the statement

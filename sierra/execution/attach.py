@@ -9,10 +9,10 @@ from sierra.execution import records
 from sierra.execution.follow import follow
 from sierra.execution.observer import Tally
 from sierra.execution.sessions import Session
-from sierra.ingest.context import Context
 from sierra.ingest.recorder import Recorder
+from sierra.ingest.recording_context import Context
 from sierra.runners.base import Runner
-from sierra.runners.cluster.submission import Submission
+from sierra.runners.cluster.submission_record import Submission
 from sierra.store.store import Store
 
 

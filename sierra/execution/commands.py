@@ -21,7 +21,7 @@ from typing import cast
 
 from sierra.config.project_file import Project
 from sierra.containers.engines.base import INSIDE, PROJECT, PYTHON, WRITABLE, ContainerSpec, Engine, Mount, Process
-from sierra.containers.images import Image
+from sierra.containers.images.image import Image
 from sierra.errors import ConfigError
 from sierra.model import Client, Job, Limits, Run, RunSpec
 from sierra.platforms.base import Platform

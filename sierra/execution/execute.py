@@ -1,7 +1,7 @@
 """Execution of a plan, step by step: query → design → inputs → execute → record → analyse → deliver.
 
-`sierra.execution.plans` turns a query into inputs; `run` continues from there and reads as that list. Each step turns values
-into values and knows nothing about the other steps; their results are in the store. Everything is idempotent: a repeated
+`sierra.execution.resolve_plan` turns a query into inputs; `run` continues from there and reads as that list. Each step turns
+values into values and knows nothing about the other steps; their results are in the store. Everything is idempotent: a repeated
 query executes only the runs without a successful execution.
 """
 
@@ -14,9 +14,9 @@ from functools import partial
 from sierra import runners
 from sierra.errors import Missing
 from sierra.execution import records, recover
-from sierra.execution.executor import Executor, RunOptions
-from sierra.execution.plans import Plan, context, versioned
+from sierra.execution.execute_missing import Executor, RunOptions
 from sierra.execution.reasons import FAILED
+from sierra.execution.resolve_plan import Plan, context, versioned
 from sierra.execution.reuse import is_answered, states
 from sierra.execution.sessions import Session
 from sierra.execution.summary import Summary, of_session

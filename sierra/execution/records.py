@@ -9,11 +9,11 @@ from typing import Any
 
 from sierra.containers import images
 from sierra.execution import sessions
-from sierra.execution.plans import Plan, context
+from sierra.execution.resolve_plan import Plan, context
 from sierra.execution.sessions import Session
 from sierra.model import Batch
 from sierra.provenance import source
-from sierra.runners.cluster.submission import Submission
+from sierra.runners.cluster.submission_record import Submission
 from sierra.store.layout import SessionPaths
 from sierra.store.objects import Objects
 from sierra.store.order import stamp

@@ -11,11 +11,11 @@ from sierra.containers import engines
 from sierra.errors import Damaged, SierraError
 from sierra.execution import sessions
 from sierra.ingest.consistency import find_odd
-from sierra.ingest.context import Context
 from sierra.ingest.recorder import Recorder
+from sierra.ingest.recording_context import Context
 from sierra.model import Result, Status
 from sierra.runners import orphans
-from sierra.runners.journal import Journal
+from sierra.runners.journal_reader import Journal
 from sierra.store.layout import RUN_OUTPUT, SessionPaths
 from sierra.store.store import Store
 from sierra.util.fs import inside

@@ -6,8 +6,8 @@ import contextlib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-from sierra.execution.plans import Plan, context
 from sierra.execution.reasons import FAILED, PROGRAMS, REUSED, RULES, WORTH, ChangeReason, Reason
+from sierra.execution.resolve_plan import Plan, context
 from sierra.ingest.rejudge import foresee
 from sierra.store.store import Snapshot, Store
 

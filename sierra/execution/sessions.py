@@ -33,7 +33,7 @@ from pathlib import Path
 from typing import Any
 
 from sierra.errors import Missing
-from sierra.store import marks, session_numbers
+from sierra.store import ownership_marks, session_numbers
 from sierra.store.layout import SessionPaths, StorePaths
 from sierra.store.segments import disk_errors
 from sierra.util.log import Log
@@ -82,7 +82,7 @@ class Session:
         made.number = _number(paths)
         made._generation, made._beaten = 0, time.monotonic()
         with exclusively(store):
-            if not paths.submission.exists() or not marks.is_session(paths.root):
+            if not paths.submission.exists() or not ownership_marks.is_session(paths.root):
                 return None
             try:
                 made._lock = _locked(paths.lock, wait=False)
@@ -118,7 +118,7 @@ class Session:
     def _execute_below(self, folder: Path) -> None:
         try:
             with disk_errors(folder):
-                self.paths = marks.make_elsewhere(self.store, self.paths, folder)
+                self.paths = ownership_marks.make_elsewhere(self.store, self.paths, folder)
         except Missing as error:
             self.close()
             raise Missing(f"[store] work: {error}") from error
@@ -219,7 +219,7 @@ def alive(store: StorePaths) -> list[SessionPaths]:
 def exclusively(store: StorePaths) -> Iterator[bool]:
     """Hold the exclusive lock of this store's sessions, for a short time; yield False if the file system has no locks."""
     with disk_errors(store.work):
-        marks.mark_work(store)
+        ownership_marks.mark_work(store)
         lock = _locked(store.work_lock)
     try:
         yield lock is not None
@@ -230,7 +230,7 @@ def exclusively(store: StorePaths) -> Iterator[bool]:
 
 def all_of(store: StorePaths) -> list[SessionPaths]:
     """Return all sessions of the store, alive or dead."""
-    return list(marks.sessions(store))
+    return list(ownership_marks.sessions(store))
 
 
 def submitted(store: StorePaths) -> list[SessionPaths]:
@@ -278,7 +278,7 @@ def _remove(store: StorePaths, paths: SessionPaths) -> None:
 
     Its lock is removed last, together with the folder, so that no process finds half a session.
     """
-    if not marks.is_session(paths.root):
+    if not ownership_marks.is_session(paths.root):
         return
     if paths.elsewhere is not None:
         worker.remove(str(paths.elsewhere))

@@ -17,8 +17,8 @@ from sierra.execution import sessions
 from sierra.execution.observer import Observer, Relay, Tally
 from sierra.execution.sessions import Session
 from sierra.runners import schedulers
-from sierra.runners.cluster import submission
-from sierra.runners.cluster.submission import Submission
+from sierra.runners.cluster import submission_record
+from sierra.runners.cluster.submission_record import Submission
 from sierra.runners.schedulers.base import State, Task
 from sierra.store.layout import SessionPaths
 from sierra.store.store import PREFIX, Store
@@ -126,7 +126,7 @@ def submitted(paths: SessionPaths) -> Standing | None:
     """Return the status that a session's folder shows; None if the session has been closed."""
     try:
         made = Submission.load(paths)
-        sent = submission.sent(paths)
+        sent = submission_record.sent(paths)
         since = sent[0].when if sent else paths.submission.stat().st_mtime
     except FileNotFoundError:
         return None
@@ -193,17 +193,17 @@ def _asked(store: Store, row: Standing) -> Standing:
     try:
         made = Submission.load(paths)
         scheduler = schedulers.find(made.scheduler)(made.cluster)
-        tasks = scheduler.look(submission.name_of(paths))
+        tasks = scheduler.look(submission_record.name_of(paths))
         if tasks is None:
             return row
         by = {state: [task for task in tasks if task.state is state] for state in State}
         before = made.probed and by[State.QUEUED] and not by[State.RUNNING]
-        probing = (before and scheduler.look(submission.name_of(paths, "probe"))) or ()
+        probing = (before and scheduler.look(submission_record.name_of(paths, "probe"))) or ()
     except FileNotFoundError:
         return replace(row, queued=0, running=0, ended=True)
     except SierraError:
         return row
-    queued, running = (len(submission.elements(paths, by[state])) for state in (State.QUEUED, State.RUNNING))
+    queued, running = (len(submission_record.elements(paths, by[state])) for state in (State.QUEUED, State.RUNNING))
     stuck = [task for task in (*tasks, *probing) if task.state is State.STUCK]
     never = "; ".join(dict.fromkeys(scheduler.explain(task.reason or "it does not say why") for task in stuck)) or None
     return replace(row, queued=queued, running=running, waits=_waits(tasks, probing), stuck=never)
@@ -214,5 +214,5 @@ def _waits(tasks: tuple[Task, ...], probing: tuple[Task, ...]) -> str:
     if any(task.state is State.RUNNING for task in probing):
         return PROBED
     if any(task.state is State.QUEUED for task in probing):
-        return ": ".join(filter(None, (PROBED, submission.waits(probing))))
-    return submission.waits(tasks)
+        return ": ".join(filter(None, (PROBED, submission_record.waits(probing))))
+    return submission_record.waits(tasks)

@@ -7,8 +7,8 @@ from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 from typing import Any
 
-from sierra.execution import listing
-from sierra.execution.plans import Plan, out_of_reach
+from sierra.execution import browse
+from sierra.execution.resolve_plan import Plan, out_of_reach
 from sierra.model import Batch
 from sierra.store.store import Store
 from sierra.util import html
@@ -170,7 +170,7 @@ def of_recorded(
 
     `executed` is the number of runs that ended meanwhile; `failed` of these failed.
     """
-    shown = listing.show(store, batch)
+    shown = browse.show(store, batch)
     counts = tuple(
         Counted({axis: row[axis] for axis in shown["axes"]}, row["runs"], row["succeeded"], row["failed"])
         for row in shown["experiments"]

@@ -14,8 +14,8 @@ from sierra.execution.sessions import Session
 from sierra.execution.status import Standing, counted, named, submitted
 from sierra.execution.summary import Summary
 from sierra.runners import schedulers
-from sierra.runners.cluster import submission
-from sierra.runners.cluster.submission import Submission
+from sierra.runners.cluster import submission_record
+from sierra.runners.cluster.submission_record import Submission
 from sierra.store.layout import SessionPaths
 from sierra.store.store import Store
 
@@ -126,7 +126,7 @@ def _asked_to_end(store: Store, paths: SessionPaths) -> tuple[Session | None, st
     holder = sessions.holder(paths)
     with contextlib.suppress(FileNotFoundError, Missing):
         made = Submission.load(paths)
-        schedulers.find(made.scheduler)(made.cluster).cancel(submission.name_of(paths))
+        schedulers.find(made.scheduler)(made.cluster).cancel(submission_record.name_of(paths))
     until = time.monotonic() + PATIENCE_S
     while paths.submission.exists():
         if (session := Session.adopted(store.paths, paths)) is not None:

@@ -9,17 +9,17 @@ from collections.abc import Iterator
 from typing import Any
 
 from sierra.containers import images
-from sierra.containers.images import Contents
 from sierra.containers.images.diff import files, packages
-from sierra.containers.isolation import other_host_access
+from sierra.containers.images.image_contents import Contents
+from sierra.containers.session_isolation import other_host_access
 from sierra.errors import Damaged, Missing, NotFound, SierraError
-from sierra.execution import stored_plan
-from sierra.execution.plans import Plan
+from sierra.execution import plan_from_record
 from sierra.execution.records import batch_row, is_kept
+from sierra.execution.resolve_plan import Plan
 from sierra.model import Value
 from sierra.provenance import programs, source
 from sierra.provenance.program import mentioned
-from sierra.provenance.source import narrowing
+from sierra.provenance.source import suggest_paths
 from sierra.provenance.source.manifest import changed
 from sierra.query import grammar, ranges
 from sierra.store.store import Store
@@ -182,7 +182,7 @@ def _image(plan: Plan, store: Store, before: dict[str, Any]) -> Iterator[str]:
 def _recorded(store: Store, identity: str | None) -> Contents | None:
     """Return the record of an image; None if it cannot be read, which `sierra fsck` reports."""
     with contextlib.suppress(Missing, NotFound, Damaged):
-        return stored_plan.image_contents(store, identity) if identity else None
+        return plan_from_record.image_contents(store, identity) if identity else None
     return None
 
 
@@ -211,8 +211,8 @@ def _source(plan: Plan, store: Store, tree: str) -> list[str]:
     if not rows or plan.source is None:
         return ["the source has changed"]
     paths = changed(store.object(rows[0]["files"]), plan.source.manifest)
-    advice = narrowing.advice(map(os.fsencode, paths), source.paths(plan.source.manifest))
-    return [f"the source has changed: {few(paths, SHOWN)}", *([] if advice == narrowing.ONLY_SAID else [advice])]
+    advice = suggest_paths.advice(map(os.fsencode, paths), source.paths(plan.source.manifest))
+    return [f"the source has changed: {few(paths, SHOWN)}", *([] if advice == suggest_paths.ONLY_SAID else [advice])]
 
 
 def _asked(plan: Plan, before: dict[str, Any]) -> list[str]:

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 from sierra.config.project_file import LoadedProject
 from sierra.errors import SierraError
-from sierra.execution import plans
-from sierra.execution.plans import Plan
+from sierra.execution import resolve_plan
 from sierra.execution.reasons import ChangeReason, Reason
+from sierra.execution.resolve_plan import Plan
 from sierra.execution.reuse import foreseen, states
 from sierra.execution.status import claimed
 from sierra.explain.changes import other_programs, why_other
@@ -54,4 +54,4 @@ def next_run(project: LoadedProject, store: Store, batch: str, runs: Container[s
 def _plan(project: LoadedProject, store: Store, batch: str) -> Plan:
     [row] = store.rows("SELECT * FROM batches WHERE batch = $b", b=batch)
     [last] = store.rows("SELECT max(number) + 1 AS runs FROM batch_runs WHERE batch = $b", b=batch)
-    return plans.plan(project, repeated(row, last["runs"]))
+    return resolve_plan.plan(project, repeated(row, last["runs"]))

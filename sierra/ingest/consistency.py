@@ -9,12 +9,12 @@ from datetime import UTC, datetime
 from typing import Any
 
 from sierra.config.project_file import Output
-from sierra.ingest.context import Context
 from sierra.ingest.messages import difference
 from sierra.ingest.model import Siblings
-from sierra.store.column_types import AS_TEXT, own_kind, right_kind
+from sierra.ingest.recording_context import Context
 from sierra.store.layout import SessionPaths
 from sierra.store.store import Store
+from sierra.store.type_inference import AS_TEXT, own_kind, right_kind
 from sierra.store.views import ORDER
 
 ANY_TABLE = "SELECT 1 FROM all_artifacts WHERE kind = 'table' LIMIT 1"

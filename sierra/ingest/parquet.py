@@ -7,14 +7,14 @@ from pathlib import Path
 from typing import Any
 
 from sierra.errors import Damaged
+from sierra.ingest.group_by_types import alike
 from sierra.ingest.model import AtFaultError, Part, Shape, Siblings, Written
 from sierra.ingest.table_reader import FILE, TableReader
-from sierra.ingest.types import alike
-from sierra.store.column_types import EMPTY, HUGE, is_inexact, is_whole, kind_of
-from sierra.store.counting import rows_in
-from sierra.store.errors import first_line
+from sierra.store.duckdb_files import parquet_given, parquet_schema
+from sierra.store.duckdb_messages import first_line
 from sierra.store.names import identifier
-from sierra.store.scans import parquet_given, parquet_schema
+from sierra.store.parquet_row_counts import rows_in
+from sierra.store.type_inference import EMPTY, HUGE, is_inexact, is_whole, kind_of
 
 DIGITS = 38
 """The maximum number of digits of a DuckDB DECIMAL. DuckDB silently reads longer decimals as DOUBLE."""

@@ -29,8 +29,8 @@ from sierra.ingest.csv import delimiter_of
 from sierra.ingest.messages import difference, shown
 from sierra.ingest.model import Reading, Shape, Siblings, Written
 from sierra.ingest.table_reader import TableReader
-from sierra.store.column_types import AS_TEXT, is_number, own_kind, right_kind
-from sierra.store.scans import Aliases
+from sierra.store.duckdb_files import Aliases
+from sierra.store.type_inference import AS_TEXT, is_number, own_kind, right_kind
 
 __all__ = [
     "AS_TEXT",

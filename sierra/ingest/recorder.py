@@ -11,13 +11,13 @@ from pathlib import Path
 from typing import Any
 
 from sierra.containers import engines
-from sierra.ingest.context import Context
 from sierra.ingest.logs import LOG_SHOWN, kept_of, last_words
 from sierra.ingest.match_outputs import NOTED_AT_MOST, OutputMatcher
 from sierra.ingest.messages import shown
 from sierra.ingest.model import Shape
+from sierra.ingest.read_into_segment import TableIngest, artifact_rows, tabled
+from sierra.ingest.recording_context import Context
 from sierra.ingest.success import Judgement, doubted, judge
-from sierra.ingest.tables import TableIngest, artifact_rows, tabled
 from sierra.ingest.warnings import TableWarnings, as_files, lost
 from sierra.model import OutputFile, Result, Status
 from sierra.store.layout import RUN_OUTPUT, RUN_STDERR, RUN_STDOUT, SessionPaths

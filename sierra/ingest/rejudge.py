@@ -35,16 +35,16 @@ from typing import Any
 from sierra.config.project_file import Output, Success
 from sierra.errors import Damaged
 from sierra.ingest.base import Used
-from sierra.ingest.context import Context, rules_of
 from sierra.ingest.match_outputs import OutputMatcher
 from sierra.ingest.model import Shape
+from sierra.ingest.read_into_segment import TableIngest, artifact_rows, tabled, too_few
+from sierra.ingest.recording_context import Context, rules_of
 from sierra.ingest.success import Judgement, judge
-from sierra.ingest.tables import TableIngest, artifact_rows, tabled, too_few
 from sierra.ingest.warnings import TableWarnings, as_files
 from sierra.model import OutputFile, Result, Status
-from sierra.store.again import write_again
-from sierra.store.files import Recorded, Taken, contents
 from sierra.store.layout import RUN_OUTPUT, RUN_STDERR, RUN_STDOUT, SessionPaths
+from sierra.store.recorded_files import Recorded, Taken, contents
+from sierra.store.rejudged_rows import write_again
 from sierra.store.segments import Writer, disk_errors
 from sierra.store.store import Snapshot, Store
 from sierra.util.fs import inside
@@ -423,7 +423,7 @@ class Recalled(TableIngest):
 
 
 def _recorded(one: Past, row: Artifact) -> Recorded:
-    """Return a file as `sierra.store.files` describes it, with kind `file` for a table, so that its bytes are read."""
+    """Return a file as `sierra.store.recorded_files` describes it, with kind `file` for a table, so that its bytes are read."""
     taken = Taken("", 0, 0, one.run, one.execution, one.status, "asked", one.execution)
     kind = "log" if row["kind"] == "log" else "file"
     return Recorded(taken, row["path"], kind, row["size"], row["sha256"], row["size"], None, None, None)

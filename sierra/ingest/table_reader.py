@@ -12,10 +12,10 @@ from sierra.config.project_file import Table
 from sierra.errors import Missing
 from sierra.ingest.messages import shown
 from sierra.ingest.model import AtFaultError, Part, Reading, Shape, Siblings, Written
-from sierra.store.counting import rows_by_file
-from sierra.store.errors import duckdb_error, first_line
+from sierra.store.duckdb_files import copy, parquet_metadata, read_parquet
+from sierra.store.duckdb_messages import duckdb_error, first_line
 from sierra.store.names import column_names, identifier
-from sierra.store.scans import copy, parquet_metadata, read_parquet
+from sierra.store.parquet_row_counts import rows_by_file
 
 FILE = "# file"
 """DuckDB's name for the column with a row's file; real columns are unlikely to have this name."""

@@ -9,15 +9,15 @@ from pathlib import PurePosixPath
 from typing import Any
 
 from sierra.ingest.consistency import GOOD, asked, many
-from sierra.ingest.context import Context
 from sierra.ingest.csv import delimiter_of
 from sierra.ingest.match_outputs import NOTED_AT_MOST
 from sierra.ingest.messages import shown
 from sierra.ingest.model import Shape
-from sierra.store.column_types import AS_TEXT
-from sierra.store.columns import TEXT
+from sierra.ingest.recording_context import Context
 from sierra.store.names import identifier
 from sierra.store.store import Snapshot, Store
+from sierra.store.type_inference import AS_TEXT
+from sierra.store.union_files import TEXT
 from sierra.util.text import counted
 
 COMMENT = "the first line is a comment, and comments are not read; begin with the names of the columns, without '#'"

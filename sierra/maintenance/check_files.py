@@ -17,23 +17,12 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from sierra.maintenance.findings import Finding, Kind
-from sierra.store import marks, session_log
-from sierra.store.errors import first_line
+from sierra.store import ownership_marks, session_log
+from sierra.store.duckdb_messages import first_line
 from sierra.store.layout import WORK, StorePaths
 from sierra.store.objects import GROUP, ROWS
 from sierra.store.schema import RECORDED, arrow_schema, is_table
-from sierra.store.segments import (
-    AFTER,
-    FORMAT,
-    MANIFEST,
-    MARK_BYTES,
-    OUTPUT,
-    REPLACES,
-    SUFFIX,
-    Segment,
-    on_disk,
-    out_of_date,
-)
+from sierra.store.segments import AFTER, FORMAT, MANIFEST, MARK_BYTES, OUTPUT, REPLACES, SUFFIX, Segment, on_disk, out_of_date
 from sierra.store.store import CACHEDIR
 from sierra.store.views import ONCE
 from sierra.util.hashing import sha256, unsealed
@@ -125,7 +114,7 @@ def _top(paths: StorePaths) -> Iterator[Finding]:
             if not _is_sealed(path):
                 yield Finding(Kind.DAMAGED, entry.name, "is not what was written; sierra fsck --repair removes it")
         elif entry.name == paths.identity.name:
-            if marks.id_in(path) is None:
+            if ownership_marks.id_in(path) is None:
                 yield Finding(
                     Kind.DAMAGED, entry.name, "holds no id of a store; move it and work away, and SIERRA makes both again"
                 )

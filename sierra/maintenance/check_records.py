@@ -19,17 +19,17 @@ import pyarrow as pa
 
 from sierra.design.expand import exact, run_id
 from sierra.errors import Missing, SierraError
-from sierra.ingest.context import UNREAD
+from sierra.ingest.recording_context import UNREAD
 from sierra.ingest.rejudge import judgement_id
 from sierra.maintenance.check_files import Contents, Objects
 from sierra.maintenance.findings import NOTHING, Affected, Finding, Kind, of
 from sierra.model import RunSpec
 from sierra.provenance import source
 from sierra.provenance.program import fingerprint
-from sierra.store.counting import rows_by_file
-from sierra.store.errors import first_line
+from sierra.store.duckdb_files import read_parquet
+from sierra.store.duckdb_messages import first_line
 from sierra.store.layout import StorePaths
-from sierra.store.scans import read_parquet
+from sierra.store.parquet_row_counts import rows_by_file
 from sierra.store.schema import RECORDED
 from sierra.store.store import Snapshot
 from sierra.store.views import records as records_of

@@ -14,10 +14,10 @@ from sierra.maintenance import check_files, check_records
 from sierra.maintenance.check_files import Contents, Objects
 from sierra.maintenance.check_records import Records
 from sierra.maintenance.findings import Affected, Finding, Kind, of, worst_first
-from sierra.store import marks
+from sierra.store import ownership_marks
+from sierra.store.duckdb_files import read_parquet
 from sierra.store.layout import StorePaths
 from sierra.store.read_lock import Shared
-from sierra.store.scans import read_parquet
 from sierra.store.store import Snapshot, check_free
 
 Tell = Callable[[str], None]
@@ -144,7 +144,7 @@ def _sessions(paths: StorePaths) -> Iterator[Finding]:
 
 def _strange(paths: StorePaths) -> Iterator[Finding]:
     """Yield a finding for each entry beside the sessions that SIERRA did not make; none of them is ever removed."""
-    for path in marks.strange(paths):
+    for path in ownership_marks.strange(paths):
         name = path.relative_to(paths.root)
         yield Finding(Kind.FOREIGN, str(name), "does not bear SIERRA's mark, and is left alone; move it away if it is yours")
 

@@ -18,14 +18,14 @@ from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from sierra.containers.images.inspect import unfinished
+from sierra.containers.images.image_contents import unfinished
 from sierra.execution import recover, sessions
 from sierra.maintenance.check_files import UNFINISHED, put_aside
 from sierra.maintenance.transaction import changing, publish, undisturbed
 from sierra.store import session_log
 from sierra.store.compaction import Compaction, Drop, Group, groups, out_of_use, tidy, touched
+from sierra.store.duckdb_files import read_parquet
 from sierra.store.layout import StorePaths
-from sierra.store.scans import read_parquet
 from sierra.store.segments import Segment
 from sierra.store.store import Snapshot, Store
 from sierra.worker import worker

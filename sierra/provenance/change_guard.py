@@ -14,9 +14,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from sierra.provenance.program import Kind, Programs
-from sierra.provenance.source import narrowing
+from sierra.provenance.source import suggest_paths
 from sierra.provenance.source.manifest import REPOSITORY, read
-from sierra.provenance.source.paths import shown
+from sierra.provenance.source.selection import shown
 
 State = tuple[int, int, int, int] | None
 """Both times, the size and the inode of a file; None if there is no file."""
@@ -42,7 +42,7 @@ class ChangeGuard:
 
     def advice(self, names: Iterable[bytes]) -> str:
         """Return advice for the case that the changed files are not code."""
-        return narrowing.advice(names, self.source)
+        return suggest_paths.advice(names, self.source)
 
     def named(self, descriptor: int) -> str | None:
         """Return the name of the guarded file that is open as `descriptor`, or None if it is another file."""

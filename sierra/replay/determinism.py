@@ -9,12 +9,12 @@ from dataclasses import replace as replaced
 
 from sierra.errors import Missing
 from sierra.execution import execute
-from sierra.execution.executor import RunOptions
+from sierra.execution.execute_missing import RunOptions
 from sierra.execution.observer import Observer
-from sierra.execution.plans import Plan
+from sierra.execution.resolve_plan import Plan
 from sierra.execution.reuse import states
 from sierra.replay import replay
-from sierra.replay.compare import Verdict
+from sierra.replay.compare_values import Verdict
 from sierra.replay.verdicts import Compared
 from sierra.store.store import Store
 from sierra.util.hashing import short

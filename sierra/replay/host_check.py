@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-from sierra.containers.images import Contents
+from sierra.containers.images.image_contents import Contents
 from sierra.execution import commands
 from sierra.model import RunSpec
 from sierra.provenance import programs

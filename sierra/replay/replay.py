@@ -18,27 +18,27 @@ from typing import Any
 from sierra import runners
 from sierra.config.project_file import LoadedProject, Output
 from sierra.containers.engines.base import Engine
-from sierra.containers.isolation import Isolation
+from sierra.containers.session_isolation import Isolation
 from sierra.errors import Missing, NotFound, UsageError
-from sierra.execution import commands, recover, stored_plan, timing
+from sierra.execution import commands, expected_durations, plan_from_record, recover
 from sierra.execution.observer import Observer, Relay, Tally
-from sierra.execution.service import Service, Setup
+from sierra.execution.plan_from_record import Recalled
+from sierra.execution.run_jobs import Service, Setup
 from sierra.execution.sessions import Session
-from sierra.execution.stored_plan import Recalled
-from sierra.ingest.context import Context
+from sierra.ingest.recording_context import Context
 from sierra.model import Purpose, Run, Status
-from sierra.provenance import environment, programs, versions
+from sierra.provenance import environment, programs, reported_versions
 from sierra.provenance.change_guard import ChangeGuard, seen
 from sierra.provenance.program import Programs, mentioned
 from sierra.replay import equivalence, host_check
-from sierra.replay.compare import Agreement, Verdict
+from sierra.replay.compare_outputs import compare_all
+from sierra.replay.compare_values import Agreement, Verdict
 from sierra.replay.equivalence import Metric
-from sierra.replay.outputs import compare_all
 from sierra.replay.verdicts import Compared, OfExperiment, Replay, Tolerances, metric_rows, plain, verdict_rows
-from sierra.store.files import Taken, take, where
 from sierra.store.layout import SessionPaths
 from sierra.store.names import column_names
 from sierra.store.order import stamp
+from sierra.store.recorded_files import Taken, take, where
 from sierra.store.samples import like
 from sierra.store.store import Found, Store
 from sierra.templates.base import Files
@@ -106,8 +106,10 @@ def replay(
     record = _look_up(store, store.resolve(prefix), options.runs)
     declared = _declared(record, project, options.tolerances)
     was = _metrics(project, store, record, declared)
-    engine = stored_plan.engine(store, record.of.batch, record.of.spec, options.engine, project.config.engines, hosted=True)
-    image = stored_plan.image(project, store, record.of.spec)
+    engine = plan_from_record.engine(
+        store, record.of.batch, record.of.spec, options.engine, project.config.engines, hosted=True
+    )
+    image = plan_from_record.image(project, store, record.of.spec)
     runner = runners.find(options.runner, project.config.runners)(options.slots)
     began = datetime.now(UTC)
     session = Session(store.paths, project.config.store.place())
@@ -119,9 +121,9 @@ def replay(
         checkout = record.of.checkout(project, store)
         checkout.make(root)
         if image is not None and engine.name == "none":
-            record.notes += host_check.unlike(record.of.spec, stored_plan.image_contents(store, image.id), root)
+            record.notes += host_check.unlike(record.of.spec, plan_from_record.image_contents(store, image.id), root)
         variables = commands.declared(record.of.spec.environment, root, project.root)
-        now = versions.asked(checkout.programs_in(root), project.config.programs, variables, root)
+        now = reported_versions.asked(checkout.programs_in(root), project.config.programs, variables, root)
         around = environment.capture(__version__, project.config.environment.record)
         limits = commands.limits(project.config)
         setup = Setup(project, record.of.spec, engine, image, limits, root, around)
@@ -157,7 +159,7 @@ def replay(
             len(record.runs),
             now,
             tally,
-            times=timing.recorded(store, [one.run for one in record.runs]) if runner.stays else None,
+            times=expected_durations.recorded(store, [one.run for one in record.runs]) if runner.stays else None,
             doubt=_doubt(seen(root, b"", now), service.isolation),
             kept=kept,
         )
@@ -223,7 +225,7 @@ def _look_up(store: Store, found: Found, runs: int | None) -> _Record:
         seeds = dict(snapshot.run("SELECT run, seed FROM batch_runs WHERE batch = $b", {"b": batch}))
     record = _Record(
         found=found,
-        of=stored_plan.recall(store, batch, by[0]["programs"], by[0]["ingest_rules"]),
+        of=plan_from_record.recall(store, batch, by[0]["programs"], by[0]["ingest_rules"]),
         runs=taken,
         named=len(named),
         whole=len(taken) == len(good) and found.kind in ("batch", "experiment"),
@@ -334,7 +336,7 @@ def _other_machine(store: Store, record: _Record, around: Mapping[str, Any]) -> 
 
 def _inputs(record: _Record, store: Store) -> Iterator[tuple[Run, Files]]:
     """Yield each run with its recorded inputs."""
-    for taken, files in stored_plan.inputs(store, {one.run: one for one in record.runs}.values()):
+    for taken, files in plan_from_record.inputs(store, {one.run: one for one in record.runs}.values()):
         yield Run(taken.run, taken.ordinal, taken.number, record.seeds[taken.run], (), b""), files
 
 

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from sierra.config.project_file import Tolerance
-from sierra.replay.compare import Agreement, Verdict, worst
+from sierra.replay.compare_values import Agreement, Verdict, worst
 from sierra.replay.equivalence import Metric
-from sierra.store.files import Taken
+from sierra.store.recorded_files import Taken
 from sierra.store.store import Found
 from sierra.util import html
 from sierra.util.hashing import short

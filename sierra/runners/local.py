@@ -20,7 +20,7 @@ from sierra.errors import Missing
 from sierra.model import Client, Job, Limits, Result
 from sierra.runners import orphans
 from sierra.runners.base import Look, Work
-from sierra.runners.journal import Journal, Stalled, Started
+from sierra.runners.journal_reader import Journal, Stalled, Started
 from sierra.store.layout import SessionPaths
 from sierra.util.log import Log, shown
 from sierra.worker import worker

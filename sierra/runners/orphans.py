@@ -15,9 +15,9 @@ from pathlib import Path
 
 from sierra.errors import Missing
 from sierra.model import Result
-from sierra.runners.journal import Journal, Started
+from sierra.runners.journal_reader import Journal, Started
 from sierra.store.layout import SessionPaths
-from sierra.worker import processes, worker
+from sierra.worker import marked_processes, worker
 
 PATIENCE_S = 10.0
 
@@ -41,7 +41,7 @@ def end(sessions: Sequence[SessionPaths]) -> None:
 def _left(sessions: Iterable[SessionPaths]) -> set[int]:
     marks = {f"SIERRA_SESSION={paths.root.name}".encode() for paths in sessions}
     started = {pid for paths in sessions for pid in _started(paths.journal)}
-    return (processes.marked(marks) | started) - {os.getpid()}
+    return (marked_processes.marked(marks) | started) - {os.getpid()}
 
 
 def _started(journal: Path) -> list[int]:

@@ -103,7 +103,7 @@ def _plugins() -> Iterator[Check]:
 def _engines() -> Iterator[Check]:
     """Yield the state of each engine, found by starting something with it. An engine is needed only by projects that use it."""
     from sierra.containers import engines
-    from sierra.containers.images import podman_storage
+    from sierra.containers.images import podman_images
 
     for name in engines.names():
         if name == "none":
@@ -116,7 +116,7 @@ def _engines() -> Iterator[Check]:
             found, _, remedy = able.trouble.partition("; ")
             yield Check(name, "absent", found, remedy)
         else:
-            slow = name == "podman" and podman_storage.driver() == "vfs"
+            slow = name == "podman" and podman_images.driver() == "vfs"
             told = (
                 ["SLOW: stores images by vfs, which copies them whole, so that runs take 2 to 3 times as long"] if slow else []
             )
@@ -140,7 +140,7 @@ def _said(able: Capabilities) -> Iterator[str]:
 def _project() -> Iterator[Check]:
     import sierra
     from sierra import platforms, runners, templates
-    from sierra.containers import images, isolation
+    from sierra.containers import images, session_isolation
     from sierra.execution import commands
     from sierra.ingest.base import used
     from sierra.provenance import programs, requirements
@@ -160,7 +160,7 @@ def _project() -> Iterator[Check]:
             inside = images.examine(project.root, StorePaths(project.paths.store), image)
             command = commands.command(platform, project.root, contained=True)
             path = commands.environment(platform, project.config).get("PATH")
-            return f"{isolation.program(command, path, inside)} in {image.name}"
+            return f"{session_isolation.program(command, path, inside)} in {image.name}"
         words = commands.fill(commands.command(platform, project.root), project.root)
         variables = commands.declared(commands.environment(platform, project.config), project.root)
         return programs.find(words, variables, project.root).all[0].path

@@ -9,7 +9,7 @@ PROJECT/sierra.lock                 the images that image names stand for; commi
 PROJECT/figures/<batch>/            figures, and in .drawn.json the data that they were drawn from
 PROJECT/.sierra/files               hashes of the project's files outside git; rebuilt if it is missing
 PROJECT/.sierra/format              the version of the store's format
-PROJECT/.sierra/id                  the store's id; see sierra.store.marks
+PROJECT/.sierra/id                  the store's id; see sierra.store.ownership_marks
 PROJECT/.sierra/segments/<segment>/ records; see sierra.store.segments
 PROJECT/.sierra/work/<session>/     the work of a session; removed once it is recorded
     lock  owner.0  left.0  claims.json  context.json  journal.jsonl  segment/  elsewhere
@@ -81,7 +81,7 @@ class StorePaths:
     """The paths in one store."""
 
     MARK: ClassVar[str] = "mark"
-    """The name of the file that shows that SIERRA made a folder; see `sierra.store.marks`."""
+    """The name of the file that shows that SIERRA made a folder; see `sierra.store.ownership_marks`."""
     NAMES: ClassVar[frozenset[str]] = frozenset(
         (
             ".gitignore",

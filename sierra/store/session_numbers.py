@@ -12,9 +12,9 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from sierra.errors import Damaged
+from sierra.store.duckdb_files import read_parquet
 from sierra.store.layout import StorePaths
 from sierra.store.order import HIGHEST, ORDERED, number_of
-from sierra.store.scans import read_parquet
 from sierra.store.segments import Segment
 from sierra.store.store import Snapshot, Store
 from sierra.util.fs import write_whole

@@ -18,10 +18,10 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from sierra.errors import Damaged, Missing, NotFound, SierraError, SqlError
 from sierra.store.answer import Answer
 from sierra.store.connections import Connection
-from sierra.store.errors import explain
+from sierra.store.duckdb_files import check_folder, plain, read_parquet
+from sierra.store.duckdb_messages import explain
 from sierra.store.layout import StorePaths
 from sierra.store.read_lock import Shared
-from sierra.store.scans import check_folder, plain, read_parquet
 from sierra.store.segments import FORMAT, Segment, Writer, disk_errors, listed
 from sierra.store.views import Views, outputs, tables_of
 from sierra.util.fs import write_whole

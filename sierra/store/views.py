@@ -8,12 +8,12 @@ from functools import partial
 from typing import Any
 
 from sierra.errors import Damaged
-from sierra.store.columns import Relation, relation
-from sierra.store.errors import first_line
+from sierra.store.duckdb_files import read_parquet
+from sierra.store.duckdb_messages import first_line
 from sierra.store.names import column_names, identifier, quote
-from sierra.store.scans import read_parquet
 from sierra.store.schema import DERIVED, LATER, RECORDED
 from sierra.store.segments import Segment, is_first_part
+from sierra.store.union_files import Relation, relation
 
 NEEDS = {
     "all_judgements": ("findings", "judgements"),

@@ -7,7 +7,7 @@ namespace has the prefix `_`, as in `//_:robot/@name`. Content before and after 
 **Kept byte for byte**: everything before and after the root element (byte order mark, XML declaration, doctype, comments,
 final newline). Within it: comments, processing instructions, CDATA, white space between tags, order of attributes, and
 prefixes. Also the encoding (missing characters are written as `&#8364;`), CRLF line ends if all lines have them, and a number
-that is set to itself in another spelling (see `sierra.templates.numbers`).
+that is set to itself in another spelling (see `sierra.templates.same_number`).
 
 **Not kept**, because the parser does not report it: quotes around attributes (always `"`), white space within tags (`<a />`
 and `<a></a>` become `<a/>`), references to characters (`&#233;` becomes `é`, `&quot;` in a text becomes `"`), line ends if CR,
@@ -17,7 +17,7 @@ root is renamed.
 **Hostile input**: nothing is loaded (no DTD, no external entity, no network, no XInclude). A document that *declares* an entity
 is refused, so there is nothing to expand. A reference that an external DTD would define stays unchanged. libxml2's own limits
 (depth 256, 10 MB for one text) apply. A path whose evaluation would exceed a time limit is refused: see
-`sierra.templates.xpath_trial`.
+`sierra.templates.xpath_time_limit`.
 """
 
 from __future__ import annotations
@@ -37,10 +37,10 @@ from sierra.config.plugins import NoOptions
 from sierra.config.project_file import Table
 from sierra.errors import ConfigError, TemplateError
 from sierra.model import Add, Change, Remove, Rename, Set, Value
-from sierra.templates import xpath_trial
+from sierra.templates import xpath_time_limit
+from sierra.templates.arithmetic import fill, names
 from sierra.templates.base import Rendered
-from sierra.templates.expressions import fill, names
-from sierra.templates.numbers import same
+from sierra.templates.same_number import same
 from sierra.util.hashing import sha256
 
 Element = Any
@@ -112,9 +112,9 @@ class XmlDocument:
     def select(self, path: str, who: str = "") -> list[Any]:
         """Return the nodes that a path selects. Raises TemplateError if it is not a path to nodes."""
         shown = _line(path)
-        if not xpath_trial.ends(path, self._namespaces, self._root):
+        if not xpath_time_limit.ends(path, self._namespaces, self._root):
             raise TemplateError(
-                f"{who}{shown} takes more than {xpath_trial.LIMIT_S} s of computing in {self._frame.name}; "
+                f"{who}{shown} takes more than {xpath_time_limit.LIMIT_S} s of computing in {self._frame.name}; "
                 "use a path that visits the document less often, with fewer // and .. within [ ]"
             )
         try:

@@ -26,11 +26,11 @@ from functools import cached_property
 from pathlib import Path
 
 from sierra.containers.engines.base import HOSTNAME, INSIDE, WRITABLE, Capabilities, ContainerSpec, Engine, Mount, Process
-from sierra.containers.images import Image, Kind
+from sierra.containers.images.image import Image, Kind
 from sierra.model import Client, Result
 from sierra.store.layout import RUN_HOME, RUN_OUTPUT, RUN_TMP, StorePaths
 from sierra.testing.options import says_what_its_options_are
-from sierra.worker import processes
+from sierra.worker import marked_processes
 
 PATIENCE_S = 30.0
 SOON_S = 15.0
@@ -81,7 +81,7 @@ class Started:
 
     def left(self) -> list[int]:
         """Return the processes of the run that are still alive."""
-        return sorted(processes.marked({f"SIERRA_EXECUTION={self.execution}".encode()}))
+        return sorted(marked_processes.marked({f"SIERRA_EXECUTION={self.execution}".encode()}))
 
     def said(self) -> str:
         return (self.folder / "stdout").read_text(errors="replace")

@@ -15,8 +15,8 @@ from typing import Any
 
 import pytest
 
-from sierra.runners.cluster.result_log import Finished, Requeued
-from sierra.worker import processes
+from sierra.runners.cluster.result_log_reader import Finished, Requeued
+from sierra.worker import marked_processes
 from tests import clusters, projects
 from tests.batches import WAITING, Gated, at_rest, ended, is_whole, packed, rows
 from tests.clusters import Slurm
@@ -393,7 +393,7 @@ def test_a_session_folder_that_is_removed_by_hand_ends_what_runs(gate: Callable[
     gated.until_begun(3)
     [folder] = (path for path in gated.root.glob(".sierra/work/*") if path.is_dir())
     shutil.rmtree(folder)
-    until(lambda: not processes.marked({f"SIERRA_SESSION={folder.name}".encode()}), "no process is left")
+    until(lambda: not marked_processes.marked({f"SIERRA_SESSION={folder.name}".encode()}), "no process is left")
     told = ended(asking, 3)
     assert len([line for line in told.splitlines() if line.startswith("sierra:")]) == 1
     until(lambda: not set(gated.slurm.states().values()) & {"PENDING", "RUNNING", "COMPLETING"}, "no job is left")

@@ -12,12 +12,12 @@ import pytest
 import sierra
 from sierra.config.project_file import Output, Success
 from sierra.containers.engines.base import Capabilities, ContainerSpec, Mount, NoEngine, Process
-from sierra.containers.images import Image, Kind
-from sierra.containers.isolation import Isolation
+from sierra.containers.images.image import Image, Kind
+from sierra.containers.session_isolation import Isolation
 from sierra.design.seeds import seed
-from sierra.execution.plans import Plan
-from sierra.ingest.context import Context
+from sierra.execution.resolve_plan import Plan
 from sierra.ingest.recorder import result_hash
+from sierra.ingest.recording_context import Context
 from sierra.model import Client, OutputFile, RunSpec
 from sierra.provenance.program import fingerprint
 from sierra.provenance.source.capture import Source

@@ -20,10 +20,7 @@ from sierra.query import grammar
 from sierra.runners import schedulers
 from sierra.templates.xml import XmlTemplate
 from sierra.testing import engines as engine_conformance
-from sierra.testing import platforms as platform_conformance
-from sierra.testing import readers as reader_conformance
-from sierra.testing import runners as runner_conformance
-from sierra.testing import templates as template_conformance
+from sierra.testing import platforms, readers, runners, templates
 from tests import images, plugins, projects
 
 PLATFORM = """
@@ -340,19 +337,19 @@ def test_the_platform_conforms(project: Path) -> None:
     template = plugin.KINDS[1].make("conf", {}, (project / "herd.conf").read_bytes(), "herd.conf")
     from tortoise.platform import Tortoise  # type: ignore[import-not-found]
 
-    platform_conformance.check(Tortoise, loaded, template, {"herd": grammar.parse("herd.Log4")})
+    platforms.check(Tortoise, loaded, template, {"herd": grammar.parse("herd.Log4")})
 
 
 def test_the_template_format_conforms(installed: Path) -> None:
     from tortoise.template import Conf, ConfOptions  # type: ignore[import-not-found]
 
     data = (plugins.SOURCE / "project" / "herd.conf").read_bytes()
-    template_conformance.check(lambda data, name: Conf(data, name, ConfOptions()), data, ["speed", "tortoises", "seed"])
+    templates.check(lambda data, name: Conf(data, name, ConfOptions()), data, ["speed", "tortoises", "seed"])
 
 
 def test_xml_conforms() -> None:
     data = b"<?xml version='1.0'?>\n<a b='1'><!-- c --><c>2</c><d>x</d></a>\n"
-    template_conformance.check(XmlTemplate, data, ["/a/@b", "//c", "//d"])
+    templates.check(XmlTemplate, data, ["/a/@b", "//c", "//d"])
 
 
 def test_the_reader_conforms(installed: Path, tmp_path: Path) -> None:
@@ -366,7 +363,7 @@ def test_the_reader_conforms(installed: Path, tmp_path: Path) -> None:
         b"track 1\ntick far\n0 x\nend\n",
         b"track 2\nend\n",
     ]
-    reader_conformance.check("track", tables, damaged, tmp_path, {"scale": 100.0})
+    readers.check("track", tables, damaged, tmp_path, {"scale": 100.0})
 
 
 @pytest.mark.parametrize(
@@ -378,7 +375,7 @@ def test_the_reader_conforms(installed: Path, tmp_path: Path) -> None:
     ],
 )
 def test_the_shipped_readers_conform(name: str, tables: Any, damaged: list[bytes], tmp_path: Path) -> None:
-    reader_conformance.check(name, tables or parquet(tmp_path), damaged, tmp_path / "trial")
+    readers.check(name, tables or parquet(tmp_path), damaged, tmp_path / "trial")
 
 
 def parquet(folder: Path) -> dict[bytes, Any]:
@@ -394,7 +391,7 @@ def parquet(folder: Path) -> dict[bytes, Any]:
 def test_the_runner_conforms(installed: Path, tmp_path: Path) -> None:
     from tortoise.runner import Niced, NicedOptions  # type: ignore[import-not-found]
 
-    runner_conformance.check_runner(lambda slots: Niced(slots, NicedOptions(niceness=3)), tmp_path)
+    runners.check_runner(lambda slots: Niced(slots, NicedOptions(niceness=3)), tmp_path)
 
 
 @pytest.mark.integration
@@ -402,7 +399,7 @@ def test_the_scheduler_conforms(installed: Path, tmp_path: Path) -> None:
     (tmp_path / "spool").mkdir()
     (tmp_path / "trial").mkdir()
     table = schedulers.table("spool", {"spool": str(tmp_path / "spool")}, "here")
-    runner_conformance.check(schedulers.find("spool")(table), tmp_path / "trial")
+    runners.check(schedulers.find("spool")(table), tmp_path / "trial")
 
 
 def test_the_engine_conforms_as_far_as_an_engine_that_contains_nothing_can(installed: Path, tmp_path: Path) -> None:

@@ -25,8 +25,8 @@ from sierra.containers import images
 from sierra.containers.engines import apptainer_start, sandboxes
 from sierra.containers.engines.apptainer_start import Way
 from sierra.containers.engines.base import Capabilities, ContainerSpec, Mount, Process
-from sierra.containers.engines.clients import killed, last_line, mounted, signalled
-from sierra.containers.images import Image
+from sierra.containers.engines.client_syntax import killed, last_line, mounted, signalled
+from sierra.containers.images.image import Image
 from sierra.errors import Missing
 from sierra.model import Client, Result
 from sierra.store.layout import StorePaths

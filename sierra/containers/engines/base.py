@@ -20,7 +20,7 @@ from typing import Any, ClassVar, Protocol
 
 from sierra.config.plugins import ENGINES, NoOptions, Tables
 from sierra.config.project_file import Table
-from sierra.containers.images import Image
+from sierra.containers.images.image import Image
 from sierra.model import Client, Result
 from sierra.store.layout import StorePaths
 

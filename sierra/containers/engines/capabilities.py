@@ -24,7 +24,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from sierra.containers.engines import podman_config
+from sierra.containers.engines import podman_forced_settings
 from sierra.containers.engines.base import Capabilities
 from sierra.store.layout import user_engines
 from sierra.util.cache import Cache
@@ -87,7 +87,7 @@ class Told:
 def podman() -> Capabilities:
     """Return the abilities of podman on this host."""
     able = known("podman", _podman, _around_podman()).abilities
-    return able if able.trouble else replace(able, trouble=podman_config.trouble())
+    return able if able.trouble else replace(able, trouble=podman_forced_settings.trouble())
 
 
 def podman_options() -> tuple[str, ...]:

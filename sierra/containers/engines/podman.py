@@ -22,8 +22,9 @@ from sierra.config.plugins import NoOptions
 from sierra.config.project_file import Table
 from sierra.containers.engines import capabilities
 from sierra.containers.engines.base import HOSTNAME, Capabilities, ContainerSpec, Process
-from sierra.containers.engines.clients import killed, last_line, mounted, signalled
-from sierra.containers.images import Image, Kind, podman_storage, short
+from sierra.containers.engines.client_syntax import killed, last_line, mounted, signalled
+from sierra.containers.images import podman_images
+from sierra.containers.images.image import Image, Kind, short
 from sierra.errors import Missing
 from sierra.model import Client, Result
 from sierra.store.layout import StorePaths
@@ -59,12 +60,12 @@ class Podman:
     def prepare(self, image: Image, root: Path, store: StorePaths) -> str:
         if image.kind != Kind.OCI:
             raise Missing(f"podman can't run {image.name}, which is a file system alone: --engine apptainer does")
-        if not podman_storage.present(image.id):
+        if not podman_images.present(image.id):
             if not image.file:
                 raise Missing(
                     f"the image {image.name} ({short(image.id)}) is not in podman's storage; sierra image import brings it"
                 )
-            podman_storage.load(root / image.file, image.id)
+            podman_images.load(root / image.file, image.id)
         return image.id
 
     def client(self, box: ContainerSpec, process: Process) -> Client:

@@ -9,7 +9,7 @@
 from __future__ import annotations
 
 from sierra.containers.images.image import Image, Kind, machine, short
-from sierra.containers.images.inspect import Contents, contents, examine, from_row, outdated, rootfs
+from sierra.containers.images.image_contents import Contents, contents, examine, from_row, outdated, rootfs
 from sierra.containers.images.pin import take
 from sierra.containers.images.pins import pin, pinned, pins
 from sierra.containers.images.resolve import named, verify

@@ -17,8 +17,8 @@ import tarfile
 import tempfile
 from pathlib import Path
 
-from sierra.containers.images import containerfile, podman_storage
-from sierra.containers.images.containerfile import CONTAINERFILE, ROOTFS, is_recipe
+from sierra.containers.images import containerfile_folder, podman_images
+from sierra.containers.images.containerfile_folder import CONTAINERFILE, ROOTFS, is_recipe
 from sierra.containers.images.image import Image
 from sierra.containers.images.resolve import named, tag
 from sierra.errors import ConfigError, Missing
@@ -38,7 +38,7 @@ def build(root: Path, name: str, *, network: bool = False) -> Image:
     if not is_recipe(folder):
         raise ConfigError(f"{name} is no recipe: there is no {CONTAINERFILE} in {folder}")
     called = tag(root, name) or name
-    podman_storage.program()
+    podman_images.program()
     epoch = _epoch()
     try:
         with tempfile.TemporaryDirectory(prefix="sierra-image-") as made:
@@ -47,8 +47,8 @@ def build(root: Path, name: str, *, network: bool = False) -> Image:
             if (context / ROOTFS).is_file():
                 _run_rootfs(name, context, epoch)
             _settle(context, epoch)
-            labels = {containerfile.LABEL: containerfile.identity(folder)}
-            podman_storage.build(context, called, epoch=epoch, labels=labels, network=network)
+            labels = {containerfile_folder.LABEL: containerfile_folder.identity(folder)}
+            podman_images.build(context, called, epoch=epoch, labels=labels, network=network)
     except (OSError, shutil.Error) as error:
         raise Missing(f"{name} cannot be built: {getattr(error, 'strerror', None) or error}") from error
     return named(root, name)
@@ -59,7 +59,7 @@ def _run_rootfs(name: str, context: Path, epoch: int) -> None:
     if not os.access(context / ROOTFS, os.X_OK):
         raise ConfigError(f"{name}/{ROOTFS} is no program, so nothing makes the base's files; run: chmod +x {name}/{ROOTFS}")
     target = context / TAR
-    done = podman_storage.run(
+    done = podman_images.run(
         [str(context / ROOTFS), str(target)],
         cwd=context,
         env={**os.environ, "SOURCE_DATE_EPOCH": str(epoch), "LC_ALL": "C.UTF-8", "TZ": "UTC"},

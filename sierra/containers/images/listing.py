@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 
-from sierra.containers.images import inspect, podman_storage
+from sierra.containers.images import image_contents, podman_images
 from sierra.containers.images.image import Image, Kind
 from sierra.containers.images.pins import pins
 from sierra.containers.images.resolve import named
@@ -55,7 +55,7 @@ def listing(root: Path, store: StorePaths, names: Iterable[str] = ()) -> list[Kn
     pinned = pins(root)
     found = [_named(root, store, name, pinned.get(name)) for name in sorted({*pinned, *names})]
     ids = {identity for one in found for identity in (one.id, one.now)}
-    return [*found, *(_unnamed(store, one.image) for one in inspect.known(store) if one.image.id not in ids)]
+    return [*found, *(_unnamed(store, one.image) for one in image_contents.known(store) if one.image.id not in ids)]
 
 
 def _named(root: Path, store: StorePaths, name: str, pinned: Image | None) -> Known:
@@ -80,7 +80,7 @@ def _unnamed(store: StorePaths, image: Image) -> Known:
 
 
 def _known(store: StorePaths, name: str, image: Image, state: State, now: str, why: str) -> Known:
-    contents = inspect.contents(store, image)
+    contents = image_contents.contents(store, image)
     return Known(
         name,
         state,
@@ -88,7 +88,7 @@ def _known(store: StorePaths, name: str, image: Image, state: State, now: str, w
         now,
         str(image.kind),
         image.architecture,
-        podman=image.kind == Kind.OCI and podman_storage.holds(image.id),
+        podman=image.kind == Kind.OCI and podman_images.holds(image.id),
         squashfs=image.kind == Kind.SQUASHFS or store.image(image.folder).rootfs.is_file(),
         size=contents.size if contents else None,
         why=why,

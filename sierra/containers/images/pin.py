@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from sierra.containers.images.inspect import Contents, examine, examine_again, squashfs_file
+from sierra.containers.images.image_contents import Contents, examine, examine_again, squashfs_file
 from sierra.containers.images.pins import pin, pins
 from sierra.containers.images.resolve import named
 from sierra.store.layout import StorePaths

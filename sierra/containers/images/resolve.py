@@ -8,8 +8,8 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
-from sierra.containers.images import inspect, oci, podman_storage, sif, squashfs
-from sierra.containers.images.containerfile import CONTAINERFILE, is_recipe
+from sierra.containers.images import image_contents, oci, podman_images, sif, squashfs_tools
+from sierra.containers.images.containerfile_folder import CONTAINERFILE, is_recipe
 from sierra.containers.images.image import Image, Kind, machine, short
 from sierra.errors import ConfigError, Damaged, Missing
 from sierra.provenance.hash_cache import HashCache
@@ -83,7 +83,7 @@ def verify(root: Path, image: Image) -> None:
         raise Missing(f"the image {image.name} is for {image.architecture}, and this machine is {machine()}; build it here")
     if image.file:
         _verify_file(root, image)
-    elif podman_storage.installed():
+    elif podman_images.installed():
         _verify_tag(root, image)
 
 
@@ -105,7 +105,7 @@ def _verify_file(root: Path, image: Image) -> None:
 def _verify_tag(root: Path, image: Image) -> None:
     called, found = tag(root, image.name), None
     with contextlib.suppress(Missing):  # podman does not work here, which does not matter if nothing needs it
-        found = None if called is None else podman_storage.identify(called)
+        found = None if called is None else podman_images.identify(called)
     if found is not None and found != image.id:
         raise Missing(
             f"the image {image.name} has moved: it is {short(found)} now, pinned is {short(image.id)}; "
@@ -114,7 +114,7 @@ def _verify_tag(root: Path, image: Image) -> None:
 
 
 def _tagged(root: Path, name: str, called: str) -> Image:
-    found = podman_storage.look(called)
+    found = podman_images.look(called)
     if found is None:
         again = f"run: sierra image build {name}" if called != name else "build, import or pull it; or name it as a file"
         raise Missing(f"there is no image {called!r} in podman's storage; {again}")
@@ -134,10 +134,10 @@ def _file(root: Path, path: Path, name: str) -> Image:
     file = _file_name(root, path)
     if sif.is_sif(path):
         read = sif.read(path)
-        squashfs.size(path, read.offset)
+        squashfs_tools.size(path, read.offset)
         return _of_squashfs(root, name, file, digest, read.digest(), read.architecture)
-    if squashfs.is_squashfs(path):
-        squashfs.size(path)
+    if squashfs_tools.is_squashfs(path):
+        squashfs_tools.size(path)
         return _of_squashfs(root, name, file, digest, digest, "")
     if oci.is_archive(path):
         return oci.read(path).image(name, file=file, sha256=digest)
@@ -146,7 +146,7 @@ def _file(root: Path, path: Path, name: str) -> Image:
 
 def _of_squashfs(root: Path, name: str, file: str, digest: str, system: str, architecture: str) -> Image:
     """Return the image whose file system has the SHA-256 `system`: a squashfs, or the OCI image that it was made from."""
-    made = inspect.made_from(StorePaths(ProjectPaths(root).store), system)
+    made = image_contents.made_from(StorePaths(ProjectPaths(root).store), system)
     if made is not None:
         return replace(made, name=name, file=file, sha256=digest)
     return Image(name, f"squashfs:{system}", Kind.SQUASHFS, architecture, (), {}, file, digest)

@@ -12,7 +12,7 @@ from functools import partial
 
 from sierra.config.project_file import LoadedProject
 from sierra.errors import Damaged, NotFound, SqlError
-from sierra.explain.diff import code, environment, images, inputs, query, results
+from sierra.explain.diff import code, environment, images, query, results, run_inputs
 from sierra.explain.diff.model import KINDS, Difference, Note
 from sierra.explain.diff.operands import AFTER, BEFORE, check, gather, pair
 from sierra.store.store import Found, Store
@@ -110,7 +110,7 @@ def _parts(
                 notes.append(Note(NOT_EXECUTED.format(kind="isolation"), "isolation"))
         if pairs:
             yield ("seed",), query.seeds(snapshot, before, after)
-            yield ("inputs",), inputs.inputs(snapshot, before, after, notes)
+            yield ("inputs",), run_inputs.inputs(snapshot, before, after, notes)
         else:
             notes.append(
                 Note("no experiment is in both, so that inputs and seeds are not compared, nor their results", "results")

@@ -9,7 +9,7 @@ from typing import Any
 
 from sierra.containers import images
 from sierra.containers.images.diff import Change, files, packages
-from sierra.containers.isolation import other_host_access
+from sierra.containers.session_isolation import other_host_access
 from sierra.errors import Damaged, NotFound
 from sierra.explain.diff.model import ARROW, Difference, changed
 from sierra.explain.diff.operands import Side

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from sierra.errors import UsageError
-from sierra.store.files import Place, Taken, where
+from sierra.store.recorded_files import Place, Taken, where
 from sierra.store.store import Found, Snapshot
 from sierra.store.views import COUNTS, LATEST, ORDER
 from sierra.util.hashing import short

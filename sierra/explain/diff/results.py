@@ -19,9 +19,9 @@ from sierra.deliverables import render
 from sierra.errors import SierraError
 from sierra.explain.diff.model import ARROW, Difference, Note, changed, shown
 from sierra.explain.diff.operands import Side
-from sierra.ingest.context import rules_of
-from sierra.replay import outputs
-from sierra.replay.compare import Agreement, Verdict, distance
+from sierra.ingest.recording_context import rules_of
+from sierra.replay import compare_outputs
+from sierra.replay.compare_values import Agreement, Verdict, distance
 from sierra.stats import student_t
 from sierra.store.samples import Frame
 from sierra.store.store import Snapshot, Store
@@ -86,7 +86,7 @@ def _outputs(
     """Yield the outputs in which two executions differ; equal values in different bytes only give a note."""
     try:
         declared = _declared(snapshot, now["ingest_rules"], project)
-        compared = outputs.compare(snapshot, was["judgement"], now["judgement"], declared)
+        compared = compare_outputs.compare(snapshot, was["judgement"], now["judgement"], declared)
     except SierraError as error:
         notes.append(Note(f"{run}results cannot be compared: {error}", "results"))
         return

@@ -5,7 +5,7 @@ from __future__ import annotations
 from sierra.provenance.source.capture import LARGE, RECORDED, SWHID, Source, capture, contents, ignored
 from sierra.provenance.source.manifest import blobs, changed, paths, tree_of
 from sierra.provenance.source.restore import is_there, restore
-from sierra.provenance.source.sharing import share
+from sierra.provenance.source.share_refs import share
 
 __all__ = [
     "LARGE",

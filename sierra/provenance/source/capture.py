@@ -21,7 +21,7 @@ from typing import Any
 
 from sierra.errors import ConfigError
 from sierra.provenance.source import ignored as uncounted
-from sierra.provenance.source import origin, plain_tree, worktree
+from sierra.provenance.source import origin, plain_tree, worktree_snapshot
 from sierra.provenance.source.git import Git, in_repository
 from sierra.provenance.source.manifest import (
     LINK,
@@ -36,10 +36,10 @@ from sierra.provenance.source.manifest import (
     tree_of,
     written,
 )
-from sierra.provenance.source.paths import PathSelection, inside, shown
 from sierra.provenance.source.plain_tree import LEFT_OUT
 from sierra.provenance.source.restore import is_there, restore
-from sierra.provenance.source.sharing import Shared, share
+from sierra.provenance.source.selection import PathSelection, inside, shown
+from sierra.provenance.source.share_refs import Shared, share
 from sierra.util.hashing import digest
 
 SWHID = "swh:1:dir:"
@@ -140,7 +140,7 @@ def _outside(root: Path, chosen: PathSelection, dirty: str, large: int, memory: 
 
 def _git(root: Path, chosen: PathSelection, dirty: str, large: int) -> tuple[Source, Files]:
     git = Git(root)
-    now = worktree.look(git, chosen) if dirty == "ignore" else worktree.take(git, chosen, large)
+    now = worktree_snapshot.look(git, chosen) if dirty == "ignore" else worktree_snapshot.take(git, chosen, large)
     if dirty == "refuse":
         _refuse(root, now)
     differs = bool(now.changed) and dirty != "ignore"
@@ -161,7 +161,7 @@ def _git(root: Path, chosen: PathSelection, dirty: str, large: int) -> tuple[Sou
     return source, now.files
 
 
-def _refuse(root: Path, now: worktree.WorktreeState) -> None:
+def _refuse(root: Path, now: worktree_snapshot.WorktreeState) -> None:
     if now.commit is None:
         raise ConfigError(f'[source] dirty = "refuse": the repository of {root} has no commit yet; commit something first')
     if now.changed:
@@ -171,7 +171,7 @@ def _refuse(root: Path, now: worktree.WorktreeState) -> None:
         )
 
 
-def _notes(root: Path, now: worktree.WorktreeState) -> Iterator[str]:
+def _notes(root: Path, now: worktree_snapshot.WorktreeState) -> Iterator[str]:
     yield from _leading_out(root, [path for path, what in now.files.items() if what[:6] == b"120000"])
     hollow = [path for path in now.absent if (root / os.fsdecode(path)).is_dir()]
     if hollow:

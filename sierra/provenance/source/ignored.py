@@ -7,8 +7,8 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from sierra.provenance.source.git import Git
-from sierra.provenance.source.paths import PathSelection
 from sierra.provenance.source.plain_tree import LEFT_OUT
+from sierra.provenance.source.selection import PathSelection
 
 CACHES = LEFT_OUT | {".DS_Store", ".eggs", ".idea", ".ipynb_checkpoints", ".nox", ".tox", ".vscode"}
 """Files and folders of tools; no run needs them."""

@@ -14,7 +14,7 @@ from pathlib import Path
 from sierra.errors import Missing
 from sierra.provenance.source.git import Git
 from sierra.provenance.source.manifest import Files
-from sierra.provenance.source.paths import shown
+from sierra.provenance.source.selection import shown
 
 POINTER = b"version https://git-lfs.github.com/spec/v1\n"
 ATTRIBUTES = ".gitattributes"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from sierra.provenance.source.git import Git
-from sierra.provenance.source.remote import without_credentials
+from sierra.provenance.source.redact_address import without_credentials
 
 DIGITS = 12
 """Digits of a commit in a description; by default, git would choose their number by the size of the clone."""

@@ -16,7 +16,7 @@ from pathlib import Path
 
 from sierra.errors import Missing
 from sierra.provenance.source.manifest import LINK, Entry, git_hash, is_blob, parts, read
-from sierra.provenance.source.paths import PathSelection, check_size
+from sierra.provenance.source.selection import PathSelection, check_size
 from sierra.util.fs import write_whole
 from sierra.util.hashing import sealed, unsealed
 

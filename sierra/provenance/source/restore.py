@@ -18,8 +18,8 @@ from sierra.errors import Damaged, Missing
 from sierra.provenance.source import lfs
 from sierra.provenance.source.git import Git, in_repository
 from sierra.provenance.source.manifest import LINK, REPOSITORY, Files, is_blob, parts, read, tree_of, written
-from sierra.provenance.source.paths import shown
-from sierra.provenance.source.worktree import of_tree
+from sierra.provenance.source.selection import shown
+from sierra.provenance.source.worktree_snapshot import of_tree
 
 HASH = re.compile("[0-9a-f]{40}|[0-9a-f]{64}")
 FETCH = "run sierra source fetch (once sierra source push has been run where it was recorded)"

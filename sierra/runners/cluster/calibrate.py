@@ -21,8 +21,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from sierra.model import Result
-from sierra.runners.cluster import submission
-from sierra.runners.cluster.result_log import Ended, Event, Pack, Started
+from sierra.runners.cluster import submission_record
+from sierra.runners.cluster.result_log_reader import Ended, Event, Pack, Started
 from sierra.runners.cluster.sizing import ELEMENT_S
 from sierra.store.layout import SessionPaths
 
@@ -86,7 +86,7 @@ class Calibration:
     def _waited(self) -> float:
         """Return the seconds since the first runs were submitted."""
         now = time.time()
-        return now - min((one.when for one in submission.sent(self._session)), default=now)
+        return now - min((one.when for one in submission_record.sent(self._session)), default=now)
 
 
 def _seconds(result: Result) -> float | None:

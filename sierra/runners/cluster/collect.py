@@ -21,9 +21,9 @@ from typing import Any
 from sierra.errors import Damaged
 from sierra.model import Result
 from sierra.provenance import environment
-from sierra.runners.cluster.result_log import Attempt, Ended, Event, Finished, Pack, Requeued, Started, Trouble
-from sierra.runners.cluster.submission import Submission
-from sierra.runners.journal import Stalled
+from sierra.runners.cluster.result_log_reader import Attempt, Ended, Event, Finished, Pack, Requeued, Started, Trouble
+from sierra.runners.cluster.submission_record import Submission
+from sierra.runners.journal_reader import Stalled
 from sierra.store.layout import SessionPaths
 from sierra.store.segments import disk_errors
 from sierra.util.fs import write_whole

@@ -11,11 +11,11 @@ from sierra.config.project_file import ClusterTable
 from sierra.errors import Missing
 from sierra.model import Times
 from sierra.runners import schedulers
-from sierra.runners.cluster import submission
+from sierra.runners.cluster import submission_record
 from sierra.runners.cluster.calibrate import PATIENCE_S
-from sierra.runners.cluster.preflight import Preflight
+from sierra.runners.cluster.preflight_job import Preflight
 from sierra.runners.cluster.sizing import Size, size
-from sierra.runners.cluster.submission import UNFOLLOWED
+from sierra.runners.cluster.submission_record import UNFOLLOWED
 from sierra.runners.schedulers.base import Bounds
 from sierra.store.layout import SessionPaths
 from sierra.util.text import counted
@@ -172,7 +172,7 @@ def _allowed(bounds: Bounds) -> Iterator[Setting]:
 
 def _script(scheduler: str, table: ClusterTable, sized: Size, session: SessionPaths, notes: list[str]) -> str | None:
     elements = tuple(range(bool(sized.first), sized.elements + bool(sized.first)))
-    request = submission.elements_request(session, "sierra-SESSION", elements, table)
+    request = submission_record.elements_request(session, "sierra-SESSION", elements, table)
     try:
         return schedulers.find(scheduler)(table).script(request)
     except Missing as error:

@@ -37,13 +37,13 @@ from sierra.model import Result, Times
 from sierra.provenance import machine
 from sierra.runners import schedulers
 from sierra.runners.base import Look, Work
-from sierra.runners.cluster import submission
+from sierra.runners.cluster import submission_record
 from sierra.runners.cluster.calibrate import Calibration, Told
 from sierra.runners.cluster.collect import AT_ONCE, Collector, Share, refresh
-from sierra.runners.cluster.preflight import Preflight
+from sierra.runners.cluster.preflight_job import Preflight
 from sierra.runners.cluster.shard import deal, deal_first, deal_rest
 from sierra.runners.cluster.sizing import Size, elements_of, size
-from sierra.runners.cluster.submission import Submission
+from sierra.runners.cluster.submission_record import Submission
 from sierra.runners.schedulers.base import State, Task
 from sierra.store.layout import SessionPaths
 from sierra.store.segments import disk_errors
@@ -97,7 +97,7 @@ class Cluster:
         sized = size(work.count, work.times, self._table, bounds, waits=work.waits)
         estimated = self._table.wall is None and sized.wall_s is not None
         self._table = self._table.model_copy(update={"wall": sized.wall_s})
-        past = submission.past(session)
+        past = submission_record.past(session)
         with disk_errors(session.root):
             forget(session)
             session.results.mkdir()
@@ -165,12 +165,12 @@ class Cluster:
 
     def _never_sent(self) -> tuple[int, ...]:
         """Return the elements that no process has tried to submit."""
-        sent = {index for one in submission.sent(self._session) for index in one.elements}
+        sent = {index for one in submission_record.sent(self._session) for index in one.elements}
         return tuple(index for index in range(len(self._shares)) if index not in sent)
 
     def _begin(self, made: Submission, session: SessionPaths, recorded: Mapping[str, str | None]) -> None:
         self._made, self._session = made, session
-        self._name = submission.name_of(session)
+        self._name = submission_record.name_of(session)
         self._probe = Preflight(self.name, self._table, session)
         self._probing = made.probed
         self._unheard = self._probes = 0
@@ -200,7 +200,7 @@ class Cluster:
         if self._stopping is not None or self._session.cancelled.exists():
             return
         if self._is_own:
-            self._note(submission.UNFOLLOWED)
+            self._note(submission_record.UNFOLLOWED)
         if self._pilot is None:
             return
         if self._table.wall is None and self._made.bounds.wall_s is not None:
@@ -300,7 +300,7 @@ class Cluster:
             return
         living = [task for task in tasks if task.state in (State.QUEUED, State.RUNNING)]
         self._queued = self._elements(task for task in tasks if task.state is State.QUEUED)
-        self._waits = submission.waits(tasks)
+        self._waits = submission_record.waits(tasks)
         self._alive = self._elements(living)
         self._note_ends(tasks)
         if self._stopping is not None:
@@ -322,7 +322,7 @@ class Cluster:
     def _note_ends(self, tasks: Iterable[Task]) -> None:
         """Keep the end reasons of the elements that were submitted last."""
         ended = (task for task in tasks if task.state is State.ENDED)
-        for index, task in submission.last(self._session, ended):
+        for index, task in submission_record.last(self._session, ended):
             if index < len(self._shares):
                 share = self._shares[index]
                 share.word = task.reason or share.word
@@ -349,7 +349,7 @@ class Cluster:
         self._unstick(stuck)
         living = [task for task in tasks if task.state in (State.QUEUED, State.RUNNING)]
         self._queued = {0} if any(task.state is State.QUEUED for task in living) else set()
-        self._waits = submission.waits(tasks)
+        self._waits = submission_record.waits(tasks)
         self._unheard = 0 if living else self._unheard + 1
         if not living and any(task.cancelled for task in tasks) and self._is_heeded():
             self._heed([task.job for task in tasks if task.cancelled], "before any node was tried out", sure=True)
@@ -374,7 +374,7 @@ class Cluster:
         """Handle a preflight job that is gone without a record. If the scheduler no longer knows it, it is submitted again."""
         wrong = self._probe.gone(next((task.reason for task in tasks if task.reason), ""))
         self._unheard, self._probes = 0, self._probes + 1
-        if tasks or self._probes >= self._table.attempts or submission.last_line(self._session, "0"):
+        if tasks or self._probes >= self._table.attempts or submission_record.last_line(self._session, "0"):
             self._end(wrong)
             return
         try:
@@ -399,7 +399,7 @@ class Cluster:
             self._end(Missing(f"{self._kind} will never begin job {wrong[0].job}: {why}; see [runners.{self.name}]"))
 
     def _elements(self, tasks: Iterable[Task]) -> set[int]:
-        return submission.elements(self._session, tasks) & set(range(len(self._shares)))
+        return submission_record.elements(self._session, tasks) & set(range(len(self._shares)))
 
     def _settle(self, now: float) -> None:
         """Everything is recorded: let elements end that have executed all of their runs, and cancel the other living jobs.
@@ -428,7 +428,7 @@ class Cluster:
         """Handle elements that are gone while runs of theirs are missing."""
         foreign = [index for index in indices if self._is_foreign(index)]
         if foreign and self._is_heeded():
-            sent = submission.sent(self._session)
+            sent = submission_record.sent(self._session)
             jobs = [one.job for one in sent if one.job and set(one.elements) & set(foreign)][-1:]
             what = f"{counted(len(foreign), 'element')} of it: {few([self._why(index) for index in foreign], 2)}"
             self._heed(jobs, what, sure=any(self._shares[index].cancelled for index in foreign))
@@ -464,7 +464,7 @@ class Cluster:
         share = self._shares[index]
         if share.ours or share.cancelled is not None:
             return bool(share.cancelled) and not share.ours
-        told = share.trouble or submission.last_line(self._session, str(index))
+        told = share.trouble or submission_record.last_line(self._session, str(index))
         if told:
             return bool(ASKED.search(told)) and not (self._overdue(index, told) or MISHAP.search(share.word))
         return share.queued and not share.word and self._scheduler.forgets
@@ -495,7 +495,7 @@ class Cluster:
     def _why(self, index: int) -> str:
         """Return the reason why an element is gone, in its own words and the scheduler's."""
         share = self._shares[index]
-        told = share.trouble or submission.last_line(self._session, str(index))
+        told = share.trouble or submission_record.last_line(self._session, str(index))
         word = share.word or self._overdue(index, told)
         if not told or (word and word in told):
             return share.trouble or word or "nobody says by what"
@@ -573,9 +573,9 @@ class Cluster:
     def _hand_over(self, indices: tuple[int, ...], why: str, after: str = "") -> None:
         """Submit elements. If they are too many now, some are submitted later. Raises the scheduler's refusals."""
         number = len(list(self._session.sent.iterdir()))
-        intent = submission.intent(indices, why)
-        submission.note(self._session, number, intent)
-        request = replace(submission.elements_request(self._session, self._name, indices, self._table), after=after)
+        intent = submission_record.intent(indices, why)
+        submission_record.note(self._session, number, intent)
+        request = replace(submission_record.elements_request(self._session, self._name, indices, self._table), after=after)
         self._due = time.monotonic() + FIRST_POLL_S
         try:
             job = self._scheduler.submit(request)
@@ -584,7 +584,7 @@ class Cluster:
         except Missing as error:
             self._note(f"{error}; whether it has taken the job will be seen")
         else:
-            submission.note(self._session, number, replace(intent, job=job))
+            submission_record.note(self._session, number, replace(intent, job=job))
             self._note(f"submitted as {self._kind} job {job} ({self._name}): {counted(len(indices), 'element')}")
 
     def _put_off(self, number: int, indices: tuple[int, ...], why: str, error: Full, after: str) -> None:
@@ -596,7 +596,7 @@ class Cluster:
         half = len(indices) // 2
         if half:
             self._hand_over(indices[:half], why, after)
-        elif not self._made.probed and not any(submission.jobs(self._session)):
+        elif not self._made.probed and not any(submission_record.jobs(self._session)):
             raise error
         else:
             self._note(f"{error}; tried again every {FULL_S:g} s")

@@ -33,7 +33,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import ClassVar
 
-from sierra.config import directives
+from sierra.config import forbidden_directives
 from sierra.config.project_file import ClusterTable
 from sierra.errors import ConfigError, Full, Missing
 from sierra.runners import schedulers
@@ -96,7 +96,7 @@ class Pbs:
 
     @staticmethod
     def refuses(line: str) -> str | None:
-        return directives.complaint("pbs", line)
+        return forbidden_directives.complaint("pbs", line)
 
     @property
     def requeue(self) -> tuple[str, ...]:

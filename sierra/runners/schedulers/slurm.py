@@ -26,7 +26,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import ClassVar
 
-from sierra.config import directives
+from sierra.config import forbidden_directives
 from sierra.config.project_file import ClusterTable
 from sierra.errors import ConfigError, Full, Missing, SierraError
 from sierra.runners.schedulers import slurm_limits
@@ -92,7 +92,7 @@ class Slurm:
 
     @staticmethod
     def refuses(line: str) -> str | None:
-        return directives.complaint("slurm", line)
+        return forbidden_directives.complaint("slurm", line)
 
     @property
     def requeue(self) -> tuple[str, ...]:

@@ -8,7 +8,7 @@ from functools import partial
 from sierra.errors import UsageError
 from sierra.model import Change, Set
 from sierra.setup.init.answers import NONE, SHOWN, Ask, Question, settled
-from sierra.setup.init.names import mistaken
+from sierra.setup.init.variable_names import mistaken
 from sierra.templates.base import Template
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from sierra.model import Set
-from sierra.setup.init import command, folder, names, source, variables
+from sierra.setup.init import command, folder, source, variable_names, variables
 from sierra.setup.init.answers import Ask, Options, Question
 from sierra.setup.init.example import copy_example
 from sierra.setup.init.first_query import first_query
@@ -27,11 +27,13 @@ def find_out(root: Path, said: Options, ask: Ask | None = None) -> Guess:
     template, content = folder.template(root, said.template, ask)
     started = command.choose(root, template, said.command, ask)
     platform_name, platform = command.platform(template, started)
-    numbers = names.numbers(content)
-    seeds = names.seeds(numbers)
+    numbers = variable_names.numbers(content)
+    seeds = variable_names.seeds(numbers)
     by_platform = platform.seed_changes()
     seed = None if by_platform and said.seed is None else variables.choose_seed(content, seeds, said.seed, ask)
-    named = names.named({path: value for path, value in numbers.items() if path not in (seed, *seeds)}, platform.criteria())
+    named = variable_names.named(
+        {path: value for path, value in numbers.items() if path not in (seed, *seeds)}, platform.criteria()
+    )
     per_run = (*by_platform, *([Set(seed, "{seed}")] if seed else []))
     likely = {} if platform.criteria() else dict(list(named.items())[:1])
     chosen = variables.choose(content, per_run, named, likely, said.variables, ask)

@@ -12,9 +12,9 @@ from pathlib import Path
 import pytest
 
 import sierra
-from sierra.project import Project
-from sierra.runners.cluster.result_log import Ended
-from sierra.worker import processes
+from sierra.api import Project
+from sierra.runners.cluster.result_log_reader import Ended
+from sierra.worker import marked_processes
 from tests import projects
 from tests.batches import CLUSTER, Gated, at_rest, ended, is_whole, packed, rows
 from tests.clusters import Slurm
@@ -287,7 +287,7 @@ def test_what_cannot_be_cancelled_now_is_cancelled_by_whoever_looks_next(gated: 
     assert done.returncode == 3
     assert done.stderr.splitlines()[-1].startswith("sierra: slurm cannot be reached, so that jobs of session ")
     [session] = [path for path in (gated.root / ".sierra" / "work").iterdir() if path.is_dir()]
-    until(lambda: not processes.marked({f"SIERRA_SESSION={session.name}".encode()}), "what runs ends by itself")
+    until(lambda: not marked_processes.marked({f"SIERRA_SESSION={session.name}".encode()}), "what runs ends by itself")
     gated.slurm.start_controller()
     if again == "run":
         gated.open()

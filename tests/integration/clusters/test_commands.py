@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-from sierra.runners.cluster.result_log import Ended, Started
+from sierra.runners.cluster.result_log_reader import Ended, Started
 from sierra.worker import array_task
 from tests import projects
 from tests.batches import packed

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from sierra.runners.cluster import submission
-from sierra.runners.cluster.result_log import Started
+from sierra.runners.cluster import submission_record
+from sierra.runners.cluster.result_log_reader import Started
 from sierra.runners.schedulers.base import State, Task
 from tests.batches import packed
 from tests.clusters import Slurm
@@ -50,9 +50,9 @@ def test_status_says_why_elements_wait_in_the_scheduler_s_words(waiting: Waiting
 def test_reasons_are_told_in_short_and_the_most_frequent_first() -> None:
     comment = "Not Running: Insufficient amount of resource: ncpus (R: 48 A: 12 T: 4096) on any of the hosts"
     reasons = ["Priority", comment, "Resources", comment, "", "Licenses"]
-    told = submission.waits(Task("1", place, State.QUEUED, reason) for place, reason in enumerate(reasons))
+    told = submission_record.waits(Task("1", place, State.QUEUED, reason) for place, reason in enumerate(reasons))
     assert told == f"{comment[:69]}…, Priority and 2 more"
-    assert submission.waits([Task("1", 0, State.RUNNING, "Prolog"), Task("1", 1, State.ENDED, "TIMEOUT")]) == ""
+    assert submission_record.waits([Task("1", 0, State.RUNNING, "Prolog"), Task("1", 1, State.ENDED, "TIMEOUT")]) == ""
 
 
 @pytest.mark.nightly

@@ -24,15 +24,15 @@ from typing import Any, ClassVar
 import pytest
 
 import sierra
+from sierra.api import Project
 from sierra.config.plugins import SCHEDULERS
 from sierra.config.project_file import ClusterTable
 from sierra.errors import ConfigError, Full, Missing, SierraError
 from sierra.execution.observer import Progress
 from sierra.execution.sessions import Session
 from sierra.execution.summary import Summary
-from sierra.project import Project
 from sierra.runners.cluster import collect, runner
-from sierra.runners.cluster.result_log import Attempt, Pack
+from sierra.runners.cluster.result_log_reader import Attempt, Pack
 from sierra.runners.schedulers.base import Bounds, Request, State, Task
 from sierra.store.layout import user_apptainer
 from sierra.store.store import Store

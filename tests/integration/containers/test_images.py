@@ -16,10 +16,11 @@ from pathlib import Path
 import pytest
 
 import sierra
+from sierra.api import Project
 from sierra.containers import engines, images
-from sierra.containers.images import containerfile, layers, oci, podman_storage
+from sierra.containers.images import containerfile_folder as containerfile
+from sierra.containers.images import layers, oci, podman_images
 from sierra.errors import Missing
-from sierra.project import Project
 from sierra.store.layout import StorePaths
 from tests import images as made
 from tests import projects
@@ -133,10 +134,10 @@ def test_an_exported_image_is_the_same_elsewhere(busybox: Project, storages: Sto
         digests.add(made.sha256((tmp_path / name).read_bytes()))
     assert len(digests) == 1
     storages.choose("there")
-    assert podman_storage.identify(built.id) is None
+    assert podman_images.identify(built.id) is None
     done = quick(busybox.root, "image", "import", str(tmp_path / "one.tar"), "--name", "localhost/images-copy:1")
     assert done.returncode == 0, done.stderr
-    assert podman_storage.identify("localhost/images-copy:1") == built.id == podman_storage.identify(built.id)
+    assert podman_images.identify("localhost/images-copy:1") == built.id == podman_images.identify(built.id)
     assert done.stdout.splitlines()[1] == "next: sierra image pin localhost/images-copy:1"
     done = quick(busybox.root, "image", "import", str(tmp_path / "one.tar"))
     assert done.stdout.splitlines()[1] == f"pinned already: {BUSYBOX}"
@@ -148,7 +149,7 @@ def test_a_damaged_archive_does_not_get_into_podman(project: Project, storages: 
     done = quick(project.root, "image", "import", str(path), "--name", "localhost/images-bad:1")
     assert (done.returncode, done.stderr.count("\n")) == (1, 1)
     assert "layer 2 of 2 is not the image's" in done.stderr
-    assert podman_storage.identify("localhost/images-bad:1") is None
+    assert podman_images.identify("localhost/images-bad:1") is None
     assert list((project.root / ".sierra").glob("images/*")) == []
 
 
@@ -156,10 +157,10 @@ def test_a_damaged_archive_does_not_get_into_podman(project: Project, storages: 
 def test_an_archive_moves_no_tag(project: Project, storages: Storages) -> None:
     tag = "localhost/images-mine:1"
     mine = project.import_image(made.docker_archive(project.root / "mine.tar", LAYERS[:1], tag=tag)).image
-    assert (mine.name, podman_storage.identify(tag)) == (tag, mine.id)
+    assert (mine.name, podman_images.identify(tag)) == (tag, mine.id)
     other = project.import_image(made.docker_archive(project.root / "other.tar", LAYERS, tag=tag)).image
-    assert podman_storage.identify(tag) == mine.id
-    assert other.name == other.id == podman_storage.identify(other.id)
+    assert podman_images.identify(tag) == mine.id
+    assert other.name == other.id == podman_images.identify(other.id)
     assert project.pin(other.name).image.id == other.id
 
 
@@ -197,7 +198,7 @@ def test_a_tag_that_is_gone_can_still_be_run_by_its_id(project: Project, storage
     tag = "localhost/images-gone:1"
     image = project.import_image(made.docker_archive(project.root / "sim.tar", LAYERS), tag).image
     pinned = project.pin(tag).image
-    podman_storage.tag(image.id, "localhost/images-other:1")
+    podman_images.tag(image.id, "localhost/images-other:1")
     subprocess.run(["podman", "untag", tag, tag], check=True, capture_output=True)
     images.verify(project.root, pinned)
     assert engines.find("podman").prepare(pinned, project.root, StorePaths(project.root / ".sierra")) == image.id
@@ -234,7 +235,7 @@ def test_a_podman_that_does_not_work_is_no_harm_to_what_does_not_need_it(
 def test_an_archive_is_loaded_for_podman_by_its_content(project: Project, storages: Storages) -> None:
     made.oci_archive(project.root / "sim.tar", LAYERS)
     image, store = project.pin("sim.tar").image, StorePaths(project.root / ".sierra")
-    assert engines.find("podman").prepare(image, project.root, store) == image.id == podman_storage.identify(image.id)
+    assert engines.find("podman").prepare(image, project.root, store) == image.id == podman_images.identify(image.id)
     assert engines.find("podman").prepare(image, project.root, store) == image.id
 
 

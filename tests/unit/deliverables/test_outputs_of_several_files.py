@@ -5,11 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+import sierra.store.export
 
 import sierra
-import sierra.store.export
+from sierra.api import Project
 from sierra.errors import UsageError
-from sierra.project import Project
 from sierra.util.text import natural
 from tests import projects
 

@@ -19,12 +19,12 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import sierra
+from sierra.api import Project
 from sierra.errors import QueryError
 from sierra.execution.summary import Summary
 from sierra.ingest.model import Reading, Shape, Written
 from sierra.ingest.read import read
 from sierra.ingest.recorder import Recorder
-from sierra.project import Project
 from sierra.store.samples import Frame
 from sierra.worker import worker
 from tests import projects

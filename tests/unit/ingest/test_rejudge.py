@@ -279,7 +279,9 @@ def test_rules_that_read_tables_as_before_need_no_bytes(tmp_path: Path) -> None:
 
 @pytest.mark.integration
 def test_rows_that_are_not_as_many_as_were_recorded_are_not_copied(project: Counted, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sierra.store.again.ROWS", "SELECT o.* REPLACE (m.made AS execution) FROM {files} o, made m LIMIT 5")
+    monkeypatch.setattr(
+        "sierra.store.rejudged_rows.ROWS", "SELECT o.* REPLACE (m.made AS execution) FROM {files} o, made m LIMIT 5"
+    )
     project.declare(WIDE + "min_rows = 1\n")
     ended = quick(project.root, "run", *ASK)
     assert ended.returncode == 1

@@ -22,7 +22,7 @@ from sierra.model import Change, Criterion, MonteCarlo
 from sierra.platforms.argos import Argos, Size
 from sierra.query import grammar
 from sierra.templates.xml import XmlTemplate
-from sierra.testing import platforms as conformance
+from sierra.testing import platforms
 from tests import projects
 
 TEMPLATE = """<?xml version="1.0"?>
@@ -75,7 +75,7 @@ Made = Any
 
 
 def platform(**options: object) -> Argos:
-    return conformance.made(Argos, project(argos=options))
+    return platforms.made(Argos, project(argos=options))
 
 
 def project(argos: Mapping[str, object] | None = None, **table: object) -> project_file.Project:
@@ -262,7 +262,7 @@ def test_argos_is_started_without_colours() -> None:
 
 
 def test_the_projects_command_goes_first() -> None:
-    assert conformance.made(Argos, project(command="xvfb-run argos3 -c {input}")).command() == (
+    assert platforms.made(Argos, project(command="xvfb-run argos3 -c {input}")).command() == (
         "xvfb-run",
         "argos3",
         "-c",
@@ -272,7 +272,7 @@ def test_the_projects_command_goes_first() -> None:
 
 def test_a_command_without_input_is_refused() -> None:
     with pytest.raises(ConfigError, match=r"needs \{input\}"):
-        conformance.made(Argos, project(command="argos3 -c my.argos"))
+        platforms.made(Argos, project(command="argos3 -c my.argos"))
 
 
 def test_one_document_is_one_file() -> None:

@@ -21,7 +21,7 @@ import sierra
 from sierra.errors import ConfigError, Damaged, Missing
 from sierra.provenance import source
 from sierra.provenance.source.capture import SWHID, Source
-from sierra.provenance.source.remote import without_credentials
+from sierra.provenance.source.redact_address import without_credentials
 from sierra.util.hashing import sealed, unsealed
 from tests import projects
 

@@ -19,7 +19,7 @@ from lxml import etree
 import sierra
 from sierra.config.project_file import Tolerance
 from sierra.provenance import environment, machine
-from sierra.replay.compare import Rules, Verdict, of_tables, of_texts, worst
+from sierra.replay.compare_values import Rules, Verdict, of_tables, of_texts, worst
 from tests import projects, stores
 
 NOISY = projects.SIMULATOR.replace("count * tick", "__import__('time').time_ns() % 1000 + count * tick")

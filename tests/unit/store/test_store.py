@@ -13,8 +13,8 @@ from typing import Any
 import pytest
 
 import sierra
+from sierra.api import Project
 from sierra.errors import Damaged, Missing, NotFound, SqlError
-from sierra.project import Project
 from sierra.store.connections import connect
 from sierra.store.objects import PART, Objects
 from sierra.store.samples import Frame

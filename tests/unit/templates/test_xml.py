@@ -752,7 +752,7 @@ MANY = "<a>" + '<b c="1"><d/></b>' * 2000 + "</a>"
     ],
 )
 def test_a_path_that_would_be_evaluated_for_ever_is_refused(path: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sierra.templates.xpath_trial.LIMIT_S", 1)
+    monkeypatch.setattr("sierra.templates.xpath_time_limit.LIMIT_S", 1)
     with pytest.raises(TemplateError) as caught:
         template(MANY).find(path)
     assert str(caught.value).startswith(f"{path} takes more than 1 s of computing in template.xml; use a path")
@@ -760,7 +760,7 @@ def test_a_path_that_would_be_evaluated_for_ever_is_refused(path: str, monkeypat
 
 @pytest.mark.integration
 def test_the_command_line_names_such_a_path_in_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sierra.templates.xpath_trial.LIMIT_S", 1)
+    monkeypatch.setattr("sierra.templates.xpath_time_limit.LIMIT_S", 1)
     wide = "//*[count(//*[count(//*[count(//*)>0])>0])>0]/@c"
     folder = projects.make(tmp_path / "p", template=projects.TEMPLATE.replace("</arena>", MANY + "</arena>"))
     ran = projects.quick(folder, "run", "noise=1", "--set", f"{wide}=2", "-n")
@@ -792,7 +792,7 @@ def test_a_path_that_may_take_long_and_is_none_is_told_as_any_other() -> None:
     ],
 )
 def test_a_usual_path_starts_no_process(path: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delattr("sierra.templates.xpath_trial.subprocess.run")
+    monkeypatch.delattr("sierra.templates.xpath_time_limit.subprocess.run")
     assert template("<x>" + MANY * 10 + "</x>").find(path) is not None
 
 

@@ -27,7 +27,7 @@ from hypothesis import strategies as st
 from sierra.errors import Damaged
 from sierra.model import Client, Job, Limits
 from sierra.provenance import machine
-from sierra.runners.cluster.result_log import Attempt, Ended, Finished, Pack, Requeued, Started, Trouble
+from sierra.runners.cluster.result_log_reader import Attempt, Ended, Finished, Pack, Requeued, Started, Trouble
 from sierra.runners.cluster.shard import deal
 from sierra.store.layout import SessionPaths
 from sierra.worker import array_task, worker

@@ -15,7 +15,7 @@ import pytest
 
 from sierra.containers.engines import sandboxes
 from sierra.containers.engines.base import Capabilities, ContainerSpec, Process, find
-from sierra.containers.images import Image, Kind
+from sierra.containers.images.image import Image, Kind
 from sierra.model import Result
 from tests.projects import quick
 

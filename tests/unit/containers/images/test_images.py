@@ -17,11 +17,11 @@ from pathlib import Path
 import pytest
 
 import sierra
+from sierra.api import Project
 from sierra.containers import images
-from sierra.containers.images import layers, oci, squashfs
+from sierra.containers.images import layers, oci, squashfs_tools
 from sierra.errors import Damaged, Missing, SierraError
 from sierra.maintenance import fsck
-from sierra.project import Project
 from sierra.store.layout import StorePaths
 from sierra.store.schema import RECORDED
 from tests import images as made
@@ -130,7 +130,7 @@ def test_the_squashfs_has_what_the_layers_have(project: Project, require: Callab
     made.docker_archive(project.root / "sim.tar", [BASE, TOP, odd])
     image = project.pin("sim.tar").image
     system = images.rootfs(project.root, StorePaths(project.root / ".sierra"), image)
-    entries, _ = squashfs.listing(system)
+    entries, _ = squashfs_tools.listing(system)
     there, wanted = {entry.path: entry for entry in entries}, project.image("sim.tar").files
     assert {path: there.get(path) for path in wanted} == wanted
     beyond = {path: there[path].type for path in there.keys() - wanted.keys()}
@@ -142,7 +142,7 @@ def test_what_apptainer_mounts_on_may_be_anything(project: Project, require: Cal
     require("mksquashfs")
     made.docker_archive(project.root / "sim.tar", [BASE, made.layer(odd)])
     image = project.pin("sim.tar").image
-    entries, _ = squashfs.listing(images.rootfs(project.root, StorePaths(project.root / ".sierra"), image))
+    entries, _ = squashfs_tools.listing(images.rootfs(project.root, StorePaths(project.root / ".sierra"), image))
     [kept] = [entry for entry in entries if entry.path == odd[0].partition(" ")[0]]
     assert kept == project.image("sim.tar").files[kept.path]
 
@@ -440,7 +440,7 @@ def test_a_recipe_that_is_not_built_is_to_be_built_before_it_is_pinned(
     recipe = project.root / "containers" / "sim"
     recipe.mkdir(parents=True)
     (recipe / "Containerfile").write_text("FROM scratch\n")
-    monkeypatch.setattr("sierra.containers.images.podman_storage.look", lambda name: None)
+    monkeypatch.setattr("sierra.containers.images.podman_images.look", lambda name: None)
     with pytest.raises(Missing) as raised:
         images.pinned(project.root, "containers/sim")
     build, pin = (str(raised.value).index(f"run: sierra image {verb} containers/sim") for verb in ("build", "pin"))

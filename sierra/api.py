@@ -1,0 +1,700 @@
+"""The Python interface of SIERRA: the actions of the command line, as functions that return values.
+
+The examples in docstrings are executed by a test, in a project with the variables `population_size` and `noise` whose runs
+write a table `swarm` with the columns `tick` and `coverage`.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from sierra.config import project_file, user
+from sierra.errors import Missing, NotFound, UsageError
+from sierra.store.layout import ProjectPaths, StorePaths
+from sierra.store.store import Store
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from sierra.containers.images.image import Image
+    from sierra.containers.images.image_contents import Contents
+    from sierra.containers.images.listing import Known
+    from sierra.design.experiments import Heed
+    from sierra.execution.execute_missing import RunOptions
+    from sierra.execution.observer import Observer
+    from sierra.execution.resolve_plan import Plan
+    from sierra.execution.status import Standing
+    from sierra.execution.summary import Summary
+    from sierra.execution.takeover import Cancelled
+    from sierra.explain.diff.compare import Comparison
+    from sierra.explain.why_executed import Why
+    from sierra.maintenance.fsck import Report
+    from sierra.maintenance.gc import Collection
+    from sierra.maintenance.remove import Removal
+    from sierra.maintenance.repair import Repair
+    from sierra.provenance.source.share_refs import Shared
+    from sierra.query.request import QueryRequest
+    from sierra.replay.verdicts import Replay, Tolerances
+    from sierra.runners.cluster.estimate import Estimate
+    from sierra.store.export_files import Listing, Outcome
+    from sierra.store.result import Result
+
+
+class Project:
+    """A project: its `sierra.toml`, and the store beside it. `sierra.open` makes one.
+
+    Methods accept ids as prefixes of at least 4 digits. All errors are subclasses of `SierraError`. A method that waits for
+    runs shows its progress in a notebook; elsewhere it shows none. `progress` overrides this: True shows it, False does not.
+
+    >>> project = sierra.open(".")
+    >>> project.root.name
+    'project'
+    """
+
+    def __init__(self, path: str | os.PathLike[str] = ".") -> None:
+        """Open the project that contains the folder `path`, or only the store there. Raises Missing if there is neither."""
+        self._found = project_file.load_store(Path(path))
+        self.paths = ProjectPaths(self._found.root)
+
+    @cached_property
+    def _loaded(self) -> project_file.LoadedProject:
+        """Return the project; if only a store exists, its outputs are the ones that were recorded last."""
+        if self._found.written:
+            return self._found
+        from sierra.execution import plan_from_record
+
+        outputs = plan_from_record.last_outputs(self.store)
+        return replace(self._found, config=self._found.config.model_copy(update={"outputs": outputs}))
+
+    def _repr_html_(self) -> str:
+        from sierra.util import html
+        from sierra.util.hashing import short
+
+        batches = self.batches[-html.ROWS :] if self.stored() else []
+        rows = ((short(row["batch"]), row["query"], row["runs"], row["failed"], row["missing"]) for row in batches)
+        return html.page(f"SIERRA project {self.root}", ("batch", "query", "runs", "failed", "missing"), rows)
+
+    def __repr__(self) -> str:
+        return f"sierra.open({str(self.root)!r})"
+
+    @property
+    def root(self) -> Path:
+        """The absolute path of the project's folder."""
+        return self._found.root
+
+    @property
+    def config(self) -> project_file.Project:
+        """The content of `sierra.toml`; if there is none, what the store implies."""
+        return self._loaded.config
+
+    @property
+    def store(self) -> Store:
+        """The project's store. Raises Missing if nothing has been run yet."""
+        return Store(self.paths.store)
+
+    def stored(self) -> Store | None:
+        """Return the project's store; None if there is none yet."""
+        return self.store if StorePaths(self.paths.store).format.exists() else None
+
+    def plan(
+        self,
+        *query: str,
+        runs: int | None = None,
+        controller: str | None = None,
+        scenario: str | None = None,
+        sets: Sequence[tuple[str, str]] = (),
+        engine: str | None = None,
+        heed: Heed | None = None,
+    ) -> Plan:
+        """Return the plan of a query: the batch that it would execute, with all ids.
+
+        `sets` are pairs of XPath and value. `engine` is the engine that isolates the runs; it overrides the project's. `heed`
+        receives the progress of planning: see `sierra.design.experiments.Heed`.
+
+        A prefix of a recorded batch's id instead of a query plans that batch with the recorded code and inputs. Raises
+        QueryError, UsageError, TemplateError, and Missing for a program that is not found.
+
+        >>> plan = project.plan("population_size=1,2,4", runs=3)
+        >>> len(plan.batch.experiments), len(plan.batch.runs)
+        (3, 9)
+        """
+        from sierra.execution import plan_from_record
+        from sierra.query import request as requests
+        from sierra.store.store import PREFIX
+
+        [word] = query if len(query) == 1 else ("",)
+        if PREFIX.fullmatch(word.lower()) and word not in self.config.queries and self.stored():
+            if runs or controller or scenario or sets:
+                raise UsageError(
+                    f"batch {word} is executed as it was recorded; without --runs, --controller, --scenario, --set"
+                )
+            return plan_from_record.plan(self._loaded, self.store, word, contained=engine)
+        request = requests.request(query, runs=runs, controller=controller, scenario=scenario, sets=sets)
+        return self.resolve(request, engine=engine, heed=heed)
+
+    def resolve(self, request: QueryRequest, *, engine: str | None = None, heed: Heed | None = None) -> Plan:
+        """Return the plan of a query request: see `plan`.
+
+        >>> from sierra.query.request import request
+        >>> len(project.resolve(request(["population_size=1,2"], runs=2)).batch.runs)
+        4
+        """
+        from sierra.design.experiments import deaf
+        from sierra.execution import resolve_plan
+        from sierra.explain.changes import respelled
+
+        plan = resolve_plan.plan(self._loaded, request, engine=engine, heed=heed or deaf)
+        store = self.stored()
+        return replace(plan, notes=(*plan.notes, *respelled(plan, store))) if store else plan
+
+    def run(
+        self,
+        *query: str,
+        runs: int | None = None,
+        controller: str | None = None,
+        scenario: str | None = None,
+        sets: Sequence[tuple[str, str]] = (),
+        jobs: int | None = None,
+        fail_fast: bool = False,
+        figures: bool = True,
+        observer: Observer | None = None,
+        engine: str | None = None,
+        runner: str = "local",
+        detach: bool = False,
+        progress: bool | None = None,
+    ) -> Summary:
+        """Run a query: execute its missing runs, record them, and draw the figures.
+
+        `jobs` is the number of runs that execute at the same time (default: the user's setting, or the number of usable cores).
+        `observer` receives the progress and notices instead: see `Observer`. `runner` is where runs execute: `local`, or the
+        name of a cluster; with `detach`, this function returns once the jobs are submitted. The summary counts failed runs;
+        they raise no error. Raises the errors of `plan`, and Missing if the disk is full.
+
+        >>> summary = project.run("population_size=1,2", runs=2, figures=False)
+        >>> summary.runs, summary.failed, summary.missing
+        (4, 0, 0)
+        """
+        plan = self.plan(*query, runs=runs, controller=controller, scenario=scenario, sets=sets, engine=engine)
+        return self.execute(
+            plan,
+            jobs=jobs,
+            fail_fast=fail_fast,
+            figures=figures,
+            observer=observer,
+            runner=runner,
+            detach=detach,
+            progress=progress,
+        )
+
+    def execute(
+        self,
+        plan: Plan,
+        *,
+        jobs: int | None = None,
+        fail_fast: bool = False,
+        figures: bool = True,
+        observer: Observer | None = None,
+        runner: str = "local",
+        detach: bool = False,
+        progress: bool | None = None,
+    ) -> Summary:
+        """Execute a plan as `run` does. `observer` receives progress and notices, and decides about jobs on a cluster.
+
+        >>> project.execute(project.plan("population_size=1,2", runs=2), figures=False).executed
+        0
+        """
+        from sierra import runners
+        from sierra.execution import execute
+        from sierra.execution.execute_missing import RunOptions
+
+        stays = runners.find(runner, self.config.runners)(1).stays
+        if detach and not stays:
+            raise UsageError(
+                f"what {runner!r} executes ends with this process: only what is on a cluster can be left to itself"
+            )
+        options = RunOptions(
+            _slots(jobs),
+            runner,
+            fail_fast,
+            observer=observer or _observer(progress),
+            detach=detach,
+        )
+        store = Store.create(self.paths.store)
+        probed = self._probe(plan, store, options) if self.config.determinism.probe else ()
+        summary = execute.run(plan, store, options)
+        summary = replace(summary, notes=(*probed, *summary.notes))
+        return self._drawn(summary) if figures else summary
+
+    def sql(self, text: str, *, within: str | None = None, **parameters: Any) -> Result:
+        """Return the result of one SQL statement: an Arrow table that notebooks show (see `Result`).
+
+        `$name` in the statement takes its value from the keyword. `within` is a prefix of a batch's id: then members, runs
+        and outputs are those of that batch. Otherwise they are those of all batches, whatever code made them. If a column v
+        holds numbers in some runs and texts in others, the texts are in v_text, and the schema's metadata `sierra:note`
+        reports it. Raises SqlError.
+
+        >>> project.sql("SELECT max(coverage) AS most FROM swarm WHERE tick = $t", within=summary.batch, t=0).num_rows
+        1
+        """
+        from sierra.store.result import Result
+
+        return Result(self.store.sql(text, within=None if within is None else self.batch(within), **parameters))
+
+    def frame(self, table: str, *, within: str | None = None, **parameters: Any) -> pd.DataFrame:
+        """Return a table of the store, or the result of a SQL statement, as a pandas data frame.
+
+        `table` is a name, as `SHOW TABLES` lists them, or a statement; the other arguments are those of `sql`. The frame has a
+        row for each row and a column for each column of the table; `DESCRIBE` gives the units. Raises SqlError, and Missing if
+        pandas is not installed (the extra `figures`).
+
+        >>> project.frame("swarm", within=summary.batch).shape[0]
+        20
+        >>> list(project.frame("SELECT avg(coverage) AS mean FROM swarm").columns)
+        ['mean']
+        """
+        named = re.fullmatch(r"[^\W\d]\w*", table)
+        return self.sql(f'FROM "{table}"' if named else table, within=within, **parameters).frame()
+
+    @property
+    def batches(self) -> list[dict[str, Any]]:
+        """All batches, the most recently requested last: a dictionary for each, with the columns of `sierra ls --json`.
+
+        >>> project.batches[-1]["query"]
+        'population_size=1,2'
+        """
+        from sierra.execution import browse
+
+        return browse.batches(self.store)
+
+    def show(self, prefix: str) -> dict[str, Any]:
+        """Return the record of a batch, an experiment, a run, an execution or a session, by a prefix of its id.
+
+        For a batch, `history` is the recorded commit as the repository has it now; see `sierra.provenance.history.Known`. For a
+        batch (its last session), an execution and a session, `log_file` is the path of the session's log file, or None.
+        Raises NotFound.
+
+        >>> project.show(summary.batch)["kind"]
+        'batch'
+        """
+        from sierra.execution import browse
+
+        try:
+            shown = browse.show(self.store, prefix)
+        except NotFound:
+            if (session := self._session(prefix)) is None:
+                raise
+            return session
+        if shown["kind"] == "batch":
+            last = next((self._log_file(row["session"]) for row in reversed(shown["sessions"])), None)
+            return shown | {"history": self._history(shown["source"]), "log_file": last}
+        return shown | {"log_file": self._log_file(shown["session"])} if shown["kind"] == "execution" else shown
+
+    def _session(self, prefix: str) -> dict[str, Any] | None:
+        """Return the record of a session, or only its log file if it is not recorded; None if there is not exactly one."""
+        from sierra.store import session_log
+        from sierra.store.store import PREFIX
+
+        start = prefix.lower()
+        if not PREFIX.fullmatch(start):
+            return None
+        recorded = self.store.rows("SELECT * FROM sessions WHERE starts_with(session, $p)", p=start)
+        logged = (path.stem for path in session_log.logs(self.store.paths) if path.stem.startswith(start))
+        found: dict[str, dict[str, Any]] = {session: {"session": session} for session in logged}
+        found |= {row["session"]: row for row in recorded}
+        if len(found) != 1:
+            return None
+        [(session, row)] = found.items()
+        return {"kind": "session", **row, "log_file": self._log_file(session)}
+
+    def _log_file(self, session: str) -> str | None:
+        """Return the path of a session's log file; None if it has none any more."""
+        from sierra.store import session_log
+
+        path = session_log.find(self.store.paths, session)
+        return str(path) if path else None
+
+    def _history(self, source: Mapping[str, Any] | None) -> dict[str, Any] | None:
+        """Return the recorded commit of a source as the repository has it now; None if the repository does not have it."""
+        if not (source and source["commit"]):
+            return None
+        from sierra.provenance import history
+
+        known = history.known(self.root, source["commit"])
+        return asdict(known) if known else None
+
+    def replay(
+        self,
+        prefix: str,
+        *,
+        runs: int | None = None,
+        jobs: int | None = None,
+        runner: str = "local",
+        engine: str | None = None,
+        tolerances: Tolerances | None = None,
+        keep: bool = False,
+        record: bool = True,
+        observer: Observer | None = None,
+        progress: bool | None = None,
+    ) -> Replay:
+        """Replay what an id names from the record alone, and compare the results.
+
+        `runs`: replay at most this number of runs of each experiment, the first ones. `tolerances`: by output and column (`*`:
+        all); they override those in `sierra.toml`. `keep`: do not remove the restored source and the folders of the runs.
+        Without `record`, nothing is written to the store, which may be read-only. `observer` receives differences from the
+        recorded environment before anything executes. Raises NotFound, and Missing if something necessary no longer exists.
+
+        >>> print(project.replay(summary.batch, runs=1).verdict)
+        identical
+        """
+        from sierra.replay import replay
+
+        options = replay.ReplayOptions(_slots(jobs), runs, runner, engine, tolerances or {}, keep)
+        execute = replay.replay if record else replay.unrecorded
+        return execute(self._loaded, self.store, prefix, options, observer or _observer(progress))
+
+    def proposal(self, plan: Plan, runner: str, *, detach: bool = False) -> Estimate | None:
+        """Return an estimate of the cluster resources that a plan needs: see `sierra.runners.cluster.estimate`.
+
+        Return None if the runner is not a cluster, or if no run must be submitted.
+
+        >>> print(project.proposal(project.plan("population_size=8"), "local"))
+        None
+        """
+        from sierra.execution import estimate_jobs
+
+        return estimate_jobs.proposal(plan, self.stored(), runner, detach=detach)
+
+    def status(self, prefix: str | None = None, *, observer: Observer | None = None) -> list[Standing]:
+        """Return the state of cluster jobs, of all batches or of one. Record the runs that have finished there first.
+
+        >>> project.status()
+        []
+        """
+        from sierra.execution import status
+
+        store = self.stored()
+        return status.standing(store, prefix, observer) if store else []
+
+    def left(self, summary: Summary) -> list[Standing]:
+        """Return the state of the cluster jobs that the summary's session left running.
+
+        >>> project.left(summary)
+        []
+        """
+        from sierra.execution import status
+
+        found = (status.submitted(self.store.paths.session(session)) for session in summary.detached)
+        return [one for one in found if one is not None]
+
+    def attach(
+        self,
+        prefix: str,
+        *,
+        figures: bool = True,
+        observer: Observer | None = None,
+        progress: bool | None = None,
+    ) -> Summary:
+        """Reattach to a detached batch and wait for it. Raises NotFound if the batch has no jobs on a cluster.
+
+        >>> project.attach(summary.batch)
+        Traceback (most recent call last):
+        sierra.errors.NotFound: ...
+        """
+        from sierra.execution import takeover
+
+        summary = takeover.follow(self.store, prefix, observer or _observer(progress))
+        return self._drawn(summary) if figures else summary
+
+    def cancel(self, prefix: str, *, observer: Observer | None = None) -> list[Cancelled]:
+        """Cancel a batch's jobs on a cluster, and keep finished runs. Raises NotFound if the batch has no jobs there.
+
+        >>> project.cancel(summary.batch)
+        Traceback (most recent call last):
+        sierra.errors.NotFound: ...
+        """
+        from sierra.execution import takeover
+        from sierra.execution.observer import Observer
+
+        return takeover.cancel(self.store, prefix, observer or Observer())
+
+    def diff(self, before: str, after: str) -> Comparison:
+        """Return the differences between two batches, experiments, runs or executions, by prefixes of their ids.
+
+        Differences that probably affect results come first: see `sierra.explain.diff.compare.Comparison`.
+        Raises NotFound, UsageError.
+
+        >>> other = project.run("population_size=1,2", runs=1, figures=False)
+        >>> [one.name for one in project.diff(summary.batch, other.batch).differences]
+        ['runs']
+        """
+        from sierra.explain import diff
+
+        return diff.compare(self._loaded, self.store, before, after)
+
+    def why(self, prefix: str) -> Why:
+        """Explain why runs were executed or not, which executions are effective, and what the query would execute now.
+
+        >>> project.why(summary.batch).found.kind
+        'batch'
+        """
+        from sierra.explain import why_executed as why
+
+        return why.why(self._loaded, self.store, prefix)
+
+    def pin(self, name: str | None = None) -> Contents:
+        """Pin the image that a name (default: `[container] image`) stands for now, in `sierra.lock`; return its content.
+
+        Raises Missing if there is no image of that name, Damaged if its content does not have its hash; nothing is pinned then.
+        """
+        from sierra.containers import images
+
+        return images.take(self.root, Store.create(self.paths.store).paths, self._image(name))
+
+    def build_image(self, name: str | None = None, *, network: bool = False) -> Image:
+        """Build an image from a Containerfile folder of the project, and return it. This does not pin it."""
+        from sierra.containers.images import build
+
+        return build.build(self.root, self._image(name), network=network)
+
+    def import_image(self, file: str | os.PathLike[str], name: str = "") -> Contents:
+        """Import an image's archive after checking it, and return the image's content.
+
+        If podman is available, the image goes into podman's storage, with the tag `name`.
+        """
+        from sierra.containers.images import import_export
+
+        return import_export.take_in(self.root, Store.create(self.paths.store).paths, Path(file), name)
+
+    def export_image(self, name: str | None, file: str | os.PathLike[str]) -> Image:
+        """Write an image, as it is pinned, to a file. Loading that file elsewhere gives the same image."""
+        from sierra.containers.images import import_export
+
+        return import_export.export(self.root, self._image(name), Path(file))
+
+    def image(self, name: str | None = None) -> Contents:
+        """Return the content of an image: of the pinned one, otherwise of the one that its name stands for now."""
+        from sierra.containers import images
+
+        name = self._image(name)
+        image = images.pins(self.root).get(name) or images.named(self.root, name)
+        return images.examine(self.root, Store.create(self.paths.store).paths, image)
+
+    def images(self) -> list[Known]:
+        """Return the images that the project knows, and where they are: see `sierra.containers.images.listing.Known`."""
+        from sierra.containers.images import listing
+
+        named = [self.config.container.image] if self.config.container else []
+        return listing.listing(self.root, StorePaths(self.paths.store), named)
+
+    def _image(self, name: str | None) -> str:
+        """Return the given name of an image in the project's spelling; without one, the name of the project's image.
+
+        Raises UsageError if there is neither.
+        """
+        from sierra.containers.images import resolve
+
+        own = self.config.container.image if self.config.container else ""
+        if name is None and not own:
+            raise UsageError(f'{self._loaded.file} names no image; name one here, or there: [container] image = "…"')
+        return resolve.spelled(self.root, name, own) if name else own
+
+    def push_sources(self, remote: str | None = None) -> list[Shared]:
+        """Push the recorded sources, including submodules, to a git remote: see `sierra.provenance.source.share_refs`."""
+        from sierra.provenance import source
+
+        return source.share(self.root, "push", remote)
+
+    def fetch_sources(self, remote: str | None = None) -> list[Shared]:
+        """Fetch the sources that others have pushed, including submodules: see `sierra.provenance.source.share_refs`."""
+        from sierra.provenance import source
+
+        return source.share(self.root, "fetch", remote)
+
+    def fsck(self, *, tell: Callable[[str], None] = lambda text: None) -> Report:
+        """Check all records and files: see `sierra.maintenance.fsck.Report`. `tell` receives the progress.
+
+        >>> project.fsck().findings
+        ()
+        """
+        from sierra.maintenance import fsck
+
+        return fsck.check(StorePaths(self.paths.store), self.root, tell).report
+
+    def repair(self, *, dry_run: bool = False, tell: Callable[[str], None] = lambda text: None) -> Repair:
+        """Repair the store and check it: see `sierra.maintenance.repair`. Nothing is deleted.
+
+        >>> project.repair(dry_run=True).done
+        ()
+        """
+        from sierra.maintenance import repair
+
+        return repair.repair(StorePaths(self.paths.store), self.root, dry_run=dry_run, tell=tell)
+
+    def removal(self, *prefixes: str) -> Removal:
+        """Return what `remove` would delete for these ids of batches, experiments, runs or executions. Raises NotFound.
+
+        >>> type(project.removal(summary.batch)).__name__
+        'Removal'
+        """
+        from sierra.maintenance import remove
+
+        return remove.plan(self.store, prefixes)
+
+    def remove(self, *prefixes: str, agree: Callable[[Removal], bool] = lambda removal: True) -> Removal | None:
+        """Remove what these ids name, if `agree` returns true for the preview; return None if it returns false.
+
+        Runs that other batches have keep their executions. Raises NotFound for an unknown id, Missing if the disk is full, and
+        SierraError while one of the batches is executing. If it raises, nothing changes.
+
+        >>> print(project.remove(summary.batch, agree=lambda removal: False))
+        None
+        """
+        from sierra.maintenance import remove
+
+        return remove.remove(self.store, prefixes, agree)
+
+    def collection(self, *, damaged: bool = False, raw: bool = False) -> Collection:
+        """Return what `collect` would remove: see `sierra.maintenance.gc.Collection`.
+
+        >>> project.collection().sessions
+        0
+        """
+        from sierra.maintenance import gc
+
+        return gc.plan(self.store, damaged=damaged, raw=raw)
+
+    def collect(
+        self,
+        *,
+        damaged: bool = False,
+        raw: bool = False,
+        agree: Callable[[Collection], bool] = lambda collection: True,
+    ) -> Collection | None:
+        """Remove what nothing needs and merge small segments, if `agree` returns true for the preview; otherwise return None.
+
+        `damaged`: also remove segments that a repair put aside; `raw`: also remove the bytes of files that became tables.
+        Raises Missing if the disk is full; nothing is lost then.
+
+        >>> project.collect(agree=lambda collection: False) is None or project.collection().nothing
+        True
+        """
+        from sierra.maintenance import gc
+
+        return gc.collect(self.store, damaged=damaged, raw=raw, agree=agree)
+
+    def files(self, prefix: str, *paths: str, to: str | os.PathLike[str] | None = None) -> Listing | list[Outcome]:
+        """Return a list of the recorded files of what an id names; with `to`, write them there and return the outcomes.
+
+        `paths` are paths in the listing, or globs; without any, all files. Raises NotFound for a path that matches nothing.
+
+        >>> len(project.files(summary.batch, "swarm.csv").files)
+        4
+        """
+        from sierra.store import export_files
+
+        listed = export_files.listing(self.store, prefix, paths)
+        return listed if to is None else list(export_files.extract(self.store, listed, Path(to)))
+
+    def figures(self, prefix: str | None = None, name: str | None = None) -> list[Path]:
+        """Draw a batch's figures again (all, or the one called `name`); return the files. Default: the batch requested last.
+
+        >>> sorted({path.suffix for path in project.figures(summary.batch)})
+        ['.pdf', '.png', '.svg']
+        """
+        return self.draw(prefix, name)[0]
+
+    def draw(self, prefix: str | None = None, name: str | None = None) -> tuple[list[Path], list[str]]:
+        """Draw as `figures` does; return the files, and what could not be drawn and why.
+
+        >>> drawn, notes = project.draw(summary.batch)
+        """
+        return self._deliver(self.batch(prefix), name)
+
+    def statistics(
+        self,
+        prefix: str | None,
+        output: str,
+        column: str,
+        *,
+        measure: str | None = "final",
+        threshold: float | None = None,
+        times: str | None = None,
+    ) -> Result:
+        """Return all statistics of a column over the runs of each experiment of a batch: n, mean, sd, interval, median, ….
+
+        First, `measure` reduces each run to one value (`final`, `mean`, or `time_to` a `threshold`). With `measure=None`,
+        there is a row for each experiment and time instead: the runs' `own` times, or common ones (`carry`: last values
+        carried forward, `linear`: interpolated). Column `experiment` is the experiment's place in the batch; the values of the
+        axes follow it. The schema's metadata hold the statement (`sierra:sql`) and notes on everything that is not in the
+        numbers (`sierra:note`). Values have the unit of the column. Raises NotFound, UsageError.
+
+        >>> project.statistics(summary.batch, "swarm", "coverage", measure="mean").column("n").to_pylist()
+        [2, 2]
+        """
+        from sierra.deliverables import render
+        from sierra.store.result import Result
+
+        batch = self.batch(prefix)
+        return Result(render.statistics(self._loaded, self.store, batch, output, column, measure, threshold, times))
+
+    def batch(self, prefix: str | None = None) -> str:
+        """Return the id of a batch from a prefix; without one, that of the batch requested last. Raises NotFound, Missing.
+
+        >>> project.batch(summary.batch[:10]) == summary.batch
+        True
+        """
+        if prefix is not None:
+            found = self.store.resolve(prefix)
+            if found.kind != "batch":
+                raise NotFound(f"{prefix!r} is a {found.kind}; only a batch will do here")
+            return found.id
+        known = self.batches
+        if not known:
+            raise Missing("no batch is recorded yet; sierra run makes one")
+        batch: str = known[-1]["batch"]
+        return batch
+
+    def _probe(self, plan: Plan, store: Store, options: RunOptions) -> tuple[str, ...]:
+        from sierra.replay import determinism  # loads everything that a replay needs
+
+        return determinism.probe(plan, store, options)
+
+    def _drawn(self, summary: Summary) -> Summary:
+        """Return the summary with figures, if there is something to draw."""
+        if summary.interrupted or summary.detached or summary.missing + summary.failed == summary.runs:
+            return summary
+        try:
+            drawn, notes = self._deliver(summary.batch, again=False)
+        except Missing as error:
+            return replace(summary, figure_error=str(error))
+        return replace(summary, figures=tuple(map(str, drawn)), notes=(*summary.notes, *notes))
+
+    def _deliver(self, batch: str, name: str | None = None, *, again: bool = True) -> tuple[list[Path], list[str]]:
+        from sierra.deliverables import render
+
+        return render.figures(self._loaded, self.store, batch, name, again=again)
+
+
+def _observer(wanted: bool | None) -> Observer:
+    from sierra.execution import progress
+
+    return progress.observer(wanted)
+
+
+def _slots(jobs: int | None) -> int:
+    """Return the number of runs at a time: `jobs`, or the user's setting, or the number of usable cores.
+
+    Raises UsageError for less than 1.
+    """
+    from sierra.provenance.environment import usable_cores
+
+    slots = (user.load().jobs or usable_cores()) if jobs is None else jobs
+    if slots < 1:
+        raise UsageError(f"{slots} runs at a time; ask for 1 or more")
+    return slots

@@ -1,0 +1,395 @@
+"""The contents of an image: its files with their hashes, its packages, its labels, and how it was made.
+
+They are kept in `.sierra/images/<id>/`, next to the squashfs that apptainer runs. All of them can be made again from the image.
+Every file is written under a temporary name and then renamed, so that processes that inspect the same image at the same time do
+not disturb each other.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import re
+import shutil
+import tempfile
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, replace
+from datetime import UTC, datetime
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from sierra.containers.images import containerfile_folder, oci, packages, podman_images, sif, sif_env
+from sierra.containers.images import squashfs_tools as squashfs
+from sierra.containers.images.image import Image, Kind, short
+from sierra.containers.images.layers import Entry, Rootfs, merge, resolve
+from sierra.containers.images.oci import Archive
+from sierra.errors import Damaged, Missing
+from sierra.provenance.hash_cache import HashCache
+from sierra.store.layout import ImagePaths, StorePaths
+from sierra.util.fs import write_whole
+from sierra.util.hashing import sha256
+
+FORMAT = 1
+UNFINISHED = re.compile(r"\.(saved\.\w+|image\.json|files\.jsonl|rootfs\.(sqfs|\d+))\.\d+")
+FOLDER = re.compile(r"[a-z0-9]+-[0-9a-f]{64}")
+DEFAULT_PATH = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin"
+"""The PATH that engines use if an image does not set one."""
+EXECUTABLE = 0o111
+
+
+@dataclass(frozen=True)
+class Contents:
+    """The contents of an image."""
+
+    image: Image
+    form: str
+    """The form that was read: docker-archive, oci-archive, oci, sif or squashfs."""
+    manifests: Mapping[str, str]
+    """The digests of its manifests, by the form in which each was seen; every form has its own."""
+    config: Mapping[str, Any]
+    labels: Mapping[str, str]
+    packages: Mapping[str, tuple[str, ...]]
+    recipe: str
+    """The text of its Containerfile folder, the definition file of a SIF, or the build steps in its history."""
+    created: str
+    size: int
+    """The total size of its files in bytes."""
+    listing: bytes
+    """The list of its files by path, one JSON object per line."""
+    squashfs: str = ""
+    """The SHA-256 of the squashfs that was made from it; empty if there is none."""
+
+    @classmethod
+    def of_row(cls, row: Mapping[str, Any], listing: bytes) -> Contents:
+        """Return the contents from a row of the table `images` and the listing that the row names."""
+        variables, layers = json.loads(row["variables"]), tuple(row["layers"] or ())
+        image = Image(row["name"], row["image"], Kind(row["kind"]), row["architecture"] or "", layers, variables)
+        return cls(
+            image=image,
+            form="",
+            manifests=json.loads(row["manifests"]),
+            config={},
+            labels=json.loads(row["labels"]),
+            packages={manager: tuple(lines) for manager, lines in json.loads(row["packages"]).items()},
+            recipe=row["recipe"] or "",
+            created=row["created"].isoformat() if row["created"] else "",
+            size=row["size"],
+            listing=listing,
+            squashfs=row["squashfs"] or "",
+        )
+
+    @property
+    def user(self) -> str:
+        """Return the user that the image sets for its programs; empty for root. Engines ignore this user."""
+        said = str((self.config.get("config") or {}).get("User") or "")
+        return "" if said.partition(":")[0] in ("", "0", "root") else said
+
+    @cached_property
+    def files(self) -> dict[str, Entry]:
+        """Return every path of the image with its entry. Paths have no leading slash."""
+        entries = (Entry(**json.loads(line)) for line in self.listing.splitlines())
+        return {entry.path: entry for entry in entries}
+
+    def program(self, word: str, path: str | None = None) -> str | None:
+        """Return the path of the program that a command's first word calls in the image, or None if there is none.
+
+        The program is searched on `path`, or else on the image's own PATH. The result is the path by which it is called
+        (`/bin/sh`), which may be a link; `sha256` follows links.
+        """
+        if "/" in word:
+            return word if self._executable(word) else None
+        folders = (path or self.image.variables.get("PATH") or DEFAULT_PATH).split(":")
+        found = (f"{folder.rstrip('/')}/{word}" for folder in folders if folder.startswith("/"))
+        return next((candidate for candidate in found if self._executable(candidate)), None)
+
+    def real(self, path: str) -> str | None:
+        """Return the path with all links followed within the image, or None if nothing is there."""
+        found = resolve(path, self.files.get)
+        return None if found is None else f"/{found}"
+
+    def sha256(self, path: str) -> str | None:
+        """Return the SHA-256 of a file of the image, with links followed; None if there is no such file."""
+        entry = self._file(path)
+        return None if entry is None else entry.sha256
+
+    def _file(self, path: str) -> Entry | None:
+        found = resolve(path, self.files.get)
+        entry = self.files.get(found) if found else None
+        return entry if entry is not None and entry.type == "file" else None
+
+    def _executable(self, path: str) -> bool:
+        entry = self._file(path)
+        return entry is not None and bool(entry.mode & EXECUTABLE)
+
+    def row(self) -> dict[str, Any]:
+        """Return its row of the table `images`. The listing, whose hash is in `files`, is stored as an object."""
+        image = self.image
+        return {
+            "image": image.id,
+            "kind": str(image.kind),
+            "architecture": image.architecture or None,
+            "layers": list(image.layers),
+            "name": image.name,
+            "file": image.file or None,
+            "sha256": image.sha256 or None,
+            "squashfs": self.squashfs or None,
+            "manifests": json.dumps(dict(self.manifests), sort_keys=True),
+            "created": _time(self.created),
+            "labels": json.dumps(dict(self.labels), sort_keys=True),
+            "variables": json.dumps(dict(image.variables), sort_keys=True),
+            "packages": json.dumps({name: list(lines) for name, lines in self.packages.items()}, sort_keys=True),
+            "recipe": self.recipe or None,
+            "files": sha256(self.listing),
+            "size": self.size,
+        }
+
+
+def from_row(row: Mapping[str, Any]) -> Image:
+    """Return the image that a row of the table `images` describes."""
+    return Image(
+        name=row["name"],
+        id=row["image"],
+        kind=Kind(row["kind"]),
+        architecture=row["architecture"] or "",
+        layers=tuple(row["layers"] or ()),
+        variables=json.loads(row["variables"] or "{}"),
+        file=row["file"] or "",
+        sha256=row["sha256"] or "",
+    )
+
+
+def contents(store: StorePaths, image: Image) -> Contents | None:
+    """Return the stored contents of an image, or None if they are missing or incomplete."""
+    paths = store.image(image.folder)
+    with contextlib.suppress(OSError, ValueError, KeyError, TypeError, AttributeError):
+        said, listing = json.loads(paths.description.read_text("utf-8")), paths.files.read_bytes()
+        if said["format"] == FORMAT and said["image"]["id"] == image.id and sha256(listing) == said["files"]:
+            return _read(said, listing, image)
+    return None
+
+
+def _read(said: Mapping[str, Any], listing: bytes, image: Image) -> Contents:
+    was = said["image"]
+    known = replace(
+        image, architecture=image.architecture or was["architecture"], variables=image.variables or dict(was["variables"])
+    )
+    packaged = {manager: tuple(lines) for manager, lines in said["packages"].items()}
+    plain = ("form", "manifests", "config", "labels", "recipe", "created", "size", "squashfs")
+    return Contents(known, packages=packaged, listing=listing, **{name: said[name] for name in plain})
+
+
+def unfinished(store: StorePaths) -> Iterator[Path]:
+    """Yield unfinished files and saved copies of images. Each name ends with the id of the process that made it."""
+    if store.images.is_symlink():  # it is unknown who owns the target
+        return
+    for path in (*store.images.glob(".*"), *store.images.glob("*/.*")):
+        placed = path.parent == store.images or (FOLDER.fullmatch(path.parent.name) and not path.parent.is_symlink())
+        if placed and UNFINISHED.fullmatch(path.name):
+            yield path
+
+
+def outdated(root: Path, store: StorePaths, image: Image) -> bool:
+    """Return whether an image's name is a Containerfile folder that has changed since the image was built."""
+    folder = root / image.name
+    if image.file or not containerfile_folder.is_recipe(folder):
+        return False
+    found = contents(store, image)
+    return found is not None and found.labels.get(containerfile_folder.LABEL) != containerfile_folder.identity(folder)
+
+
+def known(store: StorePaths) -> Iterator[Contents]:
+    """Yield the contents of all images that this store describes, with the names by which they were first seen."""
+    for folder in sorted(store.images.glob("*-*")) if store.images.is_dir() else ():
+        with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
+            was = json.loads((folder / store.image(folder.name).description.name).read_text("utf-8"))["image"]
+            image = Image(**(was | {"kind": Kind(was["kind"]), "layers": tuple(was["layers"])}))
+            if (found := contents(store, image)) is not None:
+                yield found
+
+
+def made_from(store: StorePaths, digest: str) -> Image | None:
+    """Return the image from which the squashfs with this SHA-256 was made in this store, or None."""
+    return next((one.image for one in known(store) if one.squashfs == digest), None)
+
+
+def examine(root: Path, store: StorePaths, image: Image) -> Contents:
+    """Return the contents of an image. Reads the whole image if they are not stored yet. Raises Missing, Damaged."""
+    found = contents(store, image)
+    if found is not None:
+        return found
+    with _disk(store.images):
+        store.images.mkdir(parents=True, exist_ok=True)
+        if image.file and squashfs_file(root / image.file):
+            return _keep(store, _of_squashfs(root / image.file, image))
+        with opened(root, store, image) as read:
+            return _keep(store, _with_recipe(root, of_archive(read, image)))
+
+
+def examine_again(root: Path, store: StorePaths, image: Image, *, foreign: bool = False) -> Contents:
+    """Return the contents of an image after reading and checking all of it, even if they are stored already.
+
+    The squashfs that was made from it is kept. `foreign`: see `sierra.containers.images.layers.merge`.
+    """
+    known = contents(store, image)
+    with _disk(store.images), opened(root, store, image) as read:
+        found = _with_recipe(root, of_archive(read, image, foreign=foreign))
+        return _keep(store, replace(found, squashfs=known.squashfs if known else ""))
+
+
+def rootfs(root: Path, store: StorePaths, image: Image) -> Path:
+    """Return the path of the squashfs that apptainer runs: the image's own file, or one made from its layers.
+
+    A missing squashfs is made. An existing one is hashed before it is used (the hash is cached); a damaged one is made again.
+    """
+    if image.file and squashfs_file(root / image.file):
+        return root / image.file
+    paths, known = store.image(image.folder), contents(store, image)
+    if known is not None and known.squashfs and _is(paths.rootfs, known.squashfs):
+        return paths.rootfs
+    with _disk(store.images):
+        store.images.mkdir(parents=True, exist_ok=True)
+        with opened(root, store, image) as read:
+            _make(store, image, merge(read, wanted))
+    return paths.rootfs
+
+
+def squashfs_file(path: Path) -> bool:
+    """Return whether apptainer can run this file as it is."""
+    try:
+        return not path.is_dir() and (sif.is_sif(path) or squashfs.is_squashfs(path))
+    except OSError as error:
+        raise Missing(f"{path} cannot be read: {error.strerror or error}") from error
+
+
+@contextlib.contextmanager
+def opened(root: Path, store: StorePaths, image: Image) -> Iterator[Archive]:
+    """Yield an OCI image as an archive: its own file, or a copy that podman saves. Raises Damaged if that is another image."""
+    with contextlib.ExitStack() as stack:
+        path = root / image.file
+        if not image.file:
+            podman_images.require(image)
+            store.images.mkdir(parents=True, exist_ok=True)
+            folder = stack.enter_context(
+                tempfile.TemporaryDirectory(prefix=".saved.", suffix=f".{os.getpid()}", dir=store.images)
+            )
+            path = Path(folder) / "image.tar"
+            podman_images.save(image.id.removeprefix("sha256:"), path)
+        read = oci.read(path)
+        if read.id != image.id:
+            raise Damaged(f"{path} is the image {short(read.id)}, not {short(image.id)}")
+        yield read
+
+
+def wanted(path: str) -> int:
+    return packages.wanted(path) or sif_env.wanted(path)
+
+
+def of_archive(read: Archive, image: Image, *, foreign: bool = False) -> Contents:
+    """Return the contents of the image in an archive. Reads and checks the whole archive."""
+    return _of_rootfs(merge(read, wanted, foreign=foreign), image)
+
+
+def _with_recipe(root: Path, found: Contents) -> Contents:
+    """Return the contents with the text of the Containerfile folder, if the project still has the same folder."""
+    said = containerfile_folder.text(root / found.image.name, found.labels.get(containerfile_folder.LABEL, ""))
+    return replace(found, recipe=said) if said else found
+
+
+def _of_rootfs(merged: Rootfs, image: Image) -> Contents:
+    read = merged.archive
+    config = read.config
+    return Contents(
+        image=image,
+        form=read.form,
+        manifests={read.form: read.manifest} if read.manifest else {},
+        config=config,
+        labels=oci.labels(config),
+        packages=packages.packages(merged.kept),
+        recipe=_history(config),
+        created=str(config.get("created") or ""),
+        size=sum(entry.size for entry in merged.entries),
+        listing=_listing(merged.entries),
+    )
+
+
+def _of_squashfs(path: Path, image: Image) -> Contents:
+    read = sif.read(path) if sif.is_sif(path) else None
+    entries, kept = squashfs.listing(path, read.offset if read else 0, wanted)
+    own = image.kind is Kind.SQUASHFS  # else it was made from an OCI image, and does not contain its variables
+    found = sif_env.of(kept) if own else image.variables
+    return Contents(
+        image=replace(image, variables=found),
+        form="sif" if read else "squashfs",
+        manifests={},
+        config={"config": {"Env": [f"{name}={value}" for name, value in found.items()]}} if own else {},
+        labels=sif_env.labels(kept) or (read.labels if read else {}),
+        packages=packages.packages(kept),
+        recipe=read.recipe if read else "",
+        created="",
+        size=sum(entry.size for entry in entries),
+        listing=_listing(entries),
+    )
+
+
+def _listing(entries: tuple[Entry, ...]) -> bytes:
+    lines = ({name: value for name, value in asdict(entry).items() if value not in ("", 0)} for entry in entries)
+    return "".join(json.dumps({"mode": 0, **line}) + "\n" for line in lines).encode()
+
+
+def _history(config: Mapping[str, Any]) -> str:
+    steps = config.get("history")
+    said = [str(step.get("created_by") or "") for step in steps if isinstance(step, dict)] if isinstance(steps, list) else []
+    return "\n".join(line for line in said if line)
+
+
+def _keep(store: StorePaths, found: Contents) -> Contents:
+    paths = store.image(found.image.folder)
+    paths.root.mkdir(parents=True, exist_ok=True)
+    write_whole(paths.files, found.listing)
+    described = {
+        "format": FORMAT,
+        "image": asdict(found.image),
+        **{name: getattr(found, name) for name in ("form", "manifests", "config", "labels", "recipe", "created", "size")},
+        "packages": found.packages,
+        "squashfs": found.squashfs,
+        "files": sha256(found.listing),
+    }
+    write_whole(paths.description, json.dumps(described, indent=2, sort_keys=True).encode())
+    return found
+
+
+def _make(store: StorePaths, image: Image, merged: Rootfs) -> None:
+    paths = store.image(image.folder)
+    paths.root.mkdir(parents=True, exist_ok=True)
+    digest = squashfs.make(merged.write, paths.rootfs)
+    _keep(store, replace(contents(store, image) or _of_rootfs(merged, image), squashfs=digest))
+
+
+def _is(path: Path, digest: str) -> bool:
+    if not path.is_file():
+        return False
+    digests = HashCache()
+    found = digests.of(str(path))
+    digests.save()
+    return found == digest
+
+
+def forget(paths: ImagePaths) -> None:
+    """Remove the stored contents of an image."""
+    shutil.rmtree(paths.root, ignore_errors=True)
+
+
+@contextlib.contextmanager
+def _disk(folder: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise Missing(f"what is in the image cannot be kept in {folder}: {error.strerror or error}") from error
+
+
+def _time(text: str) -> datetime | None:
+    with contextlib.suppress(ValueError):
+        return datetime.fromisoformat(text).astimezone(UTC) if text else None
+    return None

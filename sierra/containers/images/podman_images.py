@@ -1,0 +1,375 @@
+"""Podman's storage of images. Everything that SIERRA does with images in podman goes through this module.
+
+No registry is ever contacted. Podman's answer about a name is cached until one of its lists of images changes, so that a
+repeated question starts no process. Podman replaces a list and never overwrites it, so its inode and times show a change.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import resource
+import secrets
+import shutil
+import signal
+import subprocess
+import tempfile
+import time
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, BinaryIO, cast
+
+from sierra.containers.images import oci
+from sierra.containers.images.image import Image, Kind, short
+from sierra.containers.images.oci import image_of
+from sierra.errors import Damaged, Missing
+from sierra.store.layout import user_images
+from sierra.util.cache import Cache
+from sierra.util.log import Log
+from sierra.util.signals import noted
+from sierra.worker import worker
+from sierra.worker.marked_processes import marked
+
+log = Log(__name__)
+
+MOST = 512
+PATIENCE = 20.0
+"""The seconds that a program has to clean up after it was told to end."""
+MARK = "SIERRA_BUILD"
+"""An environment variable that marks the processes that a build has started."""
+RACY_NS = 2 * 10**9
+CONFIGURATION = ("storage.conf", "containers.conf")
+FOLDERS = ("/usr/share/containers", "/etc/containers")
+VARIABLES = ("CONTAINERS_CONF", "CONTAINERS_STORAGE_CONF", "STORAGE_DRIVER", "STORAGE_OPTS", "XDG_DATA_HOME", "HOME")
+"""The environment variables that decide where podman stores images."""
+UNKNOWN = ("image not known", "no such image", "no such object", "unable to find a name and tag match")
+INSTALL = "podman is not installed (apt-get install podman, dnf install podman); or name the image as a file"
+
+
+def program() -> str:
+    """Return podman's path. Raises Missing if it is not installed."""
+    found = shutil.which("podman")
+    if found is None:
+        raise Missing(INSTALL)
+    return found
+
+
+def installed() -> bool:
+    return shutil.which("podman") is not None
+
+
+def driver() -> str:
+    """Return the name of podman's storage driver, for example `overlay` or `vfs`; empty if it is unknown."""
+    with contextlib.suppress(Missing, OSError, ValueError):
+        return Path(_lists(Cache(user_images(), MOST))[0]).parent.name.removesuffix("-images")
+    return ""
+
+
+def identify(name: str) -> str | None:
+    """Return the id of the image that a name stands for now, or None: see `look`."""
+    found = look(name)
+    return None if found is None else found.id
+
+
+def look(name: str) -> Image | None:
+    """Return the image that a name or an id stands for now, or None if podman has no such image.
+
+    Raises Missing without podman.
+    """
+    remembered = Cache(user_images(), MOST)
+    state, key = _state(remembered), f"{_where()} {name}"
+    known = remembered.get(key)
+    if state is not None and isinstance(known, dict) and known.get("state") == state:
+        with contextlib.suppress(TypeError, ValueError):
+            image = known["image"]
+            return None if image is None else Image(**(image | {"kind": Kind(image["kind"]), "layers": tuple(image["layers"])}))
+    found = inspect(name)
+    image = None if found is None else _image(name, found)
+    if state is not None and _state(remembered) == state and not _recent(state):
+        remembered.put(key, {"state": state, "image": None if image is None else asdict(image)})
+    remembered.save()
+    return image
+
+
+def inspect(name: str) -> dict[str, Any] | None:
+    """Return podman's description of an image, or None if there is no image of that name."""
+    done = _call(["image", "inspect", "--", name])
+    if done.returncode == 0:
+        found: dict[str, Any] = json.loads(done.stdout)[0]
+        return found
+    if any(words in done.stderr for words in UNKNOWN):
+        return None
+    raise Missing(f"podman cannot look at {name!r}: {complaint(done.stderr)}")
+
+
+def config(found: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the result of `inspect` in the form of an OCI image configuration."""
+    return {
+        "architecture": found.get("Architecture") or "",
+        "created": found.get("Created"),
+        "rootfs": {"diff_ids": list((found.get("RootFS") or {}).get("Layers") or ())},
+        "config": found.get("Config") or {},
+        "history": found.get("History") or [],
+    }
+
+
+def save(name: str, path: Path) -> None:
+    """Write an image as a docker-archive. The same image always gives the same bytes."""
+    done = _call(["save", "--quiet", "--format", "docker-archive", "--output", str(path), "--", name])
+    if done.returncode:
+        path.unlink(missing_ok=True)
+        raise Missing(f"podman cannot save {name!r} to {path}: {complaint(done.stderr)}")
+
+
+def load(path: Path, identity: str) -> None:
+    """Load the image with this id from an archive or an OCI layout at `path`. Raises Missing, Damaged.
+
+    Podman does not get the archive itself, but only the checked data, and no tags, which would move tags that podman has
+    already.
+    """
+    if not path.exists() or not oci.is_archive(path):
+        raise Missing(f"{path} is no archive that podman could load as {short(identity)}; is it for the engine apptainer?")
+    read = oci.read(path)
+    if read.id != identity:
+        raise Damaged(f"{path} is the image {short(read.id)}, not {short(identity)}")
+    with tempfile.TemporaryFile("w+") as said:
+        process = subprocess.Popen([program(), "load", "--quiet"], stdin=subprocess.PIPE, stdout=said, stderr=said)
+        try:
+            assert process.stdin is not None  # noqa: S101 - stdin is a pipe
+            with contextlib.suppress(BrokenPipeError), process.stdin as pipe:
+                read.write(cast("BinaryIO", pipe))
+            status = process.wait()
+        finally:
+            process.kill()
+            process.wait()
+        said.seek(0)
+        if status:
+            raise Missing(f"podman cannot load {path}: {complaint(said.read())}")
+    if not present(identity):
+        raise Damaged(f"{path} is {short(identity)}, but podman made another image of it")
+
+
+def tag(identity: str, name: str) -> None:
+    done = _call(["tag", "--", _bare(identity), name])
+    if done.returncode:
+        raise Missing(f"podman cannot call {identity} {name!r}: {complaint(done.stderr)}")
+
+
+def present(identity: str) -> bool:
+    """Return whether podman has the image with this id."""
+    return identify(identity) is not None
+
+
+def require(image: Image) -> None:
+    """Check that podman has the image. Raises Missing if not, for example in a clone on another machine."""
+    if not present(image.id):
+        raise Missing(
+            f"the image {image.name} ({short(image.id)}) is not in podman's storage; "
+            "build its recipe, or bring it from where it is: sierra image export there, import here"
+        )
+
+
+def holds(identity: str) -> bool:
+    """Return whether podman is installed, works, and has the image with this id."""
+    try:
+        return installed() and present(identity)
+    except Missing:
+        return False
+
+
+def build(context: Path, name: str, *, epoch: int, labels: Mapping[str, str], network: bool = False) -> str:
+    """Build a Containerfile, whose folder is the context, and return the image's id. A failed build leaves nothing behind.
+
+    All times are `epoch`, no cache is used, and podman's version is not recorded, so the same folder gives the same id.
+    """
+    identity = context.with_name(f"{context.name}.id")
+    words = [
+        *("build", "--pull=never", "--no-cache", "--layers=false", "--force-rm", "--timestamp", str(epoch)),
+        *("--identity-label=false", f"--network={'host' if network else 'none'}", *_limits()),
+        *(part for label, text in sorted(labels.items()) for part in ("--label", f"{label}={text}")),
+        *("--iidfile", str(identity), "--tag", name, "--file", str(context / "Containerfile"), str(context)),
+    ]
+    try:
+        done = run([program(), *words], builds=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+        if done.returncode:
+            raise Missing(f"podman cannot build {name}: {complaint(done.stderr)}")
+        return "sha256:" + identity.read_text().strip().removeprefix("sha256:")
+    finally:
+        identity.unlink(missing_ok=True)
+
+
+def complaint(said: str) -> str:
+    """Return the line in which podman gives the reason of a failure, without its prefixes."""
+    lines = [line.strip() for line in said.splitlines() if line.strip()]
+    errors = [line for line in lines if line.startswith("Error:")]
+    why = (errors or lines or ["it said nothing"])[-1].removeprefix("Error:").strip()
+    return f"{why} ({lines[-2]})" if why.endswith(("exit status 1", "exit status 2")) and len(lines) > 1 else why
+
+
+def run(
+    command: Sequence[str], *, builds: bool = False, env: Mapping[str, str] | None = None, **more: Any
+) -> subprocess.CompletedProcess[str]:
+    """Run a program in a process group of its own. If this process is interrupted, all processes that it started are ended.
+
+    `builds`: the program is podman, which leaves its build processes running. If those end first, podman cleans up itself.
+    """
+    mark = secrets.token_hex(8)
+    process = None
+    try:
+        with noted() as signals:
+            process = subprocess.Popen(
+                command,
+                env={**(os.environ if env is None else env), MARK: mark},
+                stdin=subprocess.DEVNULL,
+                text=True,
+                errors="replace",
+                start_new_session=True,
+                **more,
+            )
+        if signals:
+            raise KeyboardInterrupt
+        out, err = process.communicate()
+    except BaseException:
+        if process is not None:
+            _stop(process, mark, builds=builds)
+        raise
+    log.command(command, process.returncode, err or "")
+    return subprocess.CompletedProcess(command, process.returncode, out, err)
+
+
+def _stop(process: subprocess.Popen[str], mark: str, *, builds: bool) -> None:
+    """End a program and all processes that it started. The mark identifies those that left its group or lost their parent."""
+    started = _births(_below(process.pid))
+    with process:
+        if builds and _end(started, process.pid):
+            _wait(process)
+        _signal(process.pid, signal.SIGTERM)
+        _wait(process)
+        _signal(process.pid, signal.SIGKILL)
+    give_up = time.monotonic() + PATIENCE
+    while _end(started | _births(marked({f"{MARK}={mark}".encode()})), process.pid) and time.monotonic() < give_up:
+        time.sleep(0.01)
+
+
+def _wait(process: subprocess.Popen[str]) -> None:
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        process.wait(PATIENCE)
+
+
+def _signal(group: int, number: signal.Signals) -> None:
+    with contextlib.suppress(ProcessLookupError):
+        os.killpg(group, number)
+
+
+def _end(started: Mapping[int, int | None], group: int) -> bool:
+    """Kill the processes that are not in the group, and return whether there were any."""
+    others = [pid for pid, born in started.items() if born is not None and _lives(pid, born) and _group(pid) != group]
+    for pid in others:
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(pid, signal.SIGKILL)
+    return bool(others)
+
+
+def _births(pids: Iterable[int]) -> dict[int, int | None]:
+    return {pid: worker.birth(pid) for pid in pids}
+
+
+def _lives(pid: int, born: int) -> bool:
+    return worker.birth(pid) == born and worker.stat_of(pid)[:1] not in ([], [b"Z"])
+
+
+def _group(pid: int) -> int | None:
+    try:
+        return os.getpgid(pid)
+    except ProcessLookupError:
+        return None
+
+
+def _below(pid: int) -> Iterator[int]:
+    """Yield the ids of all descendants of a process, if the kernel lists them."""
+    for path in Path(f"/proc/{pid}/task").glob("*/children"):
+        with contextlib.suppress(OSError):
+            for child in map(int, path.read_text().split()):
+                yield child
+                yield from _below(child)
+
+
+def _call(words: Sequence[str]) -> subprocess.CompletedProcess[str]:
+    return run([program(), *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+
+
+def _limits() -> Iterator[str]:
+    """Yield the resource limits for a build: not above the limits of this process, since root may lack CAP_SYS_RESOURCE."""
+    for name, number, most in (("nofile", resource.RLIMIT_NOFILE, 1 << 20), ("nproc", resource.RLIMIT_NPROC, 1 << 15)):
+        hard = resource.getrlimit(number)[1]
+        limit = most if hard == resource.RLIM_INFINITY else min(hard, most)
+        yield f"--ulimit={name}={limit}:{limit}"
+
+
+def _bare(identity: str) -> str:
+    return identity.removeprefix("sha256:")
+
+
+def _image(name: str, found: Mapping[str, Any]) -> Image:
+    return image_of(name, f"sha256:{_bare(found['Id'])}", config(found))
+
+
+# ---------------------------------------------------------------- the cache of podman's answers
+
+
+def _where() -> str:
+    """Return a key for the storage: the user, and the environment variables that decide where it is."""
+    return json.dumps([os.getuid(), *(os.environ.get(name, "") for name in VARIABLES)])
+
+
+def _state(remembered: Cache) -> list[Any] | None:
+    """Return the current state of the lists of images, or None if it is unknown."""
+    states = [_stat(path) for path in _lists(remembered)]
+    return states if states and any(state is not None for state in states) else None
+
+
+def _recent(state: list[Any]) -> bool:
+    """Return whether a list was changed so recently that a further change might be invisible."""
+    return any(one is not None and max(one[-2:]) > time.time_ns() - RACY_NS for one in state)
+
+
+def _lists(remembered: Cache) -> list[str]:
+    """Return the paths of podman's lists of images: its own, and those of additional stores."""
+    around = [program(), *_configuration()]
+    state = [_stat(path) for path in around]
+    known = remembered.get(_where())
+    if isinstance(known, dict) and known.get("state") == state and isinstance(known.get("lists"), list):
+        return [str(path) for path in known["lists"]]
+    done = _call(["info", "--format", "json"])
+    if done.returncode:
+        raise Missing(f"podman does not work here: {complaint(done.stderr)}")
+    lists = list(_said(json.loads(done.stdout).get("store") or {}))
+    remembered.put(_where(), {"state": state, "lists": lists})
+    remembered.save()
+    return lists
+
+
+def _said(store: Mapping[str, Any]) -> Iterator[str]:
+    driver = store.get("graphDriverName", "overlay")
+    others = [other for name, other in (store.get("graphOptions") or {}).items() if name.endswith("imagestore")]
+    for root in (
+        store.get("graphRoot", ""),
+        *(one for other in others for one in ([other] if isinstance(other, str) else other)),
+    ):
+        yield f"{root}/{driver}-images/images.json"
+
+
+def _configuration() -> Iterator[str]:
+    own = os.environ.get("XDG_CONFIG_HOME") or str(Path.home() / ".config")
+    yield from (f"{folder}/{name}" for folder in (*FOLDERS, f"{own}/containers") for name in CONFIGURATION)
+    yield from filter(None, (os.environ.get("CONTAINERS_CONF"), os.environ.get("CONTAINERS_STORAGE_CONF")))
+
+
+def _stat(path: str) -> list[int] | None:
+    try:
+        status = os.stat(path)  # noqa: PTH116 - as quick as can be
+    except OSError:
+        return None
+    return [status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns]

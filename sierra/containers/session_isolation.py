@@ -1,0 +1,295 @@
+"""The containers of one session: they are prepared before anything executes, and their isolation is recorded."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from sierra.config.project_file import Container
+from sierra.containers import images
+from sierra.containers.engines.base import PROJECT, PYTHON, Capabilities, ContainerSpec, Engine, Mount, Process
+from sierra.containers.images import oci
+from sierra.containers.images.image import Image
+from sierra.containers.images.image_contents import Contents
+from sierra.errors import ConfigError, Missing
+from sierra.model import Limits, Requirement, RunSpec
+from sierra.provenance.change_guard import ChangeGuard, alone
+from sierra.provenance.hash_cache import HashCache
+from sierra.provenance.program import Kind, Program, Programs
+from sierra.store.layout import StorePaths
+from sierra.util.hashing import digest, sha256
+
+NETWORK, GPU, DEVICE, MOUNT = "network", "gpu", "device ", "mount "
+MOUNTS = "{mount}"
+"""The prefix of the name of a mounted file."""
+WATCHED = frozenset(("memory",))
+"""The limits that the worker checks if the engine does not enforce them."""
+NVIDIA = Path("/proc/driver/nvidia")
+MOUNTED = Path("/proc/self/mountinfo")
+ESCAPED = re.compile(rb"\\([0-7]{3})")
+SPARE_S = 60.0
+"""The seconds after a run's time limit until its container ends by itself, in case that nothing else ends it."""
+
+
+def host_access(container: Container | None) -> tuple[str, ...]:
+    """Return the host access of runs beyond their image and their own folder, in the form that is part of their identity."""
+    if container is None:
+        return ()
+    flags = [name for name, given in ((NETWORK, container.network), (GPU, container.gpu)) if given]
+    listed = [f"{DEVICE}{path}" for path in container.devices] + [f"{MOUNT}{path}" for path in container.mounts]
+    return tuple(sorted({*flags, *listed}))
+
+
+def other_host_access(was: Sequence[str], now: Sequence[str]) -> list[str]:
+    """Return the differences between two lists of host access, in words."""
+    return [*(f"{one} is new" for one in now if one not in was), *(f"{one} is gone" for one in was if one not in now)]
+
+
+def limits(row: Mapping[str, Any]) -> dict[str, dict[str, float]]:
+    """Return the limits in a row of `isolations`: all requested ones, divided into enforced, watched and ignored ones."""
+    asked, enforced = (json.loads(row[name]) for name in ("limits_asked", "limits_enforced"))
+    left = {name: limit for name, limit in asked.items() if name not in enforced}
+    return {
+        "limits_asked": asked,
+        "limits_enforced": enforced,
+        "limits_watched": {name: limit for name, limit in left.items() if name in WATCHED},
+        "limits_ignored": {name: limit for name, limit in left.items() if name not in WATCHED},
+    }
+
+
+def data(named: Programs, container: Container, project: Path) -> Programs:
+    """Return the data files that are part of the identity: project files that a template names, and all mounted files.
+
+    Other files that a template names belong to the image. A mounted file is named by its whole path (`{mount}/data/map`),
+    because two files may have the same name. A link is hashed by its target path, which is another place in a container.
+    """
+    digests = HashCache()
+    mounted = []
+    for target, source in container.mounts.items():
+        root = _there(project, target, source)
+        for path in sorted(root.rglob("*")) if root.is_dir() else [root]:
+            if path.is_symlink() and path != root:
+                found, kind = sha256(os.fsencode(path.readlink())), Kind.LINK
+            elif path.is_file():
+                found, kind = digests.of(str(path)), Kind.FILE
+            else:
+                continue
+            mounted.append(Program(f"{MOUNTS}{Path(target, path.relative_to(root))}", str(path), found, kind))
+    digests.save()
+    own = (one for one in named.all if one.name.startswith("{project}/"))
+    return Programs((*own, *mounted), named.notes)
+
+
+@dataclass(frozen=True, slots=True)
+class Isolation:
+    """The isolation of a session's runs: none, or containers with the same settings."""
+
+    engine: Engine
+    abilities: Capabilities
+    box: ContainerSpec | None = None
+    notes: tuple[str, ...] = ()
+    seen: ChangeGuard | None = None
+    """A guard for the image, if it is a file that its user may replace: its state when it was found to be the pinned one."""
+
+    @property
+    def row(self) -> dict[str, Any] | None:
+        """Return the row of `isolations`, whose id is the hash of its other fields; None without containers."""
+        fields = self._fields()
+        return {"isolation": digest("isolation", fields), **fields} if fields else None
+
+    @property
+    def context(self) -> dict[str, Any]:
+        """Return the facts that are needed to record executions."""
+        if self.box is None:
+            return {"engine": self.engine.name}
+        enforced = tuple(sorted(self.enforced))
+        return {"engine": self.engine.name, "isolation": self.row, "shared": self.box.shared, "enforced": enforced}
+
+    @property
+    def needed(self) -> tuple[Requirement, ...]:
+        """Return what every executing host must have: the devices, and the image if it is a file."""
+        if self.box is None:
+            return ()
+        devices = tuple(Requirement("[container] devices", path) for path in self.box.devices)
+        driver = (Requirement("[container] gpu", str(NVIDIA)),) if self.box.gpu else ()
+        reference = self.box.reference
+        if not Path(reference).is_absolute() or not Path(reference).is_file():
+            return (*devices, *driver)
+        if self.seen:  # whatever the file contains by now
+            return (*devices, *driver, Requirement("the image", reference, self.box.image.sha256))
+        digests = HashCache()
+        found = digests.of(reference)
+        digests.save()
+        return (*devices, *driver, Requirement("the image", reference, found))
+
+    def doubt(self) -> str | None:
+        """Return why executions since then cannot be attributed to the image, or None. Its file was replaced or changed."""
+        if self.box is None or self.seen is None or self.seen.doubt() is None:
+            return None
+        return f"the image {self.box.image.name} has changed since the runs began: {self.box.reference} was replaced"
+
+    def close(self) -> None:
+        """Remove all remaining containers of the session."""
+        if self.box is not None:
+            self.engine.sweep([self.box.session])
+
+    @property
+    def enforced(self) -> frozenset[str]:
+        """Return the limits that the engine enforces."""
+        return frozenset(self.box.limits) & self.abilities.enforced if self.box else frozenset()
+
+    def _fields(self) -> dict[str, Any]:
+        box, able = self.box, self.abilities
+        if box is None:
+            return {}
+        # the code of a replay is in a folder of its own
+        mounts = tuple(replace(one, source="{project}") if one.target == PROJECT else one for one in box.mounts)
+        said = self.engine.client(replace(box, session="", mounts=mounts, files=""), Process((), {}, (), "/"))
+        return {
+            "engine": self.engine.name,
+            "version": able.version,
+            "rootless": able.rootless,
+            "mode": "worker" if box.shared else "run",
+            "image": box.image.id,
+            "user": able.user,
+            "network": "host" if box.network else "none" if able.isolated else "not isolated",
+            "devices": [*box.devices, *(["gpu"] if box.gpu else [])],
+            "mounts": json.dumps({mount.target: mount.source for mount in mounts}, sort_keys=True),
+            "limits_asked": json.dumps(box.limits, sort_keys=True),
+            "limits_enforced": json.dumps({name: box.limits[name] for name in sorted(self.enforced)}),
+            "argv": [word.replace("\0", "{run}") for word in said.argv],
+        }
+
+
+def contain(
+    engine: Engine,
+    image: Image | None,
+    spec: RunSpec,
+    container: Container | None,
+    bounds: Limits,
+    *,
+    code: Path,
+    project: Path,
+    store: StorePaths,
+    session: str,
+    elsewhere: bool = False,
+) -> Isolation:
+    """Prepare everything that the containers of runs need.
+
+    `code` is the folder of the code, `container` is the project's current configuration. Runs that execute `elsewhere` use the
+    devices of those hosts, which check for them (`Isolation.needed`). Raises Missing if the image or the engine is unavailable,
+    or a mount does not exist.
+    """
+    if image is None or engine.name == "none":
+        return Isolation(engine, Capabilities(""))
+    able = engine.probe()
+    if able.trouble:
+        raise Missing(able.trouble)
+    inside = images.examine(project, store, image)
+    _check_variables(image, inside)
+    program(spec.command, spec.environment.get("PATH"), inside)
+    reference = engine.prepare(image, project, store)
+    theirs = image.file and reference == str(project / image.file)
+    given = container or Container(image=image.name)
+    shared, notes = given.isolation == "worker", []
+    if shared and not inside.program(PYTHON):
+        shared = False
+        notes.append(f'isolation = "worker" needs {PYTHON} in the image, which it lacks: each run has a container of its own')
+    if inside.user:
+        notes.append(f"the image's USER {inside.user!r} is ignored: outside of the container, processes are {able.user}")
+    if not elsewhere:
+        _check_devices(spec)
+    box = ContainerSpec(
+        image=image,
+        reference=reference,
+        session=session,
+        mounts=tuple(_with_below((Mount(str(code), PROJECT), *_mounts(spec, given, project)))),
+        network=NETWORK in spec.host_access,
+        devices=tuple(one.removeprefix(DEVICE) for one in spec.host_access if one.startswith(DEVICE)),
+        gpu=GPU in spec.host_access,
+        # in a shared container, the limit would also hit the worker: it checks memory itself
+        memory=None if shared else bounds.memory_bytes,
+        cpus=given.cpus,
+        pids=given.pids,
+        wall=None if shared or bounds.wall_s is None else bounds.wall_s + bounds.grace_s + SPARE_S,
+        shared=shared,
+        files=str(store.session(session).engine) if elsewhere else "",
+    )
+    return Isolation(engine, able, box, (*notes, *_ignored(engine, able, box)), alone(Path(reference)) if theirs else None)
+
+
+def _mounts(spec: RunSpec, given: Container, project: Path) -> Iterator[Mount]:
+    """Yield the additional mounts of a run specification, with the project's sources. Raises ConfigError, Missing."""
+    for target in (one.removeprefix(MOUNT) for one in spec.host_access if one.startswith(MOUNT)):
+        if target not in given.mounts:
+            raise ConfigError(f"runs need a mount at {target}; name what is to be there in [container] mounts")
+        yield Mount(str(_there(project, target, given.mounts[target])), target)
+
+
+def _with_below(mounts: Iterable[Mount]) -> Iterator[Mount]:
+    """Yield the mounts, each followed by the host's own mounts below its source, because its options do not apply to these."""
+    try:
+        lines = MOUNTED.read_bytes().splitlines()
+    except OSError:
+        lines = []
+    points = sorted({os.fsdecode(ESCAPED.sub(lambda match: bytes([int(match[1], 8)]), line.split()[4])) for line in lines})
+    for mount in mounts:
+        yield mount
+        top = os.path.realpath(mount.source)
+        for point in points:
+            if point.startswith(f"{top}/") and os.access(point, os.F_OK):
+                yield replace(mount, source=point, target=mount.target + point.removeprefix(top))
+
+
+def _there(project: Path, target: str, source: str) -> Path:
+    """Return the path of a mount's source. Raises Missing if it does not exist."""
+    path = project / source
+    if not path.exists():
+        raise Missing(f"[container] mounts: {path} is not there, which runs are to have at {target}")
+    return path
+
+
+def _check_devices(spec: RunSpec) -> None:
+    """Check that this machine has the devices that runs use. Raises Missing."""
+    for path in (one.removeprefix(DEVICE) for one in spec.host_access if one.startswith(DEVICE)):
+        if not Path(path).exists():
+            raise Missing(f"[container] devices: there is no {path} on this machine")
+    if GPU in spec.host_access and not NVIDIA.exists():
+        raise Missing("[container] gpu: there is no driver of NVIDIA's on this machine")
+
+
+def _check_variables(image: Image, inside: Contents) -> None:
+    """Check that the pinned variables are those of the image: runs get them, but only the image's id is in the identity.
+
+    Raises Missing.
+    """
+    if inside.config and dict(image.variables) != oci.variables(inside.config):
+        raise Missing(f"the variables of {image.name} in sierra.lock are not the image's; run: sierra image pin {image.name}")
+
+
+def program(command: Sequence[str], path: str | None, inside: Contents) -> str:
+    """Return the program of a run's command: its path in the image, or the word if it names a file of the project.
+
+    Raises Missing if the image does not have it.
+    """
+    word = PYTHON if command[0] == "{python}" else command[0]
+    found = word if "{" in word else inside.program(word, path)
+    if found is None:
+        raise Missing(f"the program {word!r} is not in the image {inside.image.name}; sierra image show lists what is")
+    return found
+
+
+def _ignored(engine: Engine, able: Capabilities, box: ContainerSpec) -> Iterator[str]:
+    """Yield a note for each requested limit that is not enforced, and for a network that is not isolated.
+
+    Memory is not among them, because the worker checks it.
+    """
+    for name in sorted(box.limits.keys() - able.enforced - WATCHED):
+        yield f"LIMIT IGNORED: {engine.name} does not enforce {name} here ({able.version})"
+    if not box.network and not able.isolated:
+        yield f"NOT ISOLATED: {engine.name} gives containers the network here ({able.version})"

@@ -1,0 +1,75 @@
+"""Estimate of the jobs that a plan would submit to a cluster; nothing is submitted or written."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from sierra import runners
+from sierra.execution import expected_durations
+from sierra.execution.resolve_plan import Plan
+from sierra.execution.reuse import foreseen, states
+from sierra.execution.status import claimed
+from sierra.provenance import source
+from sierra.runners.cluster.estimate import Estimate, propose
+from sierra.store.layout import ProjectPaths, StorePaths
+from sierra.store.store import Store
+
+OF_JOB = 200.0
+"""Approximate bytes that one run adds to the job list of its element, without the parts that runs share."""
+OF_RECORD = 600.0
+"""Approximate bytes of the records of one run, without its files."""
+WROTE = """
+WITH those AS (
+    SELECT execution FROM executions e JOIN batches b USING (batch) JOIN specs r USING (spec)
+    WHERE e.status = 'ok' AND e.purpose = 'run' AND r.command = $command
+)
+SELECT sum(size) / (SELECT count(*) FROM those) AS bytes FROM artifacts SEMI JOIN those USING (execution)
+"""
+
+
+def proposal(plan: Plan, store: Store | None, runner: str, *, detach: bool) -> Estimate | None:
+    """Return the estimate of a plan's missing runs on the cluster of that runner.
+
+    Returns None if the runner has no cluster, or if all missing runs are on a cluster already. With `detach`, no process
+    would follow the jobs. Raises ConfigError.
+    """
+    found = runners.scheduler_of(runner, plan.project.config.runners)
+    missing = {run for run, state in foreseen(plan, store, states(plan, store)).items() if not (state.succeeded or state.anew)}
+    wanted = missing - (claimed(store).keys() if store and missing else set())
+    count = len(wanted)
+    if found is None or not count:
+        return None
+    scheduler, table = found
+    wrote = _wrote(plan, store) if store else None
+    return propose(
+        runner,
+        scheduler,
+        table,
+        StorePaths(ProjectPaths(plan.project.root).store).work,
+        count=count,
+        times=expected_durations.expected(plan, store, wanted),
+        each=None if wrote is None else OF_JOB + OF_RECORD + wrote,
+        beside=_code(plan),
+        waits=not detach,
+    )
+
+
+def _wrote(plan: Plan, store: Store) -> float | None:
+    """Return the mean bytes that successful runs with the same command wrote; None without such runs."""
+    [row] = store.rows(WROTE, command=list(plan.batch.spec.command))
+    return None if row["bytes"] is None else float(row["bytes"])
+
+
+def _code(plan: Plan) -> tuple[int, int]:
+    """Return the number of files of the code, and their bytes, as they are in the project now."""
+    manifest = plan.source.manifest if plan.source else plan.checkout.manifest if plan.checkout else b""
+    paths = source.paths(manifest)
+    return len(paths), sum(_size(plan.project.root / os.fsdecode(path)) for path in paths)
+
+
+def _size(path: Path) -> int:
+    try:
+        return path.lstat().st_size
+    except OSError:
+        return 0

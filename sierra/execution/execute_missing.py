@@ -1,0 +1,316 @@
+"""Executor of a plan: it executes the missing runs, also while other sessions execute the same ones."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from collections.abc import Set as AbstractSet
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from sierra.containers.session_isolation import Isolation
+from sierra.errors import Missing
+from sierra.execution import expected_durations, recover, sessions
+from sierra.execution.attach import attach
+from sierra.execution.observer import Observer, Relay, Tally
+from sierra.execution.resolve_plan import Plan, context
+from sierra.execution.reuse import rules_changed, states
+from sierra.execution.run_jobs import Service, Setup
+from sierra.execution.sessions import Session
+from sierra.ingest.consistency import find_odd
+from sierra.ingest.rejudge import judge_anew
+from sierra.model import Run
+from sierra.provenance.program import Programs
+from sierra.runners.base import Runner
+from sierra.store.layout import SessionPaths
+from sierra.store.store import Store
+from sierra.templates.base import Files
+from sierra.util.signals import noted
+from sierra.util.text import counted, few
+
+JOIN_S = 0.2
+NOTED = 4
+"""Maximum number of reported reasons why runs cannot be evaluated again."""
+
+
+@dataclass(frozen=True, slots=True)
+class RunOptions:
+    """Options of an execution: where runs execute, and callbacks for progress and notices."""
+
+    slots: int
+    runner: str = "local"
+    fail_fast: bool = False
+    only: AbstractSet[str] | None = None
+    """Ids of the runs to execute; None for all."""
+    observer: Observer = field(default_factory=Observer)
+    detach: bool = False
+    """True to leave jobs on a cluster without waiting for them."""
+
+
+class Executor:
+    """State of one session while it executes: finished runs, failed runs, and runs of other sessions."""
+
+    def __init__(self, plan: Plan, store: Store, session: Session, runner: Callable[[], Runner], options: RunOptions) -> None:
+        self.plan = plan
+        self.store = store
+        self.session = session
+        self.interrupted = False
+        self.failed: set[str] = set()
+        self.notes: tuple[str, ...] = ()
+        self.left: list[SessionPaths] = []
+        """Sessions on a cluster that continue without this process."""
+        self.awaited: set[str] = set()
+        """Runs that other sessions were executing, or had submitted."""
+        self.reevaluated: set[str] = set()
+        """Runs with a recorded execution that was evaluated again by changed rules."""
+        self.rules_changed = rules_changed(plan, store)
+        """True if the last session of the batch used other rules."""
+        self._runner = runner
+        self._options = options
+        observer = Relay(options.observer, leave=True) if options.detach else options.observer
+        self._context = context(plan, session.id, session.number)
+        self._tally = Tally(observer, len({run.id for run in plan.batch.runs}))
+        self._service: Service | None = None
+        self._before: dict[str, int] | None = None
+        self._claimed: AbstractSet[str] = frozenset()
+        self._doubted: str | None = None
+        self._looked_at: set[str] = set()
+
+    @property
+    def reused(self) -> int:
+        """Return the number of runs whose recorded execution is used."""
+        return self._tally.reused
+
+    @property
+    def attempted(self) -> AbstractSet[str]:
+        """Return the runs that this session has executed to their end."""
+        return self._tally.statuses.keys()
+
+    @property
+    def reexecuted(self) -> AbstractSet[str]:
+        """Return those of the attempted runs that had been executed before."""
+        return self.attempted & (self._before or {}).keys()
+
+    @property
+    def _open(self) -> AbstractSet[str]:
+        """The runs that this session has begun to execute, and that have not ended."""
+        return self._claimed - self.attempted
+
+    def answer(self) -> None:
+        """Execute missing runs, wait for runs that other sessions execute, and take over runs that these leave."""
+        while not (self.interrupted or self.left):
+            recorded = len(self.store.segments())
+            wanted = self._wanted()
+            if not wanted or self._is_enough():
+                return
+            mine = self.session.claim(wanted)
+            if len(self.store.segments()) != recorded:
+                continue  # claimed runs may have been executed since the store was read
+            self.awaited |= wanted - mine
+            if not mine:
+                if self._wait(wanted):
+                    continue
+                return
+            rest = self._judge(mine)
+            if len(rest) < len(mine):
+                continue
+            odd = self._execute(rest)
+            if self.left:
+                return
+            if rest <= self._open and not self.interrupted:
+                raise Missing(f"{self.session.paths.root}: the worker has ended, and said of no run how it went")
+            if len(rest) == len(wanted) and not self._open and not odd:
+                return
+
+    def _wanted(self) -> set[str]:
+        """Return the runs without a successful execution that no session has tried since this one began."""
+        now = states(self.plan, self.store)
+        wanted = {run for run, state in now.items() if not state.succeeded}
+        if self._before is None:
+            self._before = {run: now[run].executions for run in wanted if now[run].executions}
+            self._tally.reused = self._tally.total - len(wanted)
+        self.failed |= {run for run in wanted if now[run].executions > self._before.get(run, 0)}
+        if self._options.only is not None:
+            wanted &= self._options.only
+        wanted -= self.failed
+        wanted -= self.attempted
+        return wanted
+
+    def _judge(self, wanted: set[str]) -> set[str]:
+        """Evaluate the recorded executions of these runs again, once each, if rules have changed.
+
+        Returns the runs that must be executed.
+        """
+        fresh = wanted & (self._before or {}).keys() - self._looked_at
+        self._looked_at |= fresh
+        if not fresh:
+            return wanted
+        self._context.save(self.session.paths.context)
+        anew = judge_anew(self.store, self.session.paths, self._context, fresh, mismatched=self.rules_changed)
+        for lack, count in Counter(anew.unread.values()).most_common(NOTED):
+            self._options.observer.notice(
+                f"executing {counted(count, 'run')} again, which cannot be judged by the changed rules: {lack}"
+            )
+        if anew.judged:
+            find_odd(self.store, self.session.paths, self._context)
+        self.reevaluated |= anew.judged
+        self._tally.reused += len(anew.judged)
+        self.notes += tuple(anew.notes)
+        return wanted - anew.judged
+
+    def _execute(self, wanted: AbstractSet[str]) -> set[str]:
+        """Execute these runs; return those with an execution, new or old, that is inconsistent with other executions."""
+        runner, plan = self._runner(), self.plan
+        root, programs = self._snapshot() if runner.stays else (self._code(), plan.programs)
+        service = self._prepared(root, stays=runner.stays)
+        self._claimed = self._claimed | wanted if self._claimed else wanted  # a set of 100,000 runs takes 4 MB
+        followed = service.execute(
+            runner,
+            self._context,
+            self._inputs(wanted),
+            len(wanted),
+            programs,
+            self._tally,
+            times=expected_durations.expected(plan, self.store, wanted) if runner.stays else None,
+            detach=self._options.detach,
+            # a cluster executes a copy of the code, and its nodes check the programs
+            doubt=self._doubt if not runner.stays else lambda: None,
+            enough=self._is_enough,
+        )
+        self.failed |= self._tally.failed
+        self.notes += followed.notes
+        self.left += [self.session.paths] if followed.left else []
+        cancelled = self.session.paths.cancelled.exists() and not self._is_enough()
+        self.interrupted = cancelled or followed.interrupted
+        return followed.inconsistent
+
+    def _prepared(self, root: Path, *, stays: bool) -> Service:
+        """Return the service that executes the runs; its isolation is prepared at the first call."""
+        if self._service is None:
+            plan = self.plan
+            setup = Setup(plan.project, plan.batch.spec, plan.engine, plan.image, plan.limits, root, plan.environment)
+            self._service = Service(setup, self.store, self.session, stays=stays)
+            self.notes += self._service.isolation.notes
+        return self._service
+
+    @property
+    def isolation(self) -> Isolation | None:
+        """Return the isolation of the runs; None if nothing was executed."""
+        return self._service.isolation if self._service else None
+
+    def _doubt(self) -> str | None:
+        """Return the reason why results do not belong to the plan (files have changed, even if only for a while); else None."""
+        contained = self.isolation
+        self._doubted = self._doubted or self.plan.seen.doubt() or (contained.doubt() if contained else None)
+        return self._doubted
+
+    def _is_enough(self) -> bool:
+        return self._doubted is not None or (self._options.fail_fast and bool(self.failed or self._tally.failed))
+
+    def _inputs(self, wanted: AbstractSet[str]) -> Iterator[tuple[Run, Files]]:
+        """Yield these runs with their input files, each run once."""
+        plan = self.plan
+        unique = len(plan.batch.runs) == self._tally.total
+        sent: set[str] = set()
+        for run, files in plan.inputs.files(plan.batch, lambda run: run.id in wanted):
+            if unique or run.id not in sent:
+                sent.update(() if unique else (run.id,))
+                yield run, files
+
+    def _code(self) -> Path:
+        """Return the folder of the code that is executed."""
+        if self.plan.checkout is None:
+            return self.plan.project.root
+        root = self.session.paths.source
+        if not root.exists():
+            self.plan.checkout.make(root)
+        return root
+
+    def _snapshot(self) -> tuple[Path, Programs]:
+        """Return a folder with a copy of the current code, and the programs in it.
+
+        The project may change while runs wait for a node. Raises Missing if the code or the programs changed during the copy.
+        """
+        plan = self.plan
+        checkout = plan.checkout or plan.snapshot(self.store.blob)
+        root = self.session.paths.source
+        made = not root.exists()
+        if made:
+            checkout.make(root)
+        programs = checkout.programs_in(root)
+        meanwhile = "while they were being copied for the cluster"
+        if plan.checkout is None and (doubt := plan.seen.doubt(meanwhile)):
+            raise Missing(f"{doubt}; ask again")
+        if programs.id != plan.programs.id:
+            raise Missing(f"programs have changed {meanwhile}: {few(plan.programs.unlike(programs), 3)}; ask again")
+        if made and (left_out := checkout.left_out()):  # reported last: the callback may write to a file of the project
+            what = "nodes have of these only what the command, a variable or the template names"
+            self._options.observer.notice(f"git ignores {left_out} in the project: {what}")
+        return root, programs
+
+    def _wait(self, wanted: AbstractSet[str]) -> bool:
+        """Wait until one of the sessions that execute these runs ends or records something; return False to stop waiting.
+
+        If such a session is on a cluster and no process follows it, follow it here.
+        """
+        session = self._adopted(wanted)
+        if session is None and self._options.detach:
+            self._options.observer.notice(
+                f"{len(wanted)} runs are executed by other processes already; they are not waited for"
+            )
+            return False
+        session = session or self._until_free(wanted)
+        if session is not None:
+            self._join(session, wanted)
+        return True
+
+    def _until_free(self, wanted: AbstractSet[str]) -> Session | None:
+        """Wait until other sessions free or record some of these runs.
+
+        Returns a session on a cluster that can be taken over because its follower has died; otherwise None.
+        """
+        known = len(self.store.segments())
+        with noted() as signals:
+            while not signals and sessions.others(self.session.store, self.session.id) & wanted:
+                self._tally.report(0, elsewhere=len(wanted))
+                time.sleep(JOIN_S)
+                recover.finish_dead(self.store)
+                if len(self.store.segments()) != known:
+                    break
+                if (session := self._adopted(wanted)) is not None:
+                    return session
+        self.interrupted = bool(signals)
+        return None
+
+    def _adopted(self, wanted: AbstractSet[str]) -> Session | None:
+        """Take over a session on a cluster that has claimed some of these runs and that no process follows.
+
+        Returns the session, or None.
+        """
+        for paths in sessions.submitted(self.session.store):
+            session = Session.adopted(self.session.store, paths) if sessions.claims(paths) & wanted else None
+            if session is not None:
+                return session
+        return None
+
+    def _join(self, session: Session, wanted: AbstractSet[str]) -> None:
+        """Follow runs that were submitted before."""
+        mine = sessions.claims(session.paths) & wanted
+        self._options.observer.notice(f"{len(mine)} runs have been submitted before ({session.id}); they are followed")
+        attached = attach(self.store, session, _Joined(self._tally, mine), detach=self._options.detach)
+        self.notes += attached.notes
+        self.left += [session.paths] if attached.left else []
+        self.interrupted = attached.interrupted
+
+
+class _Joined(Tally):
+    """The tally of another session that is followed here: it reports this session's progress, and the runs to come."""
+
+    def __init__(self, own: Tally, runs: set[str]) -> None:
+        super().__init__(own.observer, len(runs))
+        self._own = own
+        self._runs = runs
+
+    def report(self, running: int, queued: int = 0, waits: str = "", elsewhere: int = 0) -> None:
+        self._own.report(running, queued, waits, elsewhere=len(self._runs - self.statuses.keys()))

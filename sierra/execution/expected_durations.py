@@ -1,0 +1,162 @@
+"""Expected duration of runs: measured with the same values, or estimated from other values.
+
+An estimate is rather too long than too short. Between two timed values of a variable, a run takes as long as the slower of
+the two. Beyond them its duration grows by a power of the variable, fitted to neighbouring values; with fewer than three
+timed values, it grows at least in proportion. Variables that are text, or were not varied, do not scale the estimate. Runs
+whose values were never timed are listed, so that some of them can be executed first.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Set as AbstractSet
+from dataclasses import dataclass
+
+from sierra.execution.resolve_plan import Plan
+from sierra.model import Times, Value
+from sierra.store.store import Store
+
+STEEPEST = 4.0
+"""Highest power with which a run's duration may grow; `MOST` is the greatest factor."""
+MOST = 1e6
+
+
+@dataclass(frozen=True, slots=True)
+class Timed:
+    """Mean duration of successful runs with these values."""
+
+    values: Mapping[str, Value | None]
+    """Values by variable; None for a variable with the template's value."""
+    seconds: float
+
+
+def expected(plan: Plan, store: Store | None, runs: AbstractSet[str]) -> Times | None:
+    """Return the expected durations of these runs of a plan; None if no comparable run was timed."""
+    known = list(_timed(plan, store)) if store and runs else []
+    if not known:
+        return None
+    order = list({run.id: run for run in plan.batch.runs if run.id in runs}.values())
+    experiments = sorted({run.experiment for run in order})
+    values = {ordinal: plan.batch.experiments[ordinal].values for ordinal in experiments}
+    exact = {ordinal: _measured(values[ordinal], known) for ordinal in experiments}
+    seconds = {ordinal: found if found is not None else estimate(values[ordinal], known) for ordinal, found in exact.items()}
+    each = tuple(seconds[run.experiment] for run in order)
+    new = tuple(place for place, run in enumerate(order) if exact[run.experiment] is None)
+    return Times(each, new, _how(sum(found is not None for found in exact.values()), len(exact), plan.batch.axes))
+
+
+def recorded(store: Store, runs: Sequence[str]) -> Times | None:
+    """Return the recorded mean durations of these runs; None if none of them succeeded."""
+    import pyarrow as pa
+
+    with store.snapshot() as snapshot:
+        snapshot.views.make(("executions",))
+        snapshot.register("asked", pa.table({"run": list(runs)}))
+        took = dict(snapshot.run(RECORDED))
+    if not took:
+        return None
+    greatest = max(took.values())
+    return Times(tuple(took.get(run, greatest) for run in runs), (), "as they were recorded")
+
+
+def estimate(values: Mapping[str, Value], known: Sequence[Timed]) -> float:
+    """Return the duration in seconds of a run with values that were never timed, estimated from timed runs."""
+    near = [one for one in known if all(_is_near(name, value, one, known) for name, value in values.items())]
+    slowest = max(one.seconds for one in near or known)
+    return slowest * math.prod(_growth(name, value, known) for name, value in values.items())
+
+
+# no variable has a blank in its name
+TIMED = """
+SELECT {'controller': b.controller, 'scenario': b.scenario, 'overrides': b.overrides} AS "of batch", avg(e.wall_s) AS "took s",
+       x.* EXCLUDE (batch, ordinal, experiment)
+FROM executions e JOIN batch_runs m USING (batch, run) JOIN experiments x USING (batch, ordinal) JOIN batches b USING (batch)
+     JOIN specs r ON r.spec = b.spec
+WHERE e.status = 'ok' AND e.purpose = 'run' AND r.command = $command
+GROUP BY ALL
+"""
+RECORDED = """
+SELECT run, avg(wall_s) FROM executions SEMI JOIN asked USING (run) WHERE status = 'ok' AND purpose = 'run' GROUP BY run
+"""
+
+
+def _timed(plan: Plan, store: Store) -> Iterator[Timed]:
+    """Yield the durations of runs with the same command, controller, scenario and settings, or else with others."""
+    project, query, batch = plan.project.config, plan.query, plan.batch
+    with store.snapshot() as snapshot:
+        snapshot.views.make(("executions", "batch_runs", "experiments", "batches", "specs"))
+        rows = snapshot.rows(TIMED, command=list(batch.spec.command))
+    sets = [f"{change.path}={change.value}" for change in query.sets]
+    asked = (query.controller or project.controller, query.scenario or project.scenario, sets)
+    alike = [row for row in rows if tuple(row["of batch"].values()) == asked]
+    for row in alike or rows:
+        yield Timed({axis.name: _plain(row.get(axis.name), numeric=axis.numeric) for axis in batch.axes}, row["took s"])
+
+
+def _plain(value: object, *, numeric: bool) -> Value | None:
+    """Return a value as an axis has it; numbers may have become text in a column of several batches."""
+    if value is None:
+        return None
+    if not numeric:
+        return str(value)
+    try:
+        return float(str(value))
+    except ValueError:
+        return str(value)
+
+
+def _measured(values: Mapping[str, Value], known: Iterable[Timed]) -> float | None:
+    """Return the duration of runs with all of these values; None if there are none."""
+    return max((one.seconds for one in known if all(one.values[name] == values[name] for name in values)), default=None)
+
+
+def _is_near(name: str, value: Value, one: Timed, known: Sequence[Timed]) -> bool:
+    """Check whether a timed run has the same value of a variable, or a neighbouring one."""
+    there = one.values[name]
+    if there is None or there == value:
+        return True
+    if isinstance(value, str) or isinstance(there, str):
+        return value not in {other.values[name] for other in known}
+    numbers = _numbers(name, known)
+    below, above = [each for each in numbers if each <= value], [each for each in numbers if each >= value]
+    return there in (*below[-1:], *above[:1])
+
+
+def _growth(name: str, value: Value, known: Sequence[Timed]) -> float:
+    """Return the factor by which a run takes longer than runs with the nearest timed value; 1.0 within the timed range."""
+    numbers = _numbers(name, known)
+    if isinstance(value, str) or not numbers or numbers[0] <= value <= numbers[-1]:
+        return 1.0
+    slowest = {number: max(one.seconds for one in known if one.values[name] == number) for number in numbers}
+    end = numbers[-1] if value > numbers[-1] else numbers[0]
+    if min(end, value, *numbers) <= 0:
+        return _linear(slowest, end, value)
+    powers = [
+        math.log(slowest[b] / slowest[a]) / math.log(b / a)
+        for a, b in itertools.pairwise(numbers)
+        if slowest[a] > 0 and slowest[b] > 0
+    ]
+    least = 1.0 if value > end and len(numbers) < 3 else 0.0
+    steepest = max([least, *(power if value > end else -power for power in powers)])
+    grown = abs(math.log(value) - math.log(end)) * min(steepest, STEEPEST)
+    return math.exp(min(grown, math.log(MOST)))
+
+
+def _linear(slowest: Mapping[float, float], end: float, value: float) -> float:
+    """Return the factor of `_growth` along a straight line, for values that have no logarithm."""
+    slopes = [abs(slowest[b] - slowest[a]) / (b - a) for a, b in itertools.pairwise(sorted(slowest))]
+    return min(1.0 + max([0.0, *slopes]) * abs(value - end) / slowest[end], MOST) if slowest[end] > 0 else 1.0
+
+
+def _numbers(name: str, known: Iterable[Timed]) -> list[float]:
+    return sorted({value for one in known if (value := one.values[name]) is not None and not isinstance(value, str)})
+
+
+def _how(timed: int, of: int, axes: Sequence[object]) -> str:
+    if timed == of:
+        return "runs with the same values were timed"
+    if timed == 0:
+        return "estimated from runs with other values" if axes else "estimated from runs with other settings"
+    return f"{timed} of {of} experiments were timed, the others are estimated from these"

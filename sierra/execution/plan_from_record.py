@@ -1,0 +1,266 @@
+"""Plans rebuilt from the store: code, inputs, programs and rules of a batch, without the query that made them.
+
+A replay executes such a plan. So does `run` with a batch id: missing runs are executed with the recorded code, whatever the
+project's files are now.
+"""
+
+from __future__ import annotations
+
+import itertools
+import json
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from sierra.config.plugins import Tables
+from sierra.config.project_file import LoadedProject, Output, Success
+from sierra.containers import engines, images, session_isolation
+from sierra.containers.engines.base import Engine
+from sierra.containers.images.image import Image
+from sierra.containers.images.image_contents import Contents
+from sierra.errors import Damaged, Missing, NotFound, UsageError
+from sierra.execution import commands
+from sierra.execution.checkout import Checkout
+from sierra.execution.resolve_plan import Plan
+from sierra.ingest.base import Used, described
+from sierra.ingest.recording_context import rules_of
+from sierra.model import Axis, Batch, Experiment, Query, Run, RunSpec
+from sierra.provenance import environment
+from sierra.provenance.change_guard import seen
+from sierra.provenance.program import NOTHING
+from sierra.query import grammar
+from sierra.query.request import repeated
+from sierra.store.recorded_files import INPUT_FOLDER, Taken, contents, recorded
+from sierra.store.store import Snapshot, Store
+from sierra.templates.base import Files
+from sierra.util.fs import inside
+from sierra.util.hashing import short
+from sierra.version import __version__
+
+AT_A_TIME = 512
+"""Number of runs whose input files are in memory at a time."""
+LAST = """
+WITH asked AS (
+    SELECT programs, ingest_rules, source, query, lamport FROM sessions WHERE batch = $b
+    UNION ALL SELECT programs, ingest_rules, NULL, NULL, place FROM all_judgements WHERE batch = $b AND purpose = 'run'
+)
+SELECT arg_max(programs, lamport) AS programs, arg_max(ingest_rules, lamport) AS ingest_rules,
+       arg_max(source, lamport) AS source, arg_max(query, lamport) AS query
+FROM asked
+"""
+
+
+LAST_DECLARED = """
+WITH used AS (
+    SELECT ingest_rules, lamport FROM sessions
+    UNION ALL SELECT ingest_rules, place FROM all_judgements WHERE purpose = 'run'
+)
+SELECT declared FROM ingest_rules WHERE ingest_rules = (SELECT arg_max(ingest_rules, lamport) FROM used) LIMIT 1
+"""
+
+
+def last_outputs(store: Store) -> Mapping[str, Output]:
+    """Return the output declarations that were used last."""
+    rows = store.rows(LAST_DECLARED)
+    return rules_of(json.loads(rows[0]["declared"]))[0] if rows else {}
+
+
+@dataclass(frozen=True, slots=True)
+class Recalled:
+    """Everything that the runs of one batch have in common."""
+
+    batch: str
+    spec: RunSpec
+    manifest: bytes
+    """Manifest of the source: the list of its files."""
+    commit: str | None
+    programs: Sequence[Mapping[str, Any]]
+    """Rows of the table `programs`."""
+    fingerprint: str
+    outputs: Mapping[str, Output]
+    success: Success
+    readers: Used
+    """Readers of other packages with the recorded options."""
+
+    def checkout(self, project: LoadedProject, store: Store) -> Checkout:
+        """Return the checkout that restores the code."""
+        used = tuple((row["name"], row["kind"]) for row in self.programs)
+        container = project.config.container if self.spec.image else None
+        mounted = session_isolation.data(NOTHING, container, project.root) if container else NOTHING
+        return Checkout(project.root, self.spec, self.manifest, used, store.blob, mounted, self.commit)
+
+
+def recall(store: Store, batch: str, programs: str, ingest_rules: str) -> Recalled:
+    """Return the recorded plan of a batch for one set of programs and one set of rules."""
+    with store.snapshot() as snapshot:
+        made = _one(snapshot, "SELECT r.* FROM specs r JOIN batches b USING (spec) WHERE b.batch = $b", b=batch)
+        rules = _one(snapshot, "SELECT declared FROM ingest_rules WHERE ingest_rules = $r", r=ingest_rules)
+        used = snapshot.rows("SELECT * FROM programs WHERE programs = $p", p=programs)
+        code = snapshot.rows('SELECT files, "commit" FROM sources WHERE tree = $t LIMIT 1', t=made["source"])
+    outputs, success, readers = rules_of(json.loads(rules["declared"]))
+    spec = RunSpec(
+        made["platform"],
+        tuple(made["command"]),
+        json.loads(made["variables"]),
+        made["source"],
+        made["image"],
+        tuple(made["host_access"] or ()),
+    )
+    manifest, commit = (store.object(code[0]["files"]), code[0]["commit"]) if code else (b"", None)
+    return Recalled(batch, spec, manifest, commit, used, programs, outputs, success, installed(readers))
+
+
+def installed(readers: Used) -> Used:
+    """Return recorded readers with their recorded options, and with the packages that are installed now."""
+    return described(readers, {name: reader["options"] for name, reader in readers.items()})
+
+
+def engine(store: Store, batch: str, spec: RunSpec, name: str | None, tables: Tables, *, hosted: bool) -> Engine:
+    """Return the engine for the runs of a spec: the requested one, or the one that this batch used last.
+
+    `tables` are `[engines.…]`.
+
+    Raises UsageError if the engine does not fit the spec.
+    """
+    if spec.image is None:
+        if name not in (None, "none"):
+            raise UsageError(f"--engine {name}: batch {short(batch)} was executed without an image; leave it out")
+        return engines.find("none")
+    if name == "none" and not hosted:
+        raise UsageError(
+            f"batch {short(batch)} was executed in an image, and so is what is missing of it; leave out --engine none"
+        )
+    if name is None:
+        [row] = store.rows(
+            "SELECT arg_max(engine, lamport) AS engine FROM sessions WHERE batch = $b AND engine <> 'none'", b=batch
+        )
+        name = row["engine"] or "podman"
+    return engines.find(name, tables)
+
+
+def image(project: LoadedProject, store: Store, spec: RunSpec) -> Image | None:
+    """Return the image of a spec: the pinned one with this id, under any name, or the recorded one. Raises Missing."""
+    if spec.image is None:
+        return None
+    found = next((one for one in images.pins(project.root).values() if one.id == spec.image), None)
+    return found or image_contents(store, spec.image).image
+
+
+def image_contents(store: Store, identity: str) -> Contents:
+    """Return the record of an image. Raises Missing."""
+    rows = store.rows("SELECT * FROM images WHERE image = $i LIMIT 1", i=identity)
+    if not rows:
+        raise Missing(f"the image {identity} is neither pinned nor recorded; sierra image import brings it, then pin it")
+    return Contents.of_row(rows[0], store.object(rows[0]["files"]))
+
+
+def inputs(store: Store, runs: Iterable[Taken]) -> Iterator[tuple[Taken, Files]]:
+    """Yield the recorded input files of these runs.
+
+    Raises Damaged if one is not in the store, or if its name leads out of the folder of its run.
+    """
+    pending = iter(runs)
+    with store.snapshot() as snapshot:
+        while some := list(itertools.islice(pending, AT_A_TIME)):
+            files: dict[str, list[Any]] = {one.run: [] for one in some}
+            listed = recorded(snapshot, some, inputs=True)
+            for name in {file.path.removeprefix(INPUT_FOLDER) for file in listed}:
+                inside(store.paths.work, name)
+            for file in listed:
+                files[file.taken.run].append(file)
+            bytes_of = {one.file.sha256: b"".join(one.pieces) for one in contents(snapshot, listed)}
+            for one in some:
+                if not files[one.run]:
+                    raise Damaged(f"the input of run {short(one.run)} is not in the store")
+                yield one, tuple((file.path.removeprefix(INPUT_FOLDER), bytes_of[file.sha256]) for file in files[one.run])
+
+
+@dataclass(frozen=True, slots=True)
+class Inputs:
+    """Recorded input files of a batch; see `sierra.execution.resolve_plan.Inputs`."""
+
+    store: Store
+
+    def files(self, batch: Batch, wanted: Callable[[Run], bool]) -> Iterator[tuple[Run, Files]]:
+        runs = {run.id: run for run in batch.runs if wanted(run)}
+        taken = (Taken("", run.experiment, run.number, run.id, None, None, "none") for run in runs.values())
+        for one, files in inputs(self.store, taken):
+            yield runs[one.run], files
+
+
+def plan(project: LoadedProject, store: Store, prefix: str, *, contained: str | None = None) -> Plan:
+    """Return the plan that executes a recorded batch as it was recorded. Raises NotFound, Missing."""
+    found = store.resolve(prefix)
+    if found.kind != "batch":
+        of = f": sierra run {short(found.batch)}" if found.batch else ""
+        raise NotFound(f"{prefix!r} is a {found.kind}; what is missing is executed of a whole batch{of}")
+    with store.snapshot() as snapshot:
+        row = _one(snapshot, "SELECT * FROM batches WHERE batch = $b", b=found.id)
+        last = _one(snapshot, LAST, b=found.id)
+    if last["ingest_rules"] is None:
+        raise Missing(f"batch {short(found.id)}: no asking for it has come to an end; ask by its query: {row['query']}")
+    recalled = recall(store, found.id, last["programs"], last["ingest_rules"])
+    checkout = recalled.checkout(project, store)
+    used = checkout.programs()
+    batch = _batch(store, row, recalled.spec)
+    text = last["query"] or row["query"]
+    return Plan(
+        project=project,
+        request=repeated(row, len(batch.experiments[0].runs)),
+        query=Query(
+            grammar.parse_all(text.split()),
+            len(batch.experiments[0].runs),
+            row["controller"],
+            row["scenario"],
+            (),
+            row["base_seed"],
+        ),
+        text=text,
+        batch=batch,
+        inputs=Inputs(store),
+        source=None,
+        source_id=last["source"],
+        checkout=checkout,
+        programs=used,
+        environment=environment.capture(__version__, project.config.environment.record),
+        engine=engine(store, found.id, recalled.spec, contained, project.config.engines, hosted=False),
+        image=image(project, store, recalled.spec),
+        limits=commands.limits(project.config),
+        template_sha256=row["template_sha256"],
+        outputs=recalled.outputs,
+        success=recalled.success,
+        readers=recalled.readers,
+        seen=seen(project.root, b"", used),
+    )
+
+
+def _batch(store: Store, row: Mapping[str, Any], spec: RunSpec) -> Batch:
+    """Return a batch as it is recorded."""
+    with store.snapshot(row["batch"]) as snapshot:
+        names = tuple(_one(snapshot, "SELECT files FROM specs WHERE spec = $r", r=row["spec"])["files"])
+        cells = snapshot.rows("SELECT * FROM experiments WHERE batch = $b ORDER BY ordinal", b=row["batch"])
+        snapshot.views.make(("batch_runs",))
+        runs: dict[int, list[Run]] = {}
+        for ordinal, number, run, seed, first, others in snapshot.each(MEMBERS, {"b": row["batch"]}):
+            digests = bytes.fromhex("".join((first, *(others or ()))))
+            runs.setdefault(ordinal, []).append(Run(run, ordinal, number, seed, names, digests))
+    experiments = tuple(
+        Experiment(
+            cell["experiment"], cell["ordinal"], {axis: cell[axis] for axis in row["axes"]}, tuple(runs[cell["ordinal"]])
+        )
+        for cell in cells
+    )
+    axes = tuple(Axis(name, tuple(dict.fromkeys(one.values[name] for one in experiments))) for name in row["axes"])
+    return Batch(row["batch"], axes, experiments, spec, row["spec"])
+
+
+MEMBERS = "SELECT ordinal, number, run, seed, input, other_inputs FROM batch_runs WHERE batch = $b ORDER BY ordinal, number"
+
+
+def _one(snapshot: Snapshot, statement: str, **parameters: Any) -> dict[str, Any]:
+    """Return the first row of a statement's result. Raises Damaged if there is none."""
+    rows: list[dict[str, Any]] = snapshot.rows(statement, **parameters)
+    if not rows:
+        table = statement.split(" FROM ")[1].split()[0]
+        raise Damaged(f"the store's {table} lack {', '.join(short(str(value)) for value in parameters.values())}")
+    return rows[0]

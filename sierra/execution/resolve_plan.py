@@ -1,0 +1,398 @@
+"""Plans: a resolved query with everything that its results depend on, before anything executes: query → design → inputs."""
+
+from __future__ import annotations
+
+import difflib
+import os
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Protocol
+
+from sierra import platforms, templates
+from sierra.config import plugins
+from sierra.config.project_file import LoadedProject, Output, Project, Success
+from sierra.containers import engines, images, session_isolation
+from sierra.containers.engines.base import PROJECT, Engine
+from sierra.containers.images.image import Image
+from sierra.design.expand import Expansion
+from sierra.design.experiments import Heed, deaf, design, mentions
+from sierra.errors import ConfigError, Missing, QueryError
+from sierra.execution import commands
+from sierra.execution.checkout import Checkout, programs_in
+from sierra.ingest.base import Used
+from sierra.ingest.base import used as used_readers
+from sierra.ingest.recording_context import Context
+from sierra.model import Batch, Design, Experiment, Limits, Purpose, Query, Run, RunSpec, Set
+from sierra.provenance import environment, referenced_files, reported_versions, source
+from sierra.provenance.change_guard import ChangeGuard, seen
+from sierra.provenance.program import Programs
+from sierra.query import grammar
+from sierra.query.request import QueryRequest
+from sierra.store.layout import CONFIG, DRAWN, FIGURES, LOCK, PYPROJECT, STORE, ProjectPaths, StorePaths
+from sierra.store.schema import RESERVED, check_name
+from sierra.templates.base import ARGUMENTS, Files
+from sierra.util import html
+from sierra.util.hashing import short
+from sierra.util.text import few
+from sierra.version import __version__
+
+BARE = re.compile(r"[^\W\d]\w*")
+"""Pattern of a word that is not a criterion, because it has no range."""
+
+
+class Inputs(Protocol):
+    """Source of the input files of runs."""
+
+    def files(self, batch: Batch, wanted: Callable[[Run], bool]) -> Iterator[tuple[Run, Files]]:
+        """Yield the input files of the wanted runs, one run at a time; a run that is twice in the batch may come twice."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """A resolved query with everything that its results depend on, before anything executes."""
+
+    project: LoadedProject
+    request: QueryRequest
+    query: Query
+    text: str
+    batch: Batch
+    inputs: Inputs
+    source: source.Source | None
+    """Source of the code; None for a recorded batch."""
+    source_id: str | None
+    checkout: Checkout | None
+    """Checkout to execute instead of the project's current files; None to execute those."""
+    programs: Programs
+    environment: Mapping[str, Any]
+    engine: Engine
+    image: Image | None
+    """Image that runs execute in."""
+    limits: Limits
+    template_sha256: str
+    outputs: Mapping[str, Output]
+    success: Success
+    readers: Used
+    """Readers of other packages that the outputs need."""
+    seen: ChangeGuard
+    """Guard that notices changes of the code and programs since planning."""
+    notes: tuple[str, ...] = ()
+
+    def _repr_html_(self) -> str:
+        batch = self.batch
+        axes = tuple(axis.name for axis in batch.axes)
+        rows = ((*experiment.values.values(), len(experiment.runs)) for experiment in batch.experiments)
+        title = f"plan of batch {short(batch.id)}: {self.text}, {len(batch.runs)} runs"
+        return html.page(title, (*axes, "runs"), rows, self.notes, total=len(batch.experiments))
+
+    def snapshot(self, content: Callable[[str], bytes | None]) -> Checkout:
+        """Return a checkout of the current code; `content` returns a file that git does not have, by git's hash."""
+        manifest = self.source.manifest if self.source else b""
+        used = tuple((program.name, program.kind) for program in self.programs.all)
+        mounted = Programs(tuple(program for program in self.programs.all if program.name.startswith(session_isolation.MOUNTS)))
+        return Checkout(self.project.root, self.batch.spec, manifest, used, content, mounted)
+
+
+def resolve(project: LoadedProject, request: QueryRequest) -> Query:
+    """Return the query of a request, with the project's defaults; a name of a query in `sierra.toml` stands for its criteria.
+
+    Raises QueryError.
+    """
+    project.check_written()
+    config, words = project.config, request.criteria
+    names = [word for word in words if word in config.queries]
+    if len(names) > 1:
+        raise QueryError(f"{names[0]!r} and {names[1]!r} are queries of their own; ask for one, with more criteria if need be")
+    for word in words:
+        if word == grammar.MONTE_CARLO:
+            raise QueryError(f"{word!r} needs a number of experiments, which differ in their seeds alone; use {word}.C20")
+        if word not in names and BARE.fullmatch(word):
+            close = difflib.get_close_matches(word, config.queries, 1, cutoff=0.5)
+            hint = f"; did you mean {close[0]!r}?" if close else f"; a criterion has a range, as in {word}.Log8 or {word}=1,2"
+            raise QueryError(f"{word!r} is no query of sierra.toml{hint}")
+    named = config.queries[names[0]] if names else None
+    spelled = [part for word in words for part in (named.criteria if named and word in names else (word,))]
+    return Query(
+        criteria=grammar.parse_all(spelled),
+        runs=request.runs or (named and named.runs) or config.runs,
+        controller=request.controller or (named and named.controller) or None,
+        scenario=request.scenario or (named and named.scenario) or None,
+        sets=tuple(Set(one.xpath, one.value, why=f"--set {one.xpath}") for one in request.overrides),
+        base_seed=config.seed.base,
+    )
+
+
+def plan(project: LoadedProject, request: QueryRequest, *, engine: str | None = None, heed: Heed = deaf) -> Plan:
+    """Resolve a requested query into a plan. `engine` replaces the project's engine; `heed` receives the progress of planning.
+
+    Executes nothing, except that it asks a Python for its path, the loader for libraries, and an engine for its image. Writes
+    nothing, except that git writes the source's tree.
+
+    Raises an error for a mistake in project, query, template, source or programs.
+    """
+    query = resolve(project, request)
+    config, root = project.config, project.root
+    _check_names(project)
+    plugins.check(config)
+    readers = used_readers(config.outputs, config.readers)
+    template = templates.read(root / config.template, config.templates)
+    platform = platforms.find(config.platform, config)
+    contained, image = _contained(project, engine)
+    box = config.container if image else None
+    command = commands.command(platform, root, contained=image is not None)
+    variables = {**commands.environment(platform, config), **(box.variables if box else {})}
+    own = (
+        STORE,
+        LOCK,
+        *_drawn(root),
+        CONFIG,
+        PYPROJECT if project.file.name == PYPROJECT else CONFIG,
+        *_inside(config.template),
+    )
+    code = _source(project, own)
+    held = source.paths(code.manifest)
+    data = referenced_files.data(root / config.template, _written(config), root, held, own)
+    if box:
+        data = session_isolation.data(data, box, root)
+    spec = RunSpec(
+        config.platform, command, variables, code.tree, image.id if image else None, session_isolation.host_access(box)
+    )
+    designed = design(query, config, platform, template, heed)
+    expansion = Expansion(designed, template, platform, spec)
+    batch = expansion.batch(heed)
+    if commands.SPLICED in command and ARGUMENTS not in batch.runs[0].names:
+        raise ConfigError(f"command: {commands.SPLICED} needs a template that gives arguments; {config.template} gives none")
+    used = programs_in(spec, code.manifest, root, data)
+    checkout = _committed(root, spec, code, used) if code.checkout else None
+    executed = checkout.programs() if checkout else used
+    uncounted = referenced_files.uncounted(_set_by(designed), root / config.template, root, held, used)
+    return Plan(
+        project=project,
+        request=request,
+        query=query,
+        text=" ".join(grammar.text(criterion) for criterion in query.criteria),
+        batch=batch,
+        inputs=expansion,
+        source=code,
+        source_id=code.id,
+        checkout=checkout,
+        programs=executed,
+        environment=environment.capture(__version__, config.environment.record),
+        engine=contained,
+        image=image,
+        limits=commands.limits(config),
+        template_sha256=template.sha256,
+        outputs=config.outputs,
+        success=config.success,
+        readers=readers,
+        seen=seen(root, b"" if checkout else code.manifest, executed),
+        notes=(
+            *code.notes,
+            *_doubts(designed, command),
+            *_outdated(root, image),
+            *_texts(designed, config, template),
+            *_same(batch),
+            *used.notes,
+            *(f"{file} is named by the query alone: a change of it would not be seen" for file in uncounted),
+        ),
+    )
+
+
+def _contained(project: LoadedProject, name: str | None) -> tuple[Engine, Image | None]:
+    """Return the engine and the image of the runs, and verify that the image is still the pinned one.
+
+    Raises ConfigError, Missing.
+    """
+    container = project.config.container
+    engine = engines.find(name or (container.engine if container else "none"), project.config.engines)
+    if engine.name == "none":
+        return engine, None
+    if container is None:
+        raise ConfigError(f'{engine.name} needs an image: [container] image = "…" in {project.file}')
+    image = images.pinned(project.root, container.image)
+    images.verify(project.root, image)
+    return engine, image
+
+
+def _outdated(root: Path, image: Image | None) -> Iterator[str]:
+    if image and images.outdated(root, StorePaths(ProjectPaths(root).store), image):
+        yield f"{image.name} has changed since its image was built: sierra image build {image.name}, then pin it"
+
+
+def _source(project: LoadedProject, own: Sequence[str]) -> source.Source:
+    wanted, store = project.config.source, StorePaths(ProjectPaths(project.root).store)
+    return source.capture(
+        project.root,
+        paths=wanted.paths,
+        without=own,
+        dirty=wanted.dirty,
+        large=wanted.max_untracked,
+        memory=store.files if store.format.is_file() else None,
+    )
+
+
+def _committed(root: Path, spec: RunSpec, code: source.Source, used: Programs) -> Checkout:
+    """Return a checkout of the commit's code, which is executed instead of the current files."""
+    known = tuple((program.name, program.kind) for program in used.all)
+    return Checkout(root, spec, code.manifest, known, lambda blob: None)
+
+
+def out_of_reach(plan: Plan, logs: Sequence[str] | None) -> Iterator[str]:
+    """Yield a hint if a template names files by relative paths, which do not exist in a run's folder.
+
+    `logs` are logs of failed runs: the hint then names only files that they mention. With None, it names all.
+    """
+    config, root = plan.project.config, plan.project.root
+    template = root / config.template
+    words = referenced_files.beside(template, _written(config), root)
+    made = set(plan.batch.runs[0].names)
+    meant = [word for word in words if word not in made and (logs is None or any(Path(word).name in log for log in logs))]
+    if meant:
+        first = os.path.normpath(os.path.relpath(template.parent / meant[0], root))
+        lies = "it lies" if len(meant) == 1 else "they lie"
+        yield (
+            f"the template names {few([repr(word) for word in meant], 3)} by a relative path: "
+            f"{lies} in the project, and runs execute elsewhere; {_reached(plan, first)}"
+        )
+
+
+def _reached(plan: Plan, path: str) -> str:
+    """Return a hint how a template can name a file of the project."""
+    if plan.image is not None:
+        return f"write its path in the container, {PROJECT}/{path}"
+    link = path.split("/")[0]
+    linked = f"""command = "sh -c 'ln -s {{project}}/{link} {{run}}/ && exec …'", which links it beside the input"""
+    absolute = "write its absolute path (all ids are then those of this machine)"
+    return absolute if link == os.pardir else f"write {linked}, or {absolute.removeprefix('write ')}"
+
+
+def versioned(plan: Plan) -> Plan:
+    """Return the plan with the versions that its programs report; this executes the programs."""
+    variables = commands.declared(plan.batch.spec.environment, plan.project.root)
+    return replace(
+        plan, programs=reported_versions.asked(plan.programs, plan.project.config.programs, variables, plan.project.root)
+    )
+
+
+def context(plan: Plan, session: str = "", number: int | None = None) -> Context:
+    """Return the context that recording needs for a session that executes this plan."""
+    return Context(
+        session=session,
+        batch=plan.batch.id,
+        purpose=Purpose.RUN,
+        environment=plan.environment["environment"],
+        programs=plan.programs.id,
+        outputs=plan.outputs,
+        success=plan.success,
+        number=number,
+        raw=plan.project.config.store.raw,
+        readers=plan.readers,
+        engines=plan.project.config.engines,
+    )
+
+
+def _drawn(root: Path) -> list[str]:
+    """Return the folders that figures were drawn to; other files in `figures` belong to the project."""
+    return [f"{FIGURES}/{memory.parent.name}" for memory in ProjectPaths(root).figures.glob(f"*/{DRAWN}")]
+
+
+def _inside(template: str) -> list[str]:
+    """Return the template's path if it is in the project.
+
+    The source leaves it out, because the inputs that are made from it are hashed.
+    """
+    path = os.path.normpath(template)
+    return [] if path.startswith((os.pardir, os.sep)) else [path]
+
+
+WRITTEN = ("value", "xml", "per_run")
+"""Keys whose texts may become part of an input. Texts of other keys are XPaths and names, and `/x` is not a file there."""
+
+
+def _written(config: Project) -> Iterator[str]:
+    """Yield the texts that the project's changes may put into a template, for any query."""
+    changes = config.model_dump(include={"variables", "changes", "run_changes", "per_run", "controllers", "scenarios"})
+    pending: list[tuple[bool, Any]] = [(False, changes)]
+    while pending:
+        match pending.pop():
+            case True, str() as text:
+                yield text
+            case stands, dict() as table:
+                pending.extend((stands or key in WRITTEN, value) for key, value in table.items())
+            case stands, list() | tuple() as items:
+                pending.extend((stands, item) for item in items)
+
+
+def _doubts(designed: Design, command: Sequence[str]) -> Iterator[str]:
+    """Yield warnings about settings that are allowed but probably not intended."""
+    mentioned = " ".join(command)
+    seeded = any(mentions(change, "seed") for change in designed.per_run)
+    if designed.query.runs > 1 and not seeded and "{seed}" not in mentioned:
+        yield 'the seed goes nowhere: say where with seed = "XPATH", or {seed} in the command (SIERRA_SEED has it too)'
+    for name, values in designed.lists.items():
+        if len(values) < designed.query.runs:
+            yield f"[per_run] {name} has {len(values)} items for {designed.query.runs} runs: run {len(values)} takes the first"
+    if not any(word in mentioned for word in ("{input}", "{run}", commands.SPLICED)):
+        yield "the command does not name {input}: unless it finds the generated file itself, all experiments are the same"
+
+
+def _texts(designed: Design, config: Project, template: templates.Template) -> Iterator[str]:
+    """Yield warnings about variables with text values where the template has numbers; a range may be mistyped."""
+    for axis in designed.axes:
+        variable = config.variables.get(axis.name)
+        if variable is not None and variable.set is not None and not axis.numeric:
+            here = template.find(variable.set)
+            if here and all(re.fullmatch(r"\s*[+-]?\d+(\.\d*)?\s*", value) for value in here):
+                yield f"{axis.name} gets texts ({axis.values[0]!r}, …), and the template has {here[0].strip()} there"
+
+
+def _set_by(designed: Design) -> set[str]:
+    """Return the texts that a query puts into the template: values of `--set`, and values of axes that are not numeric."""
+    names = [axis.name for axis in designed.axes if not axis.numeric]
+    found = {change.value for change in designed.query.sets}
+    for cell in designed.cells if names else ():
+        for change in cell.changes:
+            if isinstance(change, Set):
+                filled = change.value
+                for name in names:
+                    filled = filled.replace(f"{{{name}}}", str(cell.values[name]))
+                found.add(filled)
+    return found
+
+
+def _same(batch: Batch) -> Iterator[str]:
+    """Yield a warning if experiments are identical because their values change nothing; it names two and counts the others."""
+    first: dict[tuple[str, ...], Experiment] = {}
+    again = [(one, other) for other in batch.experiments if (one := first.setdefault(_key(other), other)) is not other]
+    for one, other in again[:1]:
+        more = f" (as in {len(again) - 1} other cases)" if again[1:] else ""
+        yield f"{_called(one)} and {_called(other)} are the same runs: nothing in the input differs{more}"
+
+
+def _key(experiment: Experiment) -> tuple[str, ...]:
+    return tuple(run.id for run in experiment.runs)
+
+
+def _called(experiment: Experiment) -> str:
+    return " ".join(f"{name}={value}" for name, value in experiment.values.items())
+
+
+def _check_names(project: LoadedProject) -> None:
+    """Check the names of outputs and variables against the store's own, and that the store's path is not a file.
+
+    Also checks that an output has no column names together with a header. Raises ConfigError, Missing.
+    """
+    for name, output in project.config.outputs.items():
+        if not check_name(name):
+            raise ConfigError(f"{project.file}: [outputs.{name}]: the store has a table {name!r} of its own; take another name")
+        if output.columns and output.header:
+            told = "columns are the names of a CSV without header; write header = false too, or leave columns out"
+            raise ConfigError(f"{project.file}: [outputs.{name}]: {told}")
+    for name in project.config.variables:
+        if name.lower() in RESERVED:
+            raise ConfigError(f"{project.file}: variable {name!r}: the store has a column of that name; take another name")
+    root = ProjectPaths(project.root)
+    if root.store.exists() and not root.store.is_dir():
+        raise Missing(f"{root.store} is a file; the store is to be a folder there")

@@ -1,0 +1,126 @@
+"""The execution service: it isolates the runs of a session, makes their jobs, follows these to their end, and records them.
+
+Queries (`executor`) and replays (`sierra.replay`) execute through it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from sierra.config.project_file import LoadedProject
+from sierra.containers.engines.base import Engine
+from sierra.containers.images.image import Image
+from sierra.containers.session_isolation import contain
+from sierra.execution import commands
+from sierra.execution.follow import Followed, follow
+from sierra.execution.observer import Tally
+from sierra.execution.sessions import Session
+from sierra.ingest.recorder import Recorder
+from sierra.ingest.recording_context import Context
+from sierra.model import Limits, Run, RunSpec, Times
+from sierra.provenance import environment
+from sierra.provenance.program import Programs
+from sierra.runners.base import Runner, Work, needed
+from sierra.store.store import Store
+from sierra.templates.base import Files
+
+
+@dataclass(frozen=True, slots=True)
+class Setup:
+    """What the runs of a session execute with."""
+
+    project: LoadedProject
+    spec: RunSpec
+    engine: Engine
+    image: Image | None
+    limits: Limits
+    root: Path
+    """Folder of the code."""
+    environment: Mapping[str, Any]
+    """Row of `environments` of this process."""
+
+
+class Service:
+    """Executes runs of one session."""
+
+    def __init__(self, setup: Setup, store: Store, session: Session, *, stays: bool) -> None:
+        """Prepare the isolation of the runs. `stays`: they execute on a cluster. Raises ConfigError, Missing."""
+        self._setup = setup
+        self._store = store
+        self._session = session
+        self._stays = stays
+        self.isolation = contain(
+            setup.engine,
+            setup.image,
+            setup.spec,
+            setup.project.config.container,
+            setup.limits,
+            code=setup.root,
+            project=setup.project.root,
+            store=store.paths,
+            session=session.id,
+            elsewhere=stays,
+        )
+
+    def execute(
+        self,
+        runner: Runner,
+        context: Context,
+        inputs: Iterable[tuple[Run, Files]],
+        count: int,
+        programs: Programs,
+        tally: Tally,
+        *,
+        times: Times | None = None,
+        detach: bool = False,
+        doubt: Callable[[], str | None] = lambda: None,
+        enough: Callable[[], bool] = lambda: False,
+        kept: Path | None = None,
+    ) -> Followed:
+        """Execute `count` runs with these inputs and record them. Raises the runner's errors.
+
+        `times` are the expected durations for a cluster. `doubt` and `kept`: see `Recorder`. `detach` and `enough`: see
+        `sierra.execution.follow.follow`.
+        """
+        context = replace(context, **self.isolation.context)
+        context.save(self._session.paths.context)
+        record = self._setup.project.config.environment.record
+        builder = self._builder()
+        work = Work(
+            (builder.job(run, files) for run, files in inputs),
+            count,
+            context.batch,
+            (*needed(programs, self._search()), *self.isolation.needed),
+            times,
+            not detach,
+            environment.recorded(record),
+            self._setup.environment,
+        )
+        recorder = Recorder(self._store, self._session.paths, context, kept, doubt)
+        try:
+            return follow(runner, recorder, self._store, self._session, tally, work, detach=detach, enough=enough)
+        finally:
+            if not self._stays:
+                self.isolation.close()
+
+    def _builder(self) -> commands.CommandBuilder:
+        setup = self._setup
+        return commands.CommandBuilder(
+            setup.spec,
+            setup.root,
+            setup.engine,
+            setup.limits,
+            self._session.id,
+            setup.project.root,
+            image=setup.image,
+            box=self.isolation.box,
+            script=self._session.paths.worker if self._stays else None,
+        )
+
+    def _search(self) -> str:
+        """Return the PATH of the runs."""
+        setup = self._setup
+        return commands.declared(setup.spec.environment, setup.root, setup.project.root, image=setup.image)["PATH"]

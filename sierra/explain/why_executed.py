@@ -1,0 +1,117 @@
+"""Reasons why recorded runs were executed or not, their effective executions, and the effect of repeating the query."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+from sierra.config.project_file import LoadedProject
+from sierra.execution.status import Standing as OnCluster
+from sierra.execution.status import seen
+from sierra.explain import diff
+from sierra.explain.effective_executions import EffectiveRuns, standings
+from sierra.explain.history import Event, tell
+from sierra.explain.rerun import NextRun, next_run
+from sierra.store.recorded_files import where
+from sierra.store.store import Found, Snapshot, Store
+from sierra.util.hashing import short
+
+BATCHES = 10
+"""Maximum number of batches in the answer."""
+
+ASKED_LAST = """
+SELECT b.batch FROM batches b LEFT JOIN (SELECT batch, max(lamport) AS asked FROM sessions GROUP BY batch) s USING (batch)
+WHERE b.batch IN (SELECT batch FROM batch_runs WHERE run = $r) ORDER BY coalesce(s.asked, b.lamport) DESC
+"""
+EARLIER = """
+SELECT b.batch FROM batches b JOIN batches this ON this.batch = $b
+LEFT JOIN (SELECT batch, max(lamport) AS asked FROM sessions GROUP BY batch) s ON s.batch = b.batch
+WHERE b.axes = this.axes AND b.lamport < this.lamport AND b.batch <> this.batch
+ORDER BY CASE WHEN s.asked < this.lamport THEN s.asked ELSE b.lamport END DESC LIMIT 1
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Why:
+    """Answer to `sierra why`."""
+
+    found: Found
+    runs: int
+    history: tuple[Event, ...]
+    """Events in order; for an execution, only the event of that execution."""
+    new_because: Mapping[str, tuple[str, ...]]
+    """Lines by batch with new runs: the batch that it is compared with, and the differences."""
+    effective: tuple[EffectiveRuns, ...]
+    next_run: NextRun
+    """Effect of repeating the query on these runs."""
+    clusters: tuple[OnCluster, ...] = ()
+    """Sessions on clusters with some of these runs."""
+
+
+def why(project: LoadedProject, store: Store, prefix: str) -> Why:
+    """Return the reasons why the runs of an id were executed or not. Raises NotFound."""
+    found = store.resolve(prefix)
+    with store.snapshot() as snapshot:
+        snapshot.run("SET threads = 1")
+        batches = _runs(snapshot, found)
+        history = tell(snapshot, batches)
+        if found.kind == "execution":
+            history = [event for event in history if event.session == _session(snapshot, found.id)]
+        stands = tuple(standings(snapshot, batches))
+        [(wanted,)] = snapshot.run("SELECT count(*) FROM wanted")
+        these = {row[0] for row in snapshot.run("SELECT run FROM wanted")}
+        only = None if found.kind == "batch" else these
+        firsts = dict.fromkeys(event.batch for event in history if any(cause.new for cause in event.causes))
+        before = {batch: _before(snapshot, batch) for batch in list(firsts)[:BATCHES]}
+    because = {batch: tuple(_because(project, store, batch, earlier)) for batch, earlier in before.items()}
+    return Why(
+        found,
+        wanted,
+        tuple(history),
+        because,
+        stands,
+        next_run(project, store, batches[0], only),
+        tuple(seen(store, these)),
+    )
+
+
+def _runs(snapshot: Snapshot, found: Found) -> list[str]:
+    """Create the table `wanted` of the runs of an id.
+
+    Returns the batches that the answer covers, last used first.
+    """
+    if found.kind == "batch":
+        snapshot.views.make(("batch_runs",))
+        snapshot.run("CREATE TEMP TABLE wanted AS SELECT DISTINCT run FROM batch_runs WHERE batch = $b", {"b": found.id})
+        return [found.id]
+    place = where(snapshot, found)
+    statement = f"CREATE TEMP TABLE wanted AS SELECT DISTINCT m.run FROM batch_runs m WHERE m.batch = $b {place.only}"  # noqa: S608
+    snapshot.run(statement, place.parameters)
+    [(run,), *_] = snapshot.run("SELECT run FROM wanted LIMIT 1")
+    batches = [row[0] for row in snapshot.run(ASKED_LAST, {"r": run})]
+    if found.kind == "experiment":
+        having = {row[0] for row in snapshot.run("SELECT batch FROM experiments WHERE experiment = $x", {"x": found.id})}
+        batches = [batch for batch in batches if batch in having]
+    return batches[:BATCHES]
+
+
+def _session(snapshot: Snapshot, execution: str) -> str:
+    session: str = snapshot.run("SELECT session FROM executions WHERE execution = $e", {"e": execution})[0][0]
+    return session
+
+
+def _before(snapshot: Snapshot, batch: str) -> str | None:
+    rows = snapshot.run(EARLIER, {"b": batch})
+    return rows[0][0] if rows else None
+
+
+def _because(project: LoadedProject, store: Store, batch: str, before: str | None) -> Iterator[str]:
+    """Yield the reasons why the runs of a batch were new in its first session."""
+    if before is None:
+        yield "nothing over these variables was recorded before"
+        return
+    yield f"compared with batch {short(before)}:"
+    yield from diff.made_other(project, store, before, batch)
+
+
+__all__ = ["Why", "why"]

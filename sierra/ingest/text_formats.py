@@ -1,0 +1,276 @@
+"""Formats whose fields are texts: the texts of a column decide its type."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from sierra.ingest.group_by_types import alike, kinds_of
+from sierra.ingest.messages import shown
+from sierra.ingest.model import AtFaultError, Group, Written
+from sierra.ingest.table_reader import FILE, TableReader, these
+from sierra.store.duckdb_files import read_parquet
+from sierra.store.duckdb_messages import first_line
+from sierra.store.names import column_names, identifier, quote
+from sierra.store.type_inference import LOGICAL, WHOLE, bit, common, is_whole, kind_of, narrowest, no_nan, odd, right_kind
+
+Found = Mapping[str, Mapping[str, str | None]]
+"""The type that holds a column's values, by column and path; None if it has no values."""
+Target = tuple[Path, list[Written], dict[str, dict[str, str]]]
+"""A Parquet file that was written, its source files, and the kinds of their columns."""
+AT_ONCE = 50
+"""The number of columns that a statement tests side by side; DuckDB's planning cost grows with its square."""
+
+
+class Text(TableReader):
+    """The base class of readers of formats whose fields are texts: the texts of a column decide its type."""
+
+    def relation(self, names: Sequence[str], types: Mapping[str, str]) -> str:
+        """Return a relation on $files with the columns c0, c1, … and the file. Columns are VARCHAR or as in `types`."""
+        raise NotImplementedError
+
+    def text(self, cell: str) -> str:
+        """Return the SQL expression for a cell's text, in a column of texts."""
+        return cell
+
+    def first_fault(self, file: Written, names: Sequence[str], types: Mapping[str, str]) -> str | None:
+        """Return the first faulty line of a file, found by a slow search; None if there is none."""
+        raise NotImplementedError
+
+    def contradictions(
+        self, files: Sequence[Written], found: Mapping[str, Mapping[str, str | None]]
+    ) -> Iterable[tuple[Written, str]]:
+        """Return files that contradict themselves, each with an error message; `found`: their types by column and path."""
+        return ()
+
+    def one(self, files: Sequence[Written]) -> None:
+        try:
+            written = self._exactly(files, self._quickly_seen(files, self.part.names))
+        except (self.error, _MisreadError):
+            written = self._slowly_written(files)
+        for target, some, kinds in written:
+            self.done(target, some, kinds)
+
+    def _slowly_written(self, files: Sequence[Written]) -> list[Target]:
+        """Write the valid files among these, some of which are faulty; return the same as `_write`."""
+        names = self.part.names
+        texts = dict.fromkeys(names, "VARCHAR")
+
+        def explain(file: Written, error: Exception) -> str:
+            return self.first_fault(file, names, texts) or first_line(error)
+
+        self.halve(files, lambda some: self._try(some, names), explain)
+        files = self.sound(files)
+        try:
+            return self._exactly(files, self._seen(files, names), by_text=True) if files else []
+        except self.error as error:
+            for file in files:  # an error that a file shows alone may be hidden among many
+                self.halve([file], lambda some: self._try(some, names), explain)
+            sound = self.sound(files)
+            if len(sound) == len(files):
+                raise self.unwritten(error) from error
+            return self._slowly_written(sound)
+
+    def _exactly(self, files: Sequence[Written], found: Found, *, by_text: bool = False) -> list[Target]:
+        """Call `_write`, and keep whole numbers that DOUBLE cannot hold separate from other files' fractions."""
+        apart: frozenset[str] = frozenset()
+        while True:
+            try:
+                return self._write(files, found, apart, by_text=by_text)
+            except _RoundedError as error:
+                found = {**found, **{name: {**found[name], **seen} for name, seen in error.found.items()}}
+                apart |= error.found.keys()
+
+    def _write(
+        self, files: Sequence[Written], found: Found, apart: frozenset[str] = frozenset(), *, by_text: bool = False
+    ) -> list[Target]:
+        """Write the files with the types that were found, and return the targets.
+
+        `by_text`: also read numbers that DuckDB does not parse; this is slower.
+        """
+        if faults := list(self.contradictions(files, found)):
+            raise AtFaultError(faults)
+        names = self.part.names
+        texts = dict.fromkeys(names, "VARCHAR")
+        kept = self._kept(files, found)
+        written: list[Target] = []
+        try:
+            targets = self.targets()
+            usual = next(targets)
+            for some in alike(files, kept, apart):
+                # executions that will hardly be effective go where SQL does not look for types (see `Views._holding`)
+                odd = any((file.execution, file.name) in self.hints for file in some)
+                target = next(targets) if odd or written else usual
+                types = {name: common(kept[name].get(file.path) for file in some) for name in names}
+                columns = {name: self._typed(f"t.c{place}", types[name], by_text) for place, name in enumerate(names)}
+                written.append((target, some, kinds_of(some, types, found, kept)))
+                self.write(target, some, self.relation(names, texts if by_text else types), columns)
+                if not by_text and self._misread(target, some, names, types):
+                    raise _MisreadError
+                if rounded := self._rounded(target, some, {n: kind for n, kind in types.items() if n not in apart}):
+                    raise _RoundedError(rounded)
+        except (self.error, _MisreadError, _RoundedError, AtFaultError):
+            for target, _, _ in written:
+                target.unlink(missing_ok=True)
+            raise
+        return written
+
+    def _kept(
+        self, files: Sequence[Written], found: Mapping[str, Mapping[str, str | None]]
+    ) -> dict[str, Mapping[str, str | None]]:
+        """Return the type in which each file's columns are kept: text among siblings that have text."""
+        doubtful = [
+            name
+            for name, seen in found.items()
+            if name in self.siblings.mixed or len({kind_of(kind) for kind in seen.values() if kind}) > 1
+        ]
+        doubtful = [name for name in doubtful if any(kind not in (None, "VARCHAR") for kind in found[name].values())]
+        kept = dict(found)
+        if not doubtful:
+            return kept
+        groups, votes = self.siblings.ask([file.run for file in files])
+        for name in doubtful:
+            seen = found[name]
+            counts: dict[Group, Counter[str]] = {}
+            for file in files:
+                if kind := seen.get(file.path):
+                    group = groups.get(file.run)
+                    counts.setdefault(group, Counter(votes.get((group, name), {})))[kind_of(kind)] += 1
+            right = {group: right_kind(kinds) for group, kinds in counts.items()}
+            kept[name] = {
+                file.path: "VARCHAR" if kind and right[groups.get(file.run)] == "text" else kind
+                for file in files
+                for kind in (seen.get(file.path),)
+            }
+            for file in files:
+                if seen.get(file.path) in ("VARCHAR", "BOOLEAN") and right[groups.get(file.run)] == "number":
+                    self._hint(file, name)
+        return kept
+
+    def _hint(self, file: Written, name: str) -> None:
+        """Note the place where a file has text, if most of its siblings have numbers."""
+        types = dict.fromkeys(self.part.names, "VARCHAR") | {name: "DOUBLE"}
+        if told := self.first_fault(file, self.part.names, types):
+            self.hints.setdefault((file.execution, file.name), {})[name] = f"{shown(file.name)}: {told}"
+
+    def _misread(self, target: Path, files: Sequence[Written], names: Sequence[str], types: Mapping[str, str]) -> bool:
+        """Check if a text that is not a number was written as one; search only if there is a sign of it."""
+        doubles = [name for name in names if types[name] == "DOUBLE"]
+        if not doubles or not files:
+            return False
+        stored = dict(zip(names, column_names(names), strict=True))
+        written = read_parquet([str(target)])
+        if not self._any("isinf({})", (identifier(stored[name]) for name in doubles), written, {}):
+            files = [file for file in files if self.has_underscores(file)]
+            if not files:
+                return False
+        places = {name: place for place, name in enumerate(names)}
+        relation = self.relation(names, dict.fromkeys(names, "VARCHAR"))
+        return self._any(odd("{}"), (f"c{places[name]}" for name in doubles), relation, these(files))
+
+    def _rounded(self, target: Path, files: Sequence[Written], types: Mapping[str, str]) -> Found:
+        """Return the types by column and file for columns of large numbers that were written as DOUBLE.
+
+        These are columns in which some files have only whole numbers, and others have fractions.
+        """
+        stored = dict(zip(self.part.names, column_names(self.part.names), strict=True))
+        doubles = [name for name, kind in types.items() if kind == "DOUBLE" and len(files) > 1]
+        great = f"isfinite({{}}) AND abs({{}}) > {2**53}"
+
+        def any_great(names: Sequence[str]) -> bool:
+            return self._any(great, (identifier(stored[name]) for name in names), read_parquet([str(target)]), {})
+
+        if not doubles or not any_great(doubles):
+            return {}
+        seen = self._seen(files, self.part.names, [name for name in doubles if any_great([name])])
+        return {
+            n: kinds
+            for n, kinds in seen.items()
+            if "DOUBLE" in kinds.values() and any(map(is_whole, filter(None, kinds.values())))
+        }
+
+    def _any(self, condition: str, cells: Iterable[str], relation: str, given: Mapping[str, Any]) -> bool:
+        """Check if a condition holds for any of these cells in any row."""
+        cells = list(cells)
+        either = " OR ".join(condition.replace("{}", cell) for cell in cells)
+        if len(cells) > AT_ONCE:
+            relation, either = f"(SELECT unnest([{', '.join(cells)}]) AS cell FROM {relation})", condition.replace("{}", "cell")
+        return bool(self.sql.execute(f"SELECT 1 FROM {relation} WHERE {either} LIMIT 1", given).fetchall())
+
+    def has_underscores(self, file: Written) -> bool:
+        """Check if a file may have an underscore within a number."""
+        return False
+
+    def _typed(self, cell: str, kind: str, by_text: bool) -> str:
+        """Return the SQL expression of a cell in its column's type. A value that does not fit is an error; none is rounded."""
+        match kind:
+            case "VARCHAR":
+                return self.text(cell)
+            case "DOUBLE":
+                return f"CAST({no_nan(cell) if by_text else cell} AS DOUBLE)"  # also checked by `_misread`
+            case "BOOLEAN":
+                sound = f"regexp_full_match({cell}, {quote(LOGICAL)})"
+                value = f"CAST(trim({cell}) AS BOOLEAN)"
+            case _:
+                sound = f"regexp_full_match({cell}, {quote(WHOLE)})"
+                value = f"CAST({cell} AS {kind})"
+        return f"CASE WHEN {cell} IS NULL THEN NULL WHEN {sound} THEN {value} ELSE error('not {kind}') END"
+
+    def _try(self, files: Sequence[Written], names: Sequence[str]) -> None:
+        relation = self.relation(names, dict.fromkeys(names, "VARCHAR"))
+        self.fetch(f"SELECT count(COLUMNS(*)) FROM {relation}", files)
+
+    def _quickly_seen(self, files: Sequence[Written], names: Sequence[str]) -> dict[str, dict[str, str | None]]:
+        """Return each column's type by file, inferred from a few files if they leave no doubt, else from each file."""
+        sample = [files[place] for place in sorted({0, len(files) // 2, len(files) - 1})]
+        found = self._seen(sample, names)
+        if len(sample) == len(files):
+            return found
+        doubtful = []
+        alike: dict[str, dict[str, str | None]] = {}
+        for name in names:
+            kinds = {kind for kind in found[name].values() if kind}
+            if len(set(map(kind_of, kinds))) != 1 or "VARCHAR" in kinds or name in self.siblings.mixed:
+                doubtful.append(name)
+            else:
+                kind = common(kinds)
+                found[name] = alike.get(kind) or alike.setdefault(kind, {file.path: kind for file in files})
+        return found | (self._seen(files, names, doubtful) if doubtful else {})
+
+    def _seen(
+        self, files: Sequence[Written], names: Sequence[str], wanted: Sequence[str] | None = None
+    ) -> dict[str, dict[str, str | None]]:
+        """Return the narrowest type that holds all values, by column and file; None if a column has no values."""
+        wanted = names if wanted is None else wanted
+        relation = self.relation(names, dict.fromkeys(names, "VARCHAR"))
+        places = {name: place for place, name in enumerate(names)}
+        found: dict[str, dict[str, str | None]] = {name: {} for name in wanted}
+        if len(wanted) > AT_ONCE:
+            cells = ", ".join(f"c{places[name]}" for name in wanted)
+            each = (
+                f"(SELECT {identifier(FILE)}, unnest([{cells}]) AS cell, unnest(range({len(wanted)})) AS place FROM {relation})"
+            )
+            rows = self.fetch(f"SELECT {identifier(FILE)}, place, bit_or({bit('cell')}) FROM {each} GROUP BY 1, 2", files)
+            for path, place, bits in rows:
+                found[wanted[place]][path] = narrowest(bits or 0)
+            return found
+        columns = ", ".join(f"bit_or({bit(f'c{places[name]}')})" for name in wanted)
+        for path, *seen in self.fetch(f"SELECT {identifier(FILE)}, {columns} FROM {relation} GROUP BY 1", files):
+            for name, bits in zip(wanted, seen, strict=True):
+                found[name][path] = narrowest(bits or 0)
+        return found
+
+
+class _MisreadError(Exception):
+    """The error that a text that is not a number was written as one."""
+
+
+class _RoundedError(Exception):
+    """The error that whole numbers were written as DOUBLE, which may not hold them exactly."""
+
+    def __init__(self, found: Found) -> None:
+        """`found`: the types by column and file."""
+        super().__init__()
+        self.found = found

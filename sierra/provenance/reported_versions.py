@@ -1,0 +1,158 @@
+"""The versions that programs report; each is executed once, and its answer is cached while all programs are the same.
+
+Asking for a version means executing the program, and a program may not know `--version`. So by default only installed
+programs are asked. Scripts, and programs inside the project, are asked only if `[programs.versions]` names them. A program
+gets ten seconds, two seconds of computing, an empty folder, no input, small files, and the environment of runs. Then it is
+killed, with all processes that it has started. The answer is recorded, but it is not part of a fingerprint, because the file's
+hash serves that purpose.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import resource
+import secrets
+import select
+import signal
+import subprocess
+import tempfile
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from sierra.config.project_file import ProgramsTable
+from sierra.provenance.program import Kind, Program, Programs
+from sierra.store.layout import user_versions
+from sierra.util.cache import Cache
+from sierra.util.hashing import digest
+from sierra.worker import marked_processes
+
+PATIENCE_S = 10.0
+"""Seconds that a program may take. Simulators may need so long on a busy machine, and a missing answer is cached too."""
+MOST_SAID = 1 << 16
+LONGEST = 200
+MOST = 1024
+LIMITS = {resource.RLIMIT_FSIZE: 1 << 20, resource.RLIMIT_CPU: 2, resource.RLIMIT_CORE: 0}
+COLOUR = re.compile(rb"\x1b\[[0-9;:]*m")
+"""Select Graphic Rendition (ECMA-48, 8.3.117), the only control sequence that does not move the cursor."""
+MARK = "SIERRA_VERSION_ASKED"
+
+
+def asked(programs: Programs, table: ProgramsTable, variables: Mapping[str, str], root: Path) -> Programs:
+    """Return the programs with the versions that they report; `variables` are those of the runs, with PATH."""
+    remembered = Cache(user_versions(), MOST)
+    identity = programs.id
+
+    def version(program: Program) -> str | None:
+        words = _words(program, table, root)
+        if not words or not Path(program.path).exists():
+            return program.version
+        key = digest("version", {"colours": False, "programs": identity, "name": program.called, "words": list(words)})
+        known = remembered.get(key)
+        if not isinstance(known, str):
+            known = _say((program.path, *words), variables) or ""
+            remembered.put(key, known)
+        return known or None
+
+    answered = tuple(replace(program, version=version(program)) for program in programs.all)
+    remembered.save()
+    return replace(programs, all=answered)
+
+
+def _words(program: Program, table: ProgramsTable, root: Path) -> tuple[str, ...]:
+    """Return the arguments that make a program print its version; none if the program must not be executed."""
+    if program.kind is not Kind.PROGRAM:
+        return ()
+    if program.called in table.versions:
+        return table.versions[program.called]
+    path = Path(program.path)
+    is_own = path.is_relative_to(root) or path.resolve().is_relative_to(root.resolve())
+    return () if is_own or _is_script(path) else table.version
+
+
+def _is_script(path: Path) -> bool:
+    try:
+        with path.open("rb") as file:
+            return file.read(2) == b"#!"
+    except OSError:
+        return True
+
+
+def _say(argv: Sequence[str], variables: Mapping[str, str]) -> str | None:
+    """Return the first line that a program prints, if it succeeds in time."""
+    mark = secrets.token_hex(16)
+    with tempfile.TemporaryDirectory(prefix="sierra-", ignore_cleanup_errors=True) as folder:
+        try:
+            process = subprocess.Popen(
+                argv,
+                env={**variables, "HOME": folder, "TMPDIR": folder, MARK: mark},
+                cwd=folder,
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,
+            )
+        except (OSError, ValueError):
+            return None
+        try:
+            _limit(process.pid)
+            return _first_line(_hear(process))
+        finally:
+            _end(process, mark)
+
+
+def _limit(pid: int) -> None:
+    if hasattr(resource, "prlimit"):
+        for kind, most in LIMITS.items():
+            with contextlib.suppress(OSError, ValueError):
+                resource.prlimit(pid, kind, (most, most))
+
+
+def _hear(process: subprocess.Popen[bytes]) -> bytes:
+    """Return all output of a program, or nothing if it is too long, takes too long, or the program fails."""
+    if process.stdout is None:
+        return b""
+    said = b""
+    give_up = time.monotonic() + PATIENCE_S
+    while time.monotonic() < give_up and len(said) <= MOST_SAID:
+        if select.select([process.stdout], [], [], 0.005)[0]:
+            piece = os.read(process.stdout.fileno(), MOST_SAID)
+            if not piece:
+                break
+            said += piece
+        elif process.poll() is not None:
+            break
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        if len(said) <= MOST_SAID and process.wait(max(0, give_up - time.monotonic())) == 0:
+            return said
+    return b""
+
+
+def _end(process: subprocess.Popen[bytes], mark: str) -> None:
+    """Kill a program and all processes that it has started, even those outside its process group (if /proc shows them)."""
+    give_up = time.monotonic() + PATIENCE_S
+    with contextlib.suppress(ProcessLookupError, PermissionError):
+        os.killpg(process.pid, signal.SIGKILL)
+    while (left := marked_processes.marked({f"{MARK}={mark}".encode()})) and time.monotonic() < give_up:
+        for pid in left:
+            with contextlib.suppress(ProcessLookupError, PermissionError):
+                os.kill(pid, signal.SIGKILL)
+    if process.stdout is not None:
+        process.stdout.close()
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        process.wait(PATIENCE_S)
+
+
+def _first_line(said: bytes) -> str | None:
+    """Return the first line that is not empty, if it is text; without colour codes, which some programs write to a pipe too."""
+    for line in COLOUR.sub(b"", said).splitlines():
+        with contextlib.suppress(UnicodeDecodeError):
+            text = line.decode().strip()
+            if text and text.isprintable():
+                return text[:LONGEST]
+        if line.strip():
+            return None
+    return None

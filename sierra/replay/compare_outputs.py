@@ -1,0 +1,190 @@
+"""Comparison of the outputs of two executions, file by file: bytes first, then values if the bytes differ."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any
+
+from sierra.config.project_file import Output
+from sierra.errors import Damaged
+from sierra.replay.compare_values import Agreement, Rules, Verdict, of_tables, of_texts, other_columns
+from sierra.store.parquet_row_counts import rows_by_file
+from sierra.store.recorded_files import holding
+from sierra.store.results import objects, rows_of
+from sierra.store.store import Snapshot
+
+BYTES = 64 << 20
+"""Maximum total size, in bytes, of the recorded files that are compared at a time."""
+PAIRS = 1000
+
+Artifact = Mapping[str, Any]
+"""Row of `artifacts`."""
+Artifacts = Mapping[str, Artifact]
+"""Artifacts of one execution by path, without logs."""
+_Pair = tuple[tuple[str, str], list[tuple[Artifact, Artifact]]]
+"""Pair of executions, and the files of both whose bytes differ."""
+
+
+def compare(snapshot: Snapshot, recorded: str, found: str, declared: Mapping[str, Output]) -> dict[str | None, Agreement]:
+    """Compare the outputs of `found` with those of `recorded`, by path; both are judgements of executions.
+
+    `declared` gives volatile parts and tolerances. Raises Damaged if the store lacks an output.
+    """
+    return next(compare_all(snapshot, [(recorded, found)], declared))
+
+
+def compare_all(
+    snapshot: Snapshot, pairs: Sequence[tuple[str, str]], declared: Mapping[str, Output]
+) -> Iterator[dict[str | None, Agreement]]:
+    """Yield the result of `compare` for each pair of executions, with only a few of them in memory at a time."""
+    left = _artifacts(snapshot, (execution for pair in pairs for execution in pair))
+    counted = _counted(snapshot, left)
+    for some in _by_weight((pair, list(_unlike(*(left[one] for one in pair)))) for pair in pairs):
+        compared = [files for _, unlike in some for files in unlike if _same_kind(*files)]
+        contents = _Contents(snapshot, [row for files in compared for row in files], counted)
+        for (recorded, found), _ in some:
+            yield _of_artifacts(contents, left[recorded], left[found], declared)
+
+
+def _artifacts(snapshot: Snapshot, executions: Iterable[str]) -> dict[str, Artifacts]:
+    """Return the artifacts of each of these executions."""
+    import pyarrow as pa
+
+    left: dict[str, dict[str, Artifact]] = {execution: {} for execution in executions}
+    snapshot.register("compared", pa.table({"execution": pa.array(left, pa.string())}))
+    statement = "SELECT a.* FROM all_artifacts a SEMI JOIN compared USING (execution) WHERE kind <> 'log'"
+    for row in snapshot.rows(statement):
+        left[row["execution"]][row["path"]] = row
+    return dict(left)
+
+
+def _counted(snapshot: Snapshot, left: Mapping[str, Artifacts]) -> Counter[tuple[str, str, str | None]]:
+    """Return how many rows the store has of each table of these executions, counted without DuckDB.
+
+    The key is an execution, an output and, if the output has several files, the file.
+    """
+    outputs = {row["output"] for rows in left.values() for row in rows.values() if row["kind"] == "table"}
+    counted: Counter[tuple[str, str, str | None]] = Counter()
+    for segment in holding(snapshot, sorted(left)) if outputs else ():
+        for output, path in segment.outputs():
+            if output in outputs:
+                with contextlib.suppress(Damaged):  # a damaged file is not counted, and its rows are reported as missing
+                    rows = rows_by_file(path).items()
+                    counted.update({(one, output, file): count for (one, file), count in rows if one in left})
+    return counted
+
+
+def _by_weight(pairs: Iterable[_Pair]) -> Iterator[list[_Pair]]:
+    """Yield groups of pairs of limited total size; each group has at least one pair."""
+    some: list[_Pair] = []
+    weight = 0
+    for pair in pairs:
+        more = sum(row["size"] for files in pair[1] for row in files)
+        if some and (weight + more > BYTES or len(some) >= PAIRS):
+            yield some
+            some, weight = [], 0
+        some.append(pair)
+        weight += more
+    yield some
+
+
+def _unlike(was: Artifacts, now: Artifacts) -> Iterator[tuple[Artifact, Artifact]]:
+    """Yield the files that both have, with different bytes."""
+    for path in was.keys() & now.keys():
+        if was[path]["sha256"] != now[path]["sha256"]:
+            yield was[path], now[path]
+
+
+def _same_kind(was: Artifact, now: Artifact) -> bool:
+    return bool(was["kind"] == now["kind"])
+
+
+class _Contents:
+    """Content of some artifacts."""
+
+    def __init__(
+        self, snapshot: Snapshot, artifacts: Sequence[Artifact], counted: Mapping[tuple[str, str, str | None], int]
+    ) -> None:
+        """Read the artifacts; `counted` has the rows of all compared tables, counted in another way."""
+        self._counted = counted
+        tables = [one for one in artifacts if one["kind"] == "table"]
+        files = [one["sha256"] for one in artifacts if one["kind"] != "table"]
+        self._rows = (
+            rows_of(snapshot, {one["execution"] for one in tables}, {one["output"] for one in tables}) if tables else {}
+        )
+        self._bytes = objects(snapshot, files) if files else {}
+
+    def rows(self, artifact: Artifact) -> Any:
+        rows = self._rows.get(_key(artifact))
+        if (count := 0 if rows is None else rows.num_rows) != artifact["rows"]:
+            told = f"{count} of {artifact['rows']} rows of {artifact['output']!r} are in the store"
+            raise Damaged(f"{told}, as execution {artifact['execution'][:10]} wrote them")
+        return rows
+
+    def lost(self, was: Artifact, now: Artifact) -> str | None:
+        """Return the difference between the store's row counts of two tables with the same bytes; None if there is none."""
+        for whose, one, other in (("recorded", was, now), ("new", now, was)):
+            known = [row["counted_rows"] for row in (one, other) if row["counted_rows"] is not None]
+            truth = next(iter(known), one["rows"])
+            if (count := self._counted.get(_key(one), 0)) != truth:
+                return f"the same bytes, but of its {truth} rows the {whose} table has {count} (see sierra fsck)"
+        return None
+
+    def bytes(self, artifact: Artifact) -> bytes:
+        return self._bytes[artifact["sha256"]]
+
+
+def _of_artifacts(
+    contents: _Contents, was: Artifacts, now: Artifacts, declared: Mapping[str, Output]
+) -> dict[str | None, Agreement]:
+    agreements: dict[str | None, Agreement] = {}
+    for path in sorted(was.keys() | now.keys()):
+        if path not in now:
+            agreements[path] = Agreement(Verdict.DIFFERENT, "was written, and is not there now", form=True)
+        elif path not in was:
+            agreements[path] = Agreement(Verdict.DIFFERENT, "was not written, and is there now", form=True)
+        elif was[path]["sha256"] == now[path]["sha256"]:
+            agreements[path] = _identical(contents, was[path], now[path])
+        else:
+            agreements[path] = _output(contents, was[path], now[path], declared)
+    return agreements
+
+
+def _identical(contents: _Contents, was: Artifact, now: Artifact) -> Agreement:
+    """Compare one output with identical bytes; the store must have all rows of a table."""
+    tables = was["kind"] == now["kind"] == "table"
+    lost = contents.lost(was, now) if tables else None
+    return Agreement(Verdict.DIFFERENT, lost, form=True) if lost else Agreement(Verdict.IDENTICAL)
+
+
+def _key(artifact: Artifact) -> tuple[str, str, str | None]:
+    """Return the key of a table in the store: the execution, the output and, if it has several files, the file's path."""
+    several = json.loads(artifact["table_layout"] or "{}").get("file", "") is None
+    return artifact["execution"], artifact["output"], artifact["path"] if several else None
+
+
+def _output(contents: _Contents, was: Artifact, now: Artifact, declared: Mapping[str, Output]) -> Agreement:
+    """Compare one output whose bytes differ."""
+    rules = declared.get(was["output"] or "") or next((o for o in declared.values() if o.matches(was["path"])), None)
+    volatile = rules.volatile if rules else ()
+    if not _same_kind(was, now):
+        return Agreement(Verdict.DIFFERENT, f"was a {was['kind']} and is a {now['kind']}", form=True)
+    if was["kind"] != "table":
+        return of_texts(contents.bytes(was), contents.bytes(now), volatile)
+    old, new = contents.rows(was), contents.rows(now)
+    if old is None or new is None:
+        return _without_rows(was, now)
+    return of_tables(old, new, Rules(rules.tolerance, volatile, rules.time, rules.ordered) if rules else Rules())
+
+
+def _without_rows(was: Artifact, now: Artifact) -> Agreement:
+    """Compare two tables by their columns' names; one or both of them have no rows."""
+    columns, others = (list(json.loads(one["table_layout"] or "{}").get("columns", ())) for one in (was, now))
+    if columns != others:
+        return Agreement(Verdict.DIFFERENT, other_columns(columns, others), form=True)
+    if was["rows"] != now["rows"]:
+        return Agreement(Verdict.DIFFERENT, f"{was['rows']} rows were recorded, {now['rows']} found")
+    return Agreement(Verdict.EQUAL, "the same columns, and no rows")

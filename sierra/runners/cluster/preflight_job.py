@@ -1,0 +1,79 @@
+"""Preflight job: one small task that checks nodes before all elements execute.
+
+It checks that nodes see the project, and that they have a Python and the files that runs need. The elements wait for it
+(`Request.after`), so that a problem is found once, before any run begins. A success is remembered for a day in the user's
+cache, for the same cluster (as the project names it) and file system.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+
+from sierra.config.project_file import ClusterTable
+from sierra.errors import Missing
+from sierra.runners.cluster import submission_record
+from sierra.runners.cluster.result_log_reader import Finished, Pack, Trouble
+from sierra.runners.schedulers.base import Request
+from sierra.store.layout import SessionPaths, user_clusters
+from sierra.util.cache import Cache
+from sierra.util.hashing import digest
+
+VALID_S = 86_400.0
+MOST = 64
+
+
+class Preflight:
+    """The preflight job (probe) of one session."""
+
+    def __init__(self, runner: str, table: ClusterTable, session: SessionPaths) -> None:
+        self._session = session
+        self._runner = runner
+        self._table = table
+        self._key = digest("cluster", {"runner": runner, "table": _told(table), "device": _device(session.root)})
+        self.name = submission_record.name_of(session, "probe")
+
+    def is_needed(self) -> bool:
+        """Return True unless a recent check has succeeded."""
+        found = Cache(user_clusters(), MOST).get(self._key)
+        return not (isinstance(found, float) and 0 <= time.time() - found < VALID_S)
+
+    def request(self) -> Request:
+        """Return the request for the job."""
+        return submission_record.request(self._session, self.name, (0,), self._table.python, "--probe")
+
+    def is_fine(self) -> bool:
+        """Return True if the check has succeeded. Raises Missing if it has found a problem."""
+        for path in self._session.results.glob("probe.*.pack"):
+            for event in Pack(path).read():
+                match event:
+                    case Trouble():
+                        raise Missing(f"nodes can't execute this: {event.reason}")
+                    case Finished():
+                        self._remember()
+                        return True
+        return False
+
+    def gone(self, word: str) -> Missing:
+        """Return the error for a preflight job that has ended without recording anything."""
+        said = submission_record.last_line(self._session, "0")
+        if said:
+            return Missing(f"nodes can't execute this: {said}; see python and modules in [runners.{self._runner}]")
+        where = f"do they see {self._session.root}, as on a shared file system?"
+        return Missing(f"nodes can't execute this, and say nothing{f' ({word})' if word else ''}: {where}")
+
+    def _remember(self) -> None:
+        memory = Cache(user_clusters(), MOST)
+        memory.put(self._key, time.time())
+        memory.save()
+
+
+def _device(folder: Path) -> int:
+    """Return the file system of a folder, or of its nearest existing parent."""
+    return next(one.stat().st_dev for one in (folder, *folder.parents) if one.exists())
+
+
+def _told(table: ClusterTable) -> object:
+    """Return the settings of a cluster's table that affect which nodes are used and what they offer."""
+    return json.loads(table.model_dump_json(exclude={"array_tasks", "attempts", "wall", "cancelled"}))

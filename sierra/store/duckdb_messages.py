@@ -1,0 +1,35 @@
+"""DuckDB's error messages in one line."""
+
+from __future__ import annotations
+
+import json
+import re
+
+from sierra.store.duckdb_files import plain
+
+NESTED = re.compile(r'"exception_message":("(?:[^"\\]|\\.)*")')
+"""The pattern of a writing thread's error, which is JSON within another error."""
+MOST = 400
+
+
+def duckdb_error() -> type[Exception]:
+    """Return the class of all errors that DuckDB raises; this imports DuckDB."""
+    import duckdb
+
+    return duckdb.Error
+
+
+def explain(error: Exception) -> str:
+    """Return an error's message without the lines that show a position in the statement."""
+    lines = [line.strip() for line in _plain(error).splitlines() if line.strip()]
+    kept = [line for line in lines if not line.startswith(("LINE ", "^"))]
+    return " ".join(kept)[:MOST]
+
+
+def first_line(error: Exception) -> str:
+    return _plain(error).splitlines()[0][:MOST]
+
+
+def _plain(error: Exception) -> str:
+    found = NESTED.search(str(error))
+    return plain(str(json.loads(found[1], strict=False)) if found else str(error))

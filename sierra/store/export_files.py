@@ -1,0 +1,219 @@
+"""Export of recorded files into a folder; existing files are never overwritten.
+
+    FOLDER/<experiment>/<number>/input/<name>     input files
+    FOLDER/<experiment>/<number>/output/<path>    output files; a table without the suffix .csv or .tsv gets the suffix .csv
+    FOLDER/<experiment>/<number>/stdout, stderr   logs
+
+<experiment> is the first ten digits of the experiment's id. <number> is the number of the run in the experiment. Names come
+from runs, perhaps from someone else's store. Therefore links below FOLDER are not followed, and paths that lead out of
+FOLDER are refused. Each file appears complete or not at all.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import fnmatch
+import os
+import secrets
+import stat
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import IO
+
+from sierra.errors import Damaged, Missing, NotFound, SierraError, UsageError
+from sierra.store.recorded_files import INPUT_FOLDER, OUTPUT_FOLDER, Recorded, Taken, contents, recorded, take
+from sierra.store.store import Store
+from sierra.util.hashing import short
+
+AS_THEY_ARE = (".csv", ".tsv")
+NAMED_AT_MOST = 8
+NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
+
+
+@dataclass(frozen=True, slots=True)
+class Listing:
+    """The runs that an id names, and their recorded files."""
+
+    kind: str
+    id: str
+    runs: tuple[Taken, ...]
+    files: tuple[Recorded, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """The result of exporting one file."""
+
+    file: Recorded
+    path: str
+    """The path relative to the folder."""
+    identical: bool
+    """True if the bytes are exactly the run's: a table may have been rebuilt from its rows, and a log may have been cut."""
+    failure: str | None = None
+    """The reason why the file was not written."""
+
+
+def listing(store: Store, prefix: str, patterns: Sequence[str] = ()) -> Listing:
+    """Return the recorded files of an execution, a run, an experiment or a batch, by a prefix of its id.
+
+    `patterns` are paths as in the listing, the same paths without `input/` or `output/`, or globs (`*` also matches slashes).
+    Raises NotFound for a pattern that matches nothing.
+    """
+    found = store.resolve(prefix)
+    with store.snapshot() as snapshot:
+        runs = take(snapshot, found)
+        files = recorded(snapshot, runs)
+    return Listing(found.kind, found.id, tuple(runs), tuple(_chosen(files, patterns)))
+
+
+def content(store: Store, file: Recorded, target: IO[bytes]) -> bool:
+    """Write one file's bytes to `target`. Return True if they are exactly the bytes that the run had.
+
+    Raises Damaged if they differ from the record; `target` has some of them by then.
+    """
+    with store.snapshot() as snapshot:
+        one = next(contents(snapshot, [file]))
+        for piece in one.pieces:
+            target.write(piece)
+        return bool(one.identical)
+
+
+def extract(store: Store, listed: Listing, folder: Path) -> Iterator[Outcome]:
+    """Write these files into a folder and yield the outcome of each one. The folder is created if necessary.
+
+    Raises UsageError if the folder is within the store, Missing if it cannot be created or the disk is full.
+    """
+    if folder.resolve().is_relative_to(store.paths.root.resolve()):
+        raise UsageError(f"{folder} is in the store itself; name another folder")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        root = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    except OSError as error:
+        raise Missing(f"{folder}: {error.strerror}; files cannot be written there") from error
+    try:
+        with store.snapshot() as snapshot:
+            for one in contents(snapshot, listed.files):
+                path = target_path(one.file)
+                failure = None
+                try:
+                    with _Whole(root, path) as target:
+                        for piece in one.pieces:
+                            target.write(piece)
+                except SierraError as error:
+                    failure = str(error)
+                except OSError as error:
+                    if error.errno in NO_ROOM:
+                        raise Missing(f"{folder}: {error.strerror}; what is written already stays") from error
+                    failure = f"cannot be written: {error.strerror or error}"
+                yield Outcome(one.file, path, bool(one.identical), failure)
+    finally:
+        os.close(root)
+
+
+def target_path(file: Recorded) -> str:
+    """Return the path of an exported file, relative to the folder."""
+    name = file.path
+    if file.from_rows and not name.lower().endswith(AS_THEY_ARE):
+        name += AS_THEY_ARE[0]
+    return f"{short(file.taken.experiment)}/{file.taken.number}/{name}"
+
+
+def _chosen(files: Sequence[Recorded], patterns: Sequence[str]) -> Iterator[Recorded]:
+    unused = set(patterns)
+    listed = unused & {file.path for file in files}
+    named = unused & {_name(file.path) for file in files}
+    for file in files:
+        matching = [p for p in patterns if _matches(file.path, p, listed=p in listed, named=p in named)]
+        unused.difference_update(matching)
+        if matching or not patterns:
+            yield file
+    if unused:
+        names = list(dict.fromkeys(file.path for file in files))
+        shown = ", ".join(map(repr, names[:NAMED_AT_MOST])) + (", …" if len(names) > NAMED_AT_MOST else "")
+        raise NotFound(f"no recorded file {min(unused)!r}; there is {shown or 'none'}")
+
+
+def _matches(path: str, pattern: str, *, listed: bool, named: bool) -> bool:
+    """Check if a pattern selects a file. A pattern that equals some file's path or name is taken literally, not as a glob."""
+    if listed or named:
+        return pattern == (path if listed else _name(path))
+    return any(fnmatch.fnmatchcase(name, pattern) for name in (path, _name(path)))
+
+
+def _name(path: str) -> str:
+    return path.removeprefix(INPUT_FOLDER).removeprefix(OUTPUT_FOLDER)
+
+
+class _Whole:
+    """A context manager for a new file below an open folder. The file appears when it is complete; links are not followed.
+
+    Raises Damaged for a path that leads out of the folder, UsageError if the target exists.
+    """
+
+    def __init__(self, root: int, path: str) -> None:
+        self._path = path
+        self._folders = path.split("/")
+        self._name = self._folders.pop()
+        if any(part in ("", ".", "..") or "\0" in part for part in (*self._folders, self._name)):
+            raise Damaged("its recorded path leads out of the folder")
+        self._unfinished = f".sierra-{secrets.token_hex(8)}"
+        self._root = root
+
+    def __enter__(self) -> IO[bytes]:
+        self._folder = self._below()
+        try:
+            if self._is_there():
+                raise UsageError("something of that name is there already, and is not overwritten")
+            flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
+            self._file = os.fdopen(os.open(self._unfinished, flags, 0o666, dir_fd=self._folder), "wb")
+        except BaseException:
+            os.close(self._folder)
+            raise
+        return self._file
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        try:
+            self._file.close()
+            if error is None:
+                self._appear()
+        finally:
+            with contextlib.suppress(FileNotFoundError):
+                os.unlink(self._unfinished, dir_fd=self._folder)
+            os.close(self._folder)
+
+    def _below(self) -> int:
+        """Create and open the target folder, one step at a time from the root; return its descriptor."""
+        flags = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC
+        folder = os.dup(self._root)
+        for name in self._folders:
+            above = folder
+            try:
+                with contextlib.suppress(FileExistsError):
+                    os.mkdir(name, dir_fd=above)
+                if stat.S_ISLNK(os.stat(name, dir_fd=above, follow_symlinks=False).st_mode):
+                    raise UsageError(f"{name!r} on its way is a link, which is not followed")
+                folder = os.open(name, flags, dir_fd=above)
+            finally:
+                os.close(above)
+        return folder
+
+    def _appear(self) -> None:
+        """Give the file its final name if that is free. A hard link never replaces an existing file."""
+        try:
+            os.link(self._unfinished, self._name, src_dir_fd=self._folder, dst_dir_fd=self._folder)
+        except FileExistsError:
+            raise UsageError("something of that name is there already, and is not overwritten") from None
+        except OSError:  # a file system without hard links
+            if self._is_there():
+                raise UsageError("something of that name is there already, and is not overwritten") from None
+            os.rename(self._unfinished, self._name, src_dir_fd=self._folder, dst_dir_fd=self._folder)
+
+    def _is_there(self) -> bool:
+        try:
+            os.stat(self._name, dir_fd=self._folder, follow_symlinks=False)
+        except FileNotFoundError:
+            return False
+        return True

@@ -1,0 +1,467 @@
+"""Recorded files of runs: their list, and their bytes, streamed and verified.
+
+The store has input files, logs and outputs byte for byte, as objects. An exception is an output that became a table: its
+bytes may be missing (`[store] raw = false`, `sierra gc --raw`, or a record of an older SIERRA). Then the file is rebuilt from
+its rows as CSV, with the original names of the columns and each value as recorded (a float with the fewest digits that
+reproduce it). The result often equals the run's file byte for byte; its SHA-256 shows if it does.
+
+Memory use grows with the number of requested files, not with their sizes.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import re
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from hashlib import sha256
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+from sierra.errors import Damaged
+from sierra.store.duckdb_files import read_parquet
+from sierra.store.duckdb_messages import explain, first_line
+from sierra.store.names import column_names, identifier
+from sierra.store.segments import MANIFEST, Segment
+from sierra.store.store import Found, Snapshot
+from sierra.store.type_inference import is_number
+from sierra.store.views import ORDER, recording
+from sierra.util.hashing import sha256_file
+from sierra.util.text import natural
+
+INPUT_FOLDER = "input/"
+OUTPUT_FOLDER = "output/"
+LINES = 1 << 16
+"""The number of lines of a table that are in memory at a time."""
+UNREADABLE = (OSError, ValueError)
+"""The errors that pyarrow raises for a damaged file; its ArrowInvalid is a ValueError."""
+
+
+@dataclass(frozen=True, slots=True)
+class Taken:
+    """A run at its position in a batch, with the execution whose files are requested."""
+
+    experiment: str
+    ordinal: int
+    number: int
+    run: str
+    execution: str | None
+    status: str | None
+    which: str
+    """`counts` (the effective execution), `last` (none is effective), `asked` (the id names it), or `none` (never executed)."""
+    judgement: str | None = None
+    """The judgement under which the execution's files and rows are recorded."""
+
+
+@dataclass(frozen=True, slots=True)
+class Recorded:
+    """One recorded file of a run."""
+
+    taken: Taken
+    path: str
+    """`input/…`, `output/…`, `stdout` or `stderr`."""
+    kind: str
+    """input, table, file or log."""
+    bytes: int | None
+    sha256: str | None
+    """The SHA-256; of a log that was cut, that of the kept part. None for an input that the store does not know by its name."""
+    kept: int | None
+    """The number of its bytes in the store. None if the bytes are missing, even if the rows of its table are there."""
+    output: str | None
+    form: str | None
+    rows: int | None
+
+    @property
+    def from_rows(self) -> bool:
+        """True if the file can only be rebuilt from the rows of its table."""
+        return self.kind == "table" and self.kept is None
+
+    @property
+    def remark(self) -> str:
+        """A short note on anything unusual; otherwise empty."""
+        match self.kind:
+            case "table" if self.kept is None:
+                return "written from the table; bytes may differ"
+            case _ if self.kept is None:
+                return "not in the store"
+            case "log" if self.kept != self.bytes:
+                return f"cut: {self.kept} bytes of its beginning and end are kept"
+            case _:
+                return ""
+
+
+def take(snapshot: Snapshot, found: Found) -> list[Taken]:
+    """Return the runs that an id names, in order, each with its effective execution or else its last one.
+
+    A run or an experiment that belongs to several batches is taken from the batch that was submitted last.
+    """
+    with _readable():
+        place = where(snapshot, found)
+        statement = TAKEN.format(only=place.only, order=ORDER)
+        return [Taken(*row) for row in snapshot.each(statement, {**place.parameters, "named": place.execution})]
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """The position of a named batch, experiment, run or execution in a batch."""
+
+    batch: str
+    ordinal: int | None = None
+    run: str | None = None
+    execution: str | None = None
+
+    @property
+    def only(self) -> str:
+        """The SQL condition on `batch_runs` m that selects the part of the batch."""
+        return (self.ordinal is not None) * "AND m.ordinal = $o " + (self.run is not None) * "AND m.run = $r"
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        every = {"b": self.batch, "o": self.ordinal, "r": self.run}
+        return {name: value for name, value in every.items() if value is not None}
+
+
+def where(snapshot: Snapshot, found: Found) -> Place:
+    """Return the position of an id. If several batches contain it, the batch that was submitted last is taken."""
+    snapshot.views.make(("batch_runs", "experiments", "batches", "executions", "all_judgements", "effective", "sessions"))
+    run = found.id if found.kind == "run" else None
+    if found.kind == "batch":
+        return Place(found.id)
+    if found.kind == "execution":
+        [(run,)] = snapshot.run("SELECT run FROM executions WHERE execution = $e", {"e": found.id})
+    experiment = found.id if found.kind == "experiment" else None
+    [(batch, ordinal), *_] = snapshot.run(LATEST, {"run": run, "experiment": experiment})
+    return Place(batch, ordinal, run, found.id if found.kind == "execution" else None)
+
+
+@contextlib.contextmanager
+def _readable() -> Iterator[None]:
+    """Turn DuckDB's errors about a damaged segment into Damaged."""
+    import duckdb
+
+    try:
+        yield
+    except duckdb.Error as error:
+        raise Damaged(f"the store cannot be read: {explain(error)}") from error
+
+
+LATEST = """
+SELECT m.batch, m.ordinal
+FROM batch_runs m JOIN experiments x USING (batch, ordinal) JOIN batches b USING (batch)
+LEFT JOIN (SELECT batch, max(lamport) AS asked FROM sessions GROUP BY batch) s USING (batch)
+WHERE m.run = $run OR x.experiment = $experiment
+ORDER BY coalesce(s.asked, b.lamport) DESC, m.batch, m.ordinal LIMIT 1
+"""
+
+TAKEN = """
+WITH m AS (SELECT DISTINCT m.ordinal, m.number, m.run FROM batch_runs m WHERE m.batch = $b {only}),
+c AS (SELECT ordinal, run, execution, judgement FROM effective WHERE batch = $b),
+l AS (SELECT e.run, arg_max(e.judgement, {order}) AS judgement FROM all_judgements e WHERE e.purpose = 'run' GROUP BY e.run),
+n AS (SELECT e.run, arg_max(e.judgement, {order}) AS judgement FROM all_judgements e WHERE e.execution = $named GROUP BY e.run),
+t AS (
+    SELECT x.experiment, m.ordinal, m.number, m.run,
+           CASE WHEN $named IS NULL OR $named = c.execution THEN coalesce(c.judgement, l.judgement)
+                ELSE n.judgement END AS judgement,
+           CASE WHEN $named IS NOT NULL THEN 'asked' WHEN c.execution IS NOT NULL THEN 'counts'
+                WHEN l.judgement IS NOT NULL THEN 'last' ELSE 'none' END AS which
+    FROM m JOIN experiments x ON x.batch = $b AND x.ordinal = m.ordinal
+    LEFT JOIN c ON c.ordinal = m.ordinal AND c.run = m.run LEFT JOIN l ON l.run = m.run LEFT JOIN n ON n.run = m.run
+)
+SELECT t.experiment, t.ordinal, t.number, t.run, e.execution, e.status, t.which, t.judgement
+FROM t LEFT JOIN all_judgements e ON e.judgement = t.judgement ORDER BY t.ordinal, t.number
+"""
+
+
+def recorded(snapshot: Snapshot, runs: Sequence[Taken], *, inputs: bool = False) -> list[Recorded]:
+    """Return the recorded files of these runs, in order: input files, outputs, logs; with `inputs`, only the input files."""
+    import pyarrow as pa
+
+    columns = {"place": range(len(runs)), "run": [t.run for t in runs], "execution": [t.judgement for t in runs]}
+    snapshot.register("taken", pa.table({name: list(values) for name, values in columns.items()}))
+    with _readable():
+        snapshot.views.make(("batch_runs", "specs", "all_artifacts", "objects"))
+        rows = [(place, Recorded(runs[place], *rest)) for place, *rest in snapshot.each(FILES, {"all": not inputs})]
+    return [file for _, file in sorted(rows, key=lambda row: (row[0], PARTS.get(row[1].kind, 1), natural(row[1].path)))]
+
+
+PARTS = {"input": 0, "log": 2}
+"""The order of the kinds of files; outputs come between inputs and logs."""
+FILES = f"""
+WITH inputs AS (
+    SELECT t.place, m.inputs, r.files, unnest(range(len(r.files))) AS nth
+    FROM taken t JOIN (SELECT run, any_value([input] || other_inputs) AS inputs, any_value(spec) AS spec FROM batch_runs
+                       WHERE run IN (SELECT run FROM taken) GROUP BY run) m USING (run) JOIN specs r USING (spec)
+),
+listed AS (
+    SELECT place, '{INPUT_FOLDER}' || files[nth + 1] AS path, 'input' AS kind, NULL::BIGINT AS size,
+           inputs[nth + 1] AS sha256, NULL AS output, NULL AS table_layout, NULL::BIGINT AS rows FROM inputs
+    UNION ALL
+    SELECT t.place, CASE a.kind WHEN 'log' THEN a.path ELSE '{OUTPUT_FOLDER}' || a.path END, a.kind, a.size, a.sha256,
+           a.output, a.table_layout, a.rows
+    FROM taken t JOIN all_artifacts a USING (execution) WHERE $all
+),
+kept AS (SELECT sha256, any_value(size) AS kept FROM objects GROUP BY sha256)
+SELECT l.place, l.path, l.kind, coalesce(l.size, k.kept), l.sha256, k.kept,
+       l.output, l.table_layout, l.rows
+FROM listed l LEFT JOIN kept k ON k.sha256 = l.sha256
+"""
+
+
+class Content:
+    """One file's bytes; they can be read once, and only before the next file's."""
+
+    def __init__(self, file: Recorded, pieces: Callable[[Content], Iterator[bytes]]) -> None:
+        self.file = file
+        self.identical: bool | None = None
+        """True if these are exactly the bytes that the run had; known when `pieces` ends."""
+        self.pieces = pieces(self)
+        """The bytes in order. Raises Damaged if they differ from the record; for a table, only at the end."""
+
+
+def contents(snapshot: Snapshot, files: Sequence[Recorded]) -> Iterator[Content]:
+    """Yield the contents of these files, each once, in the order of the store."""
+    those = holding(snapshot, {file.taken.judgement for file in files if file.taken.judgement})
+    yield from _objects(snapshot.segments, those, [file for file in files if not file.from_rows])
+    yield from _tables(snapshot, those, [file for file in files if file.from_rows])
+
+
+def holding(snapshot: Snapshot, judgements: Iterable[str]) -> list[Segment]:
+    """Return the segments that contain these judgements."""
+    import pyarrow as pa
+
+    snapshot.register("asked", pa.table({"execution": pa.array(judgements, pa.string())}))
+    with _readable():
+        return recording(snapshot.run, snapshot.segments, "SELECT execution FROM asked")
+
+
+# Objects: they are first located by their digests, then read one row group at a time.
+
+
+def _objects(segments: Sequence[Segment], holding: Sequence[Segment], files: Sequence[Recorded]) -> Iterator[Content]:
+    wanted: dict[str, list[Recorded]] = {}
+    for file in files:
+        wanted.setdefault(file.sha256 or "", []).append(file)
+    first = {id(segment) for segment in holding}
+    ordered = sorted(segments, key=lambda segment: id(segment) not in first)
+    groups = _Groups([segment.files["objects"] for segment in ordered if "objects" in segment.files])
+    for digest in sorted(wanted, key=groups.find(wanted)):
+        for file in wanted[digest]:
+            yield Content(file, groups.pieces)
+
+
+class _Groups:
+    """Objects in several files. The row group that was read last stays in memory (at most 32 MiB)."""
+
+    def __init__(self, paths: Sequence[str]) -> None:
+        self._paths = paths
+        self._parts: dict[str, list[tuple[int, int, int]]] = {}
+        """The location of each object's parts: file, row group, row."""
+        self._file: tuple[int, Any] = (-1, None)
+        self._group: tuple[tuple[int, int], Any] = ((-1, -1), None)
+
+    def find(self, wanted: Iterable[str]) -> Callable[[str], tuple[int, int, int]]:
+        """Locate these digests. Return a sort key for digests: the location of the first part."""
+        missing = set(wanted)
+        for place in range(len(self._paths)):
+            if not missing:
+                break
+            for digest, group, row in self._in_file(place, missing):
+                self._parts.setdefault(digest, []).append((place, group, row))
+            missing -= self._parts.keys()
+        return lambda digest: self._parts[digest][0] if digest in self._parts else (-1, -1, -1)
+
+    def _in_file(self, place: int, wanted: set[str]) -> Iterator[tuple[str, int, int]]:
+        """Yield the parts of wanted objects: digest, row group, row. Skip unreadable parts; `pieces` reports them."""
+        with contextlib.suppress(*UNREADABLE):
+            for group in range(self._open(place).num_row_groups):
+                with contextlib.suppress(*UNREADABLE):
+                    digests = self._open(place).read_row_group(group, columns=["sha256"]).column(0).to_pylist()
+                    yield from ((digest, group, row) for row, digest in enumerate(digests) if digest in wanted)
+
+    def pieces(self, content: Content) -> Iterator[bytes]:
+        """Yield the bytes of one object. The whole object is verified by its hash before the first byte is yielded."""
+        file = content.file
+        if file.sha256 is None:
+            raise Damaged(file.remark)
+        parts = self._parts.get(file.sha256)
+        if parts is None:
+            raise Damaged(f"not in the store, or not to be read there (SHA-256 {file.sha256})")
+        try:
+            whole = [self._read(*parts[0])] if len(parts) == 1 else None
+            found = sha256()
+            for piece in whole or (self._read(*part) for part in parts):
+                found.update(piece)
+        except UNREADABLE as error:
+            raise Damaged(f"cannot be read from {self._paths[parts[0][0]]}: {first_line(error)}") from error
+        if found.hexdigest() != file.sha256:
+            raise Damaged(f"the store has other content than was recorded (SHA-256 {file.sha256})")
+        content.identical = file.bytes == file.kept
+        yield from whole or (self._read(*part) for part in parts)
+
+    def _open(self, place: int) -> Any:
+        import pyarrow.parquet as pq
+
+        if self._file[0] != place:
+            self._file = (place, pq.ParquetFile(self._paths[place]))
+        return self._file[1]
+
+    def _read(self, place: int, group: int, row: int) -> bytes:
+        if self._group[0] != (place, group):
+            self._group = ((-1, -1), None)
+            self._group = ((place, group), self._open(place).read_row_group(group, columns=["content"]).column(0))
+        piece: bytes = self._group[1][row].as_py()
+        return piece
+
+
+# Tables: each file of a segment is read once, in its order, and split where the rows of another file begin.
+
+
+Key = tuple[str, str]
+"""A judgement and, if its execution wrote several files of one table, the file."""
+
+
+def _tables(snapshot: Snapshot, holding: Sequence[Segment], files: Sequence[Recorded]) -> Iterator[Content]:
+    """Yield these files. If several have the same rows (a run in two experiments), read each in a separate pass."""
+    if not files:
+        return
+    import pyarrow as pa
+
+    executions = {file.taken.judgement for file in files}
+    snapshot.register("asked", pa.table({"execution": pa.array(executions, pa.string())}))
+    snapshot.run("SET threads = 1")
+    snapshot.run("SET TimeZone = 'UTC'")
+    snapshot.run("SET disabled_optimizers = 'join_order,build_side_probe_side'")  # rows keep their order
+    while files:
+        mine = {_key(file): file for file in reversed(files)}
+        files = [file for file in files if mine[_key(file)] is not file]
+        yield from _once(snapshot, holding, mine)
+
+
+def _once(snapshot: Snapshot, holding: Sequence[Segment], files: dict[tuple[str, Key], Recorded]) -> Iterator[Content]:
+    outputs = {output for output, _ in files}
+    for segment in holding:
+        for name, path in segment.outputs():
+            if name in outputs:
+                part = _Part(snapshot, path)
+                for key, chunks in groupby(part.chunks(), lambda chunk: chunk[0]):
+                    file = files.pop((name, key), None)
+                    if file is not None:
+                        yield Content(file, partial(_csv, chunks=chunks, names=part.names, is_sound=part.is_sound))
+    for file in files.values():
+        yield Content(file, partial(_csv, chunks=iter(()), names=(), is_sound=lambda: True))
+
+
+def _key(file: Recorded) -> tuple[str, Key]:
+    """Return the table and the key of the rows that make up this file."""
+    name = file.path.removeprefix(OUTPUT_FOLDER) if json.loads(file.form or "{}").get("file", "") is None else ""
+    return file.output or "", (file.taken.judgement or "", name)
+
+
+class _Part:
+    """A file of a segment that has the rows of one table."""
+
+    def __init__(self, snapshot: Snapshot, path: str) -> None:
+        import duckdb
+
+        self._snapshot = snapshot
+        self._path = path
+        described: list[tuple[Any, ...]] = []
+        with contextlib.suppress(duckdb.Error, Damaged):
+            described = snapshot.run(f"DESCRIBE SELECT * FROM {read_parquet([path])}")
+        self._columns = [(row[0], row[1]) for row in described if row[0] not in ("run", "execution", "file")]
+        self._many = any(row[0] == "file" for row in described)
+        self._sound: bool | None = None
+        self.names = tuple(name for name, _ in self._columns)
+
+    def chunks(self) -> Iterator[tuple[Key, int, bytes]]:
+        """Yield lines in order: their key, their number, and their text, with a line feed before each line.
+
+        Ends early if the rest of the file cannot be read.
+        """
+        import duckdb
+        import pyarrow.compute as pc
+
+        if not self._columns:
+            return
+        cells = ", ".join(_cell(f"o.{identifier(name)}", kind) for name, kind in self._columns)
+        one = len(self._columns) == 1
+        line = f"coalesce(nullif(concat_ws(chr(44), {cells}), ''), '\"\"')" if one else f"concat_ws(chr(44), {cells})"
+        statement = (
+            f"SELECT o.execution || '/' || {'o.file' if self._many else repr('')} AS key, {line} AS line "
+            f"FROM {read_parquet([self._path])} o SEMI JOIN asked USING (execution)"
+        )
+        with contextlib.suppress(duckdb.Error, Damaged, *UNREADABLE):
+            for batch in self._snapshot.connection.sql(statement).to_arrow_reader(LINES):
+                runs = pc.run_end_encode(batch.column(0))
+                begin = 0
+                for key, end in zip(runs.values.to_pylist(), runs.run_ends.to_pylist(), strict=True):
+                    execution, _, name = key.partition("/")
+                    lines = batch.column(1).slice(begin, end - begin).to_pylist()
+                    yield (execution, name), end - begin, "".join(f"\n{line}" for line in lines).encode()
+                    begin = end
+
+    def is_sound(self) -> bool:
+        """Check that the file's hash is the one in its segment's MANIFEST."""
+        if self._sound is None:
+            path = Path(self._path)
+            try:
+                listed = path.with_name(MANIFEST).read_text("utf-8", "replace").splitlines()
+                self._sound = f"{sha256_file(path)}  {path.name}" in listed
+            except OSError:
+                self._sound = False
+        return self._sound
+
+
+def _csv(
+    content: Content,
+    *,
+    chunks: Iterator[tuple[Key, int, bytes]],
+    names: Sequence[str],
+    is_sound: Callable[[], bool],
+) -> Iterator[bytes]:
+    """Yield a table's rows as the text of a CSV file. Raises Damaged at the end if they are not the recorded rows."""
+    file = content.file
+    form = json.loads(file.form or "{}")
+    own = tuple(form.get("columns", ()))
+    header = own if column_names(own) == tuple(names) or not names else names
+    found, count = sha256(), 0
+
+    def pieces() -> Iterator[bytes]:
+        nonlocal count
+        yield ",".join(_quoted(name) for name in header).encode()
+        for _, lines, text in chunks:
+            count += lines
+            yield text
+        if header and form.get("ended", True):
+            yield b"\n"
+
+    for piece in pieces():
+        found.update(piece)
+        yield piece
+    content.identical = found.hexdigest() == file.sha256
+    if count != file.rows:
+        raise Damaged(f"{count} of its {file.rows} rows can be read in table {file.output!r}")
+    if not content.identical and not is_sound():
+        raise Damaged(f"the segment that holds its rows (table {file.output!r}) is not what was recorded")
+
+
+def _cell(value: str, kind: str) -> str:
+    """Return the SQL expression for a value as a CSV field."""
+    text = f"{value}::VARCHAR"
+    if re.fullmatch(r"BOOLEAN|DATE|TIME|TIMESTAMP.*", kind) or is_number(kind):
+        return f"coalesce({text}, '')"
+    return (
+        f"CASE WHEN {value} IS NULL THEN '' WHEN {text} = '' OR regexp_matches({text}, '[\",\\r\\n]') "
+        f"THEN '\"' || replace({text}, '\"', '\"\"') || '\"' ELSE {text} END"
+    )
+
+
+def _quoted(name: str) -> str:
+    special = not name or any(c in name for c in '",\r\n')
+    return '"' + name.replace('"', '""') + '"' if special else name
+
+
+__all__ = ["Content", "Recorded", "Taken", "contents", "recorded", "take"]

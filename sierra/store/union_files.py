@@ -1,0 +1,222 @@
+"""The files of one table as one relation, in which a column of numbers stays numeric.
+
+A column that a file does not have is NULL there. A column that holds numbers in some files, and texts, flags or dates in
+others, becomes two columns. The first has the original name and holds the numbers. The second has the suffix `_text` and
+holds the cells of the other files unchanged. A text that reads as a number is in both. A similar split applies to whole
+numbers and decimals that DOUBLE cannot hold exactly, if other files have fractions: the first column has the nearest
+DOUBLE, the second has all digits.
+
+DuckDB's own union would turn all numbers into texts, true into 1, whole numbers into dates, and decimals into whole numbers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from sierra.store.duckdb_files import parquet_schema, read_parquet, steady
+from sierra.store.names import column_names, identifier
+from sierra.store.type_inference import EMPTY, HUGE, bit, is_inexact, is_number, is_whole, narrowest, reads_as
+
+Fetch = Callable[[str], Sequence[Sequence[Any]]]
+"""A function that executes a statement and returns its rows."""
+PLACES = ("filename", "file_row_number")
+"""Columns that identify a row's origin; they come after all other columns."""
+TEXT = "_text"
+NUMBERS = 2 | 4 | 8
+"""The bits of `bit` for texts that are numbers."""
+
+
+@dataclass(frozen=True, slots=True)
+class Relation:
+    """The rows of several files; `sql` is the expression to put after FROM."""
+
+    sql: str
+    types: Mapping[str, str]
+    """The type of each column, without the columns of `PLACES`."""
+    texts: Mapping[str, str] = field(default_factory=dict)
+    """The `_text` column that belongs to each split numeric column."""
+    rounded: frozenset[str] = frozenset()
+    """The split columns that hold only numbers, some of them with more digits than DOUBLE can hold."""
+
+
+def relation(fetch: Fetch, files: Sequence[str], where: str = "true", *, rows: bool = False) -> Relation:
+    """Return the rows of these files. Rows that do not meet the condition `where` do not influence the types.
+
+    `rows`: include the columns of `PLACES`.
+    """
+    described = _described(fetch, files)
+    names = _names(described)
+    types = _by_type(described)
+    first = {own: next(iter(types[name])) for name, own in names.items()}
+    several = [name for name in names if len(types[name]) > 1]
+    if not several:
+        return Relation(read_parquet(files, union=len(described) > 1, rows=rows), first)
+    called = column_names([names[name] + TEXT for name in several], taken=names.values())
+    mixed = {name: _mixed(fetch, names[name], beside, types[name], where) for name, beside in zip(several, called, strict=True)}
+    kept: dict[str, str] = {}
+    for name, own in names.items():
+        kept |= mixed[name].types() if name in mixed else {own: first[own]}
+    columns = ", ".join(map(identifier, [*kept, *(PLACES if rows else ())]))
+    scans = " UNION ALL BY NAME ".join(
+        _scan(mixed.values(), kinds, some, rows=rows) for kinds, some in _parts(described, several).items()
+    )
+    apart = [one for one in mixed.values() if one.apart]
+    return Relation(
+        f"(SELECT {columns} FROM ({scans}))",
+        kept,
+        {one.name: one.beside for one in apart},
+        frozenset(one.name for one in apart if not one.other),
+    )
+
+
+Described = Sequence[tuple[Sequence[str], Mapping[str, str]]]
+"""Groups of files that have the same columns, each with the types of these columns."""
+
+
+def _names(described: Described) -> dict[str, str]:
+    """Return the columns of all files in order: their names in lower case, each with the spelling of the first file."""
+    found: dict[str, str] = {}
+    for _, columns in described:
+        for name in columns:
+            found.setdefault(name.lower(), name)
+    return found
+
+
+def _by_type(described: Described) -> dict[str, dict[str, list[str]]]:
+    """Return the files by column (in lower case) and type."""
+    found: dict[str, dict[str, list[str]]] = {}
+    for files, columns in described:
+        for name, kind in columns.items():
+            found.setdefault(name.lower(), {}).setdefault(kind, []).extend(files)
+    return found
+
+
+def _parts(described: Described, several: Sequence[str]) -> dict[tuple[str | None, ...], list[str]]:
+    """Return the files by the types that they have in these columns."""
+    found: dict[tuple[str | None, ...], list[str]] = {}
+    for files, columns in described:
+        theirs = {name.lower(): kind for name, kind in columns.items()}
+        found.setdefault(tuple(map(theirs.get, several)), []).extend(files)
+    return found
+
+
+def _scan(mixed: Iterable[_Mixed], kinds: Iterable[str | None], files: Sequence[str], *, rows: bool) -> str:
+    """Return the query for the rows of files that have types `kinds` in the columns `mixed`."""
+    those = [(one, kind) for one, kind in zip(mixed, kinds, strict=True) if kind is not None]
+    cells = ", ".join(f"{one.cell(kind)} AS {identifier(one.name)}" for one, kind in those)
+    texts = "".join(f", {text} AS {identifier(one.beside)}" for one, kind in those if (text := one.text(kind)))
+    return f"SELECT *{f' REPLACE ({cells})' if cells else ''}{texts} FROM {read_parquet(files, union=True, rows=rows)}"
+
+
+def _described(fetch: Fetch, files: Sequence[str]) -> list[tuple[list[str], dict[str, str]]]:
+    """Return the files grouped by equal columns, with the columns' types, in the order of the files."""
+    groups = [list(files)]
+    if len(files) > 1:
+        own = {steady(file): file for file in files}
+        places = {file: place for place, file in enumerate(files)}
+        alike = (
+            f"SELECT list(file_name) FROM (SELECT file_name, list((name, duckdb_type, num_children)) AS columns "
+            f"FROM {parquet_schema(files)} GROUP BY file_name) GROUP BY columns"
+        )
+        groups = sorted(
+            (sorted((own[file] for file in some), key=places.__getitem__) for (some,) in fetch(alike)),
+            key=lambda some: places[some[0]],
+        )
+    return [(some, {row[0]: row[1] for row in fetch(f"DESCRIBE SELECT * FROM {read_parquet(some[:1])}")}) for some in groups]
+
+
+@dataclass(frozen=True, slots=True)
+class _Mixed:
+    """A column that has different types in different files."""
+
+    name: str
+    beside: str
+    """The name of the `_text` column."""
+    type: str
+    """The resulting type; empty if DuckDB's own union gives the right type."""
+    empty: frozenset[str]
+    """The types of the files in which the column has no values."""
+    other: bool = False
+    """True if some files hold numbers and others hold other values."""
+    rounded: bool = False
+    """True if DOUBLE cannot hold some of the numbers exactly."""
+
+    @property
+    def apart(self) -> bool:
+        """True if the column needs a `_text` column."""
+        return self.other or self.rounded
+
+    @property
+    def column(self) -> str:
+        return identifier(self.name)
+
+    def types(self) -> dict[str, str]:
+        """Return the resulting columns with their types."""
+        return {self.name: self.type, **({self.beside: "VARCHAR"} if self.apart else {})}
+
+    def cell(self, kind: str) -> str:
+        """Return the SQL expression for the column's value in files where it has type `kind`."""
+        if kind in self.empty:
+            return f"NULL::{self.type or kind}"
+        if not self.type:
+            return self.column
+        if is_number(self.type) and not is_number(kind):
+            return reads_as(self.column, self.type) if kind == "VARCHAR" else f"NULL::{self.type}"
+        return f"CAST({self.column} AS {self.type})"
+
+    def text(self, kind: str) -> str | None:
+        """Return the SQL expression for the value of the `_text` column; None if there is none."""
+        if not self.apart or kind in self.empty:
+            return None
+        if not is_number(kind):
+            return f"CAST({self.column} AS VARCHAR)"
+        return f"CASE WHEN {is_inexact(self.column, kind)} THEN CAST({self.column} AS VARCHAR) END" if self.rounded else None
+
+
+def _mixed(fetch: Fetch, name: str, beside: str, kinds: Mapping[str, Sequence[str]], where: str) -> _Mixed:
+    """Decide how to read a column that has these types, each in some files."""
+    column = identifier(name)
+
+    def seen(kind: str, what: str) -> Any:
+        [(found,)] = fetch(f"SELECT {what} FROM {read_parquet(kinds[kind], union=True)} WHERE {where}")
+        return found
+
+    def has_values(kind: str) -> bool:
+        return kind != EMPTY and bool(seen(kind, f"count({column}) > 0"))
+
+    others = [kind for kind in kinds if not is_number(kind) and has_values(kind)]
+    numbers = [kind for kind in kinds if is_number(kind) and (not others or has_values(kind))]
+    empty = frozenset(kinds) - {*numbers, *others}
+    if not numbers:
+        return _Mixed(name, beside, _common(others), empty)
+    texts = seen("VARCHAR", f"bit_or({bit(column)})") & NUMBERS if "VARCHAR" in others else 0
+    kind = _widest([*numbers, *([narrowest(texts) or ""] if texts else [])])
+    exact = [one for one in numbers if one not in ("DOUBLE", "FLOAT")] if kind == "DOUBLE" else []
+    rounded = any(seen(one, f"count_if({is_inexact(column, one)}) > 0") for one in exact)
+    return _Mixed(name, beside, kind, empty, bool(others), rounded)
+
+
+def _common(kinds: Sequence[str]) -> str:
+    """Return the type that holds these types that are not numbers; empty if DuckDB's own union gives the right type."""
+    if len(kinds) < 2:
+        return next(iter(kinds), "BOOLEAN")
+    return "" if all(map(_is_time, kinds)) or not any(map(_is_plain, kinds)) else "VARCHAR"
+
+
+def _widest(kinds: Sequence[str]) -> str:
+    """Return the type that holds all of these numbers: whole numbers exactly, others as DOUBLE."""
+    if len(set(kinds)) == 1:
+        return kinds[0]
+    if all(map(is_whole, kinds)):
+        return HUGE if {HUGE, "UBIGINT", "HUGEINT", "UHUGEINT"} & set(kinds) else "BIGINT"
+    return "DOUBLE"
+
+
+def _is_time(kind: str) -> bool:
+    return kind.startswith(("DATE", "TIMESTAMP"))
+
+
+def _is_plain(kind: str) -> bool:
+    return not kind.startswith(("STRUCT", "MAP", "UNION")) and not kind.endswith("]")

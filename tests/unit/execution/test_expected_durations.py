@@ -1,0 +1,98 @@
+"""How long runs are expected to take, from what was timed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import sierra
+from sierra.execution import expected_durations
+from sierra.execution.expected_durations import Timed, estimate
+from sierra.model import Value
+from tests.conftest import Simulated
+
+SLEEPS = """sleep 0.$(sed -n 's/.* {}="\\([0-9]\\).*/\\1/p' "$1"); printf 't,v\\n1,1\\n' > swarm.csv"""
+
+
+def timed(axis: str, seconds: Mapping[Value, float]) -> list[Timed]:
+    return [Timed({axis: value}, took) for value, took in seconds.items()]
+
+
+@pytest.mark.parametrize(
+    ("seconds", "value", "expected"),
+    [
+        ({1: 2.0, 4: 8.0}, 2, 8.0),  # the slower neighbour
+        ({1: 9.0, 4: 8.0, 8: 1.0}, 6, 8.0),
+        ({2: 3.0}, 8, 12.0),  # in proportion
+        ({2: 3.0}, 1, 3.0),
+        ({1: 1.0, 2: 4.0, 4: 16.0}, 8, 64.0),  # a power
+        ({1: 1.0, 2: 1.0}, 8, 4.0),  # two values are too few to believe that it stays so
+        ({1: 1.0, 2: 1.0, 4: 1.0}, 64, 1.0),
+        ({1: 1.0, 2: 1e9}, 4, 16e9),  # no power above 4
+        ({4: 1.0, 2: 2.0}, 1, 4.0),  # what grows the other way
+        ({0: 1.0, 1: 3.0}, 3, 7.0),  # a straight line
+        ({-1: 1.0, 1: 1.0}, 5, 1.0),
+        ({"low": 1.0, "high": 5.0}, "low", 1.0),
+        ({"low": 1.0, "high": 5.0}, "other", 5.0),
+    ],
+)
+def test_what_was_never_timed_is_estimated(seconds: Mapping[Value, float], value: Value, expected: float) -> None:
+    assert estimate({"axis": value}, timed("axis", seconds)) == pytest.approx(expected)
+
+
+def test_variables_are_estimated_together() -> None:
+    known = [Timed({"size": size, "speed": speed}, float(size * speed)) for size in (1, 2, 4) for speed in (1, 2, 4)]
+    assert estimate({"size": 8, "speed": 8}, known) == pytest.approx(64)
+    assert estimate({"size": 3, "speed": 1}, known) == 4
+    assert estimate({"size": 8, "speed": 1}, known) == pytest.approx(8)
+
+
+def test_a_variable_that_was_not_varied_then_counts_as_it_is() -> None:
+    assert estimate({"size": 1, "speed": 5}, [Timed({"size": 1, "speed": None}, 3.0)]) == 3
+
+
+@given(
+    st.dictionaries(st.integers(-5, 50), st.floats(1e-3, 1e5), min_size=1, max_size=6),
+    st.floats(-100, 1000, allow_nan=False),
+)
+def test_no_estimate_is_less_than_the_quickest_run(seconds: dict[int, float], value: float) -> None:
+    found = estimate({"axis": value}, timed("axis", dict(seconds)))
+    assert min(seconds.values()) * 0.999 <= found < float("inf")
+    if value > max(seconds):
+        assert found >= seconds[max(seconds)] * 0.999
+
+
+def test_runs_are_expected_to_take_what_those_with_the_same_values_took(simulate: Callable[..., Simulated]) -> None:
+    made = simulate(SLEEPS.format("size"))
+    project = sierra.open(made.folder)
+    project.run("size=1,9", runs=2, figures=False)
+    plan = project.plan("size=1,9,5,18", runs=3)
+    times = expected_durations.expected(plan, project.store, {run.id for run in plan.batch.runs})
+    assert times is not None
+    quick, slow, between, beyond = (times.each[3 * place] for place in range(4))
+    assert 0.1 < quick < slow == between
+    assert slow > 0.9
+    assert beyond == pytest.approx(2 * slow) or beyond > 2 * slow
+    assert times.new == tuple(range(6, 12))
+    assert times.how == "2 of 4 experiments were timed, the others are estimated from these"
+    new = {run.id for run in plan.batch.experiments[0].runs}
+    assert expected_durations.expected(plan, project.store, new) is not None
+    assert expected_durations.expected(plan, None, new) is None
+
+
+@pytest.mark.integration
+def test_other_settings_count_only_where_there_are_no_runs_with_these(simulate: Callable[..., Simulated]) -> None:
+    made = simulate(SLEEPS.format("speed"))
+    project = sierra.open(made.folder)
+    project.run("size=1", runs=1, sets=[("/swarm/@speed", "9")], figures=False)
+    project.run("size=1", runs=1, sets=[("/swarm/@speed", "1")], figures=False)
+    found = {}
+    for speed in (1, 9, 5):
+        plan = project.plan("size=1", runs=1, sets=[("/swarm/@speed", str(speed))])
+        times = expected_durations.expected(plan, project.store, {run.id for run in plan.batch.runs})
+        assert times is not None
+        found[speed] = times.mean
+    assert found[1] < 0.9 < found[9] == found[5]

@@ -1,0 +1,171 @@
+"""The published contracts in `schemas/` are those that the code has, and say what every key means."""
+
+from __future__ import annotations
+
+import json
+import re
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import duckdb
+import jsonschema
+import pytest
+from pydantic import BaseModel
+
+import sierra
+from sierra.config import project_file
+from sierra.platforms.argos import ArgosOptions
+from sierra.setup import published_schemas
+from tests import projects
+
+FOLDER = Path(__file__).parents[3] / "schemas"
+EXAMPLE = Path(sierra.__file__).parent / "setup" / "examples" / "swarm" / "sierra.toml"
+MODELS = {model.__name__: model for model in project_file.Table.__subclasses__() if model.__module__ == project_file.__name__}
+
+
+def schema(*options: str) -> str:
+    """What `sierra schema` says."""
+    done = projects.sierra(Path(), "schema", *options)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@pytest.fixture(scope="module")
+def reference() -> str:
+    return schema("--toml")
+
+
+def uncommented(text: str) -> dict[str, Any]:
+    """TOML with the # taken away from all lines that begin with # and no blank."""
+    return tomllib.loads(re.sub(r"(?m)^#(?! )", "", text))
+
+
+def keys(model: type[BaseModel]) -> set[str]:
+    return {field.alias or name for name, field in model.model_fields.items()}
+
+
+def seen(table: dict[str, Any]) -> dict[str, set[str]]:
+    """The keys that stand in tables of each kind."""
+    found: dict[str, set[str]] = {"Project": set(table)}
+    for name, model in {
+        "seed": "Seed",
+        "success": "Success",
+        "limits": "LimitsTable",
+        "environment": "Environment",
+        "container": "Container",
+        "programs": "ProgramsTable",
+        "store": "StoreTable",
+    }.items():
+        found[model] = set(table[name])
+    found["Source"] = set(table["source"])
+    found["Determinism"] = set(table["determinism"])
+    found["ChangeTable"] = set().union(*table["changes"])
+    groups = {
+        "variables": "Variable",
+        "controllers": "Group",
+        "outputs": "Output",
+        "equivalence": "Equivalence",
+        "queries": "QueryTable",
+        "figures": "Figure",
+        "runners": "ClusterTable",
+    }
+    for name, model in groups.items():
+        found[model] = set().union(*table[name].values())
+    found["Tolerance"] = set().union(*(one for output in table["outputs"].values() for one in output["tolerance"].values()))
+    return found
+
+
+@pytest.mark.parametrize("name", [published_schemas.TOML, published_schemas.STORE])
+def test_what_is_published_is_what_the_code_says(name: str) -> None:
+    assert (FOLDER / name).read_text() == published_schemas.generated()[name], "make schemas writes them anew"
+
+
+def test_nothing_else_is_published() -> None:
+    assert {path.name for path in FOLDER.iterdir()} == set(published_schemas.generated())
+
+
+def test_the_commented_toml_is_nothing_but_comments_and_blank_lines(reference: str) -> None:
+    assert tomllib.loads(reference) == {}
+    assert all(re.match("(?:# |#[^ #]|$)", line) for line in reference.splitlines())
+
+
+def test_the_commented_toml_without_its_marks_is_a_valid_project(reference: str) -> None:
+    whole = uncommented(reference)
+    project_file.parse(whole, "sierra.toml")
+    project_file.options(ArgosOptions, whole["platforms"]["argos"], "[platforms.argos]")
+    jsonschema.validate(whole, json.loads(schema("--toml", "--json")))
+
+
+def test_the_commented_toml_has_every_key_of_every_table(reference: str) -> None:
+    whole = uncommented(reference)
+    assert seen(whole) == {name: keys(model) for name, model in MODELS.items()}
+    assert set(whole["platforms"]["argos"]) == keys(ArgosOptions)
+    assert "command" in whole["platforms"]
+
+
+def test_each_key_stands_on_a_line_of_its_own_after_a_sentence_with_its_type(reference: str) -> None:
+    lines = reference.splitlines()
+    for needed in (
+        ["# runs per experiment (whole number above 0; default 10)", "#runs = 10"],
+        ["# the XML file that every run's input is made from (text; required)", '#template = "template.xml"'],
+        ["# seconds between SIGTERM and SIGKILL (number above 0; default 5.0)", "#grace = 5.0"],
+        ["# whether the template's visualization is kept (true or false; default false)", "#visualization = false"],
+    ):
+        assert lines[lines.index(needed[1]) - 1 : lines.index(needed[1]) + 1] == needed
+    flowing = " ".join(line.removeprefix("# ") for line in lines)
+    assert '("strict" or "ragged"; default "strict") #mismatch = "strict"' in flowing
+    assert '("own", "carry" or "linear") #times = "own"' in flowing
+
+
+def described(schema: dict[str, Any]) -> Iterator[tuple[str, str]]:
+    """Every key in a JSON Schema, and what is said of it (or of the table that it is)."""
+    for title, model in [("sierra.toml", schema), *schema["$defs"].items()]:
+        for name, key in model.get("properties", {}).items():
+            tables = [schema["$defs"][o["$ref"].rpartition("/")[2]] for o in (key, *key.get("anyOf", ())) if "$ref" in o]
+            yield f"{title}.{name}", key.get("description") or (tables[0].get("description", "") if tables else "")
+
+
+def test_every_key_has_a_sentence() -> None:
+    lacking = [name for name, sentence in described(json.loads(published_schemas.toml_schema())) if not sentence]
+    assert lacking == []
+
+
+def test_a_key_that_has_no_example_is_shown_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    without = re.sub(r"(?m)^(runs|wall|threads|memory|kind) = .*\n", "", published_schemas.EXAMPLES)
+    monkeypatch.setattr(published_schemas, "EXAMPLES", without)
+    whole = uncommented(published_schemas.toml())
+    assert seen(whole) == {name: keys(model) for name, model in MODELS.items()}
+    assert (whole["runs"], whole["platforms"]["argos"]["threads"]) == (10, 0)
+
+
+def test_the_example_fits_the_json_schema() -> None:
+    schema = json.loads(published_schemas.toml_schema())
+    jsonschema.Draft202012Validator.check_schema(schema)
+    jsonschema.validate(tomllib.loads(EXAMPLE.read_text()), schema)
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"comand": "true"}, {"platforms": {"argos": {"lenght": 5}}}, {"figures": {"f": {"times": "x"}}}]
+)
+def test_the_json_schema_refuses_unknown_keys_and_values(wrong: dict[str, Any]) -> None:
+    with pytest.raises(jsonschema.ValidationError):
+        jsonschema.validate({"template": "x.xml", **wrong}, json.loads(published_schemas.toml_schema()))
+
+
+def test_the_json_schema_leaves_the_options_of_other_platforms_to_them() -> None:
+    jsonschema.validate({"template": "x.xml", "platforms": {"mine": {"any": 1}}}, json.loads(published_schemas.toml_schema()))
+
+
+def test_the_sql_schema_is_sql() -> None:
+    connection = duckdb.connect()
+    connection.execute(published_schemas.generated()[published_schemas.STORE])
+    tables = {row[0] for row in connection.execute("SHOW TABLES").fetchall()}
+    assert tables == set(published_schemas.tables())
+
+
+def test_every_column_has_a_sentence() -> None:
+    for table in published_schemas.tables().values():
+        assert table.meaning
+        assert all(column.meaning for column in table.columns), table.name
