@@ -67,9 +67,9 @@ def _help(command: Any, words: tuple[str, ...], parent: Any) -> Iterator[tuple[t
 
 def keys() -> Iterator[str]:
     """Yield the keys of `sierra.toml`, table by table."""
-    from sierra.setup import schemas
+    from sierra.setup import published_schemas
 
-    schema = schemas.json_schema()
+    schema = published_schemas.json_schema()
     yield "# sierra.toml"
     yield (
         "These are all keys of `sierra.toml`. The same table may be `[tool.sierra]` in `pyproject.toml`. "
