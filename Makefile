@@ -77,7 +77,7 @@ schemas: install ## write schemas/ and docs/reference/ from the code
 	$(BIN)/python docs/generate.py
 
 docs: install ## build the documentation as a site, in build/site
-	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
+	$(BIN)/sphinx-build -W --keep-going -q -b html docs build/site
 
 # An existing lock's versions stay unless pyproject.toml rules them out; UPGRADE=--upgrade takes the newest.
 lock: ## write requirements.lock from pyproject.toml

@@ -1,0 +1,53 @@
+"""Settings of Sphinx, which builds the documentation as a site: `make docs`."""
+
+from __future__ import annotations
+
+from typing import Any
+
+project = "SIERRA"
+html_title = "SIERRA"
+html_theme = "furo"
+extensions = ["myst_parser"]
+myst_heading_anchors = 3
+exclude_patterns = ["conf.py", "generate.py"]
+suppress_warnings = ["misc.highlighting_failure"]  # an example of a session is not valid in any language
+
+CONTENTS = {
+    "Begin": ["tutorial", "glossary", "limitations"],
+    "How-to guides": [
+        "how-to/your-simulator",
+        "how-to/queries",
+        "how-to/outputs",
+        "how-to/sql",
+        "how-to/figures",
+        "how-to/compare",
+        "how-to/replay",
+        "how-to/containers",
+        "how-to/clusters",
+        "how-to/share",
+        "how-to/maintain",
+        "how-to/python",
+        "how-to/plugins",
+    ],
+    "Reference": ["reference/commands", "reference/sierra-toml", "reference/tables"],
+    "Explanation": [
+        "explanation/identity",
+        "explanation/store-format",
+        "explanation/execution",
+        "explanation/cluster-protocol",
+        "explanation/threat-model",
+        "explanation/self-checks",
+    ],
+}
+
+
+def add_contents(app: Any, document: str, source: list[str]) -> None:
+    """Append the table of contents to the first page. In the file itself, other viewers of Markdown would show it as code."""
+    if document == "index":
+        for title, pages in CONTENTS.items():
+            source[0] += "\n```{toctree}\n:hidden:\n:caption: " + title + "\n" + "\n".join(pages) + "\n```\n"
+
+
+def setup(app: Any) -> None:
+    """Connect to Sphinx."""
+    app.connect("source-read", add_contents)
