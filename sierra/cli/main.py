@@ -11,13 +11,16 @@ from sierra.cli.output import guarded
 from sierra.errors import SierraError
 from sierra.util import signals
 
+INTERRUPTED = 130
+
 
 def main() -> NoReturn:
     """Run the program `sierra`, and exit with the codes of `sierra.errors`; users never see a traceback."""
     signals.heed()
     with guarded():
         code = _ended()
-    signals.ignore()
+    if code == INTERRUPTED:
+        signals.ignore()
     sys.exit(code if isinstance(code, int) else 0)
 
 
@@ -29,7 +32,7 @@ def _ended() -> object:
     except SierraError as error:
         code = _say(str(error), error.exit_code)
     except KeyboardInterrupt:
-        code = _say("interrupted", 130)
+        code = _say("interrupted", INTERRUPTED)
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         code = 0
@@ -43,7 +46,7 @@ def _other(error: Exception) -> int:
     if hasattr(error, "format_message") and hasattr(error, "exit_code"):
         return _usage(error)
     if type(error).__name__ == "Abort":
-        return _say("interrupted", 130)
+        return _say("interrupted", INTERRUPTED)
     if isinstance(error, OSError):
         where = f"{error.filename}: " if error.filename else ""
         return _say(f"{where}{error.strerror or error}", 3)

@@ -16,7 +16,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-import yaml
 
 from sierra import platforms
 from sierra.config import project_file
@@ -179,7 +178,7 @@ def test_every_command_is_executed_or_says_why_not() -> None:
 
 
 def slugs(page: Path) -> set[str]:
-    """The anchors of a page's headings, as GitHub and mkdocs make them."""
+    """The anchors of a page's headings, as GitHub and Sphinx make them."""
     text = FENCE.sub("", page.read_text("utf-8"))
     return {re.sub(r"[^\w\- ]", "", title.lower()).strip().replace(" ", "-") for title in re.findall(r"(?m)^#+ (.+)$", text)}
 
@@ -207,15 +206,9 @@ def test_every_file_of_the_repository_that_a_page_names_exists(page: Path) -> No
 
 
 def test_the_site_lists_every_page() -> None:
-    def listed(part: object) -> Iterator[str]:
-        if isinstance(part, str):
-            yield part
-        elif isinstance(part, list | dict):
-            for inner in part.values() if isinstance(part, dict) else part:
-                yield from listed(inner)
-
-    nav = yaml.safe_load((ROOT / "mkdocs.yml").read_text("utf-8"))["nav"]
-    assert sorted(listed(nav)) == sorted(str(page.relative_to(DOCS)) for page in DOCS.rglob("*.md"))
+    contents: dict[str, list[str]] = runpy.run_path(str(DOCS / "conf.py"))["CONTENTS"]
+    listed = ["index.md", *(f"{page}.md" for pages in contents.values() for page in pages)]
+    assert sorted(listed) == sorted(str(page.relative_to(DOCS)) for page in DOCS.rglob("*.md"))
 
 
 def test_the_reference_is_what_the_code_gives_now() -> None:

@@ -13,7 +13,7 @@ import pytest
 import sierra
 from sierra.cli.output import safe
 from tests import projects, stores
-from tests.unit.store.test_marks import died
+from tests.unit.store.test_ownership_marks import died
 
 EVIL = "\x1b[2J\x1b]0;owned\x07\x9b31m\u202egnp.exe"
 SIMULATOR = (
