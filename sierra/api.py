@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from sierra.containers.images.image import Image
     from sierra.containers.images.image_contents import Contents
     from sierra.containers.images.listing import Known
-    from sierra.design.experiments import Heed
     from sierra.execution.execute_missing import RunOptions
     from sierra.execution.observer import Observer
     from sierra.execution.resolve_plan import Plan
@@ -110,12 +109,12 @@ class Project:
         scenario: str | None = None,
         sets: Sequence[tuple[str, str]] = (),
         engine: str | None = None,
-        heed: Heed | None = None,
+        observer: Observer | None = None,
     ) -> Plan:
         """Return the plan of a query: the batch that it would execute, with all ids.
 
-        `sets` are pairs of XPath and value. `engine` is the engine that isolates the runs; it overrides the project's. `heed`
-        receives the progress of planning: see `sierra.design.experiments.Heed`.
+        `sets` are pairs of XPath and value. `engine` is the engine that isolates the runs; it overrides the project's.
+        `observer` receives the progress of planning.
 
         A prefix of a recorded batch's id instead of a query plans that batch with the recorded code and inputs. Raises
         QueryError, UsageError, TemplateError, and Missing for a program that is not found.
@@ -136,20 +135,20 @@ class Project:
                 )
             return plan_from_record.plan(self._loaded, self.store, word, contained=engine)
         request = requests.request(query, runs=runs, controller=controller, scenario=scenario, sets=sets)
-        return self.resolve(request, engine=engine, heed=heed)
+        return self.resolve(request, engine=engine, observer=observer)
 
-    def resolve(self, request: QueryRequest, *, engine: str | None = None, heed: Heed | None = None) -> Plan:
+    def resolve(self, request: QueryRequest, *, engine: str | None = None, observer: Observer | None = None) -> Plan:
         """Return the plan of a query request: see `plan`.
 
         >>> from sierra.query.request import request
         >>> len(project.resolve(request(["population_size=1,2"], runs=2)).batch.runs)
         4
         """
-        from sierra.design.experiments import deaf
         from sierra.execution import resolve_plan
+        from sierra.execution.observer import Observer
         from sierra.explain.changes import respelled
 
-        plan = resolve_plan.plan(self._loaded, request, engine=engine, heed=heed or deaf)
+        plan = resolve_plan.plan(self._loaded, request, engine=engine, report=(observer or Observer()).planning)
         store = self.stored()
         return replace(plan, notes=(*plan.notes, *respelled(plan, store))) if store else plan
 

@@ -16,7 +16,7 @@ INTERRUPTED = 130
 
 def main() -> NoReturn:
     """Run the program `sierra`, and exit with the codes of `sierra.errors`; users never see a traceback."""
-    signals.heed()
+    signals.handle()
     with guarded():
         code = _ended()
     if code == INTERRUPTED:

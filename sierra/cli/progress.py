@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 import typer
@@ -48,26 +48,26 @@ def watching(*, quiet: bool) -> Iterator[Display]:
         yield _Lines()
 
 
-def planning(*, agreed: bool, quiet: bool) -> Callable[[int, int, int], None]:
-    """Return a receiver of the progress of planning, which prints it now and then to standard error unless `quiet`.
+class Planning(Observer):
+    """Prints the progress of planning now and then to standard error, unless `quiet`.
 
     It asks the user to confirm a large number of runs, unless `agreed`. It raises UsageError without a terminal to ask on,
     typer.Exit if the user declines.
     """
-    said = time.monotonic()
-    sure = agreed
 
-    def heed(done: int, experiments: int, runs: int) -> None:
-        nonlocal said, sure
-        if runs > MANY and not sure:
+    def __init__(self, *, agreed: bool, quiet: bool) -> None:
+        self._printed = time.monotonic()
+        self._sure = agreed
+        self._quiet = quiet
+
+    def planning(self, done: int, experiments: int, runs: int) -> None:
+        if runs > MANY and not self._sure:
             _ask(experiments, runs)
-            sure = True
+            self._sure = True
         now = time.monotonic()
-        if not quiet and now - said >= FIRST_S:
-            said = now
+        if not self._quiet and now - self._printed >= FIRST_S:
+            self._printed = now
             print(f"planning: {done} of {counted(experiments, 'experiment')}", file=sys.stderr, flush=True)
-
-    return heed
 
 
 def _ask(experiments: int, runs: int) -> None:

@@ -14,7 +14,7 @@ from sierra.cli import complete
 
 if TYPE_CHECKING:
     from sierra.api import Project
-    from sierra.design.experiments import Heed
+    from sierra.execution.observer import Observer
     from sierra.execution.resolve_plan import Plan
 
 STDERR = 2
@@ -94,7 +94,7 @@ def run(
     """
     from sierra.cli import open_project, render_estimate, render_summary
     from sierra.cli.output import note, print_json
-    from sierra.cli.progress import planning, watching
+    from sierra.cli.progress import Planning, watching
     from sierra.config import user
     from sierra.query.grammar import setting
     from sierra.query.request import SUFFIX
@@ -106,11 +106,11 @@ def run(
         "scenario": scenario,
         "sets": [setting(text) for text in sets or ()],
     }
-    heed = planning(agreed=yes, quiet=as_json)
+    observer = Planning(agreed=yes, quiet=as_json)
     if query[0].endswith(SUFFIX):
-        plan = _from_file(project, query, asked, engine=engine, heed=heed)
+        plan = _from_file(project, query, asked, engine=engine, observer=observer)
     else:
-        plan = project.plan(*query, **asked, engine=engine, heed=heed)
+        plan = project.plan(*query, **asked, engine=engine, observer=observer)
     if not dry_run:
         _check_log(plan)
     told: dict[str, Any] = {}
@@ -142,7 +142,7 @@ def run(
     render_summary.tell(project, summary, more if as_json else None, detached=detach)
 
 
-def _from_file(project: Project, query: list[str], asked: dict[str, Any], *, engine: str | None, heed: Heed) -> Plan:
+def _from_file(project: Project, query: list[str], asked: dict[str, Any], *, engine: str | None, observer: Observer) -> Plan:
     """Return the plan of the request in a file. Print a note if the file names another batch than the request makes now."""
     from sierra.cli.output import note
     from sierra.errors import UsageError
@@ -154,7 +154,7 @@ def _from_file(project: Project, query: list[str], asked: dict[str, Any], *, eng
             f"{query[0]} is a whole request; give no criteria, --runs, --controller, --scenario or --set beside it"
         )
     found = request.read(Path(query[0]))
-    plan = project.resolve(found.request, engine=engine, heed=heed)
+    plan = project.resolve(found.request, engine=engine, observer=observer)
     if found.batch not in (None, plan.batch.id):
         inside = Path(query[0]).resolve().is_relative_to(project.root)
         hint = " (the file counts as its code: keep it elsewhere, or let git ignore it)" if inside else ""

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 
 from sierra.design import seeds
-from sierra.design.experiments import Heed, deaf
+from sierra.design.experiments import PlanningProgress, ignore_progress
 from sierra.errors import QueryError
 from sierra.model import Batch, Cell, Design, Experiment, Run, RunSpec, Value
 from sierra.platforms.base import Platform
@@ -35,12 +35,12 @@ class Expansion:
         if any(cell.stream for cell in design.cells):
             _check_streams(max(cell.stream for cell in design.cells), design.query.runs)
 
-    def batch(self, heed: Heed = deaf) -> Batch:
+    def batch(self, report: PlanningProgress = ignore_progress) -> Batch:
         """Return the batch with all ids. Raises TemplateError for a change that does not fit the template."""
         count = len(self._design.cells)
         experiments: list[Experiment] = []
         for cell in self._design.cells:
-            heed(len(experiments), count, count * self._design.query.runs)
+            report(len(experiments), count, count * self._design.query.runs)
             experiments.append(self._experiment(cell))
         identity = merkle("batch", (experiment.id for experiment in experiments))
         return Batch(identity, self._design.axes, tuple(experiments), self._recipe, self.spec_id)

@@ -71,18 +71,20 @@ class Changed:
         return self.template.reread(rendered, "the changed template")
 
 
-Heed = Callable[[int, int, int], None]
+PlanningProgress = Callable[[int, int, int], None]
 """A progress callback: number of planned experiments, number of all experiments, number of all runs. It may raise errors."""
 
 
-def deaf(done: int, experiments: int, runs: int) -> None:
+def ignore_progress(done: int, experiments: int, runs: int) -> None:
     """Ignore the progress."""
 
 
-def design(query: Query, project: Project, platform: Platform, template: Template, heed: Heed = deaf) -> Design:
+def design(
+    query: Query, project: Project, platform: Platform, template: Template, report: PlanningProgress = ignore_progress
+) -> Design:
     """Return the design of a query.
 
-    Raises QueryError; ConfigError for names that do not exist; TemplateError; and any error that `heed` raises.
+    Raises QueryError; ConfigError for names that do not exist; TemplateError; and any error that `report` raises.
     """
     chosen = _chosen(query, project)
     common = (
@@ -91,7 +93,7 @@ def design(query: Query, project: Project, platform: Platform, template: Templat
         *(change for kind, name in chosen.items() for change in _group(project, kind, name)),
     )
     before = Changed(template, common, chosen)
-    spans = _spans(query, project, platform, before, heed)
+    spans = _spans(query, project, platform, before, report)
     placed = tuple(_cells(query, spans, before))
     cells = tuple(cell for cell, _ in placed)
     per_run = _seed_changes(project, platform), changes(project.run_changes, "sierra.toml: run_changes")
@@ -108,7 +110,7 @@ def design(query: Query, project: Project, platform: Platform, template: Templat
     sure: set[tuple[tuple[Change, ...], ...]] = set()
     runs = overwritten.different_runs(designed)[: None if project.run_changes else 1]
     for cell, where in placed:
-        heed(0, len(cells), len(cells) * query.runs)
+        report(0, len(cells), len(cells) * query.runs)
         layers = (Layer("", common), *_layers(where, query.sets, *per_run))
         alike = tuple(layer.changes for layer in layers)
         if alike not in sure and not overwritten.check(template, designed, cell, layers):
@@ -155,7 +157,7 @@ class Spans:
         return [pair for pair, own in zip(placed, self.own, strict=True) if not own] + list(theirs)
 
 
-def _spans(query: Query, project: Project, platform: Platform, common: Changed, heed: Heed) -> Spans:
+def _spans(query: Query, project: Project, platform: Platform, common: Changed, report: PlanningProgress) -> Spans:
     """Return the axes and points of the criteria.
 
     Raises QueryError if a criterion of the platform gives different axes for different values of the others.
@@ -163,7 +165,7 @@ def _spans(query: Query, project: Project, platform: Platform, common: Changed, 
     known = [_span(criterion, project) for criterion in query.criteria]
     own = tuple(span is None for span in known)
     others = [span for span in known if span is not None]
-    _check_count(query, [axis for axis, _ in others], heed)
+    _check_count(query, [axis for axis, _ in others], report)
     others = others if any(own) else []
     names = [criterion.name for criterion, theirs in zip(query.criteria, own, strict=True) if theirs]
     found: dict[tuple[int, ...], tuple[Spanned, ...]] = {}
@@ -177,7 +179,7 @@ def _spans(query: Query, project: Project, platform: Platform, common: Changed, 
     first = next(iter(found.values()))
     axes = tuple(axis for axis, _ in first)
     _check_independent(first)
-    _check_count(query, axes, heed)
+    _check_count(query, axes, report)
     return Spans(axes, own, {places: tuple(points for _, points in spanned) for places, spanned in found.items()})
 
 
@@ -242,13 +244,13 @@ def _check_independent(spanned: Sequence[Spanned]) -> None:
                 raise QueryError(f"{other!r} and {axis.name!r} both set {change.path!r}; ask for one of them")
 
 
-def _check_count(query: Query, axes: Sequence[Axis], heed: Heed) -> None:
+def _check_count(query: Query, axes: Sequence[Axis], report: PlanningProgress) -> None:
     experiments = math.prod(len(axis.values) for axis in axes)
     if experiments * query.runs > AT_MOST:
         raise QueryError(
             f"{experiments} experiments of {query.runs} runs are {experiments * query.runs} runs; a batch has at most {AT_MOST}"
         )
-    heed(0, experiments, experiments * query.runs)
+    report(0, experiments, experiments * query.runs)
 
 
 def _check_lists(project: Project, axes: Sequence[Axis]) -> None:

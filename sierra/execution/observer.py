@@ -30,6 +30,9 @@ class Progress:
 class Observer:
     """Receives progress and notices, and decides. This one ignores all, and leaves cluster jobs running."""
 
+    def planning(self, done: int, experiments: int, runs: int) -> None:
+        """Receive the progress of planning: so many of the experiments are done; all of them have `runs` runs."""
+
     def progress(self, progress: Progress) -> None:
         """Receive progress, several times per second."""
 

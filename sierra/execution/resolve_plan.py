@@ -17,7 +17,7 @@ from sierra.containers import engines, images, session_isolation
 from sierra.containers.engines.base import PROJECT, Engine
 from sierra.containers.images.image import Image
 from sierra.design.expand import Expansion
-from sierra.design.experiments import Heed, deaf, design, mentions
+from sierra.design.experiments import PlanningProgress, design, ignore_progress, mentions
 from sierra.errors import ConfigError, Missing, QueryError
 from sierra.execution import commands
 from sierra.execution.checkout import Checkout, programs_in
@@ -124,8 +124,10 @@ def resolve(project: LoadedProject, request: QueryRequest) -> Query:
     )
 
 
-def plan(project: LoadedProject, request: QueryRequest, *, engine: str | None = None, heed: Heed = deaf) -> Plan:
-    """Resolve a requested query into a plan. `engine` replaces the project's engine; `heed` receives the progress of planning.
+def plan(
+    project: LoadedProject, request: QueryRequest, *, engine: str | None = None, report: PlanningProgress = ignore_progress
+) -> Plan:
+    """Resolve a requested query into a plan. `engine` replaces the project's engine; `report` receives the progress of planning.
 
     Executes nothing, except that it asks a Python for its path, the loader for libraries, and an engine for its image. Writes
     nothing, except that git writes the source's tree.
@@ -159,9 +161,9 @@ def plan(project: LoadedProject, request: QueryRequest, *, engine: str | None = 
     spec = RunSpec(
         config.platform, command, variables, code.tree, image.id if image else None, session_isolation.host_access(box)
     )
-    designed = design(query, config, platform, template, heed)
+    designed = design(query, config, platform, template, report)
     expansion = Expansion(designed, template, platform, spec)
-    batch = expansion.batch(heed)
+    batch = expansion.batch(report)
     if commands.SPLICED in command and ARGUMENTS not in batch.runs[0].names:
         raise ConfigError(f"command: {commands.SPLICED} needs a template that gives arguments; {config.template} gives none")
     used = programs_in(spec, code.manifest, root, data)

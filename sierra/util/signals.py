@@ -12,7 +12,7 @@ from collections.abc import Iterator
 ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
-def heed() -> None:
+def handle() -> None:
     """Make each of these signals end this process as Ctrl-C does, except signals that are already ignored (nohup)."""
     for number in ENDING:
         if signal.getsignal(number) is not signal.SIG_IGN:
