@@ -127,7 +127,7 @@ def resolve(project: LoadedProject, request: QueryRequest) -> Query:
 def plan(
     project: LoadedProject, request: QueryRequest, *, engine: str | None = None, report: PlanningProgress = ignore_progress
 ) -> Plan:
-    """Resolve a requested query into a plan. `engine` replaces the project's engine; `report` receives the progress of planning.
+    """Resolve a requested query into a plan. `engine` replaces the project's engine; `report` receives the progress.
 
     Executes nothing, except that it asks a Python for its path, the loader for libraries, and an engine for its image. Writes
     nothing, except that git writes the source's tree.
