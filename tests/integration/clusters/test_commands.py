@@ -89,7 +89,7 @@ def test_detached_it_returns_at_once_and_says_how_to_go_on(waiting: Waiting) -> 
     batch = waiting.batch()
     assert done.returncode == 0
     assert "6 runs: 0 executed, 0 reused, 6 to come" in done.stdout
-    assert re.search(r"^session [0-9a-f]{16}: 3 elements in job \d+ on slurm$", done.stdout, re.MULTILINE)
+    assert re.search(r"^session [0-9a-f]{16}: 3 array tasks in job \d+ on slurm$", done.stdout, re.MULTILINE)
     assert f"sierra attach {batch}" in done.stdout
     assert f"sierra cancel {batch}" in done.stdout
 
@@ -323,7 +323,7 @@ def test_a_dry_run_estimates_from_what_runs_took_before(waiting: Waiting) -> Non
     waiting.project.quick("run", "size=1", "--runs", "1", "--no-figures")
     later = waiting.project.quick("run", *QUERY, "--on", "slurm", "--dry-run", "--explain").stdout
     assert "on slurm (slurm " in later
-    assert "3 elements of up to 2 runs, each 1 core for 10:00" in later
+    assert "3 array tasks of up to 2 runs, each 1 core for 10:00" in later
     assert re.search(r"core-hours: about [\d.e-]+, at most 0\.5 ", later)
     assert re.search(r"^elements +3 +as sierra.toml says$", later, re.MULTILINE)
     assert re.search(r"^wall +600 +6 times what is expected, at least 10 minutes$", later, re.MULTILINE)
@@ -341,7 +341,7 @@ def test_a_dry_run_needs_no_scheduler_but_says_what_it_does_not_know(tmp_path: P
         (tools / program).symlink_to(subprocess.check_output(["which", program], text=True).strip())
     done = projects.sierra(root, "run", "population_size.Log8", "--on", cluster, "-n", environment={"PATH": str(tools)})
     assert done.returncode == 0, done.stderr
-    assert f"on {cluster} ({cluster}): 8 elements of up to 1 run," in done.stdout
+    assert f"on {cluster} ({cluster}): 8 array tasks of up to 1 run," in done.stdout
     assert "what the site allows is not known" in done.stderr
 
 

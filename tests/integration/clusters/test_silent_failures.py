@@ -313,7 +313,7 @@ def test_what_cannot_be_read_is_cancelled_all_the_same(clustered: Callable[..., 
 
 def test_a_site_without_room_makes_no_run_fail(clustered: Callable[..., Clustered], monkeypatch: pytest.MonkeyPatch) -> None:
     which = 'if [ "$SIERRA_RUN_ID" = "$(cat "{gate}.which")" ] && [ ! -e "{gate}" ]; then touch "{gate}"; sleep 60; fi; '
-    made = clustered(which + PRINTS, array_tasks=2)
+    made = clustered(which + PRINTS, elements=2)
     made.gate.with_name("gate.which").write_text(made.project.plan(*QUERY, runs=1).batch.runs[1].id)
     monkeypatch.setattr(runner, "FULL_S", 0.1)
     monkeypatch.setattr(Here, "full", 5)
@@ -359,7 +359,7 @@ def test_where_a_guess_at_their_time_was_too_short_elements_are_given_more(
 def test_a_scheduler_that_is_asked_for_the_jobs_that_lived_sees_those_with_more_time(
     clustered: Callable[..., Clustered], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    made = clustered(WAITS, array_tasks=2)
+    made = clustered(WAITS, elements=2)
     made.gate.touch()
     made.project.run("size=1", runs=1, figures=False)
     made.gate.unlink()
@@ -431,7 +431,7 @@ def test_what_is_said_of_a_job_before_is_not_of_what_was_given_back(
     clustered: Callable[..., Clustered], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(Here, "word", "FAILED")
-    made = clustered("sleep 3; " + PRINTS, array_tasks=2)
+    made = clustered("sleep 3; " + PRINTS, elements=2)
     project = made.project
     summary = project.run(*QUERY, runs=1, runner="here", observer=Observing(gives_back(project)), figures=False)
     handed_over = [request.elements for request in Here.requests if request.name.startswith("sierra-")]
