@@ -81,7 +81,7 @@ def test_what_is_on_a_cluster_is_told_by_all_that_speak_of_the_batch(waiting: Wa
     assert row["clusters"] == json.loads(waiting.project.quick("show", waiting.batch(), "--json").stdout)["clusters"]
     assert row["clusters"] == [{name: left[name] for name in ("session", "runner", "jobs", "array_tasks", "runs", "since")}]
     assert (
-        "asking again now:\n  6 runs: on a cluster now: followed, not executed again\n"
+        "if the query is repeated now:\n  6 runs: on a cluster now: followed, not executed again\n"
         in waiting.project.quick("why", waiting.batch()).stdout
     )
     waiting.open()
