@@ -58,7 +58,7 @@ def name_of(page: Path) -> str:
 
 
 def steps(block: Block) -> Iterator[tuple[str, list[str]]]:
-    """Each command of a block, with the lines of output that the page shows for it."""
+    """Yield each command of a block, with the lines of output that the page shows for it."""
     if block.kind == "sh":
         yield from ((line, []) for line in block.text.splitlines() if line.strip())
         return
@@ -164,7 +164,7 @@ def test_settings_shown_in_a_page_are_valid(page: Path) -> None:
                 settings |= {"template": "arena.xml", "command": "true"}
             where = f"{name_of(page)}, line {block.line}"
             loaded = project_file.parse(settings, where)
-            if page != PLUGINS:  # its platform is of a package that is not installed here
+            if page != PLUGINS:  # its platform is in a package that is not installed here
                 platforms.find(loaded.platform, loaded)
 
 
@@ -178,7 +178,7 @@ def test_every_command_is_executed_or_has_a_reason_why_not() -> None:
 
 
 def slugs(page: Path) -> set[str]:
-    """The anchors of a page's headings, as GitHub and Sphinx make them."""
+    """Return the anchors of a page's headings, as GitHub and Sphinx make them."""
     text = FENCE.sub("", page.read_text("utf-8"))
     return {re.sub(r"[^\w\- ]", "", title.lower()).strip().replace(" ", "-") for title in re.findall(r"(?m)^#+ (.+)$", text)}
 

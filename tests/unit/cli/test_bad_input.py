@@ -102,7 +102,7 @@ def ask(project: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFi
         ("", '[[changes]]\nset = "//nothing"\nvalue = 3', "//nothing matches nothing"),
     ],
 )
-def test_mistakes_in_the_project_file_are_reported_precisely(
+def test_mistakes_in_the_project_file_are_refused_with_a_specific_message(
     project: Path, ask: Ask, right: str, wrong: str, said: str
 ) -> None:
     text = CONFIG.replace(right, wrong, 1) if right else f"{CONFIG}\n{wrong}\n"

@@ -464,7 +464,7 @@ def test_ids_are_short_and_tables_fit_on_a_terminal(
 
 @pytest.mark.integration
 @pytest.mark.parametrize("how", [("-n",), ("--json", "-n"), ()])
-def test_very_many_runs_are_planned_only_with_yes(answered: Path, how: tuple[str, ...]) -> None:
+def test_very_many_runs_are_refused_without_yes(answered: Path, how: tuple[str, ...]) -> None:
     said = quick(answered, "run", "noise=0:1:500000", *how)
     assert said.returncode == 2
     assert "500000 experiments are 1000000 runs" in said.stderr

@@ -59,7 +59,7 @@ WORDS = [
 
 
 @pytest.mark.parametrize("words", WORDS, ids=lambda words: "-".join(words)[:20].replace("\x1b", ""))
-def test_recorded_escape_sequences_never_reach_the_terminal(evil: Path, words: tuple[str, ...]) -> None:
+def test_recorded_escape_sequences_are_never_printed(evil: Path, words: tuple[str, ...]) -> None:
     [row] = sierra.open(evil).sql("SELECT batch, run FROM executions WHERE status <> 'ok' LIMIT 1").to_pylist()
     done = projects.quick(evil, *(word.format(**row) for word in words))
     assert harmless(done.stdout + done.stderr)

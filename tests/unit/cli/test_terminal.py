@@ -93,7 +93,7 @@ def test_batch_and_session_ids_are_completed_without_a_prefix(root: Path) -> Non
 
 
 @pytest.mark.parametrize("words", ["sierra show zz", "sierra show ", "sierra stats nope ", "sierra run pop", "sierra run zz"])
-def test_completion_without_store_lookup_loads_no_database(root: Path, words: str) -> None:
+def test_completion_of_names_and_batches_loads_no_database(root: Path, words: str) -> None:
     program = (
         "import sys, sierra.cli.main as m\n"
         "try: m.main()\n"

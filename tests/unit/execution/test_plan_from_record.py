@@ -1,4 +1,4 @@
-"""`sierra run BATCH` executes the missing runs of a recorded batch with the recorded code, inputs and ingest rules."""
+"""`sierra run BATCH` executes missing and failed runs of a batch with the recorded code, inputs and ingest rules."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def test_failed_runs_of_a_batch_are_executed_with_the_recorded_code_and_inputs(h
 
 
 @pytest.mark.integration
-def test_complete_batch_executes_nothing_and_dry_run_counts_missing_runs(half: tuple[Path, str]) -> None:
+def test_dry_run_counts_the_runs_to_execute_and_a_complete_batch_executes_none(half: tuple[Path, str]) -> None:
     root, batch = half
     told = json.loads(projects.quick(root, "run", batch[:8], "-n", "--json").stdout)
     assert (told["batch"], told["to_execute"]) == (batch, 2)
@@ -113,7 +113,7 @@ def test_uncommitted_changes_are_neither_counted_nor_executed_if_ignored(tmp_pat
 
 @pytest.mark.integration
 @pytest.mark.parametrize("link", ["path", "editable"])
-def test_changed_code_that_is_linked_into_python_is_refused_instead_of_executed(tmp_path: Path, link: str) -> None:
+def test_code_installed_from_the_project_is_refused_if_it_differs_from_the_record(tmp_path: Path, link: str) -> None:
     venv.create(tmp_path / "env", symlinks=True)
     [installed] = (tmp_path / "env").glob("lib/python3*/site-packages")
     simulator = "from swarm.model import f\n" + projects.SIMULATOR.replace("count * tick", "f(count * tick)")

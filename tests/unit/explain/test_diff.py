@@ -386,7 +386,7 @@ def test_interval_of_a_difference_of_means_contains_the_welch_interval(seed: int
 
 
 def test_interval_of_a_difference_of_rates_is_the_newcombe_interval() -> None:
-    """The first example of his paper: 56 of 70 and 48 of 80."""
+    """The first example of Newcombe's paper: 56 of 70 and 48 of 80."""
     from scipy import stats
 
     def rate(good: int, n: int) -> Mean:

@@ -146,7 +146,7 @@ def test_fractions_in_one_run_among_whole_numbers_are_not_rounded(make: Make) ->
     assert all(row["v"] == (1.0 if row["seed"] % 5 else 1.5) for row in seeds)
 
 
-def test_numbers_in_one_run_are_not_turned_into_flags_of_other_runs(tmp_path: Path) -> None:
+def test_number_in_one_run_stays_a_number_among_flags_of_other_runs(tmp_path: Path) -> None:
     files = [b"a\ntrue\n", *[b"a\nfalse\n"] * 3, b"a\n1\n", *[b"a\ntrue\n"] * 4]
     reading, _ = table(tmp_path, files)
     assert {key[0]: kinds["a"] for key, kinds in reading.columns.items()} == {

@@ -278,7 +278,9 @@ def test_rules_that_do_not_change_parsing_need_no_raw_files(tmp_path: Path) -> N
 
 
 @pytest.mark.integration
-def test_rows_are_not_copied_if_their_number_differs_from_the_record(project: Counted, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_reevaluation_fails_if_the_number_of_copied_rows_differs_from_the_record(
+    project: Counted, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(
         "sierra.store.rejudged_rows.ROWS", "SELECT o.* REPLACE (m.made AS execution) FROM {files} o, made m LIMIT 5"
     )

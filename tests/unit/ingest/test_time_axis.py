@@ -1,4 +1,4 @@
-"""The time axis of undeclared outputs is chosen by the name of a column or by its values."""
+"""The time axis of outputs that declare none is chosen by the name of a column or by its values."""
 
 from __future__ import annotations
 

@@ -145,7 +145,7 @@ def test_files_swapped_between_segments_are_named(root: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["{prefix}-0123456789abcdef", "0123456789ab-{hash}", "copy of it", "{prefix}-{hash}.bak"])
-def test_duplicated_segments_are_named(root: Path, name: str) -> None:
+def test_duplicate_segments_are_named(root: Path, name: str) -> None:
     segment = segment_with(root, "executions")
     prefix, _, digits = segment.name.partition("-")
     double = segment.with_name(name.format(prefix=prefix, hash=digits))
@@ -362,7 +362,7 @@ def repaired(root: Path) -> list[str]:
 
 
 def everything(root: Path) -> bytes:
-    """Return all bytes of the store, in any place."""
+    """Return the content of all files of the store, joined in sorted order."""
     return b"".join(sorted(stores.state(root).values()))
 
 
@@ -413,7 +413,7 @@ def test_only_lost_executions_are_executed_again_after_repair(root: Path, tables
     assert fsck(root).sound
     after = {row["batch"]: row["n"] for row in project.sql(executed).to_pylist()}
     lost = [before[batch]["n"] - after.get(batch, 0) for batch in batches]
-    assert [count > 0 for count in lost] == [table != "ingest_rules" for table in tables]  # other segments have them too
+    assert [count > 0 for count in lost] == [table != "ingest_rules" for table in tables]  # other segments have the rules too
     assert all(count <= before[batch]["most"] for batch, count in zip(batches, lost, strict=True))
     summaries = [project.run(batch, figures=False) for batch in batches]
     assert sum(one.failed + one.missing for one in summaries) == 0

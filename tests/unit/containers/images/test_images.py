@@ -114,7 +114,7 @@ def test_layers_are_merged_as_container_engines_do(project: Project) -> None:
 
 
 @pytest.mark.parametrize("kind", [tarfile.CHRTYPE, tarfile.BLKTYPE])
-def test_images_with_device_files_are_refused(project: Project, kind: bytes) -> None:
+def test_import_of_images_with_device_files_is_refused(project: Project, kind: bytes) -> None:
     node = made.device("dev/sda")
     node.type = kind
     made.docker_archive(project.root / "sim.tar", [BASE, made.layer(node), made.layer((".wh.dev", ""))])
@@ -382,7 +382,7 @@ def test_damaged_layers_are_noticed_even_if_the_image_is_already_known(project: 
 
 @pytest.fixture
 def system(tmp_path: Path, require: Callable[..., str]) -> bytes:
-    """A squashfs."""
+    """The bytes of a squashfs image."""
     require("mksquashfs")
     tree = tmp_path / "tree"
     (tree / "bin").mkdir(parents=True)
@@ -539,7 +539,7 @@ def test_image_for_another_architecture_is_refused(project: Project, system: byt
 
 
 def bytes_read() -> int:
-    """Return how many bytes this process has read so far, from whatever cache."""
+    """Return how many bytes this process has read so far, including from caches."""
     [line] = [line for line in Path("/proc/self/io").read_text().splitlines() if line.startswith("rchar:")]
     return int(line.split()[1])
 
